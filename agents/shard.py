@@ -1,0 +1,95 @@
+"""The mind of one agent process: k >= 1 nodes, their law, and what they heard; a shard of one is not special."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agents.law import Array, Law, Minimax
+from agents.view import View
+from topologies.errors import UserError
+from wire.codec import Flag, Flags
+
+Index = NDArray[np.int64]
+
+
+def load_law(name: str) -> type[Law]:
+    """The class of a law: `minimax`, or `package.module:Class` (looked for in the working directory too)."""
+    if name == "minimax":
+        return Minimax
+    module, _, attribute = name.partition(":")
+    if (here := str(Path.cwd())) not in sys.path:
+        sys.path.append(here)
+    try:
+        law: type[Law] = getattr(importlib.import_module(module), attribute)
+    except Exception as error:
+        raise UserError(
+            f"law {name}: cannot be loaded: {type(error).__name__}: {error}; "
+            "give package.module:Class, importable here (docs/laws.md)"
+        ) from error
+    if missing := [
+        method for method in ("act", "learn", "report") if not callable(getattr(law, method, None))
+    ]:
+        raise UserError(
+            f"law {name}: has no {', '.join(missing)}(); a law has act, learn and report (docs/laws.md)"
+        )
+    return law
+
+
+class Shard:
+    """Closes the sample of t - 1 and acts at t, for all its nodes at once.
+
+    Incidences (a node and one of its edges) are ordered by node and then by neighbour, as in the plant, so that
+    a flow is the same sum, bit for bit, in every layout of the network over processes.
+    """
+
+    def __init__(self, view: View, law: Law) -> None:
+        self.law = law
+        self.k = len(view.nodes)
+        own = {node.id: i for i, node in enumerate(view.nodes)}
+        heard = [node for peer in view.peers for node in peer.hear]
+        column = own | {node: self.k + i for i, node in enumerate(heard)}
+        home = {node: p for p, peer in enumerate(view.peers) for node in peer.hear}
+        incidences = [(i, j) for i, node in enumerate(view.nodes) for j in node.neighbours]
+        self.m = len(incidences)
+        self._row: Index = np.array([i for i, _ in incidences], dtype=np.int64)
+        self._column: Index = np.array([column[j] for _, j in incidences], dtype=np.int64)
+        self._peer: Index = np.array([home.get(j, -1) for _, j in incidences], dtype=np.int64)
+        self.say: list[Index] = [
+            np.array([own[node] for node in peer.say], dtype=np.int64) for peer in view.peers
+        ]
+        """Per peer: which of our nodes stand in a link message to it."""
+        self.everybody: Sequence[int] = range(len(view.peers))
+        self.x: Array = np.zeros(self.k)
+        self.u: Array = np.zeros(self.k)
+
+    def start(self, x: Array) -> Array:
+        """u(0): there is no sample to close yet."""
+        return self._act(x)
+
+    def step(self, x: Array, flags: Flags, u_heard: Array) -> Array:
+        """u(t), (k,), from x(t) (k,), the Flag bits of t - 1 (m,), and the inputs of t - 1 heard from all peers.
+
+        An input that was not heard is NaN: so is the flow that it enters, and a sample without its flow is skipped.
+        """
+        u = np.concatenate((self.u, u_heard))[self._column]
+        u = np.where(flags & Flag.HEAR, u, np.nan)
+        difference = np.where(flags & Flag.OPEN, self.u[self._row] - u, 0.0)
+        self.law.learn(self.x, np.bincount(self._row, difference, self.k), x)
+        return self._act(x)
+
+    def _act(self, x: Array) -> Array:
+        self.x, self.u = x, self.law.act(x)
+        return self.u
+
+    def peers_with(self, bit: Flag, flags: Flags) -> Sequence[int]:
+        """Peers to whom at least one incidence has `bit` set."""
+        marked = flags & bit
+        if marked.all():
+            return self.everybody
+        return [int(p) for p in np.unique(self._peer[marked != 0]) if p >= 0]

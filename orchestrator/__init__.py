@@ -1,0 +1,1 @@
+"""The operator: launches a network, observes it, records it, and judges the run."""

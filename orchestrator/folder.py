@@ -1,0 +1,104 @@
+"""The folder that a run leaves behind."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import time
+from collections.abc import Mapping
+from datetime import datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from topologies.errors import UserError
+from topologies.resolve import to_yaml
+from topologies.schema import Topology
+
+PACKAGES = ("hedgerow", "eclipse-zenoh", "numpy", "rerun-sdk", "pydantic", "pyarrow", "scipy")
+
+
+class RunFolder:
+    """`runs/<name>-<time>/`, and `runs/latest` that points to it."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.topology = path / "topology.yaml"
+        self.recording = path / "run.rrd"
+        self.verdict = path / "verdict.json"
+        self.events = path / "events.jsonl"
+        self.logs = path / "logs"
+        self.processes = path / "processes"
+        """what each process was told"""
+        self.socket = path / "router.sock"
+
+    @property
+    def name(self) -> str:
+        return self.path.name
+
+    def event(self, kind: str, **details: Any) -> None:
+        """Append one line to events.jsonl."""
+        line = {
+            "time": datetime.now().astimezone().isoformat(timespec="milliseconds"),
+            "event": kind,
+            **details,
+        }
+        with self.events.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(line) + "\n")
+
+
+def create(topology: Topology, directory: Path | None) -> RunFolder:
+    """A new folder for a run of the resolved `topology`: `directory` itself, which must be new or empty, or one in runs/."""
+    try:
+        if directory is not None:
+            directory.mkdir(parents=True, exist_ok=True)
+            if any(directory.iterdir()):
+                raise UserError(
+                    f"--run-dir {directory}: holds something already; name a new folder"
+                )
+            folder = RunFolder(directory.resolve())
+        else:
+            folder = RunFolder(_new_in(Path("runs"), topology.name))
+        folder.logs.mkdir()
+        folder.processes.mkdir()
+        folder.topology.write_text(to_yaml(topology), encoding="utf-8")
+    except OSError as error:
+        raise UserError(
+            f"no run folder: {error.filename or directory}: {error.strerror}; make room, or choose another with --run-dir"
+        ) from None
+    return folder
+
+
+def _new_in(runs: Path, name: str) -> Path:
+    runs.mkdir(exist_ok=True)
+    stamp = time.strftime("%Y%m%d-%H%M%S")
+    number = 1
+    while True:
+        path = runs.resolve() / f"{name}-{stamp}{f'-{number}' if number > 1 else ''}"
+        try:
+            path.mkdir()
+        except FileExistsError:
+            number += 1
+            continue
+        _point_latest(runs, path)
+        return path
+
+
+def _point_latest(runs: Path, path: Path) -> None:
+    # Replaced by a rename, so that `latest` exists at every moment, whoever else starts a run.
+    link = runs / f".latest-{os.getpid()}"
+    link.symlink_to(path.name, target_is_directory=True)
+    link.replace(runs / "latest")
+
+
+def write_json(path: Path, content: Mapping[str, Any]) -> None:
+    """Write a JSON file that is there whole or not at all."""
+    part = path.with_name(path.name + ".part")
+    part.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    part.rename(path)
+
+
+def versions() -> dict[str, str]:
+    """The versions that a run depends on."""
+    return {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}}

@@ -1,0 +1,163 @@
+"""The tables of a run: telemetry.parquet, one row a step and node, and edges.parquet, one row a step and edge.
+
+While the run goes on, rows are kept in Arrow streams, which can be read up to their last batch however the run
+ends; at the end they become Parquet, in row groups of one size, so that equal runs leave equal files.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from orchestrator.observe import Batch, Observer
+from topologies.schema import Topology
+from wire.codec import End
+
+ROW_GROUP = 2**16
+
+
+def _id_type(topology: Topology) -> pa.DataType:
+    return pa.int64() if all(isinstance(node, int) for node in topology.ids) else pa.string()
+
+
+def _ids(topology: Topology, positions: Any) -> np.ndarray[Any, Any]:
+    ids = topology.ids if _id_type(topology) == pa.int64() else [str(node) for node in topology.ids]
+    return np.array(ids)[positions]
+
+
+class _Table:
+    """One growing table: an Arrow stream while it grows, a Parquet file once it is closed."""
+
+    def __init__(self, folder: Path, name: str, schema: pa.Schema) -> None:
+        self.stream = folder / f"{name}.arrows"
+        self.parquet = folder / f"{name}.parquet"
+        self._schema = schema
+        self._writer = pa.ipc.new_stream(pa.OSFile(str(self.stream), "wb"), schema)
+
+    def append(self, columns: dict[str, Any]) -> None:
+        self._writer.write_batch(pa.record_batch(columns, schema=self._schema))
+
+    def close(self) -> None:
+        self._writer.close()
+        to_parquet(self.stream, self.parquet)
+        self.stream.unlink()
+
+
+def to_parquet(stream: Path, parquet: Path) -> None:
+    """Turn an Arrow stream, whole or cut short, into a Parquet file, which appears under its name only when complete."""
+    part = parquet.with_suffix(".parquet.part")
+    with pa.OSFile(str(stream), "rb") as source, pa.ipc.open_stream(source) as reader:
+        with pq.ParquetWriter(part, reader.schema) as writer:
+            waiting: list[pa.RecordBatch] = []
+            rows = 0
+            for batch in _whole_batches(reader):
+                waiting.append(batch)
+                rows += batch.num_rows
+                if rows >= ROW_GROUP:
+                    table = pa.Table.from_batches(waiting)
+                    whole = rows - rows % ROW_GROUP
+                    writer.write_table(table.slice(0, whole), row_group_size=ROW_GROUP)
+                    waiting, rows = table.slice(whole).to_batches(), rows - whole
+            if rows:
+                writer.write_table(pa.Table.from_batches(waiting), row_group_size=ROW_GROUP)
+    part.rename(parquet)
+
+
+def _whole_batches(reader: Any) -> Any:
+    while True:
+        try:
+            yield reader.read_next_batch()
+        except (
+            StopIteration,
+            pa.ArrowInvalid,
+            OSError,
+        ):  # the end, or where a killed writer left off
+            return
+
+
+class Recorder:
+    """Writes what the observer computes to the tables of a run's folder; OSError when the disk is full."""
+
+    def __init__(self, topology: Topology, folder: Path) -> None:
+        node = _id_type(topology)
+        f8 = pa.float64()
+        self._n, self._edges = len(topology.ids), topology.graph.edges
+        self._ids = _ids(topology, np.arange(self._n))
+        self._i, self._j = (_ids(topology, self._edges[:, end]) for end in (0, 1))
+        floats = [(name, f8) for name in ("x", "u", "w", "ahat")]
+        self._telemetry = _Table(
+            folder,
+            "telemetry",
+            pa.schema(
+                [
+                    ("step", pa.int64()),
+                    ("node", node),
+                    *floats,
+                    ("index", pa.int32()),
+                    ("x_oracle", f8),
+                    ("x_nominal", f8),
+                ]
+            ),
+        )
+        self._edge_inputs = _Table(
+            folder,
+            "edges",
+            pa.schema(
+                [
+                    ("step", pa.int64()),
+                    ("i", node),
+                    ("j", node),
+                    ("u_edge", f8),
+                    ("open", pa.bool_()),
+                ]
+            ),
+        )
+
+    def write(self, batch: Batch) -> None:
+        """Append the rows of one batch."""
+        rows, e = len(batch.t), len(self._edges)
+        self._telemetry.append(
+            {
+                "step": np.repeat(batch.t, self._n),
+                "node": np.tile(self._ids, rows),
+                **{
+                    name: getattr(batch, name).ravel()
+                    for name in ("x", "u", "w", "ahat", "index", "x_oracle", "x_nominal")
+                },
+            }
+        )
+        if e:
+            self._edge_inputs.append(
+                {
+                    "step": np.repeat(batch.t, e),
+                    "i": np.tile(self._i, rows),
+                    "j": np.tile(self._j, rows),
+                    "u_edge": batch.u_edge.ravel(),
+                    "open": batch.edge_open.ravel(),
+                }
+            )
+
+    def write_end(self, observer: Observer, end: End) -> None:
+        """Append the last states: at step T nothing acts, so all but the states is null."""
+        n = self._n
+        nothing = {name: pa.nulls(n, pa.float64()) for name in ("u", "w", "ahat")}
+        self._telemetry.append(
+            {
+                "step": np.full(n, end.t),
+                "node": self._ids,
+                "x": end.x,
+                **nothing,
+                "index": pa.nulls(n, pa.int32()),
+                "x_oracle": observer.x_oracle_end,
+                "x_nominal": observer.x_nominal_end,
+            }
+        )
+
+    def close(self) -> None:
+        """Turn both streams into Parquet files."""
+        self._telemetry.close()
+        self._edge_inputs.close()

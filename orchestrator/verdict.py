@@ -1,0 +1,142 @@
+"""What a run is worth: valid, INVALID or unknown, what was checked, and the numbers; all computed in that run."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from orchestrator.folder import versions
+from orchestrator.observe import Observer, Worst
+from topologies.schema import LAWS, Topology
+
+VALID, INVALID, UNKNOWN = "valid", "INVALID", "unknown"
+EXIT_CODES = {VALID: 0, INVALID: 1, UNKNOWN: 3}
+
+CLAIMS = {
+    "dynamics": "every x(t+1) is equation (1) of x, u, w and the open edges, to the bit",
+    "estimates": "every ahat is one of its candidates, and every u is equation (6) of it, to the bit",
+    "contraction": "|x(t+1)|_1 <= rho |x(t)|_1 + |w(t)|_1 at every step",
+    "oracle_certificate": "sum (|x*|^2 + |u*_e|^2) <= sum w'Q^-1 w + V(x(0)) - V(x*(t+1)) at every step",
+}
+_OF_THE_LAW = {"estimates", "contraction"}
+"""Checks that hold for the paper's law and not for any other."""
+
+
+@dataclass
+class Ending:
+    """How a run came to its end, and in what circumstances."""
+
+    run: str
+    engine: str
+    processes: int
+    elapsed_s: float = 0.0
+    """from the first telemetry to the last"""
+    first_step_s: float | None = None
+    """from the start of the command to the first telemetry"""
+    stopped: str = ""
+    """why the run ended early; empty when it did not"""
+    reference_equal: bool | None = None
+    """telemetry equal to the in-process reference, bit for bit; None where not asked"""
+    refused: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The verdict as verdict.json holds it."""
+
+    verdict: str
+    content: dict[str, Any]
+
+    @property
+    def exit_code(self) -> int:
+        return EXIT_CODES[self.verdict]
+
+    def line(self) -> str:
+        """The last line on the screen."""
+        c, m = self.content, self.content["metrics"]
+        numbers = [f"{c['steps_done']} of {c['steps']} steps"]
+        if c["steps_per_s"]:
+            numbers.append(f"{c['steps_per_s']:.0f} steps/s")
+        if m:
+            numbers += [
+                f"regret D {m['regret']:.4g} (nominal {m['regret_nominal']:.4g})",
+                f"cost regret {m['cost_regret']:+.4g}",
+                f"gain {_number(m['gain'])} (gamma* {m['gamma_star']:.4g} is the oracle's)",
+                f"{m['nodes_right']} of {c['nodes']} estimates right",
+            ]
+        why = f" ({'; '.join(c['reasons'])})" if c["reasons"] else ""
+        return f"{self.verdict}{why}: {', '.join(numbers)}"
+
+
+def _number(value: float | None) -> str:
+    return "undefined" if value is None else f"{value:.4g}"
+
+
+def judge(topology: Topology, observer: Observer, ending: Ending) -> Verdict:
+    """The verdict of a run: INVALID if any check failed, unknown if it ended early or lost rows, else valid."""
+    claimed = {
+        name: worst
+        for name, worst in observer.checks.items()
+        if topology.law in LAWS or name not in _OF_THE_LAW
+    }
+    checks = {name: _check(name, worst) for name, worst in claimed.items()}
+    if ending.reference_equal is not None:
+        checks["reference"] = {
+            "ok": ending.reference_equal,
+            "claim": "telemetry equals the in-process reference, bit for bit",
+        }
+    failed = [
+        f"{name} fails at step {check.get('step', '?')}"
+        for name, check in checks.items()
+        if not check["ok"]
+    ]
+    doubts = []
+    if ending.stopped:
+        doubts.append(ending.stopped)
+    if observer.lost:
+        doubts.append(f"{len(observer.lost)} steps of telemetry lost, the first {observer.lost[0]}")
+    if observer.end is None and not doubts:
+        doubts.append("the final state never came")
+    verdict = INVALID if failed else UNKNOWN if doubts else VALID
+    done = observer.end.t if observer.end is not None else observer.next_step
+    content = {
+        "verdict": verdict,
+        "exit_code": EXIT_CODES[verdict],
+        "reasons": failed + doubts,
+        "run": ending.run,
+        "name": topology.name,
+        "law": topology.law,
+        "seed": topology.seed,
+        "engine": ending.engine,
+        "processes": ending.processes,
+        "nodes": observer.graph.n,
+        "edges": len(observer.graph.edges),
+        "steps": topology.steps,
+        "steps_done": done,
+        "elapsed_s": ending.elapsed_s,
+        "steps_per_s": done / ending.elapsed_s if ending.elapsed_s > 0 else None,
+        "first_step_s": ending.first_step_s,
+        "lost_rows": len(observer.lost) * observer.graph.n,
+        "checks": checks,
+        "metrics": observer.summary() if done else {},
+        "versions": versions(),
+    }
+    return Verdict(verdict, content)
+
+
+def _check(name: str, worst: Worst) -> dict[str, Any]:
+    return {
+        "ok": bool(worst.excess <= 0),
+        "claim": CLAIMS[name],
+        "steps": worst.steps,
+        "step": worst.step,
+        "excess": worst.excess if math.isfinite(worst.excess) else None,
+    }
+
+
+def finite(value: float | np.floating[Any]) -> float | None:
+    """A number that JSON can hold."""
+    return float(value) if np.isfinite(value) else None

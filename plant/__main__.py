@@ -1,0 +1,3 @@
+from plant.process import main
+
+main()

@@ -1,0 +1,353 @@
+"""The world on the wire, and its clock: send state(t), wait for every input(t) and for nothing else, advance.
+
+As in an agent, the work is done where messages arrive; the main thread keeps time. It releases a step that had
+to wait (for its turn under `--rate`, or for an observer that fell behind), repeats a state that was not answered,
+and gives up, by name, past the deadline.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import logging
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NoReturn
+
+import numpy as np
+import zenoh
+
+from plant.truth import Truth
+from plant.world import World
+from topologies.errors import DeadlineError
+from topologies.graph import Index
+from wire import keys
+from wire.child import run_child
+from wire.codec import (
+    ALL_UP,
+    REPORT_WIDTH,
+    Flags,
+    MessageError,
+    Telemetry,
+    decode_input,
+    decode_seen,
+    encode_end,
+    encode_state,
+    encode_telemetry,
+)
+from wire.session import open_client, publisher, subscriber
+
+LOG = logging.getLogger("plant")
+START_DEADLINE_S = 60.0
+OBSERVER_DEADLINE_S = 60.0
+RESEND_AFTER_S = 0.5
+AHEAD_BYTES = 32 * 2**20
+"""How much telemetry the plant may send before the observer has taken it in; it bounds the observer's memory."""
+
+
+@dataclass
+class _Shard:
+    """One agent process as the plant sees it."""
+
+    nodes: Index
+    flags: Flags
+    state: zenoh.Publisher
+    message: bytes = b""
+    alive: bool = False
+
+
+@dataclass
+class _Clock:
+    """When the next state may leave."""
+
+    period_s: float
+    started: float = 0.0
+    sent_at: float = 0.0
+    repeats: int = 0
+    held: bool = False
+    """state(t) is ready, and has not left yet"""
+
+    def due(self, t: int) -> float:
+        return self.started + t * self.period_s
+
+
+@dataclass
+class _Inputs:
+    """What step t has brought so far."""
+
+    u: np.ndarray[tuple[int], np.dtype[np.float64]]
+    report: np.ndarray[tuple[int, int], np.dtype[np.float64]]
+    missing: set[int] = field(default_factory=set)
+
+
+class Plant:
+    """The plant's process, from the first state to the end."""
+
+    def __init__(
+        self, truth: Truth, namespace: str, endpoint: str, rate: float, deadline_s: float
+    ) -> None:
+        n, e = len(truth.ids), len(truth.edges)
+        self.truth = truth
+        self.world = World(truth)
+        self._deadline_s = deadline_s
+        self._edge_open = np.ones(e, dtype=np.bool_)
+        self._link_up: Flags = np.ones(2 * e, dtype=np.uint8)
+        self._clock = _Clock(1 / rate if rate else 0.0)
+        self._ahead = max(2, min(4096, AHEAD_BYTES // (8 * n * (3 + REPORT_WIDTH) + 3 * e)))
+        self._seen = -1
+        self._inputs = _Inputs(np.zeros(n), np.zeros((n, REPORT_WIDTH)))
+        self._running = False
+        self._stopping = False
+        self._failure: Exception | None = None
+        self.refused = 0
+        self._changed = threading.Condition()
+
+        self._session = session = open_client(endpoint, namespace)
+        shard_of = {keys.input_(p): p for p in range(len(truth.shards))}
+        self._telemetry = publisher(session, keys.TELEMETRY)
+        degree = self.world.graph.degree
+        self._shards = [
+            _Shard(
+                nodes=np.array(nodes, dtype=np.int64),
+                flags=np.full(int(degree[list(nodes)].sum()), ALL_UP, dtype=np.uint8),
+                state=publisher(session, keys.state(p)),
+            )
+            for p, nodes in enumerate(truth.shards)
+        ]
+        self._declared = [
+            subscriber(
+                session,
+                keys.input_("*"),
+                lambda key, message: self._take_input(shard_of.get(key), message),
+            ),
+            subscriber(session, keys.SEEN, lambda _, message: self._take_seen(message)),
+            session.declare_queryable(
+                keys.STATUS, zenoh.handlers.Callback(self._answer_status, indirect=False)
+            ),
+            session.declare_queryable(
+                keys.STOP, zenoh.handlers.Callback(self._answer_stop, indirect=False)
+            ),
+            session.liveliness().declare_subscriber(
+                keys.ALIVE, zenoh.handlers.Callback(self._take_alive, indirect=False), history=True
+            ),
+            session.liveliness().declare_token(keys.alive(keys.PLANT)),
+        ]
+
+    def run(self) -> None:
+        """Keep time until the last step, a stop or a failure; raise DeadlineError past a deadline."""
+        try:
+            with self._changed:
+                self._wait_for_agents()
+                LOG.info("all %d agents are ready", len(self._shards))
+                self._running = True
+                self._clock.started = time.monotonic()
+                self._prepare()
+                while self._running:
+                    self._changed.wait(self._keep_time())
+        finally:
+            self._end()
+        if self._failure is not None:
+            raise self._failure
+
+    def close(self) -> None:
+        """Leave the network."""
+        self._session.close()
+
+    # The clock: every method below runs with the lock of `_changed` held.
+
+    def _wait_for_agents(self) -> None:
+        def all_alive() -> bool:
+            return self._stopping or all(shard.alive for shard in self._shards)
+
+        if not self._changed.wait_for(all_alive, START_DEADLINE_S):
+            late = [self._name(p) for p, shard in enumerate(self._shards) if not shard.alive]
+            raise DeadlineError(
+                f"{', '.join(late[:8])} not ready after {START_DEADLINE_S:g} s; see their logs"
+            )
+
+    def _prepare(self) -> None:
+        """Make state(t) ready, and let it go if it may; end when t is the last."""
+        if self._stopping or self.world.t == self.truth.steps:
+            self._running = False
+            self._changed.notify_all()
+            return
+        self._inputs.missing.update(range(len(self._shards)))
+        for shard in self._shards:
+            shard.message = encode_state(self.world.t, self.world.x[shard.nodes], shard.flags)
+        self._clock.held = True
+        self._release()
+
+    def _release(self) -> None:
+        if not self._clock.held or self._wait_s() > 0:
+            return
+        self._clock.held, self._clock.sent_at, self._clock.repeats = False, time.monotonic(), 0
+        for shard in self._shards:
+            shard.state.put(shard.message)
+
+    def _wait_s(self) -> float:
+        """How long state(t) must still be held: until its turn, or until the observer has caught up."""
+        if self.world.t - self._seen > self._ahead:
+            return RESEND_AFTER_S
+        return self._clock.due(self.world.t) - time.monotonic() if self._clock.period_s else 0.0
+
+    def _keep_time(self) -> float:
+        """What the main thread has to do now; return in how many seconds to look again."""
+        clock, now = self._clock, time.monotonic()
+        if self._stopping:
+            self._running = False
+            return 0.0
+        if clock.held:
+            self._release()
+            if (
+                clock.held
+                and now - max(clock.sent_at, clock.due(self.world.t)) > OBSERVER_DEADLINE_S
+            ):
+                raise DeadlineError(
+                    f"step {self.world.t}: the observer has taken in nothing since step {self._seen} for {OBSERVER_DEADLINE_S:g} s"
+                )
+            return max(self._wait_s(), 0.0) if clock.held else RESEND_AFTER_S
+        waited = now - clock.sent_at
+        if waited > self._deadline_s:
+            names = ", ".join(
+                f"{self._name(p)} (alive: {'yes' if self._shards[p].alive else 'no'})"
+                for p in sorted(self._inputs.missing)
+            )
+            raise DeadlineError(
+                f"step {self.world.t}: no input from {names} for {waited:.1f} s; see its log"
+            )
+        if waited > RESEND_AFTER_S * (clock.repeats + 1):
+            clock.repeats += 1
+            LOG.info(
+                "step %d: repeated, still without shards %s",
+                self.world.t,
+                sorted(self._inputs.missing),
+            )
+            for shard in self._shards:
+                shard.state.put(shard.message)
+        return RESEND_AFTER_S
+
+    def _advance(self) -> None:
+        """Every input(t) is here: act, start t + 1, and only then tell the observer of t."""
+        t, x, u, report = self.world.t, self.world.x, self._inputs.u.copy(), self._inputs.report
+        w = self.world.step(u, self._edge_open)
+        row = encode_telemetry(
+            Telemetry(t, x, u, w, report, self._edge_open.view(np.uint8), self._link_up)
+        )
+        self._prepare()
+        self._telemetry.put(row)
+
+    def _end(self) -> None:
+        end = encode_end(self.world.t, self.world.x)
+        self._telemetry.put(end)
+        for shard in self._shards:
+            shard.state.put(encode_end(self.world.t, np.empty(0)))
+        LOG.info(
+            "end at step %d of %d, %d messages refused",
+            self.world.t,
+            self.truth.steps,
+            self.refused,
+        )
+
+    def _name(self, p: int) -> str:
+        ids = [str(self.truth.ids[k]) for k in self._shards[p].nodes]
+        return (
+            f"agent {ids[0]}"
+            if len(ids) == 1
+            else f"shard {p} of agents {', '.join(ids[:4])}{', …' if len(ids) > 4 else ''}"
+        )
+
+    # What arrives: each method below takes the lock.
+
+    def _take_input(self, p: int | None, message: bytes) -> None:
+        with self._changed:
+            if p is None or not self._running:
+                return
+            shard, inputs = self._shards[p], self._inputs
+            try:
+                arrived = decode_input(message, len(shard.nodes))
+                if not np.isfinite(arrived.u).all():
+                    raise MessageError(
+                        f"step {arrived.t}: an input of {self._name(p)} is not finite; see its law"
+                    )
+            except MessageError as error:
+                self.refused += 1
+                if self.refused == 1:
+                    LOG.warning("input of %s refused: %s", self._name(p), error)
+                return
+            if arrived.t != self.world.t or p not in inputs.missing:
+                return
+            inputs.u[shard.nodes] = arrived.u
+            inputs.report[shard.nodes] = arrived.report
+            inputs.missing.discard(p)
+            if not inputs.missing:
+                self._advance_or_fail()
+
+    def _advance_or_fail(self) -> None:
+        try:
+            self._advance()
+        except Exception as error:  # it must reach the main thread, not Zenoh's log
+            self._failure, self._running = error, False
+            self._changed.notify_all()
+
+    def _take_seen(self, message: bytes) -> None:
+        with self._changed:
+            self._seen = max(self._seen, decode_seen(message))
+            if self._running:
+                self._release()
+
+    def _take_alive(self, sample: zenoh.Sample) -> None:
+        name = str(sample.key_expr).removeprefix("alive/")
+        with self._changed:
+            for p, shard in enumerate(self._shards):
+                if keys.shard_name(p) == name:
+                    shard.alive = sample.kind == zenoh.SampleKind.PUT
+            self._changed.notify_all()
+
+    def _answer_status(self, query: zenoh.Query) -> None:
+        with self._changed:
+            status = {
+                "step": self.world.t,
+                "steps": self.truth.steps,
+                "running": self._running,
+                "missing": [self._name(p) for p in sorted(self._inputs.missing)],
+            }
+        query.reply(keys.STATUS, json.dumps(status))
+
+    def _answer_stop(self, query: zenoh.Query) -> None:
+        with self._changed:
+            self._stopping = True
+            self._changed.notify_all()
+            t = self.world.t
+        query.reply(keys.STOP, json.dumps({"step": t}))
+
+
+def main(arguments: Sequence[str] | None = None) -> NoReturn:
+    """`python -m plant TRUTH --namespace RUN --connect ENDPOINT`: run the world to its last step."""
+    parser = argparse.ArgumentParser(prog="python -m plant", description=main.__doc__)
+    parser.add_argument("truth", type=Path, help="the true network, a JSON file")
+    parser.add_argument("--namespace", required=True, help="the Zenoh namespace of the run")
+    parser.add_argument("--connect", required=True, help="the router, a Zenoh endpoint")
+    parser.add_argument(
+        "--rate", type=float, default=0.0, help="steps per second; 0 for as fast as possible"
+    )
+    parser.add_argument(
+        "--deadline", type=float, default=10.0, help="seconds to wait for an input before giving up"
+    )
+    parser.add_argument(
+        "--remove", type=Path, help="a file to remove if the parent dies: the router's socket"
+    )
+    known = parser.parse_args(arguments)
+
+    def body() -> None:
+        plant = Plant(
+            Truth.read(known.truth), known.namespace, known.connect, known.rate, known.deadline
+        )
+        try:
+            plant.run()
+        finally:
+            plant.close()
+
+    run_child(body, lambda: known.remove.unlink(missing_ok=True) if known.remove else None)

@@ -1,0 +1,5 @@
+"""What a network is: its schema, how a file of it is read, drawn and checked, and the bundled files.
+
+`topologies.load` reads a file, `topologies.schema` says what may stand in one, `topologies.graph` and
+`topologies.hinf` are the mathematics. Nothing is imported here: an agent needs `topologies.errors` alone.
+"""

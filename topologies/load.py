@@ -1,0 +1,303 @@
+"""From a file, or the name of a bundled one, to a checked topology; every mistake of it at once."""
+
+from __future__ import annotations
+
+import copy
+import difflib
+import json
+from collections.abc import Iterable, Sequence
+from importlib import resources
+from pathlib import Path as FilePath
+from typing import Any
+
+from pydantic import ValidationError
+from pydantic_core import ErrorDetails
+
+from topologies.errors import Problem, TopologyError, UserError
+from topologies.rules import broken_rules
+from topologies.schema import Defaults, Node, Topology, node_id
+from topologies.source import MAX_BYTES, Path, Source, place_of, read_source
+
+_SHOWN = 60
+
+
+def bundled() -> list[str]:
+    """Names of the topologies that ship with the package."""
+    files = resources.files("topologies").iterdir()
+    return sorted(file.name.removesuffix(".yaml") for file in files if file.name.endswith(".yaml"))
+
+
+def find(name: str) -> FilePath:
+    """The file that `name` means: a path, the folder of a finished run, or a bundled name."""
+    path = FilePath(name)
+    try:
+        if (path / "topology.yaml").is_file():
+            return path / "topology.yaml"
+        if path.is_dir() and name not in bundled():
+            raise UserError(
+                f"{name}: is a directory, and no run's folder; name a topology file in it"
+            )
+        if path.is_file() or path.exists() and not path.is_dir():
+            return path
+    except OSError as error:
+        raise UserError(f"{name}: {error.strerror}; check the path and its permissions") from None
+    if name in bundled():
+        return FilePath(str(resources.files("topologies") / f"{name}.yaml"))
+    near = difflib.get_close_matches(name, bundled(), 1)
+    hint = f"did you mean {near[0]}? " if near else ""
+    raise UserError(f"{name}: no such file; {hint}bundled names are {', '.join(bundled())}")
+
+
+def load(name: str, overrides: Sequence[str] = ()) -> Topology:
+    """Read, validate and check a topology; `overrides` are `path=value` strings that replace values of the file.
+
+    Raises TopologyError with every mistake found, or UserError when there is no such file.
+    """
+    path = find(name)
+    try:
+        if not path.is_file():
+            raise UserError(f"{path}: is not a regular file; name a topology file")
+        if (size := path.stat().st_size) > MAX_BYTES:
+            raise UserError(
+                f"{path}: {size / 2**20:.0f} MB, and at most {MAX_BYTES / 2**20:.0f} are read; put long samples in a CSV file"
+            )
+        text = path.read_bytes()
+    except OSError as error:
+        raise UserError(
+            f"{path}: cannot be read: {error.strerror}; check its permissions"
+        ) from None
+    return parse(text, str(path), path.parent, overrides)
+
+
+def parse(text: bytes, name: str, folder: FilePath, overrides: Sequence[str] = ()) -> Topology:
+    """A topology from YAML text; `name` stands in messages, `folder` is where its CSV files lie."""
+    source = read_source(name, text)
+    if source.value is None:
+        raise TopologyError(
+            name,
+            [
+                Problem(
+                    0,
+                    "",
+                    "the file is empty",
+                    "start from a bundled one, such as topologies/paper7.yaml",
+                )
+            ],
+        )
+    if not isinstance(source.value, dict):
+        found = f"a topology is a mapping, this is {_shown(source.value)}"
+        raise TopologyError(name, [Problem(1, "", found, "start with `name: …`")])
+    for override in overrides:
+        _override(source, override)
+    _nodes_as_mapping(source)
+    topology, problems = _validate(source)
+    problems = [*source.problems, *problems]
+    if topology is not None:
+        problems += broken_rules(topology, source, folder)
+    if topology is None or problems:
+        raise TopologyError(name, problems)
+    return topology
+
+
+def _override(source: Source, override: str) -> None:
+    where, equals, text = override.partition("=")
+    if not equals or not where:
+        raise UserError(f"--set {override}: is not path=value; for example --set defaults.x0=5")
+    value = read_source(f"--set {where}", text.encode()).value
+    keys: list[Any] = [
+        int(step) if step.lstrip("-").isdigit() else step for step in where.split(".")
+    ]
+    at = source.value
+    for depth, key in enumerate(keys):
+        last = depth == len(keys) - 1
+        if isinstance(at, list) and isinstance(key, int) and -len(at) <= key < len(at):
+            at[key] = value if last else copy.deepcopy(at[key])
+        elif isinstance(at, dict):
+            at[key] = value if last else copy.deepcopy(at.get(key) or {})
+        else:
+            raise UserError(
+                f"--set {override}: there is no {'.'.join(map(str, keys[: depth + 1]))} in {source.name}"
+            )
+        at = at[key]
+
+
+def _nodes_as_mapping(source: Source) -> None:
+    """Give `nodes:` its one form, keyed by ids; the lines move along, and what can be no id is said and left out."""
+    nodes = source.value.get("nodes")
+    if not isinstance(nodes, dict | list):
+        return
+    mapping: dict[Any, Any] = {}
+    lines: dict[Path, int] = {}
+    for k, written in enumerate(nodes):
+        line = source.line(("nodes", k if isinstance(nodes, list) else written))
+        node = node_id(written)
+        if isinstance(node, bool) or not isinstance(node, int | str):
+            source.problems.append(
+                Problem(
+                    line, "nodes", f"{_shown(node)} is no node id", "use names or whole numbers"
+                )
+            )
+        elif node in mapping:
+            first = f"first on line {lines['nodes', node]}"
+            source.problems.append(
+                Problem(
+                    line, "nodes", f"{node!r} stands here twice ({first})", "keep one of the two"
+                )
+            )
+        else:
+            mapping[node] = {} if isinstance(nodes, list) else nodes[written]
+            lines["nodes", node] = line
+            if node != written:
+                inside = [path for path in source.lines if path[:2] == ("nodes", written)]
+                lines.update(
+                    {
+                        (*path[:1], node, *path[2:]): source.lines[path]
+                        for path in inside
+                        if len(path) > 2
+                    }
+                )
+    if isinstance(nodes, list):
+        source.lines = {
+            path: line
+            for path, line in source.lines.items()
+            if path[:1] != ("nodes",) or len(path) == 1
+        }
+    source.lines.update(lines)
+    source.value["nodes"] = mapping
+
+
+def _validate(source: Source) -> tuple[Topology | None, list[Problem]]:
+    """The topology and what the schema finds wrong; what is wrong is left out so that the rules can see the rest."""
+    try:
+        return Topology.model_validate(source.value), []
+    except ValidationError as error:
+        found = error.errors(include_url=False)
+    problems = [_problem(source, details) for details in found]
+    if not isinstance(source.value.get("nodes"), dict):
+        return None, problems
+    try:
+        return Topology.model_validate(_without(source.value, found)), problems
+    except ValidationError:
+        return None, problems
+
+
+_STAND_INS = {"name": "unnamed", "b": 1e-9, "steps": 1}
+"""For required keys that are wrong: values that break no rule which the right ones would keep."""
+
+
+def _without(value: dict[str, Any], found: Iterable[ErrorDetails]) -> dict[str, Any]:
+    kept = dict(value)
+    kept["nodes"] = {
+        node: dict(own) if isinstance(own, dict) else {} for node, own in value["nodes"].items()
+    }
+    if isinstance(value.get("defaults"), dict):
+        kept["defaults"] = dict(value["defaults"])
+    for details in found:
+        match details["loc"]:
+            case ("nodes", node, field, *_) if (
+                isinstance(kept["nodes"].get(node), dict) and field != "[key]"
+            ):
+                kept["nodes"][node].pop(field, None)
+            case ("nodes", node, *_):
+                kept["nodes"].pop(node, None)
+            case ("defaults", field, *_) if isinstance(kept.get("defaults"), dict):
+                kept["defaults"].pop(field, None)
+            case ("edges", int(), *_):
+                wrong = {d["loc"][1] for d in found if d["loc"][0] == "edges" and len(d["loc"]) > 1}
+                kept["edges"] = [edge for k, edge in enumerate(value["edges"]) if k not in wrong]
+            case (key, *_):
+                kept.pop(str(key), None)
+    for key, stand_in in _STAND_INS.items():
+        kept.setdefault(key, stand_in)
+    return kept
+
+
+def _problem(source: Source, details: ErrorDetails) -> Problem:
+    path, at = _trace(source.value, details["loc"])
+    kind, last = details["type"], details["loc"][-1]
+    if kind == "missing" and isinstance(last, int):
+        return Problem(
+            source.line(path), place_of(path), f"{_shown(at)} has too few members", "a pair has two"
+        )
+    if kind == "missing":
+        return Problem(
+            source.line(path), place_of(path), f"`{last}:` is missing", f"add `{last}: …`"
+        )
+    if kind == "extra_forbidden":
+        known = _known_keys(path[:-1])
+        near = difflib.get_close_matches(str(last), known, 1)
+        cure = (
+            f"did you mean `{near[0]}`?"
+            if near
+            else f"known keys are {', '.join(known)}"
+            if known
+            else "remove it"
+        )
+        return Problem(source.line(path), place_of(path[:-1]), f"unknown key `{last}`", cure)
+    context = details.get("ctx", {})
+    what, cure = {
+        "finite_number": ("is not a finite number", "write a finite number"),
+        "greater_than": (f"is not above {context.get('gt')}", "choose a larger one"),
+        "greater_than_equal": (f"is below {context.get('ge')}", "choose a larger one"),
+        "less_than": (f"is not below {context.get('lt')}", "choose a smaller one"),
+        "less_than_equal": (f"is above {context.get('le')}", "choose a smaller one"),
+        "int_type": ("is not a whole number", "write one without quotes or a point"),
+        "number": ("is not a number", "write a number without quotes"),
+        "literal_error": ("is neither a number nor `random`", "write one of the two"),
+        "string_type": ("is not text", "write a name"),
+        "too_short": ("has too few members", f"at least {context.get('min_length')} are needed"),
+        "too_long": ("has too many members", f"at most {context.get('max_length')} are allowed"),
+        "tuple_type": ("is not a list", "write [ … ]"),
+        "dict_type": ("is not a mapping", "write key: value"),
+        "model_type": ("is not a mapping", "write {key: value}"),
+    }.get(kind, (details["msg"][0].lower() + details["msg"][1:], ""))
+    if path[:1] == ("faults",) and kind == "too_long":
+        cure = "this version knows no kinds of fault yet; leave the list empty"
+    return Problem(
+        source.line(path),
+        place_of(path),
+        f"{_shown(at)} {what}" if kind in _ABOUT_VALUE else f"{what} (found {_shown(at)})",
+        cure,
+    )
+
+
+_ABOUT_VALUE = frozenset(
+    "finite_number greater_than greater_than_equal less_than less_than_equal int_type number literal_error string_type "
+    "too_short too_long tuple_type dict_type model_type".split()
+)
+
+
+def _trace(value: Any, loc: Sequence[int | str]) -> tuple[Path, Any]:
+    """Where pydantic's location leads in the file, less the names of union members that it puts in between."""
+    path: list[int | str] = []
+    for k, step in enumerate(loc):
+        inside = (
+            step in value
+            if isinstance(value, dict)
+            else isinstance(value, list) and isinstance(step, int) and step < len(value)
+        )
+        if inside:
+            path.append(step)
+            value = value[step]
+        elif k == len(loc) - 1 and step == "[key]":
+            value = path[-1]
+    return tuple(path), value
+
+
+def _known_keys(path: Path) -> list[str]:
+    if not path:
+        return list(Topology.model_fields)
+    if len(path) <= 2 and path[0] in ("nodes", "defaults"):
+        return list((Defaults if path[0] == "defaults" else Node).model_fields)
+    return []
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, dict | list) and len(value) > 8:
+        kind = "mapping" if isinstance(value, dict) else "list"
+        return f"a {kind} of {len(value)}"
+    try:
+        text = json.dumps(value, ensure_ascii=False, default=str)
+    except ValueError:  # a whole number of more digits than Python prints
+        return "a huge number"
+    return text if len(text) <= _SHOWN else text[: _SHOWN - 1] + "…"

@@ -1,0 +1,295 @@
+"""What may stand in a topology file.
+
+One set of models serves the file as written (numbers may be left to chance, nodes to the defaults) and the
+resolved file (every number drawn, every node spelled out); `topologies.resolve` leads from one to the other.
+All models are frozen and refuse unknown keys. The JSON Schema and docs/topology.md are made from them.
+"""
+
+from __future__ import annotations
+
+import re
+from functools import cached_property
+from typing import Annotated, Any, ClassVar, Literal
+
+import numpy as np
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Discriminator,
+    Field,
+    StrictInt,
+    Tag,
+    WithJsonSchema,
+)
+from pydantic_core import PydanticCustomError
+
+from topologies.graph import Graph
+
+LAWS = ("minimax", "hinf", "nominal")
+
+
+class Model(BaseModel):
+    """Frozen, and closed to unknown keys."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+def _number(value: Any) -> Any:
+    """A number is an int or a float; text and booleans are not."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise PydanticCustomError("number", "expects a number")
+    if isinstance(value, int) and abs(value) >= 2**1023:
+        raise PydanticCustomError("finite_number", "is not a finite number")
+    return value
+
+
+def _one_line_name(value: str) -> str:
+    if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}", value):
+        raise PydanticCustomError(
+            "name",
+            "a name has 1 to 64 letters, digits, '_', '-' or '.', and starts with no '-' or '.'",
+        )
+    return value
+
+
+def _law(value: str) -> str:
+    if value not in LAWS and not re.fullmatch(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*", value):
+        raise PydanticCustomError("law", "a law is minimax, hinf, nominal or package.module:Class")
+    return value
+
+
+Number = Annotated[float, BeforeValidator(_number), WithJsonSchema({"type": "number"})]
+NonNegative = Annotated[Number, Field(ge=0)]
+Name = Annotated[str, AfterValidator(_one_line_name)]
+
+
+def node_id(value: Any) -> Any:
+    """Whole numbers in quotes, as every key of JSON is, are numbers."""
+    return int(value) if isinstance(value, str) and re.fullmatch(r"-?[0-9]{1,18}", value) else value
+
+
+NodeId = Annotated[
+    Annotated[StrictInt, Tag("id")] | Annotated[Name, Tag("name")],
+    Discriminator(lambda value: "name" if isinstance(value, str) else "id"),
+    BeforeValidator(node_id),
+]
+Steps = Annotated[StrictInt, Field(ge=1, le=2**40)]
+
+
+class Uniform(Model):
+    """A number left to chance: drawn uniformly from [low, high)."""
+
+    random: tuple[Number, Number] = Field(description="[low, high]")
+
+    @property
+    def low(self) -> float:
+        return self.random[0]
+
+    @property
+    def high(self) -> float:
+        return self.random[1]
+
+
+class Drawn(Model):
+    """Candidates left to chance: this many, drawn uniformly from the interval that condition (3) allows."""
+
+    random: Annotated[StrictInt, Field(ge=1, le=1000)] = Field(
+        description="how many candidates, the paper's M"
+    )
+
+
+def _mapping_or(other: str) -> Discriminator:
+    return Discriminator(lambda value: "random" if isinstance(value, dict | Model) else other)
+
+
+Value = Annotated[
+    Annotated[Number, Tag("number")] | Annotated[Uniform, Tag("random")],
+    _mapping_or("number"),
+]
+Truth = Annotated[
+    Annotated[Number, Tag("number")] | Annotated[Literal["random"], Tag("word")],
+    Discriminator(lambda value: "word" if isinstance(value, str) else "number"),
+]
+Candidates = Annotated[
+    Annotated[Annotated[tuple[Number, ...], Field(min_length=1)], Tag("list")]
+    | Annotated[Drawn, Tag("random")],
+    _mapping_or("list"),
+]
+
+
+class Sinusoid(Model):
+    """w(t) = amplitude * sin(omega * t + phase)."""
+
+    kind: Literal["sinusoid"] = "sinusoid"
+    amplitude: Value = Field(description="peak, in units of the state per step")
+    omega: Value = Field(description="angular frequency [rad/step]")
+    phase: Value = Field(0.0, description="phase at t = 0 [rad]")
+
+
+class Constant(Model):
+    """w(t) = value."""
+
+    kind: Literal["constant"] = "constant"
+    value: Value = Field(description="the disturbance at every step")
+
+
+class White(Model):
+    """Gaussian white noise, a function of (seed, node, step)."""
+
+    kind: Literal["white"] = "white"
+    std: Annotated[
+        Annotated[NonNegative, Tag("number")] | Annotated[Uniform, Tag("random")],
+        _mapping_or("number"),
+    ] = Field(description="standard deviation")
+
+
+class Impulse(Model):
+    """w(at) = value, and 0 at every other step."""
+
+    kind: Literal["impulse"] = "impulse"
+    at: Annotated[StrictInt, Field(ge=0)] = Field(description="the step that it strikes")
+    value: Value = Field(description="the disturbance at that step")
+
+
+class Samples(Model):
+    """w(t) = values[t], inline or a column of a CSV file."""
+
+    kind: Literal["samples"] = "samples"
+    values: tuple[Number, ...] | None = Field(None, description="one value a step")
+    file: str | None = Field(
+        None,
+        description="a CSV file beside the topology, one column a node: named by a header of node ids, or in node order",
+    )
+
+
+class Nothing(Model):
+    """w(t) = 0."""
+
+    kind: Literal["none"] = "none"
+
+
+def _kind(value: Any) -> str | None:
+    kind = value.get("kind") if isinstance(value, dict) else getattr(value, "kind", None)
+    return kind if isinstance(kind, str) else None
+
+
+def _bare_kind(value: Any) -> Any:
+    """`none` and `worst_case` may stand without their braces."""
+    return {"kind": value} if isinstance(value, str) else value
+
+
+Component = Annotated[
+    Annotated[Sinusoid, Tag("sinusoid")]
+    | Annotated[Constant, Tag("constant")]
+    | Annotated[White, Tag("white")]
+    | Annotated[Impulse, Tag("impulse")]
+    | Annotated[Samples, Tag("samples")]
+    | Annotated[Nothing, Tag("none")],
+    Discriminator(
+        _kind,
+        custom_error_type="kind",
+        custom_error_message="a disturbance has `kind:` sinusoid, constant, white, impulse, samples or none",
+    ),
+    BeforeValidator(_bare_kind),
+]
+Disturbance = Annotated[
+    Annotated[Component, Tag("one")] | Annotated[tuple[Component, ...], Tag("sum")],
+    Discriminator(lambda value: "sum" if isinstance(value, list | tuple) else "one"),
+]
+
+
+class WorstCase(Model):
+    """The constant disturbance along Q's smallest eigenvector, which costs the optimal controller most."""
+
+    kind: Literal["worst_case"] = "worst_case"
+    energy: NonNegative = Field(1.0, description="|w(t)|^2, summed over the nodes, at every step")
+
+
+class Node(Model):
+    """What one node overrides of the defaults; in a resolved file, all of it."""
+
+    a: Truth | None = Field(
+        None,
+        description="the true a_i of (1), one of the candidates; or `random`: one of them, drawn",
+    )
+    candidates: Candidates | None = Field(
+        None,
+        description="the finite set A_i of (4), in the order that breaks ties; or `{random: M}`",
+    )
+    x0: Value | None = Field(None, description="the state at t = 0")
+    nominal: Number | None = Field(None, description="the a that the nominal controller assumes")
+    disturbance: Disturbance | None = Field(None, description="w_i; a list is summed")
+
+
+class Defaults(Node):
+    """What holds for every node that does not say otherwise."""
+
+    FALLBACK: ClassVar[Node] = Node(
+        a="random", candidates=Drawn(random=5), x0=0.0, nominal=0.5, disturbance=Nothing()
+    )
+
+
+def _nodes(value: Any) -> Any:
+    """A list of ids is a mapping that overrides nothing; `2:` alone is `2: {}`."""
+    if isinstance(value, list | tuple):
+        return {node: {} for node in value if isinstance(node, int | str)}
+    if isinstance(value, dict):
+        return {node: {} if settings is None else settings for node, settings in value.items()}
+    raise PydanticCustomError(
+        "nodes", "expects a list of node ids, or a mapping from ids to what they override"
+    )
+
+
+class Topology(Model):
+    """A network: its nodes, edges, law and disturbances, and how long it runs."""
+
+    name: Name = Field(description="names the run")
+    b: Annotated[Number, Field(gt=0)] = Field(description="the gain b of (1)")
+    steps: Steps = Field(
+        description="T: inputs act at t = 0 .. T-1, states are recorded at t = 0 .. T"
+    )
+    seed: Annotated[StrictInt, Field(ge=0, lt=2**63)] = Field(
+        0, description="all that is random is drawn from it"
+    )
+    law: Annotated[str, AfterValidator(_law)] = Field(
+        "minimax", description="minimax (6)-(7), hinf (8), nominal, or package.module:Class"
+    )
+    defaults: Defaults = Field(
+        Defaults(), description="what holds for every node that does not say otherwise"
+    )
+    nodes: Annotated[dict[NodeId, Node], Field(min_length=1), BeforeValidator(_nodes)] = Field(
+        description="ids, or a mapping from ids to what they override"
+    )
+    edges: tuple[tuple[NodeId, NodeId], ...] = Field(
+        (), description="undirected pairs of node ids, each once"
+    )
+    disturbance: Annotated[WorstCase, BeforeValidator(_bare_kind)] | None = Field(
+        None,
+        description="`worst_case`: one disturbance for the whole network, in place of the nodes' own",
+    )
+    faults: Annotated[tuple[Any, ...], Field(max_length=0)] = Field(
+        (), description="what goes wrong; this version knows no kinds yet, so the list is empty"
+    )
+
+    @cached_property
+    def ids(self) -> tuple[int | str, ...]:
+        """Node ids in the order of the file, which is the order of every array."""
+        return tuple(self.nodes)
+
+    @cached_property
+    def graph(self) -> Graph:
+        """The graph over positions in `ids`; an edge that leads nowhere raises KeyError (checked on loading)."""
+        position = {node: k for k, node in enumerate(self.ids)}
+        pairs = [(position[i], position[j]) for i, j in self.edges]
+        return Graph(len(self.ids), np.array(pairs, dtype=np.int64).reshape(-1, 2))
+
+    def settings(self, node: int | str) -> Node:
+        """What holds for `node`: its own settings, else the defaults, else the built-in ones."""
+        layers = (self.nodes[node], self.defaults, Defaults.FALLBACK)
+        merged = {
+            key: next(value for layer in layers if (value := getattr(layer, key)) is not None)
+            for key in Node.model_fields
+        }
+        return Node.model_construct(**merged)

@@ -1,0 +1,35 @@
+"""The key expressions of one run, relative to its namespace (docs/wire.md)."""
+
+from __future__ import annotations
+
+TELEMETRY = "telemetry"
+SEEN = "seen"
+STATUS = "control/status"
+STOP = "control/stop"
+ALIVE = "alive/*"
+PLANT = "plant"
+
+
+def state(shard: int) -> str:
+    """Plant to shard: its states, which edges were open, which links are up."""
+    return f"state/{shard}"
+
+
+def input_(shard: int | str) -> str:
+    """Shard to plant: its inputs, and what it reports about itself; `*` for every shard."""
+    return f"input/{shard}"
+
+
+def link(sender: int | str, receiver: int) -> str:
+    """Shard to shard: state and input of the sender's nodes that have a neighbour there."""
+    return f"link/{sender}/{receiver}"
+
+
+def alive(name: str) -> str:
+    """The liveliness token of a process that is ready."""
+    return f"alive/{name}"
+
+
+def shard_name(shard: int) -> str:
+    """What the process of a shard is called in tokens, logs and messages."""
+    return f"shard-{shard}"

@@ -1,0 +1,109 @@
+"""Zenoh sessions as the loop wants them: no scouting, no clock, messages that are never dropped on purpose."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Callable, Sequence
+
+import zenoh
+
+from topologies.errors import DeadlineError, HedgerowError
+
+_RUNTIME = "(rx: (worker_threads: 1), tx: (worker_threads: 1), app: (worker_threads: 1), net: (worker_threads: 1), acc: (worker_threads: 1))"
+"""One thread for each duty of Zenoh's runtime: many processes share few cores (docs/performance.md)."""
+
+CONNECT_TIMEOUT_S = 10.0
+LISTEN_TIMEOUT_S = 60.0
+
+
+class WireError(HedgerowError):
+    """A session that could not be opened, or a peer that never came."""
+
+
+def runtime_environment() -> dict[str, str]:
+    """What to set in the environment of a process before it loads Zenoh."""
+    return {"ZENOH_RUNTIME": _RUNTIME}
+
+
+def _config(namespace: str | None, settings: dict[str, object]) -> zenoh.Config:
+    config = zenoh.Config()
+    quiet = {
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,
+        "timestamping/enabled": False,
+        "transport/shared_memory/enabled": False,
+    }
+    if namespace is not None:
+        quiet |= {"namespace": namespace}
+    for key, value in (quiet | settings).items():
+        config.insert_json5(key, json.dumps(value))
+    return config
+
+
+def open_router(endpoint: str) -> zenoh.Session:
+    """A router that listens on `endpoint`, inside this process; raises WireError."""
+    try:
+        return zenoh.open(_config(None, {"mode": "router", "listen/endpoints": [endpoint]}))
+    except zenoh.ZError as error:
+        raise WireError(f"no router on {endpoint}: {error}") from None
+
+
+def open_client(
+    endpoint: str, namespace: str, timeout_s: float = CONNECT_TIMEOUT_S
+) -> zenoh.Session:
+    """A client of the router at `endpoint`; its keys stand under `namespace`. Raises WireError past `timeout_s`."""
+    settings: dict[str, object] = {
+        "mode": "client",
+        "connect/endpoints": [endpoint],
+        "connect/timeout_ms": int(timeout_s * 1000),
+        "connect/exit_on_failure": True,
+    }
+    try:
+        return zenoh.open(_config(namespace, settings))
+    except zenoh.ZError as error:
+        raise WireError(f"no router at {endpoint} after {timeout_s:g} s: {error}") from None
+
+
+def publisher(session: zenoh.Session, key: str) -> zenoh.Publisher:
+    """A publisher of the loop: reliable, in order, and it waits rather than drops.
+
+    Not express: messages that leave together travel in one packet, which makes the loop half as fast again.
+    """
+    return session.declare_publisher(
+        key,
+        congestion_control=zenoh.CongestionControl.BLOCK,
+        reliability=zenoh.Reliability.RELIABLE,
+        express=False,
+    )
+
+
+def wait_for_listeners(
+    publishers: Sequence[zenoh.Publisher], timeout_s: float = LISTEN_TIMEOUT_S
+) -> None:
+    """Return once every publisher has a subscriber, so that nothing said from now on is lost; or raise DeadlineError."""
+    heard = threading.Event()
+
+    def on_change(_: zenoh.MatchingStatus) -> None:
+        heard.set()
+
+    listener = zenoh.handlers.Callback(on_change, indirect=False)
+    for one in publishers:
+        with one.declare_matching_listener(listener):
+            while not one.matching_status.matching:
+                if not heard.wait(timeout_s):
+                    raise DeadlineError(
+                        f"nobody listens on {one.key_expr} after {timeout_s:g} s; see that process's log"
+                    )
+                heard.clear()
+
+
+def subscriber(
+    session: zenoh.Session, key: str, take: Callable[[str, bytes], None]
+) -> zenoh.Subscriber[None]:
+    """Call `take(key, payload)` for each message, on the network thread: it must not wait for anything."""
+
+    def on_sample(sample: zenoh.Sample) -> None:
+        take(str(sample.key_expr), sample.payload.to_bytes())
+
+    return session.declare_subscriber(key, zenoh.handlers.Callback(on_sample, indirect=False))
