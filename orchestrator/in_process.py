@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -33,6 +34,7 @@ def run(truth: Truth, views: Sequence[View]) -> Iterator[Telemetry | End]:
         np.ones(2 * len(truth.edges), dtype=np.uint8),
     )
     u, report = np.zeros(n), np.zeros((n, REPORT_WIDTH))
+    began = time.monotonic()
     for t in range(truth.steps):
         x, before = world.x, u
         u, report = np.empty(n), np.empty((n, REPORT_WIDTH))
@@ -45,4 +47,4 @@ def run(truth: Truth, views: Sequence[View]) -> Iterator[Telemetry | End]:
             )
         w = world.step(u, edge_open)
         yield Telemetry(t, x, u, w, report, edge_open.view(np.uint8), link_up)
-    yield End(world.t, world.x)
+    yield End(world.t, world.x, time.monotonic() - began)

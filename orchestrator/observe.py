@@ -78,7 +78,7 @@ class Batch:
 
     @property
     def ratio(self) -> Array:
-        """sum c / sum c*, the hindsight ratio, (B,)."""
+        """Sum c / sum c*, the hindsight ratio, (B,)."""
         with np.errstate(invalid="ignore", divide="ignore"):
             return self.cost_sum / self.cost_oracle_sum
 
@@ -112,13 +112,13 @@ class Worst:
     step: int = -1
     steps: int = 0
 
-    def see(self, excess: Array, first: int) -> None:
-        """Take in the excess at `first` and the steps after it; NaN counts as a violation."""
+    def see(self, excess: Array, steps: Sequence[int]) -> None:
+        """Take in the excess at each of `steps`; NaN counts as a violation."""
         if len(excess):
             excess = np.where(np.isnan(excess), np.inf, excess)
             k = int(np.argmax(excess))
             if excess[k] > self.excess:
-                self.excess, self.step = float(excess[k]), first + k
+                self.excess, self.step = float(excess[k]), steps[k]
             self.steps += len(excess)
 
 
@@ -227,7 +227,7 @@ class Observer:
         self._sums[0] += np.square(end.x - self._oracle.x).sum()
         self._sums[1] += np.square(self._nominal.x - self._oracle.x).sum()
         if self._last is not None and self._last.t == end.t - 1:
-            self._check_motion([self._last], end.x[None, :])
+            self._check_motion([(self._last, end.x)])
 
     @property
     def regret_sum(self) -> float:
@@ -264,16 +264,13 @@ class Observer:
         slack: Array,
         supply: Array,
     ) -> None:
-        first = rows[0].t
-        past = (
-            rows[:-1]
-            if self._last is None or self._last.t != first - 1
-            else [self._last, *rows[:-1]]
-        )
-        self._check_motion(past, x[len(rows) - len(past) :])
+        steps = [row.t for row in rows]
+        before = [self._last, *rows[:-1]] if self._last is not None else rows[:-1]
+        pairs = zip(before, rows[len(rows) - len(before) :], strict=True)
+        self._check_motion([(p, row.x) for p, row in pairs if p.t == row.t - 1])
         self._last = rows[-1]
         scale = self.v0 + supply + 1e-300
-        self.checks["oracle_certificate"].see(-slack / scale - ROUNDING, first)
+        self.checks["oracle_certificate"].see(-slack / scale - ROUNDING, steps)
         listed = np.array(
             [
                 [bool((m == a).any()) for m, a in zip(self._models, row, strict=True)]
@@ -286,21 +283,23 @@ class Observer:
                 for *pair, u_t in zip(x, report[:, :, 0], u, strict=True)
             ]
         )
-        self.checks["estimates"].see(np.where(listed.all(axis=1) & acts, -1.0, 1.0), first)
+        self.checks["estimates"].see(np.where(listed.all(axis=1) & acts, -1.0, 1.0), steps)
 
-    def _check_motion(self, past: Sequence[Telemetry], x_next: Matrix) -> None:
-        """Equation (1) to the bit, and the contraction, for each past row and the state after it."""
-        if not past:
+    def _check_motion(self, pairs: Sequence[tuple[Telemetry, Array]]) -> None:
+        """Equation (1) to the bit, and the contraction, for each row and the state after it."""
+        if not pairs:
             return
+        past, x_next = zip(*pairs, strict=True)
+        steps = [p.t for p in past]
         moved = [
             dynamics(self.a, self.b, self.graph, p.x, p.u, p.w, p.edge_open.view(np.bool_))
             for p in past
         ]
         equal = np.array([np.array_equal(m, x) for m, x in zip(moved, x_next, strict=True)])
-        self.checks["dynamics"].see(np.where(equal, -1.0, 1.0), past[0].t)
+        self.checks["dynamics"].see(np.where(equal, -1.0, 1.0), steps)
         bound = np.array([self.rho * np.abs(p.x).sum() + np.abs(p.w).sum() for p in past])
         norm = np.abs(x_next).sum(axis=1)
-        self.checks["contraction"].see(norm / (bound + 1e-300) - 1 - ROUNDING, past[0].t)
+        self.checks["contraction"].see(norm / (bound + 1e-300) - 1 - ROUNDING, steps)
 
     def summary(self) -> dict[str, float | int | None]:
         """The metrics at the end, as verdict.json holds them; None for what is undefined."""

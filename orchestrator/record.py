@@ -42,6 +42,8 @@ class _Table:
         self._writer.write_batch(pa.record_batch(columns, schema=self._schema))
 
     def close(self) -> None:
+        if not self.stream.exists():
+            return
         self._writer.close()
         to_parquet(self.stream, self.parquet)
         self.stream.unlink()

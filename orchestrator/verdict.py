@@ -32,10 +32,8 @@ class Ending:
     run: str
     engine: str
     processes: int
-    elapsed_s: float = 0.0
-    """from the first telemetry to the last"""
     first_step_s: float | None = None
-    """from the start of the command to the first telemetry"""
+    """from the start of the command to the arrival of the first telemetry"""
     stopped: str = ""
     """why the run ended early; empty when it did not"""
     reference_equal: bool | None = None
@@ -102,6 +100,7 @@ def judge(topology: Topology, observer: Observer, ending: Ending) -> Verdict:
         doubts.append("the final state never came")
     verdict = INVALID if failed else UNKNOWN if doubts else VALID
     done = observer.end.t if observer.end is not None else observer.next_step
+    elapsed_s = observer.end.elapsed_s if observer.end is not None else None
     content = {
         "verdict": verdict,
         "exit_code": EXIT_CODES[verdict],
@@ -116,8 +115,8 @@ def judge(topology: Topology, observer: Observer, ending: Ending) -> Verdict:
         "edges": len(observer.graph.edges),
         "steps": topology.steps,
         "steps_done": done,
-        "elapsed_s": ending.elapsed_s,
-        "steps_per_s": done / ending.elapsed_s if ending.elapsed_s > 0 else None,
+        "elapsed_s": elapsed_s,
+        "steps_per_s": done / elapsed_s if elapsed_s else None,
         "first_step_s": ending.first_step_s,
         "lost_rows": len(observer.lost) * observer.graph.n,
         "checks": checks,

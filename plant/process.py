@@ -29,6 +29,7 @@ from wire.child import run_child
 from wire.codec import (
     ALL_UP,
     REPORT_WIDTH,
+    End,
     Flags,
     MessageError,
     Telemetry,
@@ -38,7 +39,7 @@ from wire.codec import (
     encode_state,
     encode_telemetry,
 )
-from wire.session import open_client, publisher, subscriber
+from wire.session import open_client, publisher, subscriber, wait_for_listeners
 
 LOG = logging.getLogger("plant")
 START_DEADLINE_S = 60.0
@@ -65,6 +66,7 @@ class _Clock:
 
     period_s: float
     started: float = 0.0
+    elapsed_s: float = 0.0
     sent_at: float = 0.0
     repeats: int = 0
     held: bool = False
@@ -141,6 +143,9 @@ class Plant:
         try:
             with self._changed:
                 self._wait_for_agents()
+            if not self._stopping:
+                wait_for_listeners([self._telemetry, *(shard.state for shard in self._shards)])
+            with self._changed:
                 LOG.info("all %d agents are ready", len(self._shards))
                 self._running = True
                 self._clock.started = time.monotonic()
@@ -233,6 +238,7 @@ class Plant:
         """Every input(t) is here: act, start t + 1, and only then tell the observer of t."""
         t, x, u, report = self.world.t, self.world.x, self._inputs.u.copy(), self._inputs.report
         w = self.world.step(u, self._edge_open)
+        self._clock.elapsed_s = time.monotonic() - self._clock.started
         row = encode_telemetry(
             Telemetry(t, x, u, w, report, self._edge_open.view(np.uint8), self._link_up)
         )
@@ -240,10 +246,10 @@ class Plant:
         self._telemetry.put(row)
 
     def _end(self) -> None:
-        end = encode_end(self.world.t, self.world.x)
-        self._telemetry.put(end)
+        end = End(self.world.t, self.world.x, self._clock.elapsed_s)
+        self._telemetry.put(encode_end(end))
         for shard in self._shards:
-            shard.state.put(encode_end(self.world.t, np.empty(0)))
+            shard.state.put(encode_end(end._replace(x=np.empty(0))))
         LOG.info(
             "end at step %d of %d, %d messages refused",
             self.world.t,

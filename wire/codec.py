@@ -98,6 +98,8 @@ class End(NamedTuple):
 
     t: int
     x: Array
+    elapsed_s: float
+    """from the first state sent to the last input taken, by the plant's clock"""
 
 
 def _pack(kind: Kind, n: int, t: int, *arrays: NDArray[np.generic]) -> bytes:
@@ -193,15 +195,15 @@ def decode_telemetry(message: bytes, n: int, e: int) -> Telemetry:
     )
 
 
-def encode_end(t: int, x: Array) -> bytes:
+def encode_end(end: End) -> bytes:
     """An End message; to a shard it carries no states."""
-    return _pack(Kind.END, len(x), t, x)
+    return _pack(Kind.END, len(end.x), end.t, end.x, np.array([end.elapsed_s]))
 
 
 def decode_end(message: bytes, n: int) -> End:
     """An End with n final states."""
-    t = _open(message, Kind.END, n, 8 * n)
-    return End(t, _floats(message, n))
+    t = _open(message, Kind.END, n, 8 * n + 8)
+    return End(t, _floats(message, n), float(_floats(message, 1, n)[0]))
 
 
 def encode_seen(t: int) -> bytes:

@@ -1,0 +1,1 @@
+"""Benchmarks: each a command that measures in pairs and prints ratios."""

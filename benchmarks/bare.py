@@ -1,0 +1,153 @@
+"""The floor: paper7's messages over Zenoh, byte for byte as many and as long as ours, and nothing else.
+
+No law, no dynamics, no checks, no deadlines, no telemetry taken in: processes wake each other up in lockstep
+over the same keys, sessions and router, with payloads made once. What Zenoh and the kernel cost, this costs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import struct
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+
+from wire import keys
+from wire.codec import REPORT_WIDTH
+from wire.session import open_client, open_router, publisher, runtime_environment, subscriber, wait_for_listeners
+
+HEADER = 16
+STEP = struct.Struct("<q")
+STOP = -1
+Edges = list[tuple[int, int]]
+
+
+def _stamp(t: int, body: int) -> bytes:
+    return bytes(8) + STEP.pack(t) + bytes(body)
+
+
+def _step(message: bytes) -> int:
+    return int(STEP.unpack_from(message, 8)[0])
+
+
+def agent(endpoint: str, me: int, neighbours: list[int]) -> None:
+    """Answer state(t) once every neighbour's link(t - 1) is here."""
+    done, heard = threading.Event(), dict.fromkeys((-1,), len(neighbours))
+    waiting: list[int] = []
+
+    def go() -> None:
+        t = waiting[0]
+        if heard.get(t - 1, 0) < len(neighbours):
+            return
+        heard.pop(t - 1, None)
+        waiting.clear()
+        for link in links:
+            link.put(_stamp(t, 16))
+        inputs.put(_stamp(t, 8 * (1 + REPORT_WIDTH)))
+
+    def on_state(_: str, message: bytes) -> None:
+        t = _step(message)
+        if t == STOP:
+            done.set()
+            return
+        waiting.append(t)
+        go()
+
+    def on_link(_: str, message: bytes) -> None:
+        t = _step(message)
+        heard[t] = heard.get(t, 0) + 1
+        if waiting:
+            go()
+
+    with open_client(endpoint, "bare") as session:
+        subscriber(session, keys.state(me), on_state)
+        for neighbour in neighbours:
+            subscriber(session, keys.link(neighbour, me), on_link)
+        inputs = publisher(session, keys.input_(me))
+        links = [publisher(session, keys.link(me, neighbour)) for neighbour in neighbours]
+        wait_for_listeners([inputs, *links])
+        session.liveliness().declare_token(keys.alive(str(me)))
+        done.wait()
+
+
+def plant(endpoint: str, degrees: list[int], steps: int, edges: int) -> float:
+    """Send states, wait for every input, `steps` times; return steps per second."""
+    n = len(degrees)
+    done, arrived = threading.Event(), 0
+    t = 0
+
+    def send() -> None:
+        for state, degree in zip(states, degrees, strict=True):
+            state.put(_stamp(t, 8 + degree))
+
+    def on_input(_: str, message: bytes) -> None:
+        nonlocal arrived, t
+        arrived += 1
+        if arrived < n:
+            return
+        arrived, t = 0, t + 1
+        if t == steps:
+            done.set()
+        else:
+            send()
+        telemetry.put(_stamp(t, 8 * n * (3 + REPORT_WIDTH) + 3 * edges))
+
+    with open_client(endpoint, "bare") as session:
+        telemetry = publisher(session, keys.TELEMETRY)
+        states = [publisher(session, keys.state(i)) for i in range(n)]
+        subscriber(session, keys.input_("*"), on_input)
+        wait_for_listeners([telemetry, *states])
+        while len(list(session.liveliness().get(keys.ALIVE))) < n:
+            pass
+        began = time.perf_counter()
+        send()
+        done.wait()
+        elapsed = time.perf_counter() - began
+        for state in states:
+            state.put(_stamp(STOP, 0))
+        return steps / elapsed
+
+
+def run(n: int, edges: Edges, steps: int) -> float:
+    """Steps per second of the bare loop on this machine now."""
+    neighbours = [[b if a == i else a for a, b in edges if i in (a, b)] for i in range(n)]
+    with tempfile.TemporaryDirectory(prefix="hedgerow-") as folder, contextlib.ExitStack() as stack:
+        endpoint = f"unixsock-stream/{Path(folder) / 'router.sock'}"
+        stack.enter_context(open_router(endpoint))
+        observer = stack.enter_context(open_client(endpoint, "bare"))
+        subscriber(observer, keys.TELEMETRY, lambda *_: None)
+        environment = os.environ | runtime_environment()
+        base = [sys.executable, "-m", "benchmarks.bare", endpoint]
+        agents = [
+            subprocess.Popen([*base, "agent", str(i), *map(str, neighbours[i])], env=environment) for i in range(n)
+        ]
+        command = [*base, "plant", str(steps), str(len(edges)), *(str(len(each)) for each in neighbours)]
+        output = subprocess.run(command, env=environment, capture_output=True, text=True, check=True, timeout=300).stdout
+        for process in agents:
+            process.wait(30)
+        return float(output)
+
+
+def main() -> None:
+    """One process of the loop: `ENDPOINT agent ME NEIGHBOUR…` or `ENDPOINT plant STEPS EDGES DEGREE…`."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("endpoint")
+    parser.add_argument("role", choices=["agent", "plant"])
+    parser.add_argument("numbers", type=int, nargs="+")
+    known = parser.parse_args()
+    first, *rest = known.numbers
+    if known.role == "agent":
+        agent(known.endpoint, first, rest)
+    else:
+        print(plant(known.endpoint, rest[1:], first, rest[0]))
+    sys.stdout.flush()
+    os._exit(0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,57 @@
+"""What `orchestrator check` shows of a topology that passed."""
+
+from __future__ import annotations
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from orchestrator.assign import candidates_of
+from topologies.hinf import allowed_interval, contraction, gamma_star
+from topologies.resolve import truth
+from topologies.schema import Component, Topology
+
+MAX_ROWS = 200
+
+
+def table(topology: Topology) -> str:
+    """A resolved topology as a table, a row a node, with gamma* and rho below."""
+    graph, a = topology.graph, truth(topology)
+    rows = Table(box=None, pad_edge=False, header_style="bold")
+    for heading in ("node", "degree", "allowed interval", "candidates", "truth", "x0", "disturbance"):
+        rows.add_column(heading, overflow="fold")
+    for (node, own), degree in list(zip(topology.nodes.items(), graph.degree, strict=True))[:MAX_ROWS]:
+        interval = allowed_interval(topology.b, int(degree))
+        parts = own.disturbance if isinstance(own.disturbance, tuple) else (own.disturbance,)
+        rows.add_row(
+            str(node),
+            str(degree),
+            "({:.4f}, {:.4f})".format(*interval) if interval else "none",
+            " ".join(f"{value:.4f}" for value in own.candidates or ()),  # type: ignore[union-attr]  # resolved: a tuple
+            f"{own.a:.4f}",
+            f"{own.x0:g}",
+            " + ".join(_shown(part) for part in parts if part is not None) or "none",
+        )
+    console = Console(width=160, no_color=True, highlight=False)
+    with console.capture() as capture:
+        console.print(rows)
+        if graph.n > MAX_ROWS:
+            console.print(f"… and {graph.n - MAX_ROWS} nodes more")
+        models = [np.array(listed) for listed in candidates_of(topology)]
+        console.print(
+            f"\n{topology.name}: {graph.n} nodes, {len(graph.edges)} edges, b = {topology.b:g}, {topology.steps} steps, "
+            f"seed {topology.seed}, law {topology.law}\n"
+            f"gamma* = {gamma_star(a, topology.b, graph):.6g}, the optimal gain when every a is known; "
+            f"rho = {contraction(a, models):.6g}, the contraction whatever is estimated"
+        )
+    return capture.get().rstrip()
+
+
+def _shown(part: Component) -> str:
+    values = part.model_dump(exclude={"kind"}, exclude_none=True)
+    inside = ", ".join(f"{key} {value:.4g}" if isinstance(value, float) else f"{key} {_long(value)}" for key, value in values.items())
+    return f"{part.kind} {inside}".strip()
+
+
+def _long(value: object) -> str:
+    return f"({len(value)})" if isinstance(value, tuple) else str(value)

@@ -1,0 +1,270 @@
+"""The command line of the operator."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from datetime import datetime
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from orchestrator.check import table
+from orchestrator.verdict import EXIT_CODES, UNKNOWN, Verdict
+from topologies.errors import HedgerowError, TopologyError, UserError
+from topologies.load import find, load
+from topologies.resolve import resolve
+from topologies.schema import Topology
+
+app = typer.Typer(
+    name="orchestrator",
+    help="Networks of agents that hedge with their neighbours, each its own process, over Zenoh.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+    rich_markup_mode=None,
+)
+_BEGAN = time.monotonic()
+
+File = Annotated[str, typer.Argument(metavar="FILE", help="a topology file, a bundled name, or the folder of a run")]
+Sets = Annotated[list[str] | None, typer.Option("--set", metavar="PATH=VALUE", help="replace a value of the file")]
+Steps = Annotated[int | None, typer.Option(help="replace `steps:`")]
+Seed = Annotated[int | None, typer.Option(help="replace `seed:`")]
+Law = Annotated[str | None, typer.Option(help="replace `law:`")]
+RunDir = Annotated[Path | None, typer.Option(metavar="DIR", help="the run's folder, new or empty [runs/NAME-TIME]")]
+AsJson = Annotated[bool, typer.Option("--json", help="one JSON object on standard output")]
+Record = Annotated[bool, typer.Option("--record/--no-record", help="write run.rrd")]
+RunName = Annotated[str | None, typer.Argument(metavar="[RUN]", help="a running network's name [the youngest]")]
+Viewer = Annotated[str, typer.Option(metavar="native|web|none|URL", help="where to watch live [native, if there is a display]")]
+
+
+def run_command(began: float) -> None:
+    """Run the command line and leave with its exit code; `began` is when the process did, by time.monotonic()."""
+    global _BEGAN  # noqa: PLW0603 (typer hands commands nothing but their options)
+    _BEGAN = began
+    try:
+        code = app(standalone_mode=False) or 0
+    except TopologyError as error:
+        count = len(error.problems)
+        _complain(f"{error}\n{count} mistake{'s' if count > 1 else ''} in {error.source}")
+        code = 2
+    except UserError as error:
+        _complain(f"error: {error}")
+        code = 2
+    except HedgerowError as error:
+        _complain(f"error: {error}")
+        code = EXIT_CODES[UNKNOWN]
+    except typer.Abort:
+        code = 130
+    except Exception as error:
+        if not hasattr(error, "show"):
+            raise
+        error.show()  # a wrong option or argument, in the words of the command line library
+        code = 2
+    _leave(code)
+
+
+def _complain(text: str) -> None:
+    print(text, file=sys.stderr)
+
+
+def _leave(code: int) -> None:
+    # Not sys.exit: a stalled viewer's threads must not hold the process (orchestrator.rerun_stream).
+    with contextlib.suppress(OSError):
+        sys.stdout.flush()
+        sys.stderr.flush()
+    os._exit(code)
+
+
+def _read(file: str, sets: list[str] | None, **replace: object) -> Topology:
+    overrides = [*(f"{key}={json.dumps(value)}" for key, value in replace.items() if value is not None), *(sets or [])]
+    return resolve(load(file, overrides), find(file).parent)
+
+
+@app.command()
+def up(
+    file: File,
+    processes: Annotated[int | None, typer.Option(metavar="P", help="agent processes [one a node]")] = None,
+    steps: Steps = None,
+    seed: Seed = None,
+    law: Law = None,
+    rate: Annotated[float, typer.Option(metavar="R", help="steps per second, 0 for as fast as possible")] = 0.0,
+    run_dir: RunDir = None,
+    sets: Sets = None,
+    viewer: Viewer = "auto",
+    record: Record = True,
+    router: Annotated[str | None, typer.Option(metavar="ENDPOINT", help="use this Zenoh router, e.g. tcp/host:7447")] = None,
+    deadline: Annotated[float, typer.Option(metavar="S", help="seconds without an answer before giving up")] = 10.0,
+    verify: Annotated[bool, typer.Option("--verify", help="compare with the in-process reference afterwards")] = False,
+    detach: Annotated[bool, typer.Option("--detach", help="return once it runs")] = False,
+    as_json: AsJson = False,
+) -> int:
+    """Run a network: one process an agent, one for the plant, over Zenoh."""
+    from orchestrator import folder as folders  # noqa: PLC0415
+    from orchestrator.assign import layout  # noqa: PLC0415
+    from orchestrator.run import Watching  # noqa: PLC0415
+    from orchestrator.screen import screen  # noqa: PLC0415
+    from orchestrator.up import Network, Options  # noqa: PLC0415
+
+    if rate < 0 or deadline <= 0:
+        raise UserError("--rate must not be negative, and --deadline must be above 0")
+    topology = _read(file, sets, steps=steps, seed=seed, law=law)
+    shards = layout(topology, processes)
+    viewer = _viewer(viewer)
+    if detach:
+        return _start_detached()
+    folder = folders.create(topology, run_dir)
+    display = screen(topology.steps, as_json)
+    display.say(f"{topology.name}: {len(topology.ids)} nodes in {len(shards)} processes, {topology.steps} steps, run {folder.name}")
+    options = Options(rate, deadline, router, Watching(record, viewer), verify)
+
+    def on_first_step() -> None:
+        if os.environ.get(_DETACHED):
+            display.say(f"running in the background; `orchestrator stop {folder.name}` ends it")
+            _let_go_of_terminal(folder.logs / "up.log")
+
+    verdict = Network(topology, folder, shards, options, display, _BEGAN).run(on_first_step)
+    if record and viewer == "none":
+        display.say(f"recording {folder.recording}; open it with: rerun {folder.recording}")
+    display.verdict(verdict, folder.path)
+    return verdict.exit_code
+
+_DETACHED = "HEDGEROW_DETACHED"
+
+
+def _start_detached() -> int:
+    """Run the same command in a session of its own, relaying what it says until its first step."""
+    command = [sys.executable, "-P", "-m", "orchestrator", *(word for word in sys.argv[1:] if word != "--detach")]
+    process = subprocess.Popen(
+        command,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        start_new_session=True,
+        env=os.environ | {_DETACHED: "1"},
+    )
+    assert process.stdout is not None
+    for line in process.stdout:
+        print(line.decode(errors="replace"), end="", flush=True)
+    try:
+        return process.wait(timeout=1.0)
+    except subprocess.TimeoutExpired:
+        return 0
+
+
+def _let_go_of_terminal(log: Path) -> None:
+    sys.stdout.flush()
+    descriptor = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+    os.dup2(descriptor, 1)
+    os.dup2(descriptor, 2)
+
+
+def _viewer(asked: str) -> str:
+    if asked == "none":
+        return asked
+    from orchestrator.viewer import choose  # noqa: PLC0415
+
+    return choose(asked)
+
+
+@app.command()
+def simulate(
+    file: File,
+    steps: Steps = None,
+    seed: Seed = None,
+    law: Law = None,
+    run_dir: RunDir = None,
+    sets: Sets = None,
+    viewer: Viewer = "none",
+    record: Record = True,
+    as_json: AsJson = False,
+) -> int:
+    """Run the same network in this one process, without Zenoh: the reference, and the quick way."""
+    from orchestrator import folder as folders  # noqa: PLC0415
+    from orchestrator.assign import layout  # noqa: PLC0415
+    from orchestrator.run import Watching  # noqa: PLC0415
+    from orchestrator.screen import screen  # noqa: PLC0415
+    from orchestrator.simulate import simulate as run_here  # noqa: PLC0415
+
+    topology = _read(file, sets, steps=steps, seed=seed, law=law)
+    folder = folders.create(topology, run_dir)
+    display = screen(topology.steps, as_json)
+    verdict = run_here(topology, folder, layout(topology, 1), Watching(record, _viewer(viewer)), display)
+    display.verdict(verdict, folder.path)
+    return verdict.exit_code
+
+
+@app.command()
+def check(file: File, steps: Steps = None, seed: Seed = None, law: Law = None, sets: Sets = None) -> int:
+    """Validate a topology file and show what it says, node by node; exit code 2 and every mistake if it is wrong."""
+    print(table(_read(file, sets, steps=steps, seed=seed, law=law)))
+    return 0
+
+
+@app.command()
+def schema() -> int:
+    """Print the JSON Schema of topology files, for editors."""
+    print(json.dumps(Topology.model_json_schema(), indent=2))
+    return 0
+
+
+@app.command()
+def ps(as_json: AsJson = False) -> int:
+    """List the networks that are running."""
+    from orchestrator import registry  # noqa: PLC0415
+
+    entries = registry.running()
+    if as_json:
+        print(json.dumps([vars(entry) for entry in entries]))
+        return 0
+    for entry in entries:
+        since = datetime.fromtimestamp(entry.started).strftime("%H:%M:%S")
+        print(f"{entry.run}  pid {entry.pid}  since {since}  {entry.folder}")
+    if not entries:
+        print("no network is running")
+    return 0
+
+
+@app.command()
+def status(run: RunName = None, as_json: AsJson = False) -> int:
+    """Say how far a running network is."""
+    from orchestrator import registry  # noqa: PLC0415
+    from orchestrator.control import ask  # noqa: PLC0415
+    from wire import keys  # noqa: PLC0415
+    from wire.session import open_client  # noqa: PLC0415
+
+    entry = registry.find(run)
+    with open_client(entry.endpoint, entry.namespace) as session:
+        answer = ask(session, keys.STATUS)
+    if as_json:
+        print(json.dumps({**vars(entry), **answer}))
+        return 0
+    waiting = f", waiting for {', '.join(answer['missing'])}" if answer["missing"] else ""
+    print(f"{entry.run}: step {answer['step']} of {answer['steps']}{waiting if not answer['running'] else ''}")
+    return 0
+
+
+@app.command()
+def stop(
+    run: RunName = None,
+    deadline: Annotated[float, typer.Option(metavar="S", help="seconds to wait for its end")] = 20.0,
+) -> int:
+    """End a running network cleanly, as Ctrl-C does, and wait until it is gone."""
+    from orchestrator import registry  # noqa: PLC0415
+
+    entry = registry.find(run)
+    with contextlib.suppress(ProcessLookupError):
+        os.kill(entry.pid, signal.SIGINT)
+    until = time.monotonic() + deadline
+    while entry in registry.running():
+        if time.monotonic() > until:
+            raise UserError(f"{entry.run}: still there after {deadline:g} s; kill -9 {entry.pid} ends it at once")
+        time.sleep(0.05)
+    print(f"{entry.run}: stopped; {entry.folder}")
+    return 0

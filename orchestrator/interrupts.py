@@ -1,0 +1,43 @@
+"""Ctrl-C and its kin: asked once, a run ends cleanly; asked twice, at once."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Callable
+from types import FrameType, TracebackType
+from typing import Any
+
+from topologies.errors import HedgerowError
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+class EndNowError(HedgerowError):
+    """The user asked a second time."""
+
+
+class Interrupts:
+    """While the block runs, counts signals that ask for the end; the second raises EndNowError in the main thread."""
+
+    def __init__(self, notify: Callable[[], None] = lambda: None) -> None:
+        self._notify = notify
+        self._before: dict[int, Any] = {}
+        self.count = 0
+        self.name = ""
+
+    def __enter__(self) -> Interrupts:
+        if threading.current_thread() is threading.main_thread():
+            self._before = {number: signal.signal(number, self._take) for number in SIGNALS}
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        for number, before in self._before.items():
+            signal.signal(number, before)
+
+    def _take(self, number: int, _: FrameType | None) -> None:
+        self.count += 1
+        self.name = "Ctrl-C" if number == signal.SIGINT else signal.Signals(number).name
+        if self.count == 2:
+            raise EndNowError(f"ended at once by a second {self.name}")
+        self._notify()

@@ -1,0 +1,86 @@
+"""Which networks are running, for `ps`, `status` and `stop`, from any working directory.
+
+Each run keeps one small file, locked for as long as its process lives: the kernel lets go of the lock whatever
+ends the process, so a file that can be locked belongs to nobody any more.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import json
+import os
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from topologies.errors import UserError
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A running network: its run's name and folder, the process to signal, and how to reach its plant."""
+
+    run: str
+    folder: str
+    pid: int
+    endpoint: str
+    namespace: str
+    started: float
+
+
+def _directory() -> Path:
+    base = os.environ.get("XDG_RUNTIME_DIR") or tempfile.gettempdir()
+    directory = Path(base) / f"hedgerow-{os.getuid()}"
+    directory.mkdir(mode=0o700, exist_ok=True)
+    return directory
+
+
+@contextlib.contextmanager
+def announced(run: str, folder: Path, endpoint: str, namespace: str) -> Iterator[None]:
+    """List this process's run while the block lasts."""
+    entry = Entry(run, str(folder), os.getpid(), endpoint, namespace, time.time())
+    path = _directory() / f"{entry.run}-{entry.pid}.json"
+    with path.open("w", encoding="utf-8") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        file.write(json.dumps(asdict(entry)))
+        file.flush()
+        try:
+            yield
+        finally:
+            path.unlink(missing_ok=True)
+
+
+def running() -> list[Entry]:
+    """The networks that run now, the oldest first; files of dead ones are removed in passing."""
+    entries = []
+    for path in _directory().glob("*.json"):
+        with contextlib.suppress(OSError, ValueError, TypeError), path.open("r", encoding="utf-8") as file:
+            if _is_locked(file.fileno()):
+                entries.append(Entry(**json.load(file)))
+            elif path.stat().st_size:  # else it is being written right now
+                path.unlink(missing_ok=True)
+    return sorted(entries, key=lambda entry: entry.started)
+
+
+def _is_locked(descriptor: int) -> bool:
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    fcntl.flock(descriptor, fcntl.LOCK_UN)
+    return False
+
+
+def find(run: str | None) -> Entry:
+    """The running network of that name (or a part of it), or the youngest."""
+    entries = running()
+    matching = [entry for entry in entries if run is None or entry.run == run]
+    matching = matching or [entry for entry in entries if run is not None and run in (entry.folder, Path(entry.folder).name)]
+    matching = matching or [entry for entry in entries if run is not None and entry.run.startswith(run)]
+    if not matching:
+        names = ", ".join(entry.run for entry in entries) or "none"
+        raise UserError(f"{run or 'no network'}: is not running; running now: {names}" if run else "no network is running")
+    return matching[-1]

@@ -1,0 +1,87 @@
+"""One run being recorded: telemetry in; tables, Rerun and a verdict out. Whoever drives it, over a wire or not."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from orchestrator.folder import RunFolder, write_json
+from orchestrator.observe import Batch, Observer
+from orchestrator.record import Recorder
+from orchestrator.verdict import Ending, Verdict, judge
+from topologies.schema import Topology
+from wire.codec import End, Telemetry
+
+if TYPE_CHECKING:
+    from orchestrator.rerun_stream import RerunStream
+
+CLOSE_DEADLINE_S = 5.0
+
+
+@dataclass(frozen=True)
+class Watching:
+    """Where Rerun data goes: into run.rrd or not, and to which viewer (see orchestrator.viewer)."""
+
+    record: bool = True
+    viewer: str = "none"
+
+
+class Run:
+    """Feeds the observer and keeps what it computes."""
+
+    def __init__(self, topology: Topology, folder: RunFolder, watching: Watching, ending: Ending) -> None:
+        self.topology, self.folder, self.ending = topology, folder, ending
+        self.observer = Observer(topology)
+        self._recorder = Recorder(topology, folder.path)
+        self._watching = watching
+        self._stream: RerunStream | None = None
+        self._first_at: float | None = None
+
+    def take(self, rows: Sequence[Telemetry]) -> Batch:
+        """Observe and record some steps; OSError when the disk is full."""
+        batch = self.observer.take(rows)
+        self._recorder.write(batch)
+        if self._first_at is None:
+            self._first_at = time.monotonic()
+            self._open_stream()
+        if self._stream is not None:
+            self._stream.log(batch)
+        return batch
+
+    def finish(self, end: End) -> None:
+        """Take in the final state."""
+        self.observer.finish(end)
+        self._recorder.write_end(self.observer, end)
+        if self._stream is not None:
+            self._stream.end(self.observer)
+
+    def _open_stream(self) -> None:
+        if not self._watching.record and self._watching.viewer == "none":
+            return
+        # Rerun takes a second to load: not before the first step is done.
+        from orchestrator.rerun_stream import RerunStream  # noqa: PLC0415
+
+        path = self.folder.recording if self._watching.record else None
+        self._stream = RerunStream(self.topology, self.observer, self.folder.name, path, self._watching.viewer)
+
+    def close_tables(self) -> None:
+        """Bring the tables into their final form; nothing can be taken in afterwards."""
+        self._recorder.close()
+
+    def close(self) -> Verdict:
+        """Close the tables and the recording, judge the run and write the verdict."""
+        if self._stream is not None and not self._stream.close(CLOSE_DEADLINE_S):
+            self.folder.event("viewer_stalled", deadline_s=CLOSE_DEADLINE_S)
+        self.close_tables()
+        verdict = judge(self.topology, self.observer, self.ending)
+        write_json(self.folder.verdict, verdict.content)
+        self.folder.event("verdict", verdict=verdict.verdict, reasons=verdict.content["reasons"])
+        return verdict
+
+
+def same_tables(one: Path, other: Path) -> bool:
+    """Whether two run folders hold the same telemetry, bit for bit."""
+    return all((one / name).read_bytes() == (other / name).read_bytes() for name in ("telemetry.parquet", "edges.parquet"))

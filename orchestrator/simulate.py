@@ -1,0 +1,53 @@
+"""A run without a wire: the in-process reference, with the same folder and the same verdict."""
+
+from __future__ import annotations
+
+import itertools
+import tempfile
+import time
+from pathlib import Path
+
+from orchestrator import in_process
+from orchestrator.assign import Layout, truth_of, views_of
+from orchestrator.folder import RunFolder, create
+from orchestrator.interrupts import Interrupts
+from orchestrator.run import Run, Watching, same_tables
+from orchestrator.screen import Json, Screen
+from orchestrator.verdict import Ending, Verdict
+from topologies.schema import Topology
+from wire.codec import End, Telemetry
+
+BATCH_STEPS = 256
+
+
+def simulate(topology: Topology, folder: RunFolder, shards: Layout, watching: Watching, screen: Screen) -> Verdict:
+    """Run a resolved topology in this process; Ctrl-C ends it cleanly with the verdict unknown."""
+    ending = Ending(run=folder.name, engine="in-process", processes=0)
+    run = Run(topology, folder, watching, ending)
+    folder.event("start", engine=ending.engine)
+    began = time.monotonic()
+    telemetry = in_process.run(truth_of(topology, shards), views_of(topology, shards))
+    with Interrupts() as interrupts:
+        while rows := list(itertools.islice(telemetry, BATCH_STEPS)):
+            if steps := [row for row in rows if isinstance(row, Telemetry)]:
+                screen.progress(run.take(steps))
+                ending.first_step_s = ending.first_step_s or time.monotonic() - began
+            if isinstance(rows[-1], End):
+                run.finish(rows[-1])
+            elif interrupts.count:
+                ending.stopped = f"stopped by {interrupts.name} at step {run.observer.next_step}"
+                break
+        return run.close()
+
+
+def equals_reference(topology: Topology, folder: RunFolder) -> bool:
+    """Whether a finished run's tables equal those of the in-process reference, bit for bit."""
+    with tempfile.TemporaryDirectory(prefix="hedgerow-") as scratch:
+        reference = create(topology, Path(scratch) / "reference")
+        simulate(topology, reference, [range(len(topology.ids))], Watching(record=False), _Silent())
+        return same_tables(folder.path, reference.path)
+
+
+class _Silent(Json):
+    def verdict(self, verdict: Verdict, folder: Path) -> None:
+        pass
