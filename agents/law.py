@@ -31,14 +31,14 @@ class Law(Protocol):
         """The inputs u(t) from the states x(t), both (k,)."""
 
     def learn(self, x: Array, flow: Array, x_next: Array) -> None:
-        """Take in the sample of one past step: x(t), f(t) and x(t + 1), all (k,); where f is NaN there is none."""
+        """Take in the sample of one past step: x(t), f(t) and x(t + 1), (k,); where f is NaN there is none."""
 
     def report(self) -> Array:
-        """What the nodes say of themselves, (k, 4): ahat, index of it, margin J_(2) - J_(1), a_LS; NaN for what there is none of."""
+        """What the nodes say of themselves, (k, 4): ahat, its index, J_(2) - J_(1), a_LS; NaN for what there is not."""
 
 
 def control(b: float, x: Array, ahat: Array) -> Array:
-    """u = b x / (ahat - 1), all (k,); equations (6) and (8)."""
+    """The inputs u = b x / (ahat - 1), all (k,); equations (6) and (8)."""
     return b * x / (ahat - 1.0)
 
 
@@ -84,7 +84,7 @@ class Minimax:
         self._choose()
 
     def report(self) -> Array:
-        """ahat, its index, the margin J_(2) - J_(1) (infinite without a rival), and a_LS = Sxy / Sxx, the least-squares a without candidates."""
+        """The estimate ahat, its index, the margin J_(2) - J_(1) (infinite without a rival), and a_LS = Sxy / Sxx."""
         report = np.empty((len(self.ahat), 4))
         report[:, 0] = self.ahat
         report[:, 1] = self.index

@@ -19,7 +19,7 @@ from typing import NoReturn
 import numpy as np
 import zenoh
 
-from agents.shard import Shard, load_law
+from agents.shard import Shard
 from agents.view import View
 from wire import keys
 from wire.child import run_child
@@ -46,14 +46,10 @@ class Agent:
     """One shard's process, from the first state message to the end."""
 
     def __init__(self, view: View, namespace: str, endpoint: str) -> None:
-        self.shard = Shard(
-            view, load_law(view.law)(view.b, [node.candidates for node in view.nodes])
-        )
+        self.shard = Shard(view)
         self.peers = [peer.shard for peer in view.peers]
         self._hears = [len(peer.hear) for peer in view.peers]
-        self._peer_of_key = {
-            keys.link(peer.shard, view.shard): p for p, peer in enumerate(view.peers)
-        }
+        self._peer_of_key = {keys.link(peer.shard, view.shard): p for p, peer in enumerate(view.peers)}
         self.t = -1
         """The last step answered."""
         self._pending: State | None = None
@@ -123,8 +119,8 @@ class Agent:
             return
         if state.t == self.t or self._pending is not None:
             # The plant repeats itself: somebody missed something, so everybody says again what they said.
-            for publisher, payload in (each for step in self._said for each in step):
-                publisher.put(payload)
+            for neighbour, payload in (each for step in self._said for each in step):
+                neighbour.put(payload)
         if state.t == self.t + 1:
             self._pending, self._since = state, time.monotonic()
             self._step_if_complete()
@@ -138,11 +134,7 @@ class Agent:
     def _missing(self, state: State) -> list[int]:
         if state.t == 0:
             return []
-        return [
-            p
-            for p in self.shard.peers_with(Flag.HEAR, state.flags)
-            if state.t - 1 not in self._heard[p]
-        ]
+        return [p for p in self.shard.peers_with(Flag.HEAR, state.flags) if state.t - 1 not in self._heard[p]]
 
     def _step_if_complete(self) -> None:
         state = self._pending
@@ -155,13 +147,11 @@ class Agent:
             u = self.shard.step(state.x, state.flags, self._inputs_of(state.t - 1))
         self.t = state.t
         says = [(p, self.shard.say[p]) for p in self.shard.peers_with(Flag.TELL, state.flags)]
-        out = [
-            (self._links[p], encode_link(state.t, state.x[nodes], u[nodes])) for p, nodes in says
-        ]
-        out.append((self._input, encode_input(state.t, u, self.shard.law.report())))
+        out = [(self._links[p], encode_link(state.t, state.x[nodes], u[nodes])) for p, nodes in says]
+        out.append((self._input, encode_input(state.t, u, self.shard.report)))
         self._said.append(out)
-        for publisher, payload in out:
-            publisher.put(payload)
+        for neighbour, payload in out:
+            neighbour.put(payload)
 
     def _inputs_of(self, t: int) -> Array:
         """The inputs of step t from all peers, in their order; NaN where none came."""

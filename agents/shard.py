@@ -12,13 +12,26 @@ from numpy.typing import NDArray
 
 from agents.law import Array, Law, Minimax
 from agents.view import View
-from topologies.errors import UserError
-from wire.codec import Flag, Flags
+from topologies.errors import HedgerowError, UserError
+from wire.codec import REPORT_WIDTH, Flag, Flags
 
 Index = NDArray[np.int64]
 
 
-def load_law(name: str) -> type[Law]:
+class LawError(HedgerowError):
+    """A law that failed while it ran."""
+
+
+def new_law(view: View) -> Law:
+    """The law of a view, with no sample seen yet; raises UserError when there is no such law or it cannot begin."""
+    law = _law_class(view.law)
+    try:
+        return law(view.b, [node.candidates for node in view.nodes])
+    except Exception as error:
+        raise UserError(f"law {view.law}: cannot begin: {type(error).__name__}: {error}; mend it") from error
+
+
+def _law_class(name: str) -> type[Law]:
     """The class of a law: `minimax`, or `package.module:Class` (looked for in the working directory too)."""
     if name == "minimax":
         return Minimax
@@ -32,12 +45,8 @@ def load_law(name: str) -> type[Law]:
             f"law {name}: cannot be loaded: {type(error).__name__}: {error}; "
             "give package.module:Class, importable here (docs/laws.md)"
         ) from error
-    if missing := [
-        method for method in ("act", "learn", "report") if not callable(getattr(law, method, None))
-    ]:
-        raise UserError(
-            f"law {name}: has no {', '.join(missing)}(); a law has act, learn and report (docs/laws.md)"
-        )
+    if missing := [method for method in ("act", "learn", "report") if not callable(getattr(law, method, None))]:
+        raise UserError(f"law {name}: has no {', '.join(missing)}(); a law has act, learn and report (docs/laws.md)")
     return law
 
 
@@ -48,8 +57,9 @@ class Shard:
     a flow is the same sum, bit for bit, in every layout of the network over processes.
     """
 
-    def __init__(self, view: View, law: Law) -> None:
-        self.law = law
+    def __init__(self, view: View) -> None:
+        self._view = view
+        self._law = new_law(view)
         self.k = len(view.nodes)
         own = {node.id: i for i, node in enumerate(view.nodes)}
         heard = [node for peer in view.peers for node in peer.hear]
@@ -60,13 +70,13 @@ class Shard:
         self._row: Index = np.array([i for i, _ in incidences], dtype=np.int64)
         self._column: Index = np.array([column[j] for _, j in incidences], dtype=np.int64)
         self._peer: Index = np.array([home.get(j, -1) for _, j in incidences], dtype=np.int64)
-        self.say: list[Index] = [
-            np.array([own[node] for node in peer.say], dtype=np.int64) for peer in view.peers
-        ]
+        self.say: list[Index] = [np.array([own[node] for node in peer.say], dtype=np.int64) for peer in view.peers]
         """Per peer: which of our nodes stand in a link message to it."""
         self.everybody: Sequence[int] = range(len(view.peers))
         self.x: Array = np.zeros(self.k)
         self.u: Array = np.zeros(self.k)
+        self.report: Array = np.full((self.k, REPORT_WIDTH), np.nan)
+        """What the nodes say of themselves at the last step."""
 
     def start(self, x: Array) -> Array:
         """u(0): there is no sample to close yet."""
@@ -80,12 +90,28 @@ class Shard:
         u = np.concatenate((self.u, u_heard))[self._column]
         u = np.where(flags & Flag.HEAR, u, np.nan)
         difference = np.where(flags & Flag.OPEN, self.u[self._row] - u, 0.0)
-        self.law.learn(self.x, np.bincount(self._row, difference, self.k), x)
+        try:
+            self._law.learn(self.x, np.bincount(self._row, difference, self.k), x)
+        except Exception as error:
+            raise self._failed("learn", f"raised {type(error).__name__}: {error}") from error
         return self._act(x)
 
     def _act(self, x: Array) -> Array:
-        self.x, self.u = x, self.law.act(x)
-        return self.u
+        try:
+            u = np.asarray(self._law.act(x), dtype=float)
+            self.report = np.asarray(self._law.report(), dtype=float)
+        except Exception as error:
+            raise self._failed("act", f"raised {type(error).__name__}: {error}") from error
+        if u.shape != (self.k,) or not np.isfinite(u).all():
+            raise self._failed("act", f"gave {u} for the states {x}, and an input is a number a node")
+        if self.report.shape != (self.k, REPORT_WIDTH):
+            raise self._failed("report", f"has the shape {self.report.shape}, and not {(self.k, REPORT_WIDTH)}")
+        self.x, self.u = x, u
+        return u
+
+    def _failed(self, method: str, what: str) -> LawError:
+        nodes = ", ".join(str(node.id) for node in self._view.nodes[:8])
+        return LawError(f"law {self._view.law}: {method}() of node {nodes} {what}")
 
     def peers_with(self, bit: Flag, flags: Flags) -> Sequence[int]:
         """Peers to whom at least one incidence has `bit` set."""

@@ -21,7 +21,7 @@ class NodeView:
 
 @dataclass(frozen=True)
 class Peer:
-    """Another shard with neighbours of ours: `say` are our nodes in a link message to it, `hear` its nodes in one to us."""
+    """Another shard with neighbours of ours: `say`, our nodes in a message to it; `hear`, its nodes in one to us."""
 
     shard: int
     say: Sequence[NodeId]

@@ -85,7 +85,7 @@ def plant(endpoint: str, degrees: list[int], steps: int, edges: int) -> float:
         for state, degree in zip(states, degrees, strict=True):
             state.put(_stamp(t, 8 + degree))
 
-    def on_input(_: str, message: bytes) -> None:
+    def on_input(_: str, __: bytes) -> None:
         nonlocal arrived, t
         arrived += 1
         if arrived < n:
@@ -127,7 +127,9 @@ def run(n: int, edges: Edges, steps: int) -> float:
             subprocess.Popen([*base, "agent", str(i), *map(str, neighbours[i])], env=environment) for i in range(n)
         ]
         command = [*base, "plant", str(steps), str(len(edges)), *(str(len(each)) for each in neighbours)]
-        output = subprocess.run(command, env=environment, capture_output=True, text=True, check=True, timeout=300).stdout
+        output = subprocess.run(
+            command, env=environment, capture_output=True, text=True, check=True, timeout=300
+        ).stdout
         for process in agents:
             process.wait(30)
         return float(output)

@@ -41,9 +41,7 @@ def truth_of(topology: Topology, shards: Layout) -> Truth:
 
 def _components(disturbance: object) -> list[dict[str, object]]:
     parts = disturbance if isinstance(disturbance, tuple) else (disturbance,)
-    return [
-        part.model_dump() for part in parts if part is not None and not isinstance(part, Nothing)
-    ]
+    return [part.model_dump() for part in parts if part is not None and not isinstance(part, Nothing)]
 
 
 def candidates_of(topology: Topology) -> list[tuple[float, ...]]:
@@ -81,12 +79,9 @@ def views_of(topology: Topology, shards: Layout) -> list[View]:
                 shard=p,
                 b=topology.b,
                 law=law,
-                nodes=[
-                    NodeView(ids[i], candidates[i], [ids[j] for j in neighbours[i]]) for i in nodes
-                ],
+                nodes=[NodeView(ids[i], candidates[i], [ids[j] for j in neighbours[i]]) for i in nodes],
                 peers=[
-                    Peer(q, [ids[i] for i in sorted(say[q])], [ids[j] for j in sorted(hear[q])])
-                    for q in sorted(say)
+                    Peer(q, [ids[i] for i in sorted(say[q])], [ids[j] for j in sorted(hear[q])]) for q in sorted(say)
                 ],
             )
         )

@@ -39,8 +39,8 @@ def table(topology: Topology) -> str:
             console.print(f"… and {graph.n - MAX_ROWS} nodes more")
         models = [np.array(listed) for listed in candidates_of(topology)]
         console.print(
-            f"\n{topology.name}: {graph.n} nodes, {len(graph.edges)} edges, b = {topology.b:g}, {topology.steps} steps, "
-            f"seed {topology.seed}, law {topology.law}\n"
+            f"\n{topology.name}: {graph.n} nodes, {len(graph.edges)} edges, b = {topology.b:g}, "
+            f"{topology.steps} steps, seed {topology.seed}, law {topology.law}\n"
             f"gamma* = {gamma_star(a, topology.b, graph):.6g}, the optimal gain when every a is known; "
             f"rho = {contraction(a, models):.6g}, the contraction whatever is estimated"
         )
@@ -49,7 +49,9 @@ def table(topology: Topology) -> str:
 
 def _shown(part: Component) -> str:
     values = part.model_dump(exclude={"kind"}, exclude_none=True)
-    inside = ", ".join(f"{key} {value:.4g}" if isinstance(value, float) else f"{key} {_long(value)}" for key, value in values.items())
+    inside = ", ".join(
+        f"{key} {value:.4g}" if isinstance(value, float) else f"{key} {_long(value)}" for key, value in values.items()
+    )
     return f"{part.kind} {inside}".strip()
 
 

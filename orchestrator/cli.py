@@ -16,7 +16,7 @@ from typing import Annotated
 import typer
 
 from orchestrator.check import table
-from orchestrator.verdict import EXIT_CODES, UNKNOWN, Verdict
+from orchestrator.verdict import EXIT_CODES, UNKNOWN
 from topologies.errors import HedgerowError, TopologyError, UserError
 from topologies.load import find, load
 from topologies.resolve import resolve
@@ -41,7 +41,9 @@ RunDir = Annotated[Path | None, typer.Option(metavar="DIR", help="the run's fold
 AsJson = Annotated[bool, typer.Option("--json", help="one JSON object on standard output")]
 Record = Annotated[bool, typer.Option("--record/--no-record", help="write run.rrd")]
 RunName = Annotated[str | None, typer.Argument(metavar="[RUN]", help="a running network's name [the youngest]")]
-Viewer = Annotated[str, typer.Option(metavar="native|web|none|URL", help="where to watch live [native, if there is a display]")]
+Viewer = Annotated[
+    str, typer.Option(metavar="native|web|none|URL", help="where to watch live [native, if there is a display]")
+]
 
 
 def run_command(began: float) -> None:
@@ -99,7 +101,9 @@ def up(
     sets: Sets = None,
     viewer: Viewer = "auto",
     record: Record = True,
-    router: Annotated[str | None, typer.Option(metavar="ENDPOINT", help="use this Zenoh router, e.g. tcp/host:7447")] = None,
+    router: Annotated[
+        str | None, typer.Option(metavar="ENDPOINT", help="use this Zenoh router, e.g. tcp/host:7447")
+    ] = None,
     deadline: Annotated[float, typer.Option(metavar="S", help="seconds without an answer before giving up")] = 10.0,
     verify: Annotated[bool, typer.Option("--verify", help="compare with the in-process reference afterwards")] = False,
     detach: Annotated[bool, typer.Option("--detach", help="return once it runs")] = False,
@@ -121,19 +125,19 @@ def up(
         return _start_detached()
     folder = folders.create(topology, run_dir)
     display = screen(topology.steps, as_json)
-    display.say(f"{topology.name}: {len(topology.ids)} nodes in {len(shards)} processes, {topology.steps} steps, run {folder.name}")
+    what = f"{len(topology.ids)} nodes in {len(shards)} processes, {topology.steps} steps"
+    display.say(f"{topology.name}: {what}, run {folder.name}")
     options = Options(rate, deadline, router, Watching(record, viewer), verify)
 
-    def on_first_step() -> None:
+    def on_first_step(after_s: float) -> None:
+        display.say(f"running: first step after {after_s:.2f} s")
         if os.environ.get(_DETACHED):
             display.say(f"running in the background; `orchestrator stop {folder.name}` ends it")
             _let_go_of_terminal(folder.logs / "up.log")
 
     verdict = Network(topology, folder, shards, options, display, _BEGAN).run(on_first_step)
-    if record and viewer == "none":
-        display.say(f"recording {folder.recording}; open it with: rerun {folder.recording}")
-    display.verdict(verdict, folder.path)
     return verdict.exit_code
+
 
 _DETACHED = "HEDGEROW_DETACHED"
 
@@ -196,7 +200,6 @@ def simulate(
     folder = folders.create(topology, run_dir)
     display = screen(topology.steps, as_json)
     verdict = run_here(topology, folder, layout(topology, 1), Watching(record, _viewer(viewer)), display)
-    display.verdict(verdict, folder.path)
     return verdict.exit_code
 
 
@@ -257,10 +260,17 @@ def stop(
 ) -> int:
     """End a running network cleanly, as Ctrl-C does, and wait until it is gone."""
     from orchestrator import registry  # noqa: PLC0415
+    from orchestrator.control import ask  # noqa: PLC0415
+    from wire import keys  # noqa: PLC0415
+    from wire.session import WireError, open_client  # noqa: PLC0415
 
     entry = registry.find(run)
-    with contextlib.suppress(ProcessLookupError):
-        os.kill(entry.pid, signal.SIGINT)
+    try:
+        with open_client(entry.endpoint, entry.namespace) as session:
+            ask(session, keys.STOP)
+    except WireError:  # the plant is gone or frozen: then its parent must see to it
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(entry.pid, signal.SIGTERM)
     until = time.monotonic() + deadline
     while entry in registry.running():
         if time.monotonic() > until:

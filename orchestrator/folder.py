@@ -49,14 +49,12 @@ class RunFolder:
 
 
 def create(topology: Topology, directory: Path | None) -> RunFolder:
-    """A new folder for a run of the resolved `topology`: `directory` itself, which must be new or empty, or one in runs/."""
+    """A new folder for a run of the resolved `topology`: `directory` itself, new or empty, or one in runs/."""
     try:
         if directory is not None:
             directory.mkdir(parents=True, exist_ok=True)
             if any(directory.iterdir()):
-                raise UserError(
-                    f"--run-dir {directory}: holds something already; name a new folder"
-                )
+                raise UserError(f"--run-dir {directory}: holds something already; name a new folder")
             folder = RunFolder(directory.resolve())
         else:
             folder = RunFolder(_new_in(Path("runs"), topology.name))
@@ -65,7 +63,7 @@ def create(topology: Topology, directory: Path | None) -> RunFolder:
         folder.topology.write_text(to_yaml(topology), encoding="utf-8")
     except OSError as error:
         raise UserError(
-            f"no run folder: {error.filename or directory}: {error.strerror}; make room, or choose another with --run-dir"
+            f"no run folder: {error.filename or directory}: {error.strerror}; choose another with --run-dir"
         ) from None
     return folder
 
@@ -95,8 +93,11 @@ def _point_latest(runs: Path, path: Path) -> None:
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
     """Write a JSON file that is there whole or not at all."""
     part = path.with_name(path.name + ".part")
-    part.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
-    part.rename(path)
+    try:
+        part.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+        part.rename(path)
+    finally:
+        part.unlink(missing_ok=True)
 
 
 def versions() -> dict[str, str]:

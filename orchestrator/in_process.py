@@ -7,27 +7,20 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from agents.shard import Shard, load_law
+from agents.shard import Shard
 from agents.view import View
 from plant.truth import Truth
 from plant.world import World
-from topologies.errors import HedgerowError
 from wire.codec import ALL_UP, REPORT_WIDTH, End, Telemetry
 
 
 def run(truth: Truth, views: Sequence[View]) -> Iterator[Telemetry | End]:
     """The telemetry of every step, then the end; equal bit for bit to what the plant sends over the wire."""
     world, n = World(truth), len(truth.ids)
-    shards = [
-        Shard(view, load_law(view.law)(view.b, [node.candidates for node in view.nodes]))
-        for view in views
-    ]
+    shards = [Shard(view) for view in views]
     position = {node: k for k, node in enumerate(truth.ids)}
     nodes = [np.array(part, dtype=np.int64) for part in truth.shards]
-    heard = [
-        np.array([position[node] for peer in view.peers for node in peer.hear], dtype=np.int64)
-        for view in views
-    ]
+    heard = [np.array([position[node] for peer in view.peers for node in peer.hear], dtype=np.int64) for view in views]
     flags = [np.full(shard.m, ALL_UP, dtype=np.uint8) for shard in shards]
     edge_open, link_up = (
         np.ones(len(truth.edges), dtype=np.bool_),
@@ -40,11 +33,7 @@ def run(truth: Truth, views: Sequence[View]) -> Iterator[Telemetry | End]:
         u, report = np.empty(n), np.empty((n, REPORT_WIDTH))
         for shard, own, others, up in zip(shards, nodes, heard, flags, strict=True):
             u[own] = shard.step(x[own], up, before[others]) if t else shard.start(x[own])
-            report[own] = shard.law.report()
-        if not np.isfinite(u).all():
-            raise HedgerowError(
-                f"step {t}: an input of agent {truth.ids[int(np.argmin(np.isfinite(u)))]} is not finite; see its law"
-            )
+            report[own] = shard.report
         w = world.step(u, edge_open)
         yield Telemetry(t, x, u, w, report, edge_open.view(np.uint8), link_up)
     yield End(world.t, world.x, time.monotonic() - began)

@@ -31,7 +31,9 @@ class Interrupts:
             self._before = {number: signal.signal(number, self._take) for number in SIGNALS}
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
         for number, before in self._before.items():
             signal.signal(number, before)
 
@@ -39,5 +41,5 @@ class Interrupts:
         self.count += 1
         self.name = "Ctrl-C" if number == signal.SIGINT else signal.Signals(number).name
         if self.count == 2:
-            raise EndNowError(f"ended at once by a second {self.name}")
+            raise EndNowError(f"a second {self.name}")
         self._notify()

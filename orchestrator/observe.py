@@ -6,6 +6,7 @@ a (8), the nominal one on the nominal value. Both hold their model fixed, so nei
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -37,7 +38,7 @@ class Batch:
     """disturbances, (B, n)"""
     ahat: Matrix
     index: NDArray[np.int32]
-    """which candidate ahat is, from 0 in list order, (B, n)"""
+    """which candidate ahat is, from 0 in list order, (B, n); -1 under a law that names none"""
     margin: Matrix
     """J_(2) - J_(1), infinite without a rival, (B, n)"""
     a_ls: Matrix
@@ -127,6 +128,8 @@ def _running(before: Array | np.float64, increments: Matrix) -> Matrix:
     return np.asarray(np.cumsum(np.concatenate([np.asarray(before)[None], increments]), axis=0)[1:])
 
 
+TINY = 1e-300
+"""keeps 0 / 0 from being asked"""
 ROUNDING = 1e-9
 """Relative slack of inequalities that are exact only in exact arithmetic."""
 
@@ -147,7 +150,8 @@ class Observer:
         models = [np.array(listed) for listed in candidates_of(topology)]
         self.rho = contraction(self.a, models)
         self._rivals = [np.array(node.candidates, dtype=float) for node in own]
-        self._models = models
+        longest = max(map(len, models))
+        self._padded = np.array([np.pad(listed, (0, longest - len(listed)), mode="edge") for listed in models])
         self._solve_q = q_solver(self.a, self.b, self.graph)
         self._oracle, self._nominal = _Twin(self, self.a), _Twin(self, self.nominal)
         n = self.graph.n
@@ -185,12 +189,8 @@ class Observer:
         nominal = [self._nominal.step(w_t, on) for w_t, on in zip(w, edge_open, strict=True)]
         x_oracle, u_oracle = (np.array([pair[k] for pair in oracle]) for k in (0, 1))
         x_nominal = np.array([pair[0] for pair in nominal])
-        u_edge = np.array(
-            [self.graph.edge_input(u_t, on) for u_t, on in zip(u, edge_open, strict=True)]
-        )
-        flow_cost = [
-            self.graph.edge_input(u_t, on) for u_t, on in zip(u_oracle, edge_open, strict=True)
-        ]
+        u_edge = np.array([self.graph.edge_input(u_t, on) for u_t, on in zip(u, edge_open, strict=True)])
+        flow_cost = [self.graph.edge_input(u_t, on) for u_t, on in zip(u_oracle, edge_open, strict=True)]
         cost = (x * x).sum(axis=1) + (u_edge * u_edge).sum(axis=1)
         cost_oracle = (x_oracle * x_oracle).sum(axis=1) + np.square(flow_cost).sum(axis=1)
         regret, gap = np.abs(x - x_oracle), np.abs(x_oracle - x_nominal)
@@ -201,16 +201,19 @@ class Observer:
             np.stack([(regret**2).sum(axis=1), nominal_regret, cost, cost_oracle, energy], axis=1),
         )
         self._sums = sums[-1].copy()
-        supply = _running(self._supply, (w * self._solve_q(w.T).T).sum(axis=1))
+        # Row by row: the bits of a product with many columns depend on how many there are.
+        q_inverse_w = np.array([self._solve_q(w_t) for w_t in w])
+        supply = _running(self._supply, (w * q_inverse_w).sum(axis=1))
         self._supply = supply[-1]
         beta = self._beta(x, w)
         slack = supply + self.v0 - self._v(np.vstack([x_oracle[1:], self._oracle.x])) - sums[:, 3]
-        self._check(rows, x, u, w, report, slack, supply)
+        self._check(rows, -slack / (supply + self.v0 + TINY) - ROUNDING)
         return Batch(
             t=t, x=x, u=u, w=w,
-            ahat=report[:, :, 0], index=report[:, :, 1].astype(np.int32), margin=report[:, :, 2], a_ls=report[:, :, 3],
+            ahat=report[:, :, 0], index=np.nan_to_num(report[:, :, 1], nan=-1.0).astype(np.int32),
+            margin=report[:, :, 2], a_ls=report[:, :, 3],
             beta=beta, identifiable=self._identifiable(beta),
-            edge_open=edge_open, u_edge=u_edge.reshape(len(rows), -1),
+            edge_open=edge_open, u_edge=u_edge,
             x_oracle=x_oracle, x_nominal=x_nominal, regret=regret, nominal_gap=gap,
             regret_sum=sums[:, 0], nominal_regret_sum=sums[:, 1], cost=cost, cost_oracle=cost_oracle,
             cost_sum=sums[:, 2], cost_oracle_sum=sums[:, 3], energy_sum=sums[:, 4], slack=slack,
@@ -254,36 +257,20 @@ class Observer:
             found[:, i] = (nearest == self.a[i]) & np.isfinite(beta[:, i])
         return found
 
-    def _check(
-        self,
-        rows: Sequence[Telemetry],
-        x: Matrix,
-        u: Matrix,
-        w: Matrix,
-        report: Matrix,
-        slack: Array,
-        supply: Array,
-    ) -> None:
+    def _check(self, rows: Sequence[Telemetry], certificate: Array) -> None:
         steps = [row.t for row in rows]
-        before = [self._last, *rows[:-1]] if self._last is not None else rows[:-1]
-        pairs = zip(before, rows[len(rows) - len(before) :], strict=True)
-        self._check_motion([(p, row.x) for p, row in pairs if p.t == row.t - 1])
+        chain = rows if self._last is None else [self._last, *rows]
+        # Where telemetry was lost, two rows that follow each other here are not of consecutive steps.
+        self._check_motion([(p, q.x) for p, q in itertools.pairwise(chain) if q.t == p.t + 1])
         self._last = rows[-1]
-        scale = self.v0 + supply + 1e-300
-        self.checks["oracle_certificate"].see(-slack / scale - ROUNDING, steps)
-        listed = np.array(
-            [
-                [bool((m == a).any()) for m, a in zip(self._models, row, strict=True)]
-                for row in report[:, :, 0]
-            ]
-        )
-        acts = np.array(
-            [
-                np.array_equal(control(self.b, *pair), u_t)
-                for *pair, u_t in zip(x, report[:, :, 0], u, strict=True)
-            ]
-        )
-        self.checks["estimates"].see(np.where(listed.all(axis=1) & acts, -1.0, 1.0), steps)
+        self.checks["oracle_certificate"].see(certificate, steps)
+        self.checks["estimates"].see(np.array([-1.0 if self._follows_the_law(row) else 1.0 for row in rows]), steps)
+
+    def _follows_the_law(self, row: Telemetry) -> bool:
+        """Whether every ahat is one of its node's candidates, and u is equation (6) of it, to the bit."""
+        ahat = row.report[:, 0]
+        listed = (self._padded == ahat[:, None]).any(axis=1)
+        return bool(listed.all()) and np.array_equal(control(self.b, row.x, ahat), row.u)
 
     def _check_motion(self, pairs: Sequence[tuple[Telemetry, Array]]) -> None:
         """Equation (1) to the bit, and the contraction, for each row and the state after it."""
@@ -291,15 +278,12 @@ class Observer:
             return
         past, x_next = zip(*pairs, strict=True)
         steps = [p.t for p in past]
-        moved = [
-            dynamics(self.a, self.b, self.graph, p.x, p.u, p.w, p.edge_open.view(np.bool_))
-            for p in past
-        ]
+        moved = [dynamics(self.a, self.b, self.graph, p.x, p.u, p.w, p.edge_open.view(np.bool_)) for p in past]
         equal = np.array([np.array_equal(m, x) for m, x in zip(moved, x_next, strict=True)])
         self.checks["dynamics"].see(np.where(equal, -1.0, 1.0), steps)
         bound = np.array([self.rho * np.abs(p.x).sum() + np.abs(p.w).sum() for p in past])
         norm = np.abs(x_next).sum(axis=1)
-        self.checks["contraction"].see(norm / (bound + 1e-300) - 1 - ROUNDING, steps)
+        self.checks["contraction"].see(norm / (bound + TINY) - 1 - ROUNDING, steps)
 
     def summary(self) -> dict[str, float | int | None]:
         """The metrics at the end, as verdict.json holds them; None for what is undefined."""

@@ -6,6 +6,7 @@ ends; at the end they become Parquet, in row groups of one size, so that equal r
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -50,26 +51,37 @@ class _Table:
 
 
 def to_parquet(stream: Path, parquet: Path) -> None:
-    """Turn an Arrow stream, whole or cut short, into a Parquet file, which appears under its name only when complete."""
+    """Turn an Arrow stream, whole or cut short, into a Parquet file, which is there whole or not at all."""
     part = parquet.with_suffix(".parquet.part")
-    with pa.OSFile(str(stream), "rb") as source, pa.ipc.open_stream(source) as reader:
-        with pq.ParquetWriter(part, reader.schema) as writer:
-            waiting: list[pa.RecordBatch] = []
-            rows = 0
-            for batch in _whole_batches(reader):
-                waiting.append(batch)
-                rows += batch.num_rows
-                if rows >= ROW_GROUP:
-                    table = pa.Table.from_batches(waiting)
-                    whole = rows - rows % ROW_GROUP
-                    writer.write_table(table.slice(0, whole), row_group_size=ROW_GROUP)
-                    waiting, rows = table.slice(whole).to_batches(), rows - whole
-            if rows:
-                writer.write_table(pa.Table.from_batches(waiting), row_group_size=ROW_GROUP)
-    part.rename(parquet)
+    try:
+        with (
+            pa.OSFile(str(stream), "rb") as source,
+            pa.ipc.open_stream(source) as reader,
+            pq.ParquetWriter(part, reader.schema) as writer,
+        ):
+            for table in _row_groups(reader):
+                writer.write_table(table, row_group_size=ROW_GROUP)
+        part.rename(parquet)
+    finally:
+        part.unlink(missing_ok=True)
 
 
-def _whole_batches(reader: Any) -> Any:
+def _row_groups(reader: Any) -> Iterator[pa.Table]:
+    """The stream as tables of a multiple of ROW_GROUP rows, and the rest."""
+    waiting: list[pa.RecordBatch] = []
+    rows = 0
+    for batch in _whole_batches(reader):
+        waiting.append(batch)
+        rows += batch.num_rows
+        if rows >= ROW_GROUP:
+            table, whole = pa.Table.from_batches(waiting), rows - rows % ROW_GROUP
+            yield table.slice(0, whole)
+            waiting, rows = table.slice(whole).to_batches(), rows - whole
+    if rows:
+        yield pa.Table.from_batches(waiting)
+
+
+def _whole_batches(reader: Any) -> Iterator[pa.RecordBatch]:
     while True:
         try:
             yield reader.read_next_batch()

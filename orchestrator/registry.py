@@ -39,8 +39,8 @@ def _directory() -> Path:
 
 
 @contextlib.contextmanager
-def announced(run: str, folder: Path, endpoint: str, namespace: str) -> Iterator[None]:
-    """List this process's run while the block lasts."""
+def announced(run: str, folder: Path, endpoint: str, namespace: str) -> Iterator[Path]:
+    """List this process's run while the block lasts; yields the file that does."""
     entry = Entry(run, str(folder), os.getpid(), endpoint, namespace, time.time())
     path = _directory() / f"{entry.run}-{entry.pid}.json"
     with path.open("w", encoding="utf-8") as file:
@@ -48,7 +48,7 @@ def announced(run: str, folder: Path, endpoint: str, namespace: str) -> Iterator
         file.write(json.dumps(asdict(entry)))
         file.flush()
         try:
-            yield
+            yield path
         finally:
             path.unlink(missing_ok=True)
 
@@ -78,9 +78,13 @@ def find(run: str | None) -> Entry:
     """The running network of that name (or a part of it), or the youngest."""
     entries = running()
     matching = [entry for entry in entries if run is None or entry.run == run]
-    matching = matching or [entry for entry in entries if run is not None and run in (entry.folder, Path(entry.folder).name)]
+    matching = matching or [
+        entry for entry in entries if run is not None and run in (entry.folder, Path(entry.folder).name)
+    ]
     matching = matching or [entry for entry in entries if run is not None and entry.run.startswith(run)]
     if not matching:
         names = ", ".join(entry.run for entry in entries) or "none"
-        raise UserError(f"{run or 'no network'}: is not running; running now: {names}" if run else "no network is running")
+        raise UserError(
+            f"{run or 'no network'}: is not running; running now: {names}" if run else "no network is running"
+        )
     return matching[-1]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,6 +13,8 @@ from orchestrator.folder import RunFolder, write_json
 from orchestrator.observe import Batch, Observer
 from orchestrator.record import Recorder
 from orchestrator.verdict import Ending, Verdict, judge
+from orchestrator.viewer import Viewer, start
+from topologies.errors import HedgerowError
 from topologies.schema import Topology
 from wire.codec import End, Telemetry
 
@@ -23,7 +26,7 @@ CLOSE_DEADLINE_S = 5.0
 
 @dataclass(frozen=True)
 class Watching:
-    """Where Rerun data goes: into run.rrd or not, and to which viewer (see orchestrator.viewer)."""
+    """Where Rerun data goes: into run.rrd or not, and to which viewer, as `orchestrator.viewer.choose` names it."""
 
     record: bool = True
     viewer: str = "none"
@@ -38,6 +41,7 @@ class Run:
         self._recorder = Recorder(topology, folder.path)
         self._watching = watching
         self._stream: RerunStream | None = None
+        self.viewer: Viewer | None = None
         self._first_at: float | None = None
 
     def take(self, rows: Sequence[Telemetry]) -> Batch:
@@ -57,6 +61,7 @@ class Run:
         self._recorder.write_end(self.observer, end)
         if self._stream is not None:
             self._stream.end(self.observer)
+            self._stream.event(f"the run ended after {end.t} steps", "INFO", end.t)
 
     def _open_stream(self) -> None:
         if not self._watching.record and self._watching.viewer == "none":
@@ -65,7 +70,11 @@ class Run:
         from orchestrator.rerun_stream import RerunStream  # noqa: PLC0415
 
         path = self.folder.recording if self._watching.record else None
-        self._stream = RerunStream(self.topology, self.observer, self.folder.name, path, self._watching.viewer)
+        self.viewer = start(self._watching.viewer)
+        self._stream = RerunStream(self.topology, self.observer, self.folder.name, path, self.viewer)
+        self.folder.event(
+            "recording", path=str(path) if path else None, viewer=self.viewer.url if self.viewer else None
+        )
 
     def close_tables(self) -> None:
         """Bring the tables into their final form; nothing can be taken in afterwards."""
@@ -73,15 +82,21 @@ class Run:
 
     def close(self) -> Verdict:
         """Close the tables and the recording, judge the run and write the verdict."""
-        if self._stream is not None and not self._stream.close(CLOSE_DEADLINE_S):
-            self.folder.event("viewer_stalled", deadline_s=CLOSE_DEADLINE_S)
-        self.close_tables()
+        try:
+            if self._stream is not None and not self._stream.close(CLOSE_DEADLINE_S):
+                self.folder.event("viewer_stalled", deadline_s=CLOSE_DEADLINE_S)
+            self.close_tables()
+        except (OSError, HedgerowError) as error:  # a full disk: the streams hold what was recorded, and can be read
+            self.ending.stopped = self.ending.stopped or str(error)
         verdict = judge(self.topology, self.observer, self.ending)
-        write_json(self.folder.verdict, verdict.content)
-        self.folder.event("verdict", verdict=verdict.verdict, reasons=verdict.content["reasons"])
+        with contextlib.suppress(OSError):
+            self.folder.event("verdict", verdict=verdict.verdict, reasons=verdict.content["reasons"])
+            write_json(self.folder.verdict, verdict.content)
         return verdict
 
 
 def same_tables(one: Path, other: Path) -> bool:
     """Whether two run folders hold the same telemetry, bit for bit."""
-    return all((one / name).read_bytes() == (other / name).read_bytes() for name in ("telemetry.parquet", "edges.parquet"))
+    return all(
+        (one / name).read_bytes() == (other / name).read_bytes() for name in ("telemetry.parquet", "edges.parquet")
+    )

@@ -20,6 +20,9 @@ LINE_EVERY_S = 2.0
 class Screen(Protocol):
     """Told of a run's course; says it in its own way."""
 
+    interactive: bool
+    """whether somebody sits before it"""
+
     def say(self, text: str) -> None:
         """Something that happened."""
 
@@ -34,11 +37,21 @@ def _rate(steps: int, seconds: float) -> str:
     return f"{steps / seconds:.0f} steps/s" if seconds > 0 else ""
 
 
+def _left_behind(folder: Path) -> str:
+    recording = folder / "run.rrd"
+    if not recording.exists():
+        return f"run folder {folder}"
+    # The viewer ships with rerun-sdk, beside our own interpreter, which need not be on the PATH.
+    return f"run folder {folder}\nopen its recording with: {Path(sys.executable).with_name('rerun')} {recording}"
+
+
 class Lines:
     """Plain lines, for logs and pipes."""
 
+    interactive = False
+
     def __init__(self, steps: int) -> None:
-        self._steps, self._began, self._said = steps, time.monotonic(), 0.0
+        self._steps, self._said = steps, time.monotonic()
 
     def say(self, text: str) -> None:
         print(text, flush=True)
@@ -47,15 +60,19 @@ class Lines:
         now, done = time.monotonic(), int(batch.t[-1]) + 1
         if now - self._said >= LINE_EVERY_S:
             self._said = now
-            self.say(f"step {done} of {self._steps}, regret D {batch.regret_sum[-1]:.4g}, {batch.right[-1]} estimates right")
+            self.say(
+                f"step {done} of {self._steps}, regret D {batch.regret_sum[-1]:.4g}, {batch.right[-1]} estimates right"
+            )
 
     def verdict(self, verdict: Verdict, folder: Path) -> None:
-        self.say(f"run folder {folder}")
+        self.say(_left_behind(folder))
         self.say(verdict.line())
 
 
 class Bar:
     """A progress bar on a terminal."""
+
+    interactive = True
 
     def __init__(self, steps: int) -> None:
         self._console = Console(highlight=False, soft_wrap=True)
@@ -78,13 +95,15 @@ class Bar:
 
     def verdict(self, verdict: Verdict, folder: Path) -> None:
         self._bar.stop()
-        self.say(f"run folder {folder}")
+        self.say(_left_behind(folder))
         colour = {VALID: "green", INVALID: "bold red"}.get(verdict.verdict, "yellow")
         self._console.print(verdict.line(), style=colour, markup=False)
 
 
 class Json:
     """One JSON object on standard output, when all is over; the rest goes to standard error."""
+
+    interactive = False
 
     def say(self, text: str) -> None:
         print(text, file=sys.stderr, flush=True)

@@ -7,10 +7,11 @@ import tempfile
 import time
 from pathlib import Path
 
+from agents.shard import LawError
 from orchestrator import in_process
 from orchestrator.assign import Layout, truth_of, views_of
 from orchestrator.folder import RunFolder, create
-from orchestrator.interrupts import Interrupts
+from orchestrator.interrupts import EndNowError, Interrupts
 from orchestrator.run import Run, Watching, same_tables
 from orchestrator.screen import Json, Screen
 from orchestrator.verdict import Ending, Verdict
@@ -28,16 +29,21 @@ def simulate(topology: Topology, folder: RunFolder, shards: Layout, watching: Wa
     began = time.monotonic()
     telemetry = in_process.run(truth_of(topology, shards), views_of(topology, shards))
     with Interrupts() as interrupts:
-        while rows := list(itertools.islice(telemetry, BATCH_STEPS)):
-            if steps := [row for row in rows if isinstance(row, Telemetry)]:
-                screen.progress(run.take(steps))
-                ending.first_step_s = ending.first_step_s or time.monotonic() - began
-            if isinstance(rows[-1], End):
-                run.finish(rows[-1])
-            elif interrupts.count:
-                ending.stopped = f"stopped by {interrupts.name} at step {run.observer.next_step}"
-                break
-        return run.close()
+        try:
+            while rows := list(itertools.islice(telemetry, BATCH_STEPS)):
+                if steps := [row for row in rows if isinstance(row, Telemetry)]:
+                    screen.progress(run.take(steps))
+                    ending.first_step_s = ending.first_step_s or time.monotonic() - began
+                if isinstance(rows[-1], End):
+                    run.finish(rows[-1])
+                elif interrupts.count:
+                    ending.stopped = f"stopped at step {run.observer.next_step}: {interrupts.name}"
+                    break
+        except (EndNowError, LawError, OSError) as error:
+            ending.stopped = f"stopped at step {run.observer.next_step}: {error}"
+        verdict = run.close()
+        screen.verdict(verdict, folder.path)
+        return verdict
 
 
 def equals_reference(topology: Topology, folder: RunFolder) -> bool:

@@ -42,7 +42,7 @@ class Dead:
 
 
 def socket_path(folder: RunFolder) -> Path:
-    """Where the router listens: in the run's own folder, or in a private one when that path is too long for a socket."""
+    """Where the router listens: in the run's folder, or in a private one when that path is too long for a socket."""
     if len(os.fsencode(folder.socket)) <= MAX_SOCKET_PATH:
         return folder.socket
     return Path(tempfile.mkdtemp(prefix="hedgerow-")) / "router.sock"
@@ -59,13 +59,13 @@ class Processes:
 
     def start_agent(self, view: View) -> None:
         """Launch one shard with its local view and nothing else."""
-        name = keys.shard_name(view.shard)
+        name = f"agent-{view.nodes[0].id}" if len(view.nodes) == 1 else f"shard-{view.shard}"
         self._start(name, "agents", view.to_json(), [])
 
-    def start_plant(self, truth: Truth, rate: float, deadline_s: float, socket: Path | None) -> None:
-        """Launch the plant; should we die, it removes the router's `socket`."""
-        options = ["--rate", str(rate), "--deadline", str(deadline_s)]
-        self._start(keys.PLANT, "plant", truth.to_json(), [*options, *(["--remove", str(socket)] if socket else [])])
+    def start_plant(self, truth: Truth, rate: float, deadline_s: float, socket: Path | None, listed: Path) -> None:
+        """Launch the plant; should we die, it removes our router's `socket` and our entry among running networks."""
+        options = ["--rate", str(rate), "--deadline", str(deadline_s), "--listed", str(listed)]
+        self._start(keys.PLANT, "plant", truth.to_json(), [*options, *(["--socket", str(socket)] if socket else [])])
 
     def _start(self, name: str, module: str, told: str, options: Sequence[str]) -> None:
         file = self._folder.processes / f"{name}.json"
@@ -127,7 +127,8 @@ class Processes:
 
 def cause(dead: Sequence[Dead]) -> HedgerowError:
     """What to tell the user about processes that died: a mistake of theirs if one says so, else what happened."""
-    mistakes = [one for one in dead if one.code == 2]
+    mistakes = [one for one in dead if one.code == 2 and one.error]
     if mistakes:
         return UserError(mistakes[0].error)
-    return ProcessError("; ".join(str(one) for one in dead[:4]))
+    others = f" (and {len(dead) - 1} more: {', '.join(one.name for one in dead[1:8])})" if len(dead) > 1 else ""
+    return ProcessError(f"{dead[0]}{others}")

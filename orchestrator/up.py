@@ -8,7 +8,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import zenoh
@@ -23,11 +23,12 @@ from orchestrator.screen import Screen
 from orchestrator.simulate import equals_reference
 from orchestrator.supervise import Dead, Processes, cause, socket_path
 from orchestrator.verdict import Ending, Verdict
+from orchestrator.viewer import Viewer
 from topologies.errors import UserError
 from topologies.schema import Topology
 from wire import keys
 from wire.codec import Kind, decode_end, decode_telemetry, encode_seen, kind_of
-from wire.session import WireError, open_client, open_router, publisher, subscriber
+from wire.session import WireError, open_client, open_router, publisher, remove_socket, subscriber
 
 TICK_S = 0.2
 """How often telemetry is taken in: in batches, off the loop's path."""
@@ -46,7 +47,7 @@ class Options:
     """how long the plant waits for an input before it gives up"""
     router: str | None = None
     """an existing router's endpoint; None for one of our own"""
-    watching: Watching = Watching()
+    watching: Watching = field(default_factory=Watching)
     verify: bool = False
     """compare with the in-process reference afterwards"""
 
@@ -62,7 +63,7 @@ class _Inbox:
 
     def put(self, _: str, message: bytes) -> None:
         self._messages.append(message)
-        if self.first_at is None:
+        if self.first_at is None and kind_of(message) == Kind.TELEMETRY:
             self.first_at = time.monotonic()
             self.wake.set()
         elif len(self._messages) >= WAKE_ROWS or kind_of(message) == Kind.END:
@@ -83,51 +84,71 @@ class Network:
         self._screen, self._began = screen, began
         self._ending = Ending(run=folder.name, engine="zenoh", processes=len(shards))
         self._inbox = _Inbox()
+        self._namespace = f"hedgerow/{folder.name}-{secrets.token_hex(4)}"
+        self._socket = socket_path(folder) if options.router is None else None
+        self._endpoint = options.router or f"unixsock-stream/{self._socket}"
         self._asked_at: float | None = None
-        """when the plant was asked to stop"""
+        """when the plant was first asked to stop"""
+        self._answered = False
 
-    def run(self, on_first_step: Callable[[], None] = lambda: None) -> Verdict:
-        """Launch, observe until the end or an interrupt, clean up, and judge; UserError when a process says so."""
-        with Interrupts(self._inbox.wake.set) as interrupts:
+    def run(self, on_first_step: Callable[[float], None] = lambda _: None) -> Verdict:
+        """Launch, observe until the end or an interrupt, clean up, and judge; UserError when a process says so.
+
+        `on_first_step` is called with the seconds from the command to the first step, once it is done.
+        """
+        dead: list[Dead] = []
+        with Interrupts(self._inbox.wake.set) as interrupts, self._announced() as listed:
             run = Run(self._topology, self._folder, self._options.watching, self._ending)
-            dead: list[Dead] = []
             try:
                 with contextlib.ExitStack() as stack:
-                    processes, session = self._launch(stack)
+                    processes, session = self._launch(stack, listed)
                     try:
                         self._observe(run, session, processes, interrupts, on_first_step)
                         processes.wait(END_DEADLINE_S)
                     finally:
                         dead = processes.dead()
             except (EndNowError, WireError, OSError) as error:
-                self._ending.stopped = f"{error} at step {run.observer.next_step}"
+                self._ending.stopped = str(error)
             self._explain(run, dead)
             if self._options.verify and not self._ending.stopped:
                 run.close_tables()
                 self._ending.reference_equal = equals_reference(self._topology, self._folder)
             verdict = run.close()
+            self._screen.verdict(verdict, self._folder.path)
+            if run.viewer is not None:
+                self._serve(run.viewer, interrupts)
         mistake = cause(dead) if dead else None
         if isinstance(mistake, UserError):
             raise mistake
         return verdict
 
-    def _launch(self, stack: contextlib.ExitStack) -> tuple[Processes, zenoh.Session]:
+    def _serve(self, viewer: Viewer, interrupts: Interrupts) -> None:
+        """Keep a web page up until Ctrl-C, where somebody can press that."""
+        if viewer.link is not None and self._screen.interactive and not interrupts.count:
+            self._screen.say(f"{viewer.link} stays until Ctrl-C")
+            self._inbox.wake.clear()
+            while not interrupts.count:
+                self._inbox.wake.wait(TICK_S)
+        viewer.end()
+
+    def _announced(self) -> contextlib.AbstractContextManager[Path]:
+        return registry.announced(self._folder.name, self._folder.path, self._endpoint, self._namespace)
+
+    def _launch(self, stack: contextlib.ExitStack, listed: Path) -> tuple[Processes, zenoh.Session]:
         """Router, processes, our own session; each is undone when `stack` closes, however that comes."""
-        namespace = f"hedgerow/{self._folder.name}-{secrets.token_hex(4)}"
-        endpoint, socket = self._options.router, None
-        if endpoint is None:
-            socket = socket_path(self._folder)
-            endpoint = f"unixsock-stream/{socket}"
-            stack.callback(_remove_socket, socket, self._folder)
-            stack.enter_context(open_router(endpoint))
-        processes = Processes(self._folder, namespace, endpoint)
+        if self._socket is not None:
+            stack.callback(_remove_socket, self._socket, self._folder)
+            stack.enter_context(open_router(self._endpoint))
+        processes = Processes(self._folder, self._namespace, self._endpoint)
         stack.callback(processes.kill)
-        processes.start_plant(truth_of(self._topology, self._shards), self._options.rate, self._options.deadline_s, socket)
+        truth = truth_of(self._topology, self._shards)
+        processes.start_plant(truth, self._options.rate, self._options.deadline_s, self._socket, listed)
         for view in views_of(self._topology, self._shards):
             processes.start_agent(view)
-        session = stack.enter_context(open_client(endpoint, namespace))
-        stack.enter_context(registry.announced(self._folder.name, self._folder.path, endpoint, namespace))
-        self._folder.event("start", engine="zenoh", endpoint=endpoint, namespace=namespace, pids=processes.pids)
+        session = stack.enter_context(open_client(self._endpoint, self._namespace))
+        self._folder.event(
+            "start", engine="zenoh", endpoint=self._endpoint, namespace=self._namespace, pids=processes.pids
+        )
         return processes, session
 
     def _observe(
@@ -136,27 +157,25 @@ class Network:
         session: zenoh.Session,
         processes: Processes,
         interrupts: Interrupts,
-        on_first_step: Callable[[], None],
+        on_first_step: Callable[[float], None],
     ) -> None:
         """Take telemetry in, batch by batch, until the plant's END or until there is nobody to wait for."""
-        subscriber(session, keys.TELEMETRY, self._inbox.put)
-        seen = publisher(session, keys.SEEN)
-        while run.observer.end is None:
-            self._inbox.wake.wait(TICK_S)
-            self._inbox.wake.clear()
-            gone = processes.ended(keys.PLANT)
-            if self._take_in(run):
-                seen.put(encode_seen(run.observer.next_step - 1))
+        with subscriber(session, keys.TELEMETRY, self._inbox.put):
+            seen = publisher(session, keys.SEEN)
+            while run.observer.end is None:
+                self._inbox.wake.wait(TICK_S)
+                self._inbox.wake.clear()
                 if self._ending.first_step_s is None and self._inbox.first_at is not None:
                     self._ending.first_step_s = self._inbox.first_at - self._began
                     self._folder.event("first_step", after_s=round(self._ending.first_step_s, 3))
-                    on_first_step()
-            elif gone or (self._asked_at is not None and time.monotonic() - self._asked_at > END_DEADLINE_S):
-                return
-            if self._asked_at is None and (interrupts.count or processes.dead()):
-                if interrupts.count:
-                    self._ending.stopped = f"stopped by {interrupts.name}"
-                self._ask_to_stop(session)
+                    on_first_step(self._ending.first_step_s)
+                nobody_left = processes.ended(keys.PLANT) or self._asked_long_ago()
+                if self._take_in(run):
+                    seen.put(encode_seen(run.observer.next_step - 1))
+                elif nobody_left:
+                    return
+                if interrupts.count or processes.dead():
+                    self._ask_to_stop(session, interrupts.name)
 
     def _take_in(self, run: Run) -> bool:
         """Observe what has come; whether anything had."""
@@ -164,28 +183,39 @@ class Network:
         n, e = len(self._topology.ids), len(self._topology.edges)
         rows = [decode_telemetry(message, n, e) for message in messages if kind_of(message) == Kind.TELEMETRY]
         if rows:
+            unseen = run.viewer is None
             self._screen.progress(run.take(rows))
+            if unseen and run.viewer is not None:
+                self._screen.say(f"watch it at {run.viewer.link or run.viewer.url}")
         if messages and kind_of(messages[-1]) == Kind.END:
             run.finish(decode_end(messages[-1], n))
         return bool(messages)
 
-    def _ask_to_stop(self, session: zenoh.Session) -> None:
-        self._asked_at = time.monotonic()
-        # A plant that is gone or frozen does not answer; the deadline of _observe takes care of it.
-        with contextlib.suppress(WireError):
-            ask(session, keys.STOP)
+    def _ask_to_stop(self, session: zenoh.Session, why: str) -> None:
+        """Ask the plant to end the run, again at every tick until it answers: it may not have begun yet."""
+        if self._asked_at is None:
+            self._asked_at = time.monotonic()
+            self._ending.stopped = why
+            self._folder.event("stopping", why=why or "a process died")
+        if not self._answered:
+            with contextlib.suppress(WireError):
+                ask(session, keys.STOP, timeout_s=1.0)
+                self._answered = True
+
+    def _asked_long_ago(self) -> bool:
+        return self._asked_at is not None and time.monotonic() - self._asked_at > END_DEADLINE_S
 
     def _explain(self, run: Run, dead: list[Dead]) -> None:
         """Why the run ended before its last step, if it did."""
         done = run.observer.end.t if run.observer.end is not None else run.observer.next_step
-        if dead and not self._ending.stopped:
-            self._ending.stopped = str(cause(dead))
+        if dead:
             self._folder.event("processes_died", processes=[str(one) for one in dead])
-        elif done < self._topology.steps and " at step " not in self._ending.stopped:
-            self._ending.stopped = f"{self._ending.stopped or 'stopped on request'} at step {done}"
+        if done < self._topology.steps:
+            reason = self._ending.stopped or (str(cause(dead)) if dead else "stopped on request")
+            self._ending.stopped = f"stopped at step {done}: {reason}"
 
 
 def _remove_socket(socket: Path, folder: RunFolder) -> None:
-    socket.unlink(missing_ok=True)
+    remove_socket(socket)
     if socket != folder.socket:
         socket.parent.rmdir()

@@ -6,8 +6,6 @@ import math
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-
 from orchestrator.folder import versions
 from orchestrator.observe import Observer, Worst
 from topologies.schema import LAWS, Topology
@@ -60,8 +58,8 @@ class Verdict:
             numbers.append(f"{c['steps_per_s']:.0f} steps/s")
         if m:
             numbers += [
-                f"regret D {m['regret']:.4g} (nominal {m['regret_nominal']:.4g})",
-                f"cost regret {m['cost_regret']:+.4g}",
+                f"regret D {_number(m['regret'])} (nominal {_number(m['regret_nominal'])})",
+                f"cost regret {_number(m['cost_regret'], '+')}",
                 f"gain {_number(m['gain'])} (gamma* {m['gamma_star']:.4g} is the oracle's)",
                 f"{m['nodes_right']} of {c['nodes']} estimates right",
             ]
@@ -69,16 +67,14 @@ class Verdict:
         return f"{self.verdict}{why}: {', '.join(numbers)}"
 
 
-def _number(value: float | None) -> str:
-    return "undefined" if value is None else f"{value:.4g}"
+def _number(value: float | None, sign: str = "") -> str:
+    return "undefined" if value is None else f"{value:{sign}.4g}"
 
 
 def judge(topology: Topology, observer: Observer, ending: Ending) -> Verdict:
     """The verdict of a run: INVALID if any check failed, unknown if it ended early or lost rows, else valid."""
     claimed = {
-        name: worst
-        for name, worst in observer.checks.items()
-        if topology.law in LAWS or name not in _OF_THE_LAW
+        name: worst for name, worst in observer.checks.items() if topology.law in LAWS or name not in _OF_THE_LAW
     }
     checks = {name: _check(name, worst) for name, worst in claimed.items()}
     if ending.reference_equal is not None:
@@ -86,11 +82,7 @@ def judge(topology: Topology, observer: Observer, ending: Ending) -> Verdict:
             "ok": ending.reference_equal,
             "claim": "telemetry equals the in-process reference, bit for bit",
         }
-    failed = [
-        f"{name} fails at step {check.get('step', '?')}"
-        for name, check in checks.items()
-        if not check["ok"]
-    ]
+    failed = [f"{name} fails at step {check.get('step', '?')}" for name, check in checks.items() if not check["ok"]]
     doubts = []
     if ending.stopped:
         doubts.append(ending.stopped)
@@ -120,7 +112,7 @@ def judge(topology: Topology, observer: Observer, ending: Ending) -> Verdict:
         "first_step_s": ending.first_step_s,
         "lost_rows": len(observer.lost) * observer.graph.n,
         "checks": checks,
-        "metrics": observer.summary() if done else {},
+        "metrics": {name: _finite(value) for name, value in observer.summary().items()} if done else {},
         "versions": versions(),
     }
     return Verdict(verdict, content)
@@ -132,10 +124,10 @@ def _check(name: str, worst: Worst) -> dict[str, Any]:
         "claim": CLAIMS[name],
         "steps": worst.steps,
         "step": worst.step,
-        "excess": worst.excess if math.isfinite(worst.excess) else None,
+        "excess": _finite(worst.excess),
     }
 
 
-def finite(value: float | np.floating[Any]) -> float | None:
+def _finite(value: float | int | None) -> float | int | None:
     """A number that JSON can hold."""
-    return float(value) if np.isfinite(value) else None
+    return value if value is not None and math.isfinite(value) else None

@@ -39,7 +39,7 @@ from wire.codec import (
     encode_state,
     encode_telemetry,
 )
-from wire.session import open_client, publisher, subscriber, wait_for_listeners
+from wire.session import open_client, publisher, remove_socket, subscriber, wait_for_listeners
 
 LOG = logging.getLogger("plant")
 START_DEADLINE_S = 60.0
@@ -88,9 +88,7 @@ class _Inputs:
 class Plant:
     """The plant's process, from the first state to the end."""
 
-    def __init__(
-        self, truth: Truth, namespace: str, endpoint: str, rate: float, deadline_s: float
-    ) -> None:
+    def __init__(self, truth: Truth, namespace: str, endpoint: str, rate: float, deadline_s: float) -> None:
         n, e = len(truth.ids), len(truth.edges)
         self.truth = truth
         self.world = World(truth)
@@ -126,12 +124,8 @@ class Plant:
                 lambda key, message: self._take_input(shard_of.get(key), message),
             ),
             subscriber(session, keys.SEEN, lambda _, message: self._take_seen(message)),
-            session.declare_queryable(
-                keys.STATUS, zenoh.handlers.Callback(self._answer_status, indirect=False)
-            ),
-            session.declare_queryable(
-                keys.STOP, zenoh.handlers.Callback(self._answer_stop, indirect=False)
-            ),
+            session.declare_queryable(keys.STATUS, zenoh.handlers.Callback(self._answer_status, indirect=False)),
+            session.declare_queryable(keys.STOP, zenoh.handlers.Callback(self._answer_stop, indirect=False)),
             session.liveliness().declare_subscriber(
                 keys.ALIVE, zenoh.handlers.Callback(self._take_alive, indirect=False), history=True
             ),
@@ -169,9 +163,7 @@ class Plant:
 
         if not self._changed.wait_for(all_alive, START_DEADLINE_S):
             late = [self._name(p) for p, shard in enumerate(self._shards) if not shard.alive]
-            raise DeadlineError(
-                f"{', '.join(late[:8])} not ready after {START_DEADLINE_S:g} s; see their logs"
-            )
+            raise DeadlineError(f"{', '.join(late[:8])} not ready after {START_DEADLINE_S:g} s; see their logs")
 
     def _prepare(self) -> None:
         """Make state(t) ready, and let it go if it may; end when t is the last."""
@@ -206,12 +198,9 @@ class Plant:
             return 0.0
         if clock.held:
             self._release()
-            if (
-                clock.held
-                and now - max(clock.sent_at, clock.due(self.world.t)) > OBSERVER_DEADLINE_S
-            ):
+            if clock.held and now - max(clock.sent_at, clock.due(self.world.t)) > OBSERVER_DEADLINE_S:
                 raise DeadlineError(
-                    f"step {self.world.t}: the observer has taken in nothing since step {self._seen} for {OBSERVER_DEADLINE_S:g} s"
+                    f"step {self.world.t}: the observer has taken in nothing for {OBSERVER_DEADLINE_S:g} s"
                 )
             return max(self._wait_s(), 0.0) if clock.held else RESEND_AFTER_S
         waited = now - clock.sent_at
@@ -220,9 +209,7 @@ class Plant:
                 f"{self._name(p)} (alive: {'yes' if self._shards[p].alive else 'no'})"
                 for p in sorted(self._inputs.missing)
             )
-            raise DeadlineError(
-                f"step {self.world.t}: no input from {names} for {waited:.1f} s; see its log"
-            )
+            raise DeadlineError(f"step {self.world.t}: no input from {names} for {waited:.1f} s; see its log")
         if waited > RESEND_AFTER_S * (clock.repeats + 1):
             clock.repeats += 1
             LOG.info(
@@ -239,9 +226,7 @@ class Plant:
         t, x, u, report = self.world.t, self.world.x, self._inputs.u.copy(), self._inputs.report
         w = self.world.step(u, self._edge_open)
         self._clock.elapsed_s = time.monotonic() - self._clock.started
-        row = encode_telemetry(
-            Telemetry(t, x, u, w, report, self._edge_open.view(np.uint8), self._link_up)
-        )
+        row = encode_telemetry(Telemetry(t, x, u, w, report, self._edge_open.view(np.uint8), self._link_up))
         self._prepare()
         self._telemetry.put(row)
 
@@ -275,9 +260,7 @@ class Plant:
             try:
                 arrived = decode_input(message, len(shard.nodes))
                 if not np.isfinite(arrived.u).all():
-                    raise MessageError(
-                        f"step {arrived.t}: an input of {self._name(p)} is not finite; see its law"
-                    )
+                    raise MessageError(f"step {arrived.t}: an input is not finite")
             except MessageError as error:
                 self.refused += 1
                 if self.refused == 1:
@@ -336,24 +319,23 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     parser.add_argument("truth", type=Path, help="the true network, a JSON file")
     parser.add_argument("--namespace", required=True, help="the Zenoh namespace of the run")
     parser.add_argument("--connect", required=True, help="the router, a Zenoh endpoint")
-    parser.add_argument(
-        "--rate", type=float, default=0.0, help="steps per second; 0 for as fast as possible"
-    )
-    parser.add_argument(
-        "--deadline", type=float, default=10.0, help="seconds to wait for an input before giving up"
-    )
-    parser.add_argument(
-        "--remove", type=Path, help="a file to remove if the parent dies: the router's socket"
-    )
+    parser.add_argument("--rate", type=float, default=0.0, help="steps per second; 0 for as fast as possible")
+    parser.add_argument("--deadline", type=float, default=10.0, help="seconds to wait for an input before giving up")
+    parser.add_argument("--socket", type=Path, help="the parent's router's Unix socket, removed should the parent die")
+    parser.add_argument("--listed", type=Path, help="the parent's entry among running networks, likewise")
     known = parser.parse_args(arguments)
 
     def body() -> None:
-        plant = Plant(
-            Truth.read(known.truth), known.namespace, known.connect, known.rate, known.deadline
-        )
+        plant = Plant(Truth.read(known.truth), known.namespace, known.connect, known.rate, known.deadline)
         try:
             plant.run()
         finally:
             plant.close()
 
-    run_child(body, lambda: known.remove.unlink(missing_ok=True) if known.remove else None)
+    def clear_up() -> None:
+        if known.listed:
+            known.listed.unlink(missing_ok=True)
+        if known.socket:
+            remove_socket(known.socket)
+
+    run_child(body, clear_up)

@@ -9,9 +9,7 @@ from plant.truth import Truth
 from topologies.graph import Array, Graph, Mask
 
 
-def dynamics(
-    a: Array, b: float, graph: Graph, x: Array, u: Array, w: Array, edge_open: Mask
-) -> Array:
+def dynamics(a: Array, b: float, graph: Graph, x: Array, u: Array, w: Array, edge_open: Mask) -> Array:
     """x(t+1), (n,), from x(t), u(t), w(t) (n,) and the edges open at t (E,); equation (1)."""
     return a * x + b * graph.flow(u, edge_open) + w
 

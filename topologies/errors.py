@@ -38,8 +38,4 @@ class TopologyError(UserError):
     def __init__(self, source: str, problems: Sequence[Problem]) -> None:
         self.source = source
         self.problems = tuple(sorted(set(problems)))
-        super().__init__(
-            "\n".join(
-                f"{source}:{p.line}: {p}" if p.line else f"{source}: {p}" for p in self.problems
-            )
-        )
+        super().__init__("\n".join(f"{source}:{p.line}: {p}" if p.line else f"{source}: {p}" for p in self.problems))

@@ -35,11 +35,8 @@ def satisfies_condition(a: float, b: float, degree: int) -> bool:
 
 
 def contraction(a: Array, candidates: Sequence[Array]) -> float:
-    """rho = max_j max(a_j, max_m a_jm - a_j) of |x(t+1)|_1 <= rho |x(t)|_1 + |w(t)|_1, whatever is estimated."""
-    return max(
-        max(float(a_j), float(np.max(a_jm)) - float(a_j))
-        for a_j, a_jm in zip(a, candidates, strict=True)
-    )
+    """The rho = max_j max(a_j, max_m a_jm - a_j) of |x(t+1)|_1 <= rho |x(t)|_1 + |w(t)|_1, whatever is estimated."""
+    return max(max(float(a_j), float(np.max(a_jm)) - float(a_j)) for a_j, a_jm in zip(a, candidates, strict=True))
 
 
 def _q(a: Array, b: float, graph: Graph) -> scipy.sparse.csc_array:

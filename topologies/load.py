@@ -34,10 +34,8 @@ def find(name: str) -> FilePath:
         if (path / "topology.yaml").is_file():
             return path / "topology.yaml"
         if path.is_dir() and name not in bundled():
-            raise UserError(
-                f"{name}: is a directory, and no run's folder; name a topology file in it"
-            )
-        if path.is_file() or path.exists() and not path.is_dir():
+            raise UserError(f"{name}: is a directory, and no run's folder; name a topology file in it")
+        if path.is_file() or (path.exists() and not path.is_dir()):
             return path
     except OSError as error:
         raise UserError(f"{name}: {error.strerror}; check the path and its permissions") from None
@@ -63,9 +61,7 @@ def load(name: str, overrides: Sequence[str] = ()) -> Topology:
             )
         text = path.read_bytes()
     except OSError as error:
-        raise UserError(
-            f"{path}: cannot be read: {error.strerror}; check its permissions"
-        ) from None
+        raise UserError(f"{path}: cannot be read: {error.strerror}; check its permissions") from None
     return parse(text, str(path), path.parent, overrides)
 
 
@@ -87,6 +83,7 @@ def parse(text: bytes, name: str, folder: FilePath, overrides: Sequence[str] = (
     if not isinstance(source.value, dict):
         found = f"a topology is a mapping, this is {_shown(source.value)}"
         raise TopologyError(name, [Problem(1, "", found, "start with `name: …`")])
+    _nodes_as_mapping(source)
     for override in overrides:
         _override(source, override)
     _nodes_as_mapping(source)
@@ -104,21 +101,22 @@ def _override(source: Source, override: str) -> None:
     if not equals or not where:
         raise UserError(f"--set {override}: is not path=value; for example --set defaults.x0=5")
     value = read_source(f"--set {where}", text.encode()).value
-    keys: list[Any] = [
-        int(step) if step.lstrip("-").isdigit() else step for step in where.split(".")
-    ]
+    keys: list[Any] = [node_id(step) for step in where.split(".")]
     at = source.value
     for depth, key in enumerate(keys):
         last = depth == len(keys) - 1
         if isinstance(at, list) and isinstance(key, int) and -len(at) <= key < len(at):
+            keys[depth] = key % len(at)
             at[key] = value if last else copy.deepcopy(at[key])
-        elif isinstance(at, dict):
+        elif isinstance(at, dict) and (last or key in at or keys[:depth] != ["nodes"]):
             at[key] = value if last else copy.deepcopy(at.get(key) or {})
         else:
-            raise UserError(
-                f"--set {override}: there is no {'.'.join(map(str, keys[: depth + 1]))} in {source.name}"
-            )
+            raise UserError(f"--set {override}: there is no {'.'.join(map(str, keys[: depth + 1]))} in {source.name}")
         at = at[key]
+    # What the command line says stands on no line of the file.
+    path = tuple(keys)
+    source.lines |= {inside: 0 for inside in source.lines if inside[: len(path)] == path}
+    source.lines[path] = 0
 
 
 def _nodes_as_mapping(source: Source) -> None:
@@ -131,37 +129,23 @@ def _nodes_as_mapping(source: Source) -> None:
     for k, written in enumerate(nodes):
         line = source.line(("nodes", k if isinstance(nodes, list) else written))
         node = node_id(written)
-        if isinstance(node, bool) or not isinstance(node, int | str):
+        if not (isinstance(node, str) or (type(node) is int and -(2**63) <= node < 2**63)):
             source.problems.append(
-                Problem(
-                    line, "nodes", f"{_shown(node)} is no node id", "use names or whole numbers"
-                )
+                Problem(line, "nodes", f"{_shown(node)} is no node id", "use names or whole numbers")
             )
         elif node in mapping:
             first = f"first on line {lines['nodes', node]}"
             source.problems.append(
-                Problem(
-                    line, "nodes", f"{node!r} stands here twice ({first})", "keep one of the two"
-                )
+                Problem(line, "nodes", f"{node!r} stands here twice ({first})", "keep one of the two")
             )
         else:
             mapping[node] = {} if isinstance(nodes, list) else nodes[written]
             lines["nodes", node] = line
             if node != written:
                 inside = [path for path in source.lines if path[:2] == ("nodes", written)]
-                lines.update(
-                    {
-                        (*path[:1], node, *path[2:]): source.lines[path]
-                        for path in inside
-                        if len(path) > 2
-                    }
-                )
+                lines.update({(*path[:1], node, *path[2:]): source.lines[path] for path in inside if len(path) > 2})
     if isinstance(nodes, list):
-        source.lines = {
-            path: line
-            for path, line in source.lines.items()
-            if path[:1] != ("nodes",) or len(path) == 1
-        }
+        source.lines = {path: line for path, line in source.lines.items() if path[:1] != ("nodes",) or len(path) == 1}
     source.lines.update(lines)
     source.value["nodes"] = mapping
 
@@ -187,16 +171,12 @@ _STAND_INS = {"name": "unnamed", "b": 1e-9, "steps": 1}
 
 def _without(value: dict[str, Any], found: Iterable[ErrorDetails]) -> dict[str, Any]:
     kept = dict(value)
-    kept["nodes"] = {
-        node: dict(own) if isinstance(own, dict) else {} for node, own in value["nodes"].items()
-    }
+    kept["nodes"] = {node: dict(own) if isinstance(own, dict) else {} for node, own in value["nodes"].items()}
     if isinstance(value.get("defaults"), dict):
         kept["defaults"] = dict(value["defaults"])
     for details in found:
         match details["loc"]:
-            case ("nodes", node, field, *_) if (
-                isinstance(kept["nodes"].get(node), dict) and field != "[key]"
-            ):
+            case ("nodes", node, field, *_) if isinstance(kept["nodes"].get(node), dict) and field != "[key]":
                 kept["nodes"][node].pop(field, None)
             case ("nodes", node, *_):
                 kept["nodes"].pop(node, None)
@@ -216,23 +196,26 @@ def _problem(source: Source, details: ErrorDetails) -> Problem:
     path, at = _trace(source.value, details["loc"])
     kind, last = details["type"], details["loc"][-1]
     if kind == "missing" and isinstance(last, int):
-        return Problem(
-            source.line(path), place_of(path), f"{_shown(at)} has too few members", "a pair has two"
-        )
+        return Problem(source.line(path), place_of(path), f"{_shown(at)} has too few members", "a pair has two")
     if kind == "missing":
+        return Problem(source.line(path), place_of(path), f"`{last}:` is missing", f"add `{last}: …`")
+    if kind == "invalid_key":
+        path, at = _trace(source.value, details["loc"][:-1])
+        key = next((key for key in at if str(key) == str(last)), last)
+        names = ", ".join(_known_keys(path))
+        cure = f"known keys are {names}" if names else "remove it"
+        return Problem(source.line((*path, key)), place_of(path), f"{_shown(key)} is no key", cure)
+    if kind == "literal_error" and last == "kind":
         return Problem(
-            source.line(path), place_of(path), f"`{last}:` is missing", f"add `{last}: …`"
+            source.line(path),
+            place_of(path),
+            f"{_shown(at)} is no disturbance of a whole network",
+            "write `worst_case`, or give it to the nodes or under `defaults:`",
         )
     if kind == "extra_forbidden":
         known = _known_keys(path[:-1])
-        near = difflib.get_close_matches(str(last), known, 1)
-        cure = (
-            f"did you mean `{near[0]}`?"
-            if near
-            else f"known keys are {', '.join(known)}"
-            if known
-            else "remove it"
-        )
+        near = difflib.get_close_matches(str(last), known, 1, 0.5)
+        cure = f"did you mean `{near[0]}`?" if near else f"known keys are {', '.join(known)}" if known else "remove it"
         return Problem(source.line(path), place_of(path[:-1]), f"unknown key `{last}`", cure)
     context = details.get("ctx", {})
     what, cure = {
@@ -262,8 +245,11 @@ def _problem(source: Source, details: ErrorDetails) -> Problem:
 
 
 _ABOUT_VALUE = frozenset(
-    "finite_number greater_than greater_than_equal less_than less_than_equal int_type number literal_error string_type "
-    "too_short too_long tuple_type dict_type model_type".split()
+    (
+        *("finite_number", "greater_than", "greater_than_equal", "less_than", "less_than_equal"),
+        *("int_type", "number", "literal_error", "string_type", "too_short", "too_long"),
+        *("tuple_type", "dict_type", "model_type"),
+    )
 )
 
 

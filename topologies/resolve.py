@@ -27,6 +27,7 @@ from topologies.schema import (
     Topology,
     Uniform,
 )
+from topologies.source import FLOAT
 
 M = TypeVar("M", bound=Model)
 
@@ -59,11 +60,7 @@ def resolve(topology: Topology, folder: Path = Path()) -> Topology:
         interval = allowed_interval(topology.b, int(degree[k]))
         assert interval is not None, "rules.py refuses a node with no interval"
         candidates, a = _model(settings, interval, draws, k)
-        parts = (
-            settings.disturbance
-            if isinstance(settings.disturbance, tuple)
-            else (settings.disturbance,)
-        )
+        parts = settings.disturbance if isinstance(settings.disturbance, tuple) else (settings.disturbance,)
         resolved = []
         for number, part in enumerate(parts):
             if isinstance(part, Samples) and part.file is not None:
@@ -98,17 +95,13 @@ def _numbers(part: M, what: str, draws: _Draws, k: int) -> M:
     return part.model_copy(update=drawn) if drawn else part
 
 
-def _model(
-    settings: Node, interval: tuple[float, float], draws: _Draws, k: int
-) -> tuple[tuple[float, ...], float]:
+def _model(settings: Node, interval: tuple[float, float], draws: _Draws, k: int) -> tuple[tuple[float, ...], float]:
     """The candidates and the truth; a truth that is given takes the place of one of the drawn candidates."""
     low, high = interval
     pick = float(draws.of("a", k)[0])
     candidates, a = settings.candidates, settings.a
     if isinstance(candidates, Drawn):
-        drawn = low + (high - low) * draws.of(
-            f"candidates {candidates.random}", k, candidates.random
-        )
+        drawn = low + (high - low) * draws.of(f"candidates {candidates.random}", k, candidates.random)
         candidates = tuple(float(value) for value in drawn)
         if isinstance(a, float) and a not in candidates:
             place = int(pick * len(candidates))
@@ -122,9 +115,7 @@ def _worst_case(topology: Topology) -> Topology:
     _, direction = smallest_eigenpair(truth(topology), topology.b, topology.graph)
     values = np.sqrt(topology.disturbance.energy) * direction
     nodes = {
-        node: own.model_copy(
-            update={"disturbance": Constant(value=float(value)) if value else Nothing()}
-        )
+        node: own.model_copy(update={"disturbance": Constant(value=float(value)) if value else Nothing()})
         for (node, own), value in zip(topology.nodes.items(), values, strict=True)
     }
     return topology.model_copy(update={"nodes": nodes, "disturbance": None})
@@ -138,9 +129,7 @@ def truth(topology: Topology) -> Array:
 def to_yaml(topology: Topology) -> str:
     """A topology as YAML text that `topologies.load` reads back to the same bits."""
     whole = topology.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
-    whole["nodes"] = {
-        node: own.model_dump(mode="json", exclude_none=True) for node, own in topology.nodes.items()
-    }
+    whole["nodes"] = {node: own.model_dump(mode="json", exclude_none=True) for node, own in topology.nodes.items()}
     whole["edges"] = [list(edge) for edge in topology.edges]
     return yaml.dump(whole, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=10**6)
 
@@ -160,3 +149,5 @@ def _float(dumper: yaml.CSafeDumper, value: float) -> yaml.ScalarNode:
 
 
 _Dumper.add_representer(float, _float)
+# YAML 1.1 reads `1e5` and `08` as text and leaves them bare; to our reader they are numbers.
+_Dumper.add_implicit_resolver("tag:yaml.org,2002:float", FLOAT, list("-+.0123456789"))

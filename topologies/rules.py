@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path as FilePath
 
 from topologies.errors import Problem
@@ -26,7 +26,7 @@ def broken_rules(topology: Topology, source: Source, folder: FilePath) -> list[P
 def _edges(topology: Topology, source: Source) -> Iterator[Problem]:
     seen: dict[frozenset[int | str], int] = {}
     # Edges that the schema refused are not in the topology: find the others' lines by their ends.
-    rows = _rows(topology, source)
+    rows = _rows(topology, source) if topology.edges else []
     for (i, j), k in zip(topology.edges, rows, strict=True):
         line, place = source.line(("edges", k)), place_of(("edges", k))
         for end in dict.fromkeys((i, j)):
@@ -49,14 +49,10 @@ def _edges(topology: Topology, source: Source) -> Iterator[Problem]:
 
 
 def _rows(topology: Topology, source: Source) -> list[int]:
-    written = source.value.get("edges") or []
-    if len(written) == len(topology.edges):
+    if len(topology.edges) == len(written := source.value.get("edges") or []):
         return list(range(len(written)))
-    kept = iter(range(len(written)))
-    return [
-        next(k for k in kept if [*map(node_id, written[k])] == list(edge))
-        for edge in topology.edges
-    ]
+    pairs = iter([(k, pair) for k, pair in enumerate(written) if isinstance(pair, list)])
+    return [next(k for k, pair in pairs if [*map(node_id, pair)] == list(edge)) for edge in topology.edges]
 
 
 def _degrees(topology: Topology) -> Counter[int | str]:
@@ -69,18 +65,14 @@ def _nodes(topology: Topology, source: Source) -> Iterator[Problem]:
     for node in topology.ids:
         settings, degree = topology.settings(node), degrees[node]
 
-        def problem(key: str, what: str, cure: str, node: int | str = node) -> Problem:
+        def problem(key: str, what: str, cure: str, *inside: int, node: int | str = node) -> Problem:
             own = getattr(topology.nodes[node], key) is not None
-            path = (
-                ("nodes", node, key)
-                if own or not getattr(topology.defaults, key)
-                else ("defaults", key)
-            )
-            return Problem(source.line(path), f"node {node}: {key}", what, cure)
+            path = ("nodes", node) if own or getattr(topology.defaults, key) is None else ("defaults",)
+            return Problem(source.line((*path, key, *inside)), f"node {node}: {key}", what, cure)
 
         interval = allowed_interval(b, degree)
         if interval is None:
-            line, room = source.line(("nodes", node)), math.ceil(1 / (8 * b * b)) - 1
+            line, room = source.line(("nodes", node)), max(0, math.ceil(1 / (8 * b * b)) - 1)
             what = f"8 b² d = {8 * b * b * degree:.4g} is not below 1 (b = {b:g}, degree {degree}): no a satisfies condition (3)"
             yield Problem(
                 line,
@@ -93,14 +85,20 @@ def _nodes(topology: Topology, source: Source) -> Iterator[Problem]:
         why = f"the interval of condition (3) for b = {b:g} and degree {degree}"
 
         def outside(
-            key: str, value: float, problem: object = problem, bounds: str = bounds, why: str = why
+            key: str,
+            value: float,
+            *inside: int,
+            problem: Callable[..., Problem] = problem,
+            bounds: str = bounds,
+            why: str = why,
         ) -> Problem:
-            return problem(key, f"{value!r} is outside {bounds}, {why}", "choose a value inside it")  # type: ignore[operator, no-any-return]
+            what = f"{value!r} is outside {bounds}, {why}"
+            return problem(key, what, "choose a value inside it", *inside)
 
         listed = settings.candidates if isinstance(settings.candidates, tuple) else ()
-        for value in listed:
+        for m, value in enumerate(listed):
             if not satisfies_condition(value, b, degree):
-                yield outside("candidates", value)
+                yield outside("candidates", value, m)
         if isinstance(settings.a, float):
             if listed and settings.a not in listed:
                 shown = ", ".join(f"{value:g}" for value in listed[:12])
@@ -128,11 +126,7 @@ def _disturbances(topology: Topology, source: Source, folder: FilePath) -> Itera
     inherit = [node for node, own in topology.nodes.items() if own.disturbance is None]
     places.append((("defaults",), topology.defaults, inherit))
     for path, settings, nodes in places:
-        parts = (
-            settings.disturbance
-            if isinstance(settings.disturbance, tuple)
-            else (settings.disturbance,)
-        )
+        parts = settings.disturbance if isinstance(settings.disturbance, tuple) else (settings.disturbance,)
         for part in parts:
             if isinstance(part, Samples):
                 place = (*path, "disturbance")
@@ -150,24 +144,16 @@ def _disturbances(topology: Topology, source: Source, folder: FilePath) -> Itera
 
 
 def _ranges(settings: Node) -> Iterator[list[tuple[str, float, float]]]:
-    parts = (
-        settings.disturbance if isinstance(settings.disturbance, tuple) else (settings.disturbance,)
-    )
+    parts = settings.disturbance if isinstance(settings.disturbance, tuple) else (settings.disturbance,)
     for name, model in (
         ("x0", settings),
         *(("disturbance", part) for part in parts if part is not None),
     ):
-        values = (
-            [model.x0]
-            if isinstance(model, Node)
-            else [getattr(model, key) for key in type(model).model_fields]
-        )
+        values = [model.x0] if isinstance(model, Node) else [getattr(model, key) for key in type(model).model_fields]
         yield [(name, v.low, v.high) for v in values if hasattr(v, "random") and v.low > v.high]
 
 
-def _samples(
-    part: Samples, nodes: list[int | str], topology: Topology, folder: FilePath
-) -> Iterator[tuple[str, str]]:
+def _samples(part: Samples, nodes: list[int | str], topology: Topology, folder: FilePath) -> Iterator[tuple[str, str]]:
     if (part.values is None) == (part.file is None):
         yield "samples have either `values:` or `file:`", "give exactly one of them"
     elif part.values is not None:

@@ -36,9 +36,7 @@ def columns(file: str, folder: Path, ids: Sequence[int | str]) -> dict[int | str
     if all(cell in by_name for cell in first) and len(set(first)) == len(first):
         header, rows = [by_name[cell] for cell in first], rows[1:]
     elif len(first) != len(ids):
-        raise ValueError(
-            f"{file}: {len(first)} columns for {len(ids)} nodes, and no header of node ids"
-        )
+        raise ValueError(f"{file}: {len(first)} columns for {len(ids)} nodes, and no header of node ids")
     table: dict[int | str, list[float]] = {node: [] for node in header}
     for number, row in enumerate(rows, 1):
         if len(row) != len(header):
@@ -49,8 +47,6 @@ def columns(file: str, folder: Path, ids: Sequence[int | str]) -> dict[int | str
             except ValueError:
                 value = math.nan
             if not math.isfinite(value):
-                raise ValueError(
-                    f"{file}: row {number}, node {node}: {cell!r} is not a finite number"
-                )
+                raise ValueError(f"{file}: row {number}, node {node}: {cell!r} is not a finite number")
             table[node].append(value)
     return table

@@ -71,7 +71,7 @@ def node_id(value: Any) -> Any:
 
 
 NodeId = Annotated[
-    Annotated[StrictInt, Tag("id")] | Annotated[Name, Tag("name")],
+    Annotated[StrictInt, Field(ge=-(2**63), lt=2**63), Tag("id")] | Annotated[Name, Tag("name")],
     Discriminator(lambda value: "name" if isinstance(value, str) else "id"),
     BeforeValidator(node_id),
 ]
@@ -92,12 +92,16 @@ class Uniform(Model):
         return self.random[1]
 
 
+class NonNegativeUniform(Uniform):
+    """A number of at least 0 left to chance: drawn uniformly from [low, high)."""
+
+    random: tuple[NonNegative, NonNegative] = Field(description="[low, high]")
+
+
 class Drawn(Model):
     """Candidates left to chance: this many, drawn uniformly from the interval that condition (3) allows."""
 
-    random: Annotated[StrictInt, Field(ge=1, le=1000)] = Field(
-        description="how many candidates, the paper's M"
-    )
+    random: Annotated[StrictInt, Field(ge=1, le=1000)] = Field(description="how many candidates, the paper's M")
 
 
 def _mapping_or(other: str) -> Discriminator:
@@ -113,8 +117,7 @@ Truth = Annotated[
     Discriminator(lambda value: "word" if isinstance(value, str) else "number"),
 ]
 Candidates = Annotated[
-    Annotated[Annotated[tuple[Number, ...], Field(min_length=1)], Tag("list")]
-    | Annotated[Drawn, Tag("random")],
+    Annotated[Annotated[tuple[Number, ...], Field(min_length=1)], Tag("list")] | Annotated[Drawn, Tag("random")],
     _mapping_or("list"),
 ]
 
@@ -140,7 +143,7 @@ class White(Model):
 
     kind: Literal["white"] = "white"
     std: Annotated[
-        Annotated[NonNegative, Tag("number")] | Annotated[Uniform, Tag("random")],
+        Annotated[NonNegative, Tag("number")] | Annotated[NonNegativeUniform, Tag("random")],
         _mapping_or("number"),
     ] = Field(description="standard deviation")
 
@@ -226,9 +229,7 @@ class Node(Model):
 class Defaults(Node):
     """What holds for every node that does not say otherwise."""
 
-    FALLBACK: ClassVar[Node] = Node(
-        a="random", candidates=Drawn(random=5), x0=0.0, nominal=0.5, disturbance=Nothing()
-    )
+    FALLBACK: ClassVar[Node] = Node(a="random", candidates=Drawn(random=5), x0=0.0, nominal=0.5, disturbance=Nothing())
 
 
 def _nodes(value: Any) -> Any:
@@ -237,34 +238,24 @@ def _nodes(value: Any) -> Any:
         return {node: {} for node in value if isinstance(node, int | str)}
     if isinstance(value, dict):
         return {node: {} if settings is None else settings for node, settings in value.items()}
-    raise PydanticCustomError(
-        "nodes", "expects a list of node ids, or a mapping from ids to what they override"
-    )
+    raise PydanticCustomError("nodes", "expects a list of node ids, or a mapping from ids to what they override")
 
 
 class Topology(Model):
     """A network: its nodes, edges, law and disturbances, and how long it runs."""
 
     name: Name = Field(description="names the run")
-    b: Annotated[Number, Field(gt=0)] = Field(description="the gain b of (1)")
-    steps: Steps = Field(
-        description="T: inputs act at t = 0 .. T-1, states are recorded at t = 0 .. T"
-    )
-    seed: Annotated[StrictInt, Field(ge=0, lt=2**63)] = Field(
-        0, description="all that is random is drawn from it"
-    )
+    b: Annotated[Number, Field(gt=0, lt=1e100)] = Field(description="the gain b of (1)")
+    steps: Steps = Field(description="T: inputs act at t = 0 .. T-1, states are recorded at t = 0 .. T")
+    seed: Annotated[StrictInt, Field(ge=0, lt=2**63)] = Field(0, description="all that is random is drawn from it")
     law: Annotated[str, AfterValidator(_law)] = Field(
         "minimax", description="minimax (6)-(7), hinf (8), nominal, or package.module:Class"
     )
-    defaults: Defaults = Field(
-        Defaults(), description="what holds for every node that does not say otherwise"
-    )
+    defaults: Defaults = Field(Defaults(), description="what holds for every node that does not say otherwise")
     nodes: Annotated[dict[NodeId, Node], Field(min_length=1), BeforeValidator(_nodes)] = Field(
         description="ids, or a mapping from ids to what they override"
     )
-    edges: tuple[tuple[NodeId, NodeId], ...] = Field(
-        (), description="undirected pairs of node ids, each once"
-    )
+    edges: tuple[tuple[NodeId, NodeId], ...] = Field((), description="undirected pairs of node ids, each once")
     disturbance: Annotated[WorstCase, BeforeValidator(_bare_kind)] | None = Field(
         None,
         description="`worst_case`: one disturbance for the whole network, in place of the nodes' own",

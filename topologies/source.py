@@ -22,17 +22,13 @@ MAX_VALUES = 5_000_000
 Path = tuple[str | int, ...]
 
 _INT = re.compile(r"[-+]?[0-9]+\Z")
-_FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?\Z")
+FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?\Z")
 _WORDS: dict[str, Any] = {
     **dict.fromkeys(("", "~", "null", "Null", "NULL")),
     **dict.fromkeys(("true", "True", "TRUE"), True),
     **dict.fromkeys(("false", "False", "FALSE"), False),
     **dict.fromkeys((".nan", ".NaN", ".NAN"), float("nan")),
-    **{
-        sign + word: float(sign + "inf")
-        for sign in ("", "+", "-")
-        for word in (".inf", ".Inf", ".INF")
-    },
+    **{sign + word: float(sign + "inf") for sign in ("", "+", "-") for word in (".inf", ".Inf", ".INF")},
 }
 # Python's int() refuses more digits than this in one number.
 _MAX_DIGITS = 4000
@@ -63,7 +59,8 @@ def read_source(name: str, text: bytes) -> Source:
         line = text[: error.start].count(b"\n") + 1
         _refuse(source, line, f"byte {error.start} is not UTF-8 text", "save the file as UTF-8")
     except yaml.reader.ReaderError as error:
-        _refuse(source, 0, f"not YAML: {error.reason}", "remove the character")
+        line = text[: error.position].count(b"\n") + 1
+        _refuse(source, line, f"not YAML: {error.reason}", "remove the character")
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else 0
         rest = text.splitlines()[line - 1 : line]
@@ -136,9 +133,7 @@ def _build(text: str, source: Source) -> None:  # noqa: PLR0912, PLR0915 (one sw
             if value in top.items:
                 where = f"first on line {source.lines[path]}"
                 what = f"{value!r} stands here twice ({where})"
-                source.problems.append(
-                    Problem(mark.line + 1, place_of(top.path), what, "keep one of the two")
-                )
+                source.problems.append(Problem(mark.line + 1, place_of(top.path), what, "keep one of the two"))
             source.lines[path] = mark.line + 1
             top.key, top.has_key = value, True
         else:
@@ -173,9 +168,7 @@ def _build(text: str, source: Source) -> None:  # noqa: PLR0912, PLR0915 (one sw
                     refuse(mark, f"nested more than {MAX_DEPTH} deep", "no topology needs that")
                 if stack and isinstance(stack[-1].items, dict) and not stack[-1].has_key:
                     refuse(mark, "a collection cannot be a key", "use a name or a whole number")
-                items: dict[Any, Any] | list[Any] = (
-                    {} if isinstance(event, yaml.MappingStartEvent) else []
-                )
+                items: dict[Any, Any] | list[Any] = {} if isinstance(event, yaml.MappingStartEvent) else []
                 stack.append(_Open(path_here(mark.line + 1), items, event.anchor))
             case yaml.MappingEndEvent() | yaml.SequenceEndEvent():
                 done = stack.pop()
@@ -190,7 +183,7 @@ def _scalar(text: str) -> Any:
         return _WORDS[text]
     if len(text) <= _MAX_DIGITS and _INT.match(text):
         return int(text)
-    return float(text) if _FLOAT.match(text) else text
+    return float(text) if FLOAT.match(text) else text
 
 
 def place_of(path: Path) -> str:
@@ -198,6 +191,6 @@ def place_of(path: Path) -> str:
     words = [str(step) for step in path]
     if len(path) >= 2 and path[0] == "nodes":
         words[:2] = [f"node {path[1]}"]
-    elif len(path) >= 2 and path[0] == "edges":
-        words[:2] = [f"edge {int(path[1]) + 1}"]
+    elif len(path) >= 2 and path[0] == "edges" and isinstance(path[1], int):
+        words[:2] = [f"edge {path[1] + 1}"]
     return ": ".join(words)

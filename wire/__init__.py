@@ -1,1 +1,1 @@
-"""How processes talk: key expressions, the message codec, Zenoh sessions, and the line that ends a child with its parent."""
+"""How processes talk: key expressions, the message codec, Zenoh sessions, and how a process begins and ends."""

@@ -27,9 +27,7 @@ def run_child(body: Callable[[], None], on_orphaned: Callable[[], None] = lambda
         format="%(asctime)s.%(msecs)03d %(name)s: %(message)s",
         datefmt="%H:%M:%S",
     )
-    threading.Thread(
-        target=_watch_parent, args=(on_orphaned,), name="lifeline", daemon=True
-    ).start()
+    threading.Thread(target=_watch_parent, args=(on_orphaned,), name="lifeline", daemon=True).start()
     code = 0
     try:
         body()

@@ -117,13 +117,10 @@ def _open(message: bytes, kind: Kind, n: int, size: int) -> int:
         raise MessageError(f"{len(message)} bytes are too short for a header of {_HEADER.size}")
     version, found, _, nodes, t = _HEADER.unpack_from(message)
     if version != VERSION:
-        raise MessageError(
-            f"version {version}, and this process speaks {VERSION}: install the same release everywhere"
-        )
+        raise MessageError(f"version {version}, and this process speaks {VERSION}: install the same release everywhere")
     if (found, nodes, len(message)) != (kind, n, _HEADER.size + size):
-        raise MessageError(
-            f"kind {found} with {nodes} nodes in {len(message)} bytes, expected {kind.name} ({kind}) with {n} nodes in {_HEADER.size + size}"
-        )
+        right = f"{kind.name} ({kind}) with {n} nodes in {_HEADER.size + size}"
+        raise MessageError(f"kind {found} with {nodes} nodes in {len(message)} bytes, expected {right}")
     if t < 0:
         raise MessageError(f"step {t} is before the first")
     return int(t)
@@ -152,9 +149,7 @@ def encode_input(t: int, u: Array, report: Array) -> bytes:
 def decode_input(message: bytes, k: int) -> Input:
     """An Input of k nodes."""
     t = _open(message, Kind.INPUT, k, 8 * k * (1 + REPORT_WIDTH))
-    return Input(
-        t, _floats(message, k), _floats(message, k * REPORT_WIDTH, k).reshape(k, REPORT_WIDTH)
-    )
+    return Input(t, _floats(message, k), _floats(message, k * REPORT_WIDTH, k).reshape(k, REPORT_WIDTH))
 
 
 def encode_link(t: int, x: Array, u: Array) -> bytes:
@@ -190,9 +185,7 @@ def decode_telemetry(message: bytes, n: int, e: int) -> Telemetry:
     values = _floats(message, n * floats)
     bits = np.frombuffer(message, _U1, 3 * e, _HEADER.size + 8 * n * floats)
     report = values[3 * n :].reshape(n, REPORT_WIDTH)
-    return Telemetry(
-        t, values[:n], values[n : 2 * n], values[2 * n : 3 * n], report, bits[:e], bits[e:]
-    )
+    return Telemetry(t, values[:n], values[n : 2 * n], values[2 * n : 3 * n], report, bits[:e], bits[e:])
 
 
 def encode_end(end: End) -> bytes:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 import threading
 from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
 
 import zenoh
 
 from topologies.errors import DeadlineError, HedgerowError
 
-_RUNTIME = "(rx: (worker_threads: 1), tx: (worker_threads: 1), app: (worker_threads: 1), net: (worker_threads: 1), acc: (worker_threads: 1))"
+_RUNTIME = ", ".join(f"{duty}: (worker_threads: 1)" for duty in ("rx", "tx", "app", "net", "acc"))
 """One thread for each duty of Zenoh's runtime: many processes share few cores (docs/performance.md)."""
 
 CONNECT_TIMEOUT_S = 10.0
@@ -23,12 +25,12 @@ class WireError(HedgerowError):
 
 def runtime_environment() -> dict[str, str]:
     """What to set in the environment of a process before it loads Zenoh."""
-    return {"ZENOH_RUNTIME": _RUNTIME}
+    return {"ZENOH_RUNTIME": f"({_RUNTIME})"}
 
 
 def _config(namespace: str | None, settings: dict[str, object]) -> zenoh.Config:
     config = zenoh.Config()
-    quiet = {
+    quiet: dict[str, object] = {
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
         "timestamping/enabled": False,
@@ -49,9 +51,13 @@ def open_router(endpoint: str) -> zenoh.Session:
         raise WireError(f"no router on {endpoint}: {error}") from None
 
 
-def open_client(
-    endpoint: str, namespace: str, timeout_s: float = CONNECT_TIMEOUT_S
-) -> zenoh.Session:
+def remove_socket(socket: Path) -> None:
+    """Remove what a router that was killed leaves of its Unix socket, if anything."""
+    for path in (socket, Path(f"{socket}.lock")):
+        path.unlink(missing_ok=True)
+
+
+def open_client(endpoint: str, namespace: str, timeout_s: float = CONNECT_TIMEOUT_S) -> zenoh.Session:
     """A client of the router at `endpoint`; its keys stand under `namespace`. Raises WireError past `timeout_s`."""
     settings: dict[str, object] = {
         "mode": "client",
@@ -78,10 +84,11 @@ def publisher(session: zenoh.Session, key: str) -> zenoh.Publisher:
     )
 
 
-def wait_for_listeners(
-    publishers: Sequence[zenoh.Publisher], timeout_s: float = LISTEN_TIMEOUT_S
-) -> None:
-    """Return once every publisher has a subscriber, so that nothing said from now on is lost; or raise DeadlineError."""
+def wait_for_listeners(publishers: Sequence[zenoh.Publisher], timeout_s: float = LISTEN_TIMEOUT_S) -> None:
+    """Return once every publisher has a subscriber, so that nothing said from now on is lost.
+
+    Raises DeadlineError past `timeout_s`.
+    """
     heard = threading.Event()
 
     def on_change(_: zenoh.MatchingStatus) -> None:
@@ -90,7 +97,7 @@ def wait_for_listeners(
     listener = zenoh.handlers.Callback(on_change, indirect=False)
     for one in publishers:
         with one.declare_matching_listener(listener):
-            while not one.matching_status.matching:
+            while not _has_listener(one):
                 if not heard.wait(timeout_s):
                     raise DeadlineError(
                         f"nobody listens on {one.key_expr} after {timeout_s:g} s; see that process's log"
@@ -98,9 +105,13 @@ def wait_for_listeners(
                 heard.clear()
 
 
-def subscriber(
-    session: zenoh.Session, key: str, take: Callable[[str, bytes], None]
-) -> zenoh.Subscriber[None]:
+def _has_listener(one: zenoh.Publisher) -> bool:
+    # Its type is said to be bool, yet it is an object that is always true.
+    status: Any = one.matching_status
+    return bool(status.matching)
+
+
+def subscriber(session: zenoh.Session, key: str, take: Callable[[str, bytes], None]) -> zenoh.Subscriber[None]:
     """Call `take(key, payload)` for each message, on the network thread: it must not wait for anything."""
 
     def on_sample(sample: zenoh.Sample) -> None:

@@ -1,0 +1,21 @@
+"""Acts half as hard as equation (6) would on the smallest candidate, and learns nothing."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from agents.law import Array
+
+
+class Damped:
+    def __init__(self, b: float, candidates: Sequence[Sequence[float]]) -> None:
+        self.gain = np.array([0.5 * b / (1.0 - min(listed)) for listed in candidates])
+
+    def act(self, x: Array) -> Array:
+        return -self.gain * x
+
+    def learn(self, x: Array, flow: Array, x_next: Array) -> None:
+        pass
+
+    def report(self) -> Array:
+        return np.full((len(self.gain), 4), np.nan)

@@ -1,0 +1,9 @@
+"""Not allowed: each node acts on what the other nodes of its process are doing."""
+
+from agents.law import Array, Minimax
+
+
+class Gossip(Minimax):
+    def act(self, x: Array) -> Array:
+        apart: Array = x - x.mean()
+        return super().act(x) + 0.01 * apart

@@ -1,0 +1,293 @@
+"""Writes docs/topology.md from docs/topology.md.in, the schema, the bundled files, and what the command prints.
+
+    python docs/generate.py           write it
+    python docs/generate.py --check   exit with 1 when it is stale
+
+A line `<!-- generate: NAME ARGUMENT -->` of the template is replaced by what the function of that name returns.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import subprocess
+import sys
+import tempfile
+import types
+import typing
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Union, get_args, get_origin
+
+import annotated_types as limits
+import yaml
+from pydantic import AfterValidator
+from pydantic.fields import FieldInfo
+
+from topologies import schema
+from topologies.load import bundled, find, load, parse
+from topologies.resolve import resolve
+
+DOCS = Path(__file__).parent
+TEMPLATE, RESULT = DOCS / "topology.md.in", DOCS / "topology.md"
+
+WRITTEN = {
+    "nodes": "list of node ids, or mapping from node ids to [what they override](#a-node)",
+    "defaults": "mapping, [as of a node](#a-node)",
+    "edges": "list of pairs of node ids",
+    "law": "`minimax`, `hinf`, `nominal` or `package.module:Class`",
+    "disturbance": "[`worst_case`](#worst_case)",
+}
+"""What the types of the whole file cannot say in plain words."""
+VALIDATED = {"_one_line_name": "name"}
+"""Types that a validator narrows, by the validator's name."""
+PLAIN = {float: "number", int: "whole number", str: "text", Any: "anything"}
+LIMITS = {
+    limits.Gt: ("gt", "above"),
+    limits.Ge: ("ge", "at least"),
+    limits.Lt: ("lt", "below"),
+    limits.Le: ("le", "at most"),
+    limits.MinLen: ("min_length", "at least"),
+}
+EXAMPLES: dict[str, Any] = {
+    "sinusoid": {"kind": "sinusoid", "amplitude": 0.5, "omega": 0.3, "phase": 1.57},
+    "constant": {"kind": "constant", "value": -0.05},
+    "white": {"kind": "white", "std": {"random": [0.1, 0.5]}},
+    "impulse": {"kind": "impulse", "at": 20, "value": 10},
+    "samples": {"kind": "samples", "values": [0.1, 0.0, -0.1]},
+    "none": "none",
+    "worst_case": {"kind": "worst_case", "energy": 1},
+}
+"""One disturbance of each kind; the generator fails when a kind has none, or when one is refused."""
+
+
+def words(hint: Any, where: Sequence[Any] = ()) -> str:
+    """A type in plain words; `where` are the limits that surround it."""
+    origin, inside = get_origin(hint), get_args(hint)
+    if origin is Annotated:
+        return words(inside[0], [*where, *_flat(inside[1:])])
+    if origin in (Union, types.UnionType):
+        return " or ".join(dict.fromkeys(words(one, where) for one in inside if one is not type(None)))
+    if origin is tuple and any(isinstance(one, limits.MaxLen) and one.max_length == 0 for one in where):
+        return "empty list"
+    if origin is tuple:
+        member = words(inside[0])
+        said = f"list of {member}" + ("" if member.startswith("[") else "s")
+    elif isinstance(hint, type) and issubclass(hint, schema.Model):
+        said = "[`{random: …}`](#left-to-chance)" if "random" in hint.model_fields else "[disturbance](#disturbances)"
+    else:
+        names = [getattr(one.func, "__name__", "") for one in where if isinstance(one, AfterValidator)]
+        said = next((VALIDATED[name] for name in names if name in VALIDATED), "")
+        said = said or " or ".join(f"`{value}`" for value in inside) or PLAIN[hint]
+    around = [
+        f"{LIMITS[type(one)][1]} {_power(getattr(one, LIMITS[type(one)][0]))}" for one in where if type(one) in LIMITS
+    ]
+    return said + (f" ({', '.join(around)})" if around else "")
+
+
+def _flat(metadata: Sequence[Any]) -> Iterator[Any]:
+    for one in metadata:
+        if isinstance(one, FieldInfo):
+            yield from one.metadata
+        else:
+            yield one
+
+
+def _power(value: float) -> str:
+    if isinstance(value, int) and value >= 2**20 and value.bit_count() == 1:
+        return f"2^{value.bit_length() - 1}"
+    return f"{value:g}"
+
+
+def flow(value: Any) -> str:
+    """A value as it stands in a file, on one line."""
+    if isinstance(value, schema.Model):
+        value = value.model_dump()
+        value = value["kind"] if list(value) == ["kind"] else value
+    return yaml.safe_dump(value, default_flow_style=True, sort_keys=False, width=1000).removesuffix("\n...\n").strip()
+
+
+def keys(model: type[schema.Model], hide: Sequence[str] = (), default: Callable[[str], str] | None = None) -> str:
+    """The table of a model's keys."""
+    hints = typing.get_type_hints(model, include_extras=True)
+    rows = ["| key | type | default | what it says |", "|---|---|---|---|"]
+    for name, field in model.model_fields.items():
+        if name in hide:
+            continue
+        if not field.description:
+            raise SystemExit(f"{model.__name__}.{name} has no description: give it one in topologies/schema.py")
+        kind = WRITTEN.get(name, "") if model is schema.Topology else ""
+        kind = kind or words(hints[name])
+        if default is not None:
+            otherwise = default(name)
+        elif field.is_required():
+            otherwise = "required"
+        else:
+            otherwise = "—" if field.default in (None, ()) else f"`{flow(field.default)}`"
+        described = field.description.replace("|", "\\|")
+        rows.append(f"| `{name}` | {kind} | {otherwise} | {described} |")
+    return "\n".join(rows)
+
+
+def topology() -> str:
+    """The keys of a whole file."""
+    return keys(schema.Topology, default=lambda name: _default_of_file(schema.Topology.model_fields[name]))
+
+
+def _default_of_file(field: FieldInfo) -> str:
+    if field.is_required():
+        return "required"
+    return "—" if isinstance(field.default, schema.Node) or field.default in (None, ()) else f"`{field.default}`"
+
+
+def node() -> str:
+    """The keys of a node, with what holds where neither the node nor `defaults:` says anything."""
+    return keys(schema.Node, default=lambda name: f"`{flow(getattr(schema.Defaults.FALLBACK, name))}`")
+
+
+def _kinds() -> list[type[schema.Model]]:
+    """Every model that has a `kind`, in the order of the schema."""
+    models = [one for one in vars(schema).values() if isinstance(one, type) and issubclass(one, schema.Model)]
+    kinds = [one for one in models if "kind" in one.model_fields]
+    if missing := {one.model_fields["kind"].default for one in kinds} - EXAMPLES.keys():
+        raise SystemExit(f"no example of {', '.join(missing)}: add one to EXAMPLES in docs/generate.py")
+    return kinds
+
+
+def disturbances() -> str:
+    """Each kind of disturbance: its formula, an example that was read, its keys."""
+    parts = []
+    for model in _kinds():
+        kind = model.model_fields["kind"].default
+        example = EXAMPLES[kind]
+        network: dict[str, Any] = {"name": "one", "b": 0.1, "steps": 3, "nodes": [1, 2], "edges": [[1, 2]]}
+        if model is schema.WorstCase:
+            network["disturbance"] = example
+        else:
+            network["defaults"] = {"disturbance": example}
+        resolve(parse(yaml.safe_dump(network).encode(), kind, DOCS))
+        formula = (model.__doc__ or "").strip().splitlines()[0]
+        parts.append(f"### {kind}\n\n{formula}\n\n```yaml\ndisturbance: {flow(example)}\n```")
+        if len(model.model_fields) > 1:
+            parts.append(keys(model, hide=["kind"]))
+    return "\n\n".join(parts)
+
+
+def random() -> str:
+    """The models that leave something to chance, and the keys under which each may stand."""
+    rows = ["| written | may stand at | what is drawn |", "|---|---|---|"]
+    owners: list[type[schema.Model]] = [schema.Node, *_kinds()]
+    for model in (schema.Drawn, schema.Uniform, schema.NonNegativeUniform):
+        inside = "M" if model is schema.Drawn else "[low, high]"
+        places = []
+        for owner in owners:
+            hints = typing.get_type_hints(owner, include_extras=True)
+            places += [_place(owner, name) for name in owner.model_fields if model in _members(hints[name])]
+        rows.append(f"| `{{random: {inside}}}` | {', '.join(places)} | {(model.__doc__ or '').strip()} |")
+    rows.insert(2, "| `random` | `a` | The truth: one of the node's candidates, each as likely. |")
+    return "\n".join(rows)
+
+
+def _place(owner: type[schema.Model], name: str) -> str:
+    return f"`{name}`" if owner is schema.Node else f"`{owner.model_fields['kind'].default}.{name}`"
+
+
+def _members(hint: Any) -> Iterator[Any]:
+    """The members of a union, not what stands inside lists or models."""
+    if get_origin(hint) is Annotated:
+        yield from _members(get_args(hint)[0])
+    elif get_origin(hint) in (Union, types.UnionType):
+        for one in get_args(hint):
+            yield from _members(one)
+    else:
+        yield hint
+
+
+def bundled_files() -> str:
+    """The topologies that ship with the package, and how each of their files begins."""
+    rows = ["| name | nodes | edges | steps | what it is |", "|---|---|---|---|---|"]
+    for name in bundled():
+        network, comment = load(name), []
+        for line in find(name).read_text(encoding="utf-8").splitlines():
+            if not line.startswith("#"):
+                break
+            comment.append(line.removeprefix("#").strip())
+        first = re.split(r"(?<=\.) ", " ".join(comment))[0]
+        rows.append(f"| `{name}` | {len(network.ids)} | {len(network.edges)} | {network.steps} | {first} |")
+    return "\n".join(rows)
+
+
+class Scratch:
+    """A folder in which the commands of the document run, one after the other."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def file(self, name: str) -> str:
+        """A file of docs/examples, shown; the commands after it find it beside them."""
+        text = (DOCS / "examples" / name).read_text(encoding="utf-8")
+        (self.folder / name).write_text(text, encoding="utf-8")
+        return f"```{Path(name).suffix.removeprefix('.')} {name}\n{text}```"
+
+    def console(self, command: str) -> str:
+        """What `orchestrator` prints, all of it, and the code that it exits with."""
+        arguments = command.split()
+        ran = subprocess.run(
+            [sys.executable, "-P", "-m", *arguments],
+            cwd=self.folder,
+            env=os.environ | {"COLUMNS": "160"},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            check=False,
+        )
+        claim = f"  # exit {ran.returncode}" if ran.returncode else ""
+        printed = "\n".join(line.rstrip() for line in ran.stdout.strip().splitlines())
+        return f"```console\n$ {command}{claim}\n{printed}\n```"
+
+    def resolved(self, file: str) -> str:
+        """The resolved form of a file, as a run leaves it."""
+        arguments = ["simulate", file, "--no-record", "--run-dir", "drawn"]
+        subprocess.run(
+            [sys.executable, "-P", "-m", "orchestrator", *arguments], cwd=self.folder, capture_output=True, check=True
+        )
+        return f"```yaml\n{(self.folder / 'drawn' / 'topology.yaml').read_text(encoding='utf-8')}```"
+
+
+def generate() -> str:
+    """The whole document."""
+    with tempfile.TemporaryDirectory() as folder:
+        scratch = Scratch(Path(folder))
+        makers: dict[str, Callable[..., str]] = {
+            "topology": topology,
+            "node": node,
+            "disturbances": disturbances,
+            "random": random,
+            "bundled": bundled_files,
+            "file": scratch.file,
+            "console": scratch.console,
+            "resolved": scratch.resolved,
+        }
+
+        def made(match: re.Match[str]) -> str:
+            argument = match[2]
+            return makers[match[1]](*([argument] if argument else []))
+
+        template = TEMPLATE.read_text(encoding="utf-8")
+        return re.sub(r"<!-- generate: (\w+)(?: (.*?))? -->", made, template)
+
+
+def main() -> None:
+    """Write the document, or check it."""
+    parser = argparse.ArgumentParser(description=main.__doc__)
+    parser.add_argument("--check", action="store_true", help="write nothing; exit with 1 when the file is stale")
+    fresh = generate()
+    if not parser.parse_args().check:
+        RESULT.write_text(fresh, encoding="utf-8")
+    elif not RESULT.exists() or RESULT.read_text(encoding="utf-8") != fresh:
+        sys.exit(f"{RESULT.name} is stale: run `python docs/generate.py`")
+
+
+if __name__ == "__main__":
+    main()

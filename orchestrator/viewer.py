@@ -1,0 +1,189 @@
+"""What `--viewer` means: which Rerun viewer shows a run live, and who starts it.
+
+    native    a window of its own, which stays open after the run
+    web       a page, served until the run has ended
+    auto      native where there is a display, else none
+    none      nothing live
+    rerun+http://HOST:PORT/proxy    a viewer that somebody else starts, now or later
+
+Whatever is started here listens on loopback only. A started viewer counts as listening only when the port is in
+the hands of its own process: a second `rerun` on a busy port would hand all data to whoever holds the port.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import importlib.util
+import os
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from urllib.parse import quote, urlsplit
+
+import psutil
+
+from topologies.errors import UserError
+
+LOOPBACK = "127.0.0.1"
+NATIVE_MEMORY = "1GB"
+"""what the native viewer keeps of a run; it drops the oldest steps beyond"""
+SERVER_MEMORY = "256MiB"
+"""what a server keeps for pages that are opened late"""
+
+
+@dataclass(frozen=True)
+class Viewer:
+    """A Rerun viewer that listens at `url`, or will."""
+
+    url: str
+    link: str | None = None
+    """what to open in a browser, for a viewer that is a page"""
+    process: subprocess.Popen[bytes] | None = None
+    """the viewer's own process; None if somebody else starts it"""
+
+    @property
+    def gone(self) -> bool:
+        """Whether the viewer that we started has ended, so that its port may be anybody's."""
+        return self.process is not None and self.process.poll() is not None
+
+    def listens(self) -> bool:
+        """Whether the viewer itself, and not a stranger on its port, takes connections now."""
+        address = urlsplit(self.url)
+        if self.process is not None:
+            return (LOOPBACK, address.port) in listening(self.process.pid)
+        try:
+            socket.create_connection((address.hostname or "", address.port or 0), 1).close()
+        except OSError:
+            return False
+        return True
+
+    def end(self) -> None:
+        """Stop the server behind a page; a native viewer lives on until its window is closed."""
+        if self.process is not None and self.link is not None:
+            self.process.terminate()
+            self.process.wait()
+
+
+def choose(asked: str) -> str:
+    """What `--viewer ASKED` comes to on this machine: native, web, none or an address.
+
+    Raises UserError when it is none of these, or native without a display.
+    """
+    match asked:
+        case "auto":
+            return "native" if has_display() else "none"
+        case "native" if not has_display():
+            raise UserError(
+                "--viewer native: there is no display (DISPLAY and WAYLAND_DISPLAY are not set); choose --viewer web,"
+                " or --viewer none and open run.rrd with `rerun` where there is one"
+            )
+        case "native" | "web" | "none":
+            return asked
+        case _ if _is_address(asked):
+            return asked
+        case _:
+            raise UserError(
+                f"--viewer {asked}: is none of auto, native, web, none and no viewer's address;"
+                " an address is written rerun+http://HOST:PORT/proxy"
+            )
+
+
+def start(choice: str) -> Viewer | None:
+    """The viewer of a choice that `choose` returned, its process started if it is ours to start; None for none."""
+    match choice:
+        case "none":
+            return None
+        case "native":
+            return native()
+        case "web":
+            return _web()
+        case _:
+            return Viewer(choice)
+
+
+def has_display() -> bool:
+    """Whether a window can be opened here."""
+    if sys.platform in ("darwin", "win32"):
+        return True
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def _is_address(asked: str) -> bool:
+    try:
+        parts = urlsplit(asked)
+        known = parts.scheme in ("rerun+http", "rerun+https") and parts.path == "/proxy"
+        return known and bool(parts.hostname and parts.port)
+    except ValueError:  # a port that is no number, or too large
+        return False
+
+
+def native(*options: str, port: int | None = None) -> Viewer:
+    """A viewer in a window of its own, at a free port; `options` are more of rerun's, such as --headless for none."""
+    port = _free_port() if port is None else port
+    return Viewer(_url(port), process=_begin("--port", str(port), "--memory-limit", NATIVE_MEMORY, *options))
+
+
+def _web() -> Viewer:
+    port, page = _free_port(), _free_port()
+    process = _begin("--serve-web", "--port", str(port), "--web-viewer-port", str(page), until=_end_with_parent)
+    link = f"http://{LOOPBACK}:{page}/?url={quote(_url(port), safe='')}"
+    return Viewer(_url(port), link, process)
+
+
+def _url(port: int) -> str:
+    return f"rerun+http://{LOOPBACK}:{port}/proxy"
+
+
+def _end_with_parent() -> None:
+    """A page's server does not outlive the run, even if that is killed (where the kernel can see to it: Linux)."""
+    if sys.platform == "linux":
+        pr_set_pdeathsig = 1
+        ctypes.CDLL(None).prctl(pr_set_pdeathsig, signal.SIGKILL)
+
+
+def _begin(*options: str, until: Callable[[], None] | None = None) -> subprocess.Popen[bytes]:
+    # A session of its own: neither Ctrl-C nor the end of the run's terminal reaches the viewer.
+    return subprocess.Popen(
+        [
+            str(executable()),
+            *("--bind", LOOPBACK, "--server-memory-limit", SERVER_MEMORY, "--hide-welcome-screen"),
+            *options,
+        ],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+        preexec_fn=until,  # noqa: PLW1509 (one system call, no lock)
+        env={**os.environ, "RERUN_APP_ONLY": "true"},
+    )
+
+
+def executable() -> Path:
+    """The viewer of the installed rerun-sdk itself: the `rerun` on the path is a shim, or another version."""
+    package = importlib.util.find_spec("rerun_cli")
+    if package is None or package.origin is None:
+        raise UserError("--viewer: rerun-sdk has no viewer here; reinstall it, or --viewer none")
+    folder = Path(package.origin).parent
+    bundle = folder / "Rerun.app" / "Contents" / "MacOS" / "Rerun"
+    if sys.platform == "darwin" and bundle.exists():
+        return bundle
+    return folder / ("rerun.exe" if sys.platform == "win32" else "rerun")
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind((LOOPBACK, 0))
+        return int(probe.getsockname()[1])
+
+
+def listening(pid: int) -> set[tuple[str, int]]:
+    """The addresses at which a process takes TCP connections; none if it has ended."""
+    try:
+        sockets = psutil.Process(pid).net_connections("tcp")
+    except psutil.Error:
+        return set()
+    return {(one.laddr.ip, one.laddr.port) for one in sockets if one.status == psutil.CONN_LISTEN}

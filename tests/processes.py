@@ -1,0 +1,120 @@
+"""Running the `orchestrator` command in tests: to its end, or alive and watched."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+
+COMMAND = (sys.executable, "-P", "-m", "orchestrator")
+DEADLINE_S = 60.0
+
+
+def orchestrator(*arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run the command to its end."""
+    return subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, timeout=DEADLINE_S * 3, check=False)
+
+
+def parquet_bytes(folder: Path) -> tuple[bytes, bytes]:
+    """The tables of a run, byte for byte."""
+    return (folder / "telemetry.parquet").read_bytes(), (folder / "edges.parquet").read_bytes()
+
+
+def gone(processes: Mapping[str, int], within_s: float = 5.0) -> bool:
+    """Whether all these processes end within the time; a zombie has ended."""
+    deadline = time.monotonic() + within_s
+    pause = threading.Event()
+    while left := [pid for pid in processes.values() if _runs(pid)]:
+        if time.monotonic() > deadline:
+            return False
+        pause.wait(0.01)
+    return not left
+
+
+def _runs(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+
+
+class Orchestrator:
+    """A command that is running; killed at the end of the block if it still is."""
+
+    def __init__(self, *arguments: str) -> None:
+        self._process = subprocess.Popen(
+            [*COMMAND, *arguments], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True
+        )
+        self._said = ""
+        self._changed = threading.Condition()
+        self._ended = False
+        threading.Thread(target=self._listen, daemon=True).start()
+
+    def _listen(self) -> None:
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
+            with self._changed:
+                self._said += line
+                self._changed.notify_all()
+        with self._changed:
+            self._ended = True
+            self._changed.notify_all()
+
+    @property
+    def output(self) -> str:
+        """All that was said so far, on both streams."""
+        return self._said
+
+    def wait_for(self, text: str) -> None:
+        """Wait until `text` was said."""
+        with self._changed:
+            assert self._changed.wait_for(lambda: text in self._said or self._ended, DEADLINE_S), self._said
+            assert text in self._said, self._said
+
+    def wait_for_event(self, kind: str) -> None:
+        """Wait until the latest run's events.jsonl has such an event."""
+        deadline = time.monotonic() + DEADLINE_S
+        pause = threading.Event()
+        while not any(event["event"] == kind for event in _events()):
+            assert time.monotonic() < deadline, f"no event {kind!r} in {_events()}"
+            pause.wait(0.01)
+
+    @property
+    def children(self) -> dict[str, int]:
+        """Process ids of the plant and the agents by name."""
+        pids: dict[str, int] = _events()[0]["pids"]  # type: ignore[assignment]
+        return pids
+
+    def send(self, signal: int) -> None:
+        """Send the command's own process a signal."""
+        self._process.send_signal(signal)
+
+    def wait(self, timeout_s: float = DEADLINE_S) -> int:
+        """The exit code, once it has ended and all its output is here."""
+        code = self._process.wait(timeout_s)
+        with self._changed:
+            assert self._changed.wait_for(lambda: self._ended, timeout_s)
+        return code
+
+    def __enter__(self) -> Orchestrator:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._process.poll() is None:
+            self._process.kill()
+        self._process.wait()
+        if self._process.stdout is not None and self._ended:
+            self._process.stdout.close()
+
+
+def _events() -> list[dict[str, object]]:
+    text = (Path(os.getcwd()) / "runs/latest/events.jsonl").read_text(encoding="utf-8")
+    return [json.loads(line) for line in text.splitlines()]

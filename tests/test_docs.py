@@ -1,0 +1,407 @@
+"""The documents say what the code does: their tables equal it, and what they show is run.
+
+In a fenced block of README.md or docs/*.md
+
+    ```console          each line `$ orchestrator …` is run, and must exit with 0, or with what `# exit 2` behind it
+                        claims; what is shown below it must be what it prints, `...` standing for anything;
+                        lines with `# not run`, and other commands, are passed over
+    ```python           is run, and must exit with 0; a ```text block right behind it is what it must print
+    ```python NAME      the same, kept as a file of that name
+    ```yaml NAME        is kept as a file of that name (and so with any other language)
+
+The blocks of one document share a scratch folder, and run in its order.
+"""
+
+from __future__ import annotations
+
+import doctest
+import importlib
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import FunctionType
+from typing import Any
+
+import numpy as np
+import pyarrow.ipc
+import pyarrow.parquet as pq
+import pytest
+
+from orchestrator.observe import Batch
+from orchestrator.record import to_parquet
+from orchestrator.rerun_stream import quantities
+from tests.networks import observe, read, simulate
+from topologies.load import load
+from topologies.resolve import resolve
+from wire import codec, keys, session
+
+ROOT = Path(__file__).parents[1]
+DOCS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+SLOW = {"README.md", "theory.md", "topology.md", "laws.md"}
+"""Documents whose blocks take more than five seconds."""
+COMMAND_DEADLINE_S = 120.0
+
+
+@dataclass(frozen=True)
+class Block:
+    """One fenced block: its language, the file name behind it, the line it starts on, and what stands in it."""
+
+    language: str
+    name: str
+    line: int
+    text: str
+
+
+def blocks(document: Path) -> Iterator[Block]:
+    """The fenced blocks of a document, in order; a block of output right behind a block is told by its line."""
+    fence = re.compile(r"^```(\w+)?[ ]*(\S*)[^\n]*\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+    text = document.read_text(encoding="utf-8")
+    for found in fence.finditer(text):
+        line = text[: found.start()].count("\n") + 1
+        yield Block(found[1] or "", found[2], line, found[3])
+
+
+def follows(before: Block, block: Block) -> bool:
+    """Whether nothing but an empty line stands between two blocks."""
+    return block.line == before.line + before.text.count("\n") + 3
+
+
+def commands(console: str) -> Iterator[tuple[str, int, str]]:
+    """Each command to run, the code that it should exit with, and the output that is shown."""
+    for part in re.split(r"^\$ ", console, flags=re.MULTILINE)[1:]:
+        command, _, shown = part.partition("\n")
+        command, _, comment = command.partition("#")
+        if not command.startswith("orchestrator") or "not run" in comment:
+            continue
+        claim = re.search(r"exits?(?: code)? (\d+)", comment)
+        yield command.strip(), int(claim[1]) if claim else 0, shown
+
+
+def same_output(shown: str, printed: str) -> bool:
+    """Whether what is shown was printed, up to blanks and with `...` for anything."""
+    flags = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
+    return not shown.strip() or doctest.OutputChecker().check_output(shown.strip(), printed.strip(), flags)
+
+
+class Scratch:
+    """The folder of a document: nothing outside it is written, nobody outside it is seen."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        runtime = folder / ".runtime"
+        runtime.mkdir()
+        hidden = ("DISPLAY", "WAYLAND_DISPLAY", "PYTHONPATH")
+        self.environment = {key: value for key, value in os.environ.items() if key not in hidden} | {
+            "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
+            "XDG_RUNTIME_DIR": str(runtime),
+            "COLUMNS": "160",
+        }
+
+    def run(self, *command: str) -> tuple[int, str]:
+        """The exit code of a command, and all that it printed."""
+        ran = subprocess.run(
+            command,
+            cwd=self.folder,
+            env=self.environment,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            timeout=COMMAND_DEADLINE_S,
+            check=False,
+        )
+        return ran.returncode, ran.stdout
+
+
+def document_parameters() -> list[Any]:
+    return [pytest.param(path, id=path.name, marks=[pytest.mark.slow] if path.name in SLOW else []) for path in DOCS]
+
+
+@pytest.mark.parametrize("document", document_parameters())
+def test_a_document_shows_what_happens(document: Path, tmp_path: Path) -> None:
+    """Every command exits as claimed, every program runs, and what is shown of either is what it prints."""
+    scratch = Scratch(tmp_path)
+    program: tuple[Block, str] | None = None
+    for block in blocks(document):
+        where = f"{document.name}:{block.line}"
+        if block.name:
+            (tmp_path / block.name).write_text(block.text, encoding="utf-8")
+        match block.language:
+            case "python":
+                name = block.name or "block.py"
+                (tmp_path / name).write_text(block.text, encoding="utf-8")
+                code, printed = scratch.run(sys.executable, "-W", "error", name)
+                assert code == 0, f"{where}: exit code {code}\n{printed}"
+                program = (block, printed)
+            case "text" if program is not None and follows(program[0], block):
+                assert same_output(block.text, program[1]), f"{where}: printed is\n{program[1]}"
+            case "console":
+                for command, claimed, shown in commands(block.text):
+                    code, printed = scratch.run("bash", "-o", "pipefail", "-c", command)
+                    assert code == claimed, f"{where}: `{command}`: exit code {code}, not {claimed}\n{printed}"
+                    assert same_output(shown, printed), f"{where}: `{command}` prints\n{printed}"
+    code, running = scratch.run("orchestrator", "ps", "--json")
+    assert (code, json.loads(running)) == (0, [])
+
+
+def test_there_is_something_to_run() -> None:
+    """A fence that is never recognised would make the test above pass."""
+    shown = [(block.language, *commands(block.text)) for path in DOCS for block in blocks(path)]
+    assert sum(language == "console" and bool(rest) for language, *rest in shown) > 10
+    assert sum(language == "python" for language, *_ in shown) > 5
+
+
+def test_every_example_stands_in_a_document() -> None:
+    """A block with the name of a file in docs/examples is that file, and no file there is shown nowhere."""
+    shown = {block.name: block.text for path in DOCS for block in blocks(path) if block.name}
+    examples = {
+        path.name: path.read_text(encoding="utf-8") for path in (ROOT / "docs/examples").iterdir() if path.is_file()
+    }
+    assert {name: shown.get(name) for name in examples} == examples
+
+
+def test_topology_md_is_fresh() -> None:
+    """docs/topology.md is what docs/generate.py writes."""
+    ran = subprocess.run(
+        [sys.executable, str(ROOT / "docs/generate.py"), "--check"], capture_output=True, text=True, check=False
+    )
+    assert ran.returncode == 0, ran.stderr
+
+
+def test_links_lead_somewhere() -> None:
+    """Every relative link names a file that exists, and a heading in it."""
+    wrong = []
+    for document in DOCS:
+        text = re.sub(r"^```.*?^```$", "", document.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+        for target in re.findall(r"\]\(([^)\s]+)\)", text):
+            if re.match(r"[a-z]+:", target):
+                continue
+            file, _, heading = target.partition("#")
+            path = (document.parent / file).resolve() if file else document
+            if not path.exists() or (heading and heading not in headings(path)):
+                wrong.append(f"{document.name}: {target}")
+    assert wrong == []
+
+
+def headings(document: Path) -> set[str]:
+    """The anchors of a document's headings, as GitHub makes them."""
+    text = re.sub(r"^```.*?^```$", "", document.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    titles = re.findall(r"^#+ (.+)$", text, flags=re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
+
+
+# Tables that are compared with the code.
+
+
+def table(document: str, heading: str, number: int = 0) -> list[dict[str, str]]:
+    """The rows of the given table of a section, by column name; backquotes are left out."""
+    text = (ROOT / "docs" / document).read_text(encoding="utf-8")
+    section = re.split(r"^#+ ", text.split(f"# {heading}\n", 1)[1], maxsplit=1, flags=re.MULTILINE)[0]
+    found = re.findall(r"(?:^\|.*\|\n)+", section, flags=re.MULTILINE)[number]
+    lines = [re.split(r"(?<!\\)\|", line)[1:-1] for line in found.splitlines()]
+    titles, _, *rows = [[cell.strip().replace("`", "").replace("\\|", "|") for cell in line] for line in lines]
+    return [dict(zip(titles, row, strict=True)) for row in rows]
+
+
+K, M, N, E, T = 3, 5, 4, 2, 7
+ARRAYS = {
+    name: np.arange(1.0, 1 + size).reshape(shape) / 7 + offset
+    for offset, (name, size, shape) in enumerate(
+        [("x", N, (N,)), ("u", N, (N,)), ("w", N, (N,)), ("report", N * codec.REPORT_WIDTH, (N, codec.REPORT_WIDTH))]
+    )
+}
+FLAGS = {
+    "flags": np.array([7, 1, 2, 4, 0], np.uint8),
+    "edge_open": np.array([1, 0], np.uint8),
+    "link_up": np.array([1, 0, 0, 1], np.uint8),
+}
+X, U, W, REPORT = ARRAYS["x"], ARRAYS["u"], ARRAYS["w"], ARRAYS["report"]
+MESSAGES: dict[str, tuple[bytes, dict[str, Any]]] = {
+    "state": (codec.encode_state(T, X[:K], FLAGS["flags"]), {"x": X[:K], **FLAGS}),
+    "input": (codec.encode_input(T, U[:K], REPORT[:K]), {"u": U[:K], "report": REPORT[:K]}),
+    "link": (codec.encode_link(T, X, U), ARRAYS),
+    "telemetry": (
+        codec.encode_telemetry(codec.Telemetry(T, X, U, W, REPORT, FLAGS["edge_open"], FLAGS["link_up"])),
+        {**ARRAYS, **FLAGS},
+    ),
+    "end": (codec.encode_end(codec.End(T, X, 1.25)), {**ARRAYS, "elapsed_s": np.array(1.25)}),
+    "seen": (codec.encode_seen(T), {}),
+}
+TYPES = {"u8": "<u1", "u16": "<u2", "u32": "<u4", "i64": "<i8", "f64": "<f8"}
+
+
+def number(expression: str) -> int:
+    """An expression of the tables in the sizes that the messages here have."""
+    return int(eval(expression, {}, {"k": K, "m": M, "n": N, "e": E, "t": T}))
+
+
+@pytest.mark.parametrize("name", MESSAGES)
+def test_the_byte_tables_are_the_codec(name: str) -> None:
+    """Bytes packed by the table of docs/wire.md are the bytes that wire.codec packs."""
+    message, values = MESSAGES[name]
+    packed = b""
+    for row in table("wire.md", name):
+        kind, *shape = re.findall(r"[^\[\]]+", row["type"])
+        field, _, constant = (part.strip() for part in row["field"].partition("="))
+        value = np.array(number(constant)) if constant else np.asarray(values[field])
+        assert value.shape == tuple(map(number, shape)), f"{field} is {value.shape}"
+        piece = value.astype(TYPES[kind]).tobytes()
+        assert (number(row["offset"]), number(row["bytes"])) == (len(packed), len(piece)), field
+        packed += piece
+    assert packed == message
+
+
+def test_every_message_has_a_table() -> None:
+    """Each encoder of wire.codec, and each kind, is in docs/wire.md."""
+    encoders = {name.removeprefix("encode_") for name in vars(codec) if name.startswith("encode_")}
+    assert encoders == MESSAGES.keys()
+    assert {kind.name.lower() for kind in codec.Kind} == encoders - {"seen"}
+    bits = {row["name"]: int(row["bit"]) for row in table("wire.md", "state", 1)}
+    assert bits == {flag.name: flag.value for flag in codec.Flag}
+
+
+def test_the_keys_are_those_of_the_code() -> None:
+    """Each key of wire.keys has a row in docs/wire.md, and no other has."""
+    patterns = {
+        "state": keys.state(0).replace("0", "{p}"),
+        "input_": keys.input_("{p}"),
+        "link": keys.link("{p}", 0).replace("0", "{q}"),
+        "alive": keys.alive("{name}"),
+        "TELEMETRY": keys.TELEMETRY,
+        "SEEN": keys.SEEN,
+        "STATUS": keys.STATUS,
+        "STOP": keys.STOP,
+    }
+    known = {name for name, value in vars(keys).items() if isinstance(value, FunctionType) or name.isupper()}
+    assert known - {"ALIVE", "PLANT", "shard_name"} == patterns.keys()
+    assert {row["key"] for row in table("wire.md", "Keys")} == set(patterns.values())
+
+
+def test_the_deadlines_are_those_of_the_code() -> None:
+    """Each constant that docs/wire.md names has the value that it says."""
+    for row in table("wire.md", "Deadlines"):
+        module, *path = row["constant"].replace("Options.", "Options().").split(".")[:2], row["constant"]
+        value: Any = importlib.import_module(".".join(module))
+        for name in path[0].split(".")[2:]:
+            value = getattr(value, name)
+        assert value == float(row["seconds"]), row["constant"]
+
+
+def test_the_session_settings_are_those_of_the_code() -> None:
+    """Each setting that docs/wire.md lists is what sessions are opened with."""
+    config = session._config(None, {})
+    for row in table("wire.md", "Router and sessions"):
+        assert config.get_json(row["setting"]) == row["value"], row["setting"]
+
+
+def test_every_metric_is_where_theory_md_says() -> None:
+    """Fields, columns and entities exist; and no metric of a verdict, no entity of Rerun, is left out."""
+    topology = resolve(load("paper7"))
+    observer, batch = observe(topology, simulate(topology))
+    rows = table("theory.md", "Metrics")
+
+    def named(column: str) -> set[str]:
+        return {name for row in rows for name in re.findall(r"\w+", row[column].replace("—", ""))}
+
+    assert all(hasattr(batch, name) for name in named("Batch"))
+    assert named("verdict.json") == observer.summary().keys()
+    shown = {quantity.entity for quantity in quantities(topology, observer)}
+    assert named("Rerun") == shown
+    fields = {*Batch.__dataclass_fields__, "cost_regret", "ratio", "gain"}
+    assert named("Batch") == fields - {"t", "edge_open"}
+
+
+def orchestrator(scratch: Scratch, *arguments: str) -> subprocess.Popen[str]:
+    """A command that runs on, with its output to be read line by line."""
+    return subprocess.Popen(
+        [sys.executable, "-P", "-m", "orchestrator", *arguments],
+        cwd=scratch.folder,
+        env=scratch.environment,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+
+
+def test_the_run_folder_is_as_described(tmp_path: Path) -> None:
+    """Every file, every column and its type, every field of the verdict, and nothing that is not said."""
+    scratch = Scratch(tmp_path)
+    code, printed = scratch.run("orchestrator", "up", "paper7", "--viewer", "none", "--run-dir", "run")
+    assert code == 0, printed
+    run = tmp_path / "run"
+
+    # A name with N or P in it stands for one file a node or process.
+    left = {str(path.relative_to(run)) for path in run.rglob("*") if path.is_file()}
+    patterns = {row["file"] for row in table("run-folder.md", "Files")}
+    expressions = {pattern: re.escape(pattern).replace("ID", r"\w+") for pattern in patterns}
+    described = {pattern for pattern in patterns if any(re.fullmatch(expressions[pattern], file) for file in left)}
+    assert [file for file in left if not any(re.fullmatch(e, file) for e in expressions.values())] == []
+    assert patterns - described == {"telemetry.arrows", "edges.arrows", "router.sock", "logs/up.log"}
+
+    for name in ("telemetry", "edges"):
+        schema = pq.read_schema(run / f"{name}.parquet")
+        columns = [(row["column"], row["type"]) for row in table("run-folder.md", f"{name}.parquet")]
+        assert columns == [(field.name, str(field.type)) for field in schema]
+
+    verdict = json.loads((run / "verdict.json").read_text())
+    assert [row["field"] for row in table("run-folder.md", "verdict.json")] == list(verdict)
+    assert [row["check"] for row in table("run-folder.md", "verdict.json", 1)] == list(verdict["checks"])
+    assert {row["field"] for row in table("run-folder.md", "verdict.json", 2)} == verdict["metrics"].keys()
+
+    events = [json.loads(line)["event"] for line in (run / "events.jsonl").read_text().splitlines()]
+    assert set(events) <= {row["event"] for row in table("run-folder.md", "events.jsonl")}
+
+
+def test_the_sign_of_an_edge_input() -> None:
+    """u_edge of the edge (i, j) is u_j - u_i, as docs/run-folder.md says."""
+    topology = read("{name: pair, b: 0.1, steps: 3, defaults: {x0: 5}, nodes: {1: {}, 2: {x0: 1}}, edges: [[2, 1]]}")
+    _, batch = observe(topology, simulate(topology))
+    np.testing.assert_array_equal(batch.u_edge[:, 0], batch.u[:, 0] - batch.u[:, 1])
+
+
+LONG = ("paper7", "--steps", "1000000", "--viewer", "none", "--no-record", "--run-dir", "run")
+
+
+def started(scratch: Scratch) -> subprocess.Popen[str]:
+    """A long run of which some steps are recorded."""
+    process = orchestrator(scratch, "up", *LONG)
+    assert process.stdout is not None
+    for line in process.stdout:
+        if line.startswith("step "):
+            return process
+    raise AssertionError("the run ended before its first step")
+
+
+def test_ctrl_c_leaves_a_whole_folder(tmp_path: Path) -> None:
+    """Exit code 3, the verdict unknown, and tables that can be read."""
+    process = started(Scratch(tmp_path))
+    process.send_signal(signal.SIGINT)
+    printed, _ = process.communicate(timeout=COMMAND_DEADLINE_S)
+
+    assert process.returncode == 3, printed
+    verdict = json.loads((tmp_path / "run/verdict.json").read_text())
+    assert verdict["verdict"] == "unknown"
+    telemetry = pq.read_table(tmp_path / "run/telemetry.parquet")
+    assert telemetry.num_rows == 7 * (verdict["steps_done"] + 1)
+
+
+def test_sigkill_leaves_a_stream_that_becomes_a_table(tmp_path: Path) -> None:
+    """No verdict, but every batch that was written is there, and `to_parquet` reads up to the last whole one."""
+    process = started(Scratch(tmp_path))
+    process.kill()
+    process.communicate(timeout=COMMAND_DEADLINE_S)
+
+    run = tmp_path / "run"
+    assert not (run / "verdict.json").exists()
+    to_parquet(run / "telemetry.arrows", run / "telemetry.parquet")
+    telemetry = pq.read_table(run / "telemetry.parquet")
+    assert telemetry.num_rows > 0
+    assert telemetry.num_rows % 7 == 0
+    with pyarrow.OSFile(str(run / "telemetry.arrows")) as source, pyarrow.ipc.open_stream(source) as stream:
+        assert stream.schema == telemetry.schema

@@ -1,0 +1,295 @@
+"""Networks of real processes over real Zenoh: what they compute, and how they begin and end."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from tests.networks import VECTORS
+from tests.processes import Orchestrator, gone, orchestrator, parquet_bytes
+from wire.session import open_router
+
+QUIET = ("--viewer", "none", "--no-record")
+LONG = ("up", "paper7", "--steps", "1000000", *QUIET)
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty working directory, and a list of running networks of the test's own."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    return tmp_path
+
+
+@pytest.fixture
+def paper7(here: Path) -> Iterator[Orchestrator]:
+    """paper7 running for ever, past its first step."""
+    with Orchestrator(*LONG) as network:
+        network.wait_for("running")
+        yield network
+
+
+def verdict_of(folder: Path) -> dict[str, Any]:
+    verdict: dict[str, Any] = json.loads((folder / "verdict.json").read_text())
+    return verdict
+
+
+@pytest.mark.parametrize("path", VECTORS, ids=lambda path: path.stem)
+def test_the_vectors_hold_with_one_process_a_node(path: Path, here: Path) -> None:
+    vector = json.loads(path.read_text())
+    nodes = {
+        node: {
+            "a": vector["a_true"][node],
+            "candidates": vector["candidates"][node],
+            "x0": vector["x0"][node],
+            "disturbance": {"kind": "samples", "values": [row[node] for row in vector["w"]]},
+        }
+        for node in range(vector["N"])
+    }
+    file = {"name": vector["name"], "b": vector["b"], "steps": vector["T"], "nodes": nodes, "edges": vector["edges"]}
+    (here / "vector.yaml").write_text(json.dumps(file))
+    done = orchestrator("up", "vector.yaml", *QUIET, "--run-dir", "run")
+    assert done.returncode == 0, done.stderr
+    table = pq.read_table(here / "run" / "telemetry.parquet")
+    shape = (vector["T"] + 1, vector["N"])
+    x, u, index = (table[name].to_numpy(zero_copy_only=False).reshape(shape) for name in ("x", "u", "index"))
+    assert np.abs(x - vector["expected"]["x"]).max() <= 1e-12
+    assert np.abs(u[:-1] - vector["expected"]["u"]).max() <= 1e-12
+    assert (index[:-1] == vector["expected"]["index"]).all()
+    assert len(verdict_of(here / "run")["checks"]) == 4
+
+
+@pytest.mark.slow
+def test_every_layout_over_processes_gives_the_same_bits(here: Path) -> None:
+    """paper7 for 3000 steps: simulated, twice with a process a node, in 3 and in 1: five equal pairs of files."""
+    runs = {"simulated": ("simulate", "paper7", "--no-record")}
+    for name, processes in (("seven", 7), ("seven again", 7), ("three", 3), ("one", 1)):
+        runs[name] = ("up", "paper7", *QUIET, "--processes", str(processes))  # type: ignore[assignment]
+    for name, arguments in runs.items():
+        done = orchestrator(*arguments, "--steps", "3000", "--run-dir", name)
+        assert done.returncode == 0, done.stdout + done.stderr
+    reference = parquet_bytes(here / "simulated")
+    assert all(parquet_bytes(here / name) == reference for name in runs)
+    assert pq.read_metadata(here / "seven" / "telemetry.parquet").num_rows == 7 * 3001
+
+
+def test_a_run_leaves_its_folder_and_its_verdict(here: Path) -> None:
+    done = orchestrator("up", "paper7", "--viewer", "none", "--verify")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-1].startswith("valid: 30 of 30 steps")
+    folder = here / "runs" / "latest"
+    left = {path.name for path in folder.iterdir()}
+    assert left == {
+        "topology.yaml", "telemetry.parquet", "edges.parquet", "run.rrd", "events.jsonl", "verdict.json", "logs", "processes",
+    }  # fmt: skip
+    verdict = verdict_of(folder)
+    assert verdict["verdict"] == "valid"
+    assert all(check["ok"] for check in verdict["checks"].values())
+    assert set(verdict["checks"]) == {"dynamics", "estimates", "contraction", "oracle_certificate", "reference"}
+    events = [json.loads(line)["event"] for line in (folder / "events.jsonl").read_text().splitlines()]
+    assert events == ["start", "first_step", "recording", "verdict"]
+    assert str(folder.resolve() / "run.rrd") in done.stdout
+    again = orchestrator("simulate", str(folder), "--run-dir", "again", "--no-record")
+    assert again.returncode == 0, again.stderr
+    assert parquet_bytes(here / "again") == parquet_bytes(folder)
+
+
+def test_an_agent_is_a_process_that_knows_its_own_view_only(here: Path, paper7: Orchestrator) -> None:
+    """Eight processes of their own; agent 3's knowledge names its neighbours 2 and 5, and no truth, graph or file."""
+    start = json.loads((here / "runs/latest/events.jsonl").read_text().splitlines()[0])
+    pids = set(start["pids"].values())
+    assert len(pids) == 8
+    assert all(Path(f"/proc/{pid}").exists() for pid in pids)
+    view = json.loads((here / "runs/latest/processes/agent-3.json").read_text())
+    assert set(view) == {"shard", "b", "law", "nodes", "peers"}
+    assert [set(node) for node in view["nodes"]] == [{"id", "candidates", "neighbours"}]
+    assert view["nodes"][0]["neighbours"] == [2, 5]
+    command = Path(f"/proc/{start['pids']['agent-3']}/cmdline").read_text()
+    assert "topology.yaml" not in command
+    assert "paper7.yaml" not in command
+    mapped = Path(f"/proc/{start['pids']['agent-3']}/maps").read_text()
+    assert "/numpy/" in mapped
+    assert not any(package in mapped for package in ("/pydantic", "/rerun", "/scipy/", "/pyarrow"))
+
+
+def test_ctrl_c_ends_cleanly_with_what_was_recorded(here: Path, paper7: Orchestrator) -> None:
+    paper7.send(signal.SIGINT)
+    assert paper7.wait() == 3
+    assert "unknown (stopped at step" in paper7.output
+    assert "Ctrl-C" in paper7.output
+    folder = here / "runs/latest"
+    verdict = verdict_of(folder)
+    assert verdict["verdict"] == "unknown"
+    assert pq.read_metadata(folder / "telemetry.parquet").num_rows == 7 * (verdict["steps_done"] + 1)
+    assert not list(folder.glob("*.sock*"))
+    assert gone(paper7.children)
+
+
+def test_ctrl_c_twice_ends_at_once_even_with_a_frozen_plant(here: Path, paper7: Orchestrator) -> None:
+    os.kill(paper7.children["plant"], signal.SIGSTOP)
+    paper7.send(signal.SIGINT)
+    paper7.wait_for_event("stopping")
+    paper7.send(signal.SIGINT)
+    assert paper7.wait(2.0) == 3
+    assert gone(paper7.children)
+    assert (here / "runs/latest/telemetry.parquet").exists()
+
+
+def test_sigkill_of_up_leaves_nobody_behind(here: Path, paper7: Orchestrator) -> None:
+    children = paper7.children
+    paper7.send(signal.SIGKILL)
+    assert paper7.wait() == -signal.SIGKILL
+    assert gone(children, within_s=2.0)
+    assert {path.name for path in (here / "runs/latest").iterdir()} == {
+        "topology.yaml", "telemetry.arrows", "edges.arrows", "events.jsonl", "logs", "processes",
+    }  # fmt: skip
+    assert orchestrator("ps").stdout == "no network is running\n"
+
+
+def test_a_killed_agent_is_named(here: Path, paper7: Orchestrator) -> None:
+    os.kill(paper7.children["agent-4"], signal.SIGKILL)
+    assert paper7.wait() == 3
+    assert "agent-4 was killed by SIGKILL" in paper7.output
+
+
+def test_a_killed_plant_is_named(here: Path, paper7: Orchestrator) -> None:
+    os.kill(paper7.children["plant"], signal.SIGKILL)
+    assert paper7.wait() == 3
+    assert "plant was killed by SIGKILL" in paper7.output
+    assert gone(paper7.children)
+
+
+def test_a_frozen_agent_runs_into_the_deadline_by_name(here: Path) -> None:
+    with Orchestrator(*LONG, "--deadline", "1") as network:
+        network.wait_for("running")
+        os.kill(network.children["agent-4"], signal.SIGSTOP)
+        assert network.wait() == 3
+        assert "no input from agent 4 (alive: yes)" in network.output.replace(", agent", " agent")
+
+
+def test_two_networks_at_the_same_time_never_meet(here: Path) -> None:
+    command = ("up", "paper7", *QUIET, "--verify")
+    with Orchestrator(*command) as one, Orchestrator(*command) as other:
+        assert one.wait() == 0, one.output
+        assert other.wait() == 0, other.output
+    folders = sorted(path for path in (here / "runs").iterdir() if not path.is_symlink())
+    assert len(folders) == 2
+    assert parquet_bytes(folders[0]) == parquet_bytes(folders[1])
+
+
+def test_two_networks_share_an_existing_router(here: Path) -> None:
+    endpoint = f"unixsock-stream/{here / 'shared.sock'}"
+    with open_router(endpoint):
+        command = ("up", "paper7", *QUIET, "--router", endpoint, "--verify")
+        with Orchestrator(*command) as one, Orchestrator(*command) as other:
+            assert one.wait() == 0, one.output
+            assert other.wait() == 0, other.output
+
+
+def test_ps_status_and_stop_see_a_detached_network(here: Path) -> None:
+    started = orchestrator(*LONG, "--detach")
+    assert started.returncode == 0, started.stdout
+    listed = json.loads(orchestrator("ps", "--json").stdout)
+    assert [entry["folder"] for entry in listed] == [str((here / "runs/latest").resolve())]
+    status = json.loads(orchestrator("status", "--json").stdout)
+    assert status["steps"] == 1000000
+    assert status["step"] > 0
+    stopped = orchestrator("stop", listed[0]["run"])
+    assert stopped.returncode == 0, stopped.stderr
+    assert orchestrator("ps").stdout == "no network is running\n"
+    assert gone({"up": listed[0]["pid"]})
+    assert "stopped on request" in verdict_of(here / "runs/latest")["reasons"][0]
+
+
+LAWS = """
+import numpy as np
+class Idle:
+    def __init__(self, b, candidates): self.k = len(candidates)
+    def act(self, x): return np.zeros(self.k)
+    def learn(self, x, flow, x_next): pass
+    def report(self): return np.full((self.k, 4), np.nan)
+class Undefined(Idle):
+    def act(self, x): return x * np.nan
+class Tired(Idle):
+    def learn(self, x, flow, x_next): raise RuntimeError("I am tired")
+"""
+
+
+def test_another_law_comes_in_by_its_name(here: Path) -> None:
+    """A law that never acts: x_i is its own disturbed a_i, and no claim of the paper's law is made for it."""
+    (here / "laws.py").write_text(LAWS)
+    done = orchestrator("up", "paper7", *QUIET, "--law", "laws:Idle", "--verify")
+    assert done.returncode == 0, done.stdout + done.stderr
+    verdict = verdict_of(here / "runs/latest")
+    assert set(verdict["checks"]) == {"dynamics", "oracle_certificate", "reference"}
+    assert pq.read_table(here / "runs/latest/telemetry.parquet")["u"].to_numpy(zero_copy_only=False)[0] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("law", "code", "said"),
+    [
+        ("no.such:Law", 2, "law no.such:Law: cannot be loaded"),
+        ("laws:Missing", 2, "has no attribute 'Missing'"),
+        ("laws:LAWS", 2, "law laws:LAWS"),
+        ("laws:Undefined", 3, "act() gave [nan]"),
+        ("laws:Tired", 3, "I am tired"),
+    ],
+)
+def test_a_law_that_fails_ends_the_run_and_says_why(here: Path, law: str, code: int, said: str) -> None:
+    (here / "laws.py").write_text(LAWS + "LAWS = 3\n")
+    for command in (("up", "paper7", *QUIET), ("simulate", "paper7", "--no-record")):
+        done = orchestrator(*command, "--law", law)
+        assert done.returncode == code
+        assert said in done.stdout + done.stderr
+        assert "Traceback" not in done.stdout + done.stderr
+
+
+def test_no_router_is_the_users_to_mend(here: Path) -> None:
+    done = orchestrator("up", "paper7", *QUIET, "--router", "tcp/127.0.0.1:1")
+    assert done.returncode == 3
+    assert "no router at tcp/127.0.0.1:1" in done.stdout + done.stderr
+
+
+def test_a_run_dir_that_is_in_use_is_refused(here: Path) -> None:
+    (here / "full").mkdir()
+    (here / "full" / "thesis.tex").write_text("precious")
+    done = orchestrator("simulate", "paper7", "--no-record", "--run-dir", "full")
+    assert done.returncode == 2
+    assert "holds something already" in done.stderr
+    assert [path.name for path in (here / "full").iterdir()] == ["thesis.tex"]
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can mount a small disk")
+def test_a_full_disk_ends_the_run_and_says_so(here: Path) -> None:
+    disk = here / "disk"
+    disk.mkdir()
+    mounted = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=600k", "tmpfs", str(disk)], capture_output=True, check=False
+    )
+    if mounted.returncode:
+        pytest.skip("no file system can be mounted here")
+    try:
+        done = orchestrator("simulate", "paper7", "--no-record", "--steps", "100000", "--run-dir", str(disk / "run"))
+        assert done.returncode == 3
+        assert "No space left on device" in done.stdout + done.stderr
+        assert "Traceback" not in done.stderr
+    finally:
+        subprocess.run(["umount", str(disk)], check=True)
+
+
+def test_the_agents_program_loads_little(here: Path) -> None:
+    code = "import sys, agents.process; print(*sys.modules)"
+    loaded = set(
+        subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    )
+    assert not loaded & {"pydantic", "rerun", "scipy", "pyarrow", "yaml", "rich", "typer", "plant", "orchestrator"}

@@ -1,0 +1,507 @@
+"""Everything that a topology file can have wrong, and what the user is told about it."""
+
+from __future__ import annotations
+
+import os
+from datetime import timedelta
+from importlib import resources
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from topologies.errors import Problem, TopologyError, UserError
+from topologies.load import bundled, load, parse
+from topologies.resolve import resolve, to_yaml
+from topologies.schema import Topology
+
+GOOD = """\
+name: pair
+b: 0.1
+steps: 3
+seed: 4
+defaults: {x0: 1, candidates: [0.3, 0.6]}
+nodes:
+  1: {}
+  2: {a: 0.6}
+edges:
+  - [1, 2]
+"""
+HEAD = "name: n\nb: 0.1\nsteps: 3\n"
+
+
+def problems(text: str | bytes, *overrides: str, folder: Path = Path()) -> list[Problem]:
+    """What is wrong with a file of this text."""
+    text = text.encode() if isinstance(text, str) else text
+    with pytest.raises(TopologyError) as caught:
+        parse(text, "bad.yaml", folder, overrides)
+    return list(caught.value.problems)
+
+
+def only(text: str | bytes, *overrides: str, folder: Path = Path()) -> Problem:
+    """The one thing that is wrong with it."""
+    (problem,) = problems(text, *overrides, folder=folder)
+    return problem
+
+
+def good(text: str, *overrides: str, folder: Path = Path()) -> Topology:
+    return parse(text.encode(), "good.yaml", folder, overrides)
+
+
+def test_all_mistakes_are_told_at_once_each_with_its_line_and_its_cure() -> None:
+    """One file, ten mistakes, one message: file:line, node, value, allowed interval, cure."""
+    text = """\
+name: no good
+b: 0.1
+steps: -3
+sede: 1
+defaults:
+  candidates: [0.3, 0.6]
+nodes:
+  1: {a: 0.4}
+  2:
+    x0: many
+    candidates:
+      - 0.5
+      - 0.99
+  3: {x0: true}
+edges:
+  - [1, 2]
+  - [2, 1]
+  - [3, 3]
+  - [3, 9]
+  - [1]
+"""
+    with pytest.raises(TopologyError) as caught:
+        parse(text.encode(), "net.yaml", Path())
+
+    assert str(caught.value).splitlines() == [
+        "net.yaml:1: name: a name has 1 to 64 letters, digits, '_', '-' or '.', and starts with no"
+        " '-' or '.' (found \"no good\")",
+        "net.yaml:3: steps: -3 is below 1; choose a larger one",
+        "net.yaml:4: unknown key `sede`; did you mean `seed`?",
+        "net.yaml:8: node 1: a: the truth 0.4 is not among the candidates [0.3, 0.6];"
+        " add it to them, or choose one of them",
+        'net.yaml:10: node 2: x0: "many" is not a number; write a number without quotes',
+        "net.yaml:13: node 2: candidates: 0.99 is outside (0.0204168, 0.979583), the interval of"
+        " condition (3) for b = 0.1 and degree 1; choose a value inside it",
+        "net.yaml:14: node 3: x0: true is not a number; write a number without quotes",
+        "net.yaml:17: edge 2: [2, 1] stands already on line 16; edges are undirected: keep one",
+        "net.yaml:18: edge 3: [3, 3] is a self-loop; remove it",
+        "net.yaml:19: edge 4: [3, 9] leads to 9, which is no node; add the node or mend the id",
+        "net.yaml:20: edge 5: [1] has too few members; a pair has two",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "said"),
+    [
+        ("b: 0.1", "b: .nan", 2, "b: NaN is not a finite number"),
+        ("b: 0.1", "b: .inf", 2, "b: Infinity is not a finite number"),
+        ("b: 0.1", "b: -.INF", 2, "b: -Infinity is not a finite number"),
+        ("b: 0.1", "b: 1e400", 2, "b: Infinity is not a finite number"),
+        ("b: 0.1", "b: " + "9" * 400, 2, "is not a finite number"),
+        ("b: 0.1", "b: " + "9" * 5000, 2, "is not a finite number"),
+        ("b: 0.1", "b: 1e200", 2, "b: 1e+200 is not below 1e+100"),
+        ("b: 0.1", 'b: "0.1"', 2, 'b: "0.1" is not a number; write a number without quotes'),
+        ("b: 0.1", "b: true", 2, "b: true is not a number"),
+        ("b: 0.1", "b: [0.1]", 2, "b: [0.1] is not a number"),
+        ("b: 0.1", "b:", 2, "b: null is not a number"),
+        ("b: 0.1", "b: 0", 2, "b: 0 is not above 0; choose a larger one"),
+        ("b: 0.1\n", "", 0, "`b:` is missing; add `b: …`"),
+        ("steps: 3", "steps: 0", 3, "steps: 0 is below 1"),
+        ("steps: 3", "steps: 3.0", 3, "steps: 3.0 is not a whole number"),
+        ("steps: 3", "steps: yes", 3, 'steps: "yes" is not a whole number'),
+        ("steps: 3", "steps: true", 3, "steps: true is not a whole number"),
+        ("seed: 4", "seed: -1", 4, "seed: -1 is below 0"),
+        ("seed: 4", "law: min", 4, "law: a law is minimax, hinf, nominal or package.module:Class"),
+        ("seed: 4", "~: 4", 4, "null is no key; known keys are name, b,"),
+        ("x0: 1", "x0: .nan", 5, "defaults: x0: NaN is not a finite number"),
+        ("x0: 1", "xo: 1", 5, "defaults: unknown key `xo`; did you mean `x0`?"),
+        ("x0: 1", "x0: {random: [2, 1]}", 5, "defaults: x0: random: [2, 1] is empty"),
+        ("x0: 1", "x0: {random: [1]}", 5, "random: [1] has too few members; a pair has two"),
+        ("[0.3, 0.6]", "[]", 5, "defaults: candidates: [] has too few members"),
+        ("[0.3, 0.6]", "[0.3, no]", 5, 'defaults: candidates: 1: "no" is not a number'),
+        ("[0.3, 0.6]", "{random: 0}", 5, "defaults: candidates: random: 0 is below 1"),
+        ("{a: 0.6}", "{a: drawn}", 8, 'node 2: a: "drawn" is neither a number nor `random`'),
+        ("{a: 0.6}", "{nominal: 1.5}", 8, "node 2: nominal: 1.5 is outside (0.0204168, 0.979583)"),
+        ("{a: 0.6}", "5", 8, "node 2: 5 is not a mapping"),
+        ("1: {}", "1.5: {}", 7, "nodes: 1.5 is no node id; use names or whole numbers"),
+        ("1: {}", "true: {}", 7, "nodes: true is no node id"),
+        ("1: {}", "99999999999999999999: {}", 7, "nodes: 99999999999999999999 is no node id"),
+        ("1: {}", '"a b": {}', 7, "a name has 1 to 64 letters"),
+        ("2: {a: 0.6}", "2: {}\n  2: {}", 9, "nodes: 2 stands here twice (first on line 8)"),
+        ("2: {a: 0.6}", '2: {}\n  "2": {}', 9, "nodes: 2 stands here twice (first on line 8)"),
+        ("seed: 4", "b: 0.2", 4, "'b' stands here twice (first on line 2); keep one of the two"),
+        ("- [1, 2]", "- [1, 2, 1]", 10, "edge 1: [1, 2, 1] has too many members"),
+        ("- [1, 2]", "- 5", 10, "edge 1: 5 is not a list"),
+        ("- [1, 2]", "- '12'\n  - [1, 2]", 10, 'edge 1: "12" is not a list'),
+        ("- [1, 2]", "- [1, two]", 10, "leads to 'two', which is no node"),
+        ("edges:\n  - [1, 2]", "edges: 5", 9, "edges: 5 is not a list"),
+        ("edges:\n  - [1, 2]", "edges: {x: {y: 1, y: 2}}", 9, "edges: x: 'y' stands here twice"),
+        ("b: 0.1", "b: 0.5", 7, "node 1: 8 b² d = 2 is not below 1 (b = 0.5, degree 1)"),
+    ],
+)
+def test_a_mistake_is_told_where_it_stands(old: str, new: str, line: int, said: str) -> None:
+    """One change to a good file; the message names line, place, value and cure."""
+    assert old in GOOD
+    found = problems(GOOD.replace(old, new))
+    assert any(p.line == line and said in str(p) for p in found), [(p.line, str(p)) for p in found]
+
+
+def test_no_interval_is_left_when_a_node_has_too_many_neighbours() -> None:
+    """8 b² d >= 1 at the hub: the cure says how many neighbours, and which b, would do."""
+    problem = only(HEAD.replace("0.1", "0.25") + "nodes: [h, 1, 2]\nedges: [[h, 1], [h, 2]]\n")
+    assert (problem.line, problem.place) == (4, "node h")
+    assert problem.cure == "give it at most 1 neighbours, or b below 0.25"
+
+
+@pytest.mark.parametrize("wrong", ["nodes: 5", "nodes:", "nodes: []", "nodes: {}"])
+def test_a_network_has_nodes(wrong: str) -> None:
+    problem = only(HEAD + wrong)
+    assert (problem.line, problem.place) == (4, "nodes")
+
+
+@pytest.mark.parametrize(
+    ("disturbance", "said"),
+    [
+        ("{kind: sinusoid, amplitude: 1}", "`omega:` is missing"),
+        ("{kind: sinusoid, amplitude: 1, omega: 1, freq: 1}", "unknown key `freq`"),
+        ("{kind: wave}", "a disturbance has `kind:` sinusoid, constant, white"),
+        ("{value: 1}", "a disturbance has `kind:` sinusoid, constant, white"),
+        ("5", "a disturbance has `kind:` sinusoid, constant, white"),
+        ("{kind: constant, value: .inf}", "value: Infinity is not a finite number"),
+        ("{kind: white, std: -1}", "std: -1 is below 0"),
+        ("{kind: white, std: {random: [-2, 1]}}", "-2 is below 0"),
+        ("{kind: impulse, at: -1, value: 1}", "at: -1 is below 0"),
+        ("{kind: samples}", "samples have either `values:` or `file:`"),
+        ("{kind: samples, values: [1, 2]}", "2 samples are too few for 3 steps"),
+        ("[none, {kind: white, std: a}]", 'std: "a" is not a number'),
+        ("worst_case", "a disturbance has `kind:` sinusoid, constant, white"),
+    ],
+)
+def test_a_disturbance_can_be_wrong_too(disturbance: str, said: str) -> None:
+    problem, *_ = problems(f"{HEAD}nodes:\n  1:\n    disturbance: {disturbance}\n")
+    assert problem.line == 6
+    assert problem.place.startswith("node 1: disturbance")
+    assert said in str(problem)
+
+
+def test_the_whole_network_has_one_disturbance_or_its_nodes_have_theirs() -> None:
+    """`worst_case` replaces every node's own disturbance, so that both at once are a mistake."""
+    own = "nodes: {1: {disturbance: {kind: constant, value: 1}}}\n"
+    assert "remove one of the two" in str(only(HEAD + own + "disturbance: worst_case\n"))
+    wrong = problems(HEAD + "nodes: [1]\ndisturbance: {kind: white}\n")
+    assert 'kind: "white" is no disturbance of a whole network' in str(wrong[0])
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "said"),
+    [
+        (b"", 0, "the file is empty; start from a bundled one"),
+        (b"# nothing\n\n# but comments\n", 0, "the file is empty"),
+        (b"---\n", 0, "the file is empty"),
+        (b"hello", 1, 'a topology is a mapping, this is "hello"'),
+        (b"- 1\n- 2\n", 1, "a topology is a mapping, this is [1, 2]"),
+        (b"name: n\nb: [1, 2\nsteps: 3\n", 3, "not YAML"),
+        (b"name: n\nb: 'x\n", 3, "not YAML"),
+        (b"name: n\nnodes:\n\t- 1\n", 3, "indent with spaces, not tabs"),
+        (b"name: n\n# caf\xe9\n", 2, "byte 13 is not UTF-8 text; save the file as UTF-8"),
+        ("name: n\n".encode("utf-16"), 1, "save the file as UTF-8"),
+        (b"name: n\nb: 0.1\nsteps\0: 3\n", 3, "control characters are not allowed"),
+        (b"name: n\n\x07\n", 2, "control characters are not allowed"),
+        (b"name: n\n---\nname: m\n", 2, "a second document starts here; keep one network a file"),
+        (b"name: n\nb: !!float 1\n", 2, "tag:yaml.org,2002:float is not allowed"),
+        (b"name: n\nb: !!python/object/apply:os.getcwd []\n", 2, "is not allowed"),
+        (b"name: n\nnodes: !mine {}\n", 2, "tag !mine is not allowed"),
+        (b"name: *who\n", 1, "alias *who has no value yet"),
+        (b"a: &a [*a]\n", 1, "alias *a has no value yet"),
+        (b"{a: 1}: 2\n", 1, "a collection cannot be a key"),
+        (b"a: 1\n.nan: 2\n", 2, "nan cannot be a key"),
+        (b"[" * 100_000, 1, "nested more than 32 deep"),
+        (b"".join(b" " * k + b"a:\n" for k in range(40)), 33, "nested more than 32 deep"),
+    ],
+)
+def test_what_is_no_topology_at_all_is_refused_by_line(text: bytes, line: int, said: str) -> None:
+    problem = only(text)
+    assert problem.line == line
+    assert said in str(problem)
+
+
+def test_aliases_that_multiply_are_refused_before_they_fill_the_memory() -> None:
+    """Ten aliases of ten aliases of ..: 200 bytes that would expand to 10^12 values."""
+    lines = ["a0: &a0 [1, 1, 1, 1, 1, 1, 1, 1, 1, 1]"]
+    lines += [f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 10)}]" for k in range(1, 12)]
+    problem = only("\n".join(lines))
+    assert problem.line == 7
+    assert "expands to more than 5,000,000 values; remove aliases that multiply" in str(problem)
+
+
+def test_an_honest_alias_is_fine() -> None:
+    """Two nodes may share what an anchor spells out."""
+    nodes = "nodes:\n  1: &same {x0: 3, candidates: [0.4]}\n  2: *same\n"
+    assert good(HEAD + nodes).nodes[2].x0 == 3.0
+
+
+def test_the_file_of_a_name_that_does_not_exist() -> None:
+    """A near miss is met with the bundled name that was meant; anything else with all of them."""
+    with pytest.raises(UserError, match=r"papr7: no such file; did you mean paper7\? bundled"):
+        load("papr7")
+    with pytest.raises(UserError, match=r"zzz\.yaml: no such file; bundled names are authors7, "):
+        load("zzz.yaml")
+
+
+@pytest.mark.parametrize("name", ["", "no\0good", "x" * 5000, "/dev/null"])
+def test_names_that_can_be_no_topology(name: str) -> None:
+    with pytest.raises(UserError):
+        load(name)
+
+
+def test_a_directory_is_no_topology_unless_it_is_the_folder_of_a_run(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="is a directory, and no run's folder"):
+        load(str(tmp_path))
+    (tmp_path / "topology.yaml").write_text(GOOD)
+    assert load(str(tmp_path)).name == "pair"
+
+
+def test_a_file_of_100_mb_is_refused_unread(tmp_path: Path) -> None:
+    path = tmp_path / "large.yaml"
+    with path.open("wb") as file:
+        file.truncate(100 * 2**20)
+    with pytest.raises(UserError, match="100 MB, and at most 32 are read"):
+        load(str(path))
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may read every file")
+def test_a_file_that_may_not_be_read(tmp_path: Path) -> None:
+    path = tmp_path / "secret.yaml"
+    path.write_text(GOOD)
+    path.chmod(0)
+    with pytest.raises(UserError, match="cannot be read: Permission denied"):
+        load(str(path))
+
+
+def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(UserError, match="is not a regular file"):
+        load(str(tmp_path / "pipe"))
+
+
+# Good files.
+
+
+def test_nodes_are_a_list_or_a_mapping() -> None:
+    """`[1, 2]`, `{1: {}, 2: {}}`, `{1:, 2:}` and quoted ids are the same network."""
+    forms = ["[1, 2]", "{1: {}, 2: {}}", "{1: , 2: }", '["1", "2"]', '{"1": {}, "2": {}}']
+    first, *others = [good(f"{HEAD}nodes: {form}\nedges: [[1, '2']]\n") for form in forms]
+    assert first.ids == (1, 2)
+    assert first.edges == ((1, 2),)
+    assert all(other == first for other in others)
+
+
+def test_no_is_a_name_and_1e_05_a_number() -> None:
+    """YAML 1.1 would make a boolean of Norway, and text of 1e-05."""
+    nodes = "nodes: [no, se, on, y]\nedges: [[no, se], [on, y]]\ndefaults: {x0: 1e-05}\n"
+    topology = good(HEAD + nodes)
+    assert topology.ids == ("no", "se", "on", "y")
+    assert topology.defaults.x0 == 1e-05
+
+
+@pytest.mark.parametrize("name", ["no", "08", "1e5", "1.5e3", "7.", "null", "0x1F", "1_000"])
+def test_a_name_that_looks_like_something_else_survives_a_round_trip(name: str) -> None:
+    """Quoted in the file, it must be quoted in the run's folder too."""
+    node = name if name != "08" else "a08"
+    text = f"name: '{name}'\nb: 0.1\nsteps: 3\nnodes: ['{node}', z]\nedges: [['{node}', z]]\n"
+    topology = resolve(good(text))
+    again = good(to_yaml(topology))
+    assert (again.name, again.ids) == (name, (node, "z"))
+    assert again == topology
+
+
+def test_what_stands_on_no_line_of_the_file_has_no_line() -> None:
+    """A mistake on the command line is not blamed on the file's line."""
+    assert str(only(GOOD, "b=-1")) == "b: -1 is not above 0; choose a larger one"
+    assert only(GOOD, "b=-1").line == 0
+
+
+def test_overrides_replace_values_by_their_path() -> None:
+    """Keys, list indices (from the end too) and node ids lead to a value; it is read as YAML."""
+    overrides = (
+        *("b=0.2", "law=hinf", "defaults.x0={random: [0, 1]}", "nodes.1.x0=7"),
+        *("defaults.candidates.0=0.4", "defaults.candidates.-1=0.7", "nodes.2.a=0.7"),
+        *("nodes.3.nominal=0.4", "edges.0=[2, 3]"),
+    )
+    topology = good(GOOD.replace("  2:", "  3: {}\n  2:"), *overrides)
+    assert (topology.b, topology.law, topology.edges) == (0.2, "hinf", ((2, 3),))
+    assert topology.defaults.candidates == (0.4, 0.7)
+    assert (topology.nodes[1].x0, topology.nodes[3].nominal) == (7.0, 0.4)
+    assert good(GOOD) == good(GOOD), "the file is read anew every time"
+
+
+@pytest.mark.parametrize("nodes", ["[1, 2]", '{"1": {}, "2": {}}', "{1: {}, 2: {}}"])
+def test_a_node_is_overridden_by_its_id_in_every_form_of_nodes(nodes: str) -> None:
+    assert good(f"{HEAD}nodes: {nodes}\n", "nodes.2.x0=5").nodes[2].x0 == 5.0
+
+
+def test_an_override_of_what_an_anchor_shares_changes_one_place() -> None:
+    nodes = "nodes:\n  1: &same {x0: 3}\n  2: *same\n"
+    topology = good(HEAD + nodes, "nodes.2.x0=4")
+    assert (topology.nodes[1].x0, topology.nodes[2].x0) == (3.0, 4.0)
+
+
+@pytest.mark.parametrize(
+    ("override", "said"),
+    [
+        ("b", "--set b: is not path=value"),
+        ("=3", "is not path=value"),
+        ("b.c=3", "there is no b.c in bad.yaml"),
+        ("nodes.9.x0=3", "there is no nodes.9 in bad.yaml"),
+        ("nodes.².x0=3", "there is no nodes.² in bad.yaml"),
+        ("edges.5=[1, 2]", "there is no edges.5 in bad.yaml"),
+        ("edges.--1=[1, 2]", "there is no edges.--1 in bad.yaml"),
+        ("b=[1", "not YAML: while parsing a flow sequence"),
+        ("bb=1", "unknown key `bb`; did you mean `b`"),
+        ("nodes.2.xo=1", "node 2: unknown key `xo`; did you mean `x0`?"),
+        ("nodes.2.a=0.5", "node 2: a: the truth 0.5 is not among the candidates [0.3, 0.6]"),
+    ],
+)
+def test_overrides_that_lead_nowhere(override: str, said: str) -> None:
+    with pytest.raises(UserError) as caught:
+        parse(GOOD.encode(), "bad.yaml", Path(), [override])
+    assert said in str(caught.value)
+
+
+# Samples in CSV files.
+
+TABLE = "nodes: [a, b]\ndefaults: {disturbance: {kind: samples, file: w.csv}}\n"
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (None, "w.csv: no such file in"),
+        ("", "w.csv: is empty"),
+        ("1,2,3\n" * 3, "w.csv: 3 columns for 2 nodes, and no header of node ids"),
+        ("1,2\n1\n1,2\n", "w.csv: row 2 has 1 cells, not 2"),
+        ("1,2\n1,x\n1,2\n", "w.csv: row 2, node b: 'x' is not a finite number"),
+        ("1,2\n1,nan\n1,2\n", "w.csv: row 2, node b: 'nan' is not a finite number"),
+        ("1,2\n1,2\n", "2 samples are too few for 3 steps; add samples or lower `steps:`"),
+        ("a,b\n1,2\n1,2\n", "2 samples are too few for 3 steps"),
+        ("a\n1\n1\n1\n", "w.csv has no column for b"),
+        ("a,c\n1,2\n1,2\n1,2\n", "w.csv: row 1, node a: 'a' is not a finite number"),
+        ("1,\0\n" * 3, "w.csv: "),
+    ],
+)
+def test_a_table_of_samples_can_be_wrong(content: str | None, said: str, tmp_path: Path) -> None:
+    """Missing, ragged, short or no numbers; the line is that of the disturbance in the topology."""
+    if content is not None:
+        (tmp_path / "w.csv").write_text(content)
+    problem = only(HEAD + TABLE, folder=tmp_path)
+    assert (problem.line, problem.place) == (5, "defaults: disturbance")
+    assert said in str(problem)
+
+
+@pytest.mark.parametrize("file", ["../w.csv", "/etc/hostname", "inside/../../w.csv"])
+def test_a_table_lies_beside_the_topology(file: str, tmp_path: Path) -> None:
+    (tmp_path / "w.csv").write_text("1,2\n" * 3)
+    (tmp_path / "own").mkdir()
+    problem = only(HEAD + TABLE.replace("w.csv", file), folder=tmp_path / "own")
+    assert f"{file} lies outside the topology's own folder" in str(problem)
+
+
+def test_a_link_out_of_the_folder_is_outside_it(tmp_path: Path) -> None:
+    (tmp_path / "w.csv").write_text("1,2\n" * 3)
+    (tmp_path / "own").mkdir()
+    (tmp_path / "own" / "w.csv").symlink_to(tmp_path / "w.csv")
+    assert "lies outside" in str(only(HEAD + TABLE, folder=tmp_path / "own"))
+
+
+@pytest.mark.parametrize(
+    ("table", "of_a"),
+    [("1,2\n3,4\n5,6\n", (1.0, 3.0, 5.0)), ("b,a\n1,2\n3,4\n5,6\n7,8\n", (2.0, 4.0, 6.0))],
+    ids=["without a header: in node order", "a header names the columns"],
+)
+def test_a_table_gives_each_node_its_column(table: str, of_a: tuple[float, ...], tmp_path: Path) -> None:
+    (tmp_path / "w.csv").write_text(table)
+    topology = resolve(good(HEAD + TABLE, folder=tmp_path), tmp_path)
+    disturbance = topology.nodes["a"].disturbance
+    assert disturbance is not None
+    assert getattr(disturbance, "values", None) == of_a
+
+
+# Any text at all.
+
+BUNDLED = [(resources.files("topologies") / f"{name}.yaml").read_bytes() for name in bundled()]
+PIECES = st.one_of(
+    st.sampled_from([b"\n", b" ", b"\t", b":", b": ", b"- ", b"[", b"]", b"{", b"}", b"#", b"&a "]),
+    st.sampled_from([b"*a", b"!!x ", b"---\n", b"'", b'"', b"-1", b"1e400", b".nan", b"~", b"true"]),
+    st.sampled_from([b"random", b"nodes", b"\0", b"\xff", "é".encode(), b"|\n", b"5", b"0.5", b"no"]),
+)
+
+
+@st.composite
+def mutated(draw: st.DrawFn) -> bytes:
+    """The text of a bundled file after a few slips of the hand."""
+    text = draw(st.sampled_from(BUNDLED))
+    for _ in range(draw(st.integers(1, 4))):
+        if draw(st.booleans()):
+            start = draw(st.integers(0, len(text)))
+            end = start + draw(st.integers(0, 3))
+            text = text[:start] + draw(st.one_of(st.just(b""), PIECES)) + text[end:]
+        else:
+            lines = text.splitlines(keepends=True) or [b""]
+            k = draw(st.integers(0, len(lines) - 1))
+            other = draw(st.sampled_from(lines))
+            lines[k : k + 1] = draw(st.sampled_from([[], [lines[k], other], [other]]))
+            text = b"".join(lines)
+    return text
+
+
+@given(mutated())
+@settings(max_examples=500, deadline=timedelta(seconds=2))
+def test_no_slip_of_the_hand_shows_a_traceback(text: bytes) -> None:
+    """A file is refused in words, or it is good all the way to the folder of its run."""
+    try:
+        topology = parse(text, "slip.yaml", Path())
+    except TopologyError as error:
+        found = error.problems
+    else:
+        resolved = resolve(topology)
+        assert parse(to_yaml(resolved).encode(), "again.yaml", Path()) == resolved
+        return
+    last = text.count(b"\n") + 2
+    assert found
+    assert all(0 <= problem.line <= last and problem.what for problem in found)
+
+
+STEPS = st.sampled_from(
+    [
+        *("name", "b", "steps", "seed", "law", "defaults", "nodes", "edges", "disturbance", "faults"),
+        *("a", "candidates", "x0", "nominal", "kind", "amplitude", "values", "file", "random"),
+        *("0", "1", "2", "-1", "7", "hub", "west", "3", "null", ""),
+    ]
+)
+VALUES = st.one_of(
+    st.sampled_from(["", "~", "no", "random", "worst_case", "none", ".nan", "1e400", "-1", "0", "2"]),
+    st.sampled_from(["[]", "{}", "[[1, 2]]", "{-1}", "{random: [0, 1]}", "{random: 3}", "[{}]"]),
+    st.sampled_from(["[0.5]", "0.5", "{kind: white, std: 1}", "{kind: samples}", "{kind: [x]}"]),
+    st.sampled_from(["{kind: samples, file: ../x}", "{kind: samples, values: [0]}", "{energy: 2}"]),
+    st.text("[]{}:,-&*!|>'\"# \n0aé", max_size=8),
+)
+SETTINGS = st.builds(lambda path, value: f"{'.'.join(path)}={value}", st.lists(STEPS, max_size=4), VALUES)
+
+
+@given(st.sampled_from(bundled()), st.lists(SETTINGS, min_size=1, max_size=3))
+@settings(max_examples=400, deadline=timedelta(seconds=2))
+def test_no_override_shows_a_traceback(name: str, overrides: list[str]) -> None:
+    """Any value at any path: refused in words, or good all the way to the folder of its run."""
+    try:
+        topology = load(name, overrides)
+    except UserError as error:
+        found = str(error)
+    else:
+        resolved = resolve(topology)
+        assert parse(to_yaml(resolved).encode(), "again.yaml", Path()) == resolved
+        return
+    assert found.strip()

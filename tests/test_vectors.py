@@ -1,0 +1,65 @@
+"""The vectors: small cases with every number, each re-derived with 50-digit decimals."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agents.law import Minimax
+from orchestrator.assign import candidates_of, layout
+from tests.networks import VECTORS, from_vector, observe, simulate
+
+assert_near = partial(np.testing.assert_allclose, rtol=0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("path", VECTORS, ids=lambda path: path.stem)
+@pytest.mark.parametrize("processes", [1, 2, None], ids=["one shard", "two", "one a node"])
+def test_a_run_gives_the_numbers_of_the_vector(path: Path, processes: int | None) -> None:
+    """File text -> topology -> shards -> telemetry -> metrics, all of it against known numbers."""
+    topology, expected = from_vector(path)
+
+    ran = simulate(topology, layout(topology, processes))
+    observer, batch = observe(topology, ran)
+
+    assert_near(ran.x, expected["x"])
+    assert_near(ran.u, expected["u"])
+    assert_near(batch.u_edge, expected["edge_u"])
+    x_oracle = [*batch.x_oracle, observer.x_oracle_end]
+    assert_near(x_oracle, expected["x_oracle"])
+    assert batch.index.tolist() == expected["index"]
+    assert batch.ahat.tolist() == expected["ahat"]
+
+    assert observer.gamma_star == pytest.approx(expected["gamma_star"], rel=1e-9)
+    summary = observer.summary()
+    for key, name in {
+        "cost": "cost_minimax",
+        "cost_oracle": "cost_oracle",
+        "regret": "trajectory_regret",
+        "disturbance_energy": "w_energy",
+    }.items():
+        assert summary[key] == pytest.approx(expected[name], rel=1e-9), key
+    truth = np.array(expected["truth_index"])
+    assert batch.right.tolist() == (np.array(expected["index"]) == truth).sum(axis=1).tolist()
+
+
+@pytest.mark.parametrize("path", VECTORS, ids=lambda path: path.stem)
+def test_the_last_sample_gives_the_last_j(path: Path) -> None:
+    """A law that is fed the T samples of the run ends with the vector's J(T), and its choice."""
+    topology, expected = from_vector(path)
+    ran = simulate(topology)
+    law = Minimax(topology.b, candidates_of(topology))
+
+    everything_open = np.ones(len(topology.edges), dtype=np.bool_)
+    for row, x_next in zip(ran.rows, ran.x[1:], strict=True):
+        law.learn(row.x, topology.graph.flow(row.u, everything_open), x_next)
+
+    np.testing.assert_allclose(law.J, expected["J_final"], rtol=1e-9)
+    assert law.index.tolist() == expected["index_final"]
+
+
+def test_there_are_vectors() -> None:
+    """An empty folder would make every test above pass by running none."""
+    assert {path.stem for path in VECTORS} >= {"v1_path2", "v2_tree7", "v5_tie"}
