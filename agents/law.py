@@ -70,14 +70,14 @@ class Minimax:
 
     def learn(self, x: Array, flow: Array, x_next: Array) -> None:
         """Equation (7), one sample further; a node whose flow is unknown (NaN) skips it."""
-        known = np.isfinite(flow)
         y = x_next - self.b * flow
         residual = self.candidates * x[:, None] - y[:, None]
-        if known.all():
+        if np.isfinite(np.add.reduce(flow)):  # all are known
             self.J += residual * residual
             self._sxx += x * x
             self._sxy += x * y
         else:
+            known = np.isfinite(flow)
             self.J[known] += residual[known] ** 2
             self._sxx[known] += x[known] ** 2
             self._sxy[known] += x[known] * y[known]
@@ -92,6 +92,6 @@ class Minimax:
         if self.J.shape[1] > 1:
             least = np.partition(self.J, 1, axis=1)
             report[:, 2] = least[:, 1] - least[:, 0]
-        with np.errstate(invalid="ignore", divide="ignore"):
-            report[:, 3] = self._sxy / self._sxx
+        report[:, 3] = np.nan
+        np.divide(self._sxy, self._sxx, out=report[:, 3], where=self._sxx > 0)
         return report

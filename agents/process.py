@@ -94,7 +94,7 @@ class Agent:
 
     def close(self) -> None:
         """Leave the network."""
-        self._session.close()
+        self._session.close()  # type: ignore[no-untyped-call]
 
     def _take(self, key: str, message: bytes) -> None:
         with self._lock:

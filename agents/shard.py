@@ -13,9 +13,11 @@ from numpy.typing import NDArray
 from agents.law import Array, Law, Minimax
 from agents.view import View
 from topologies.errors import HedgerowError, UserError
-from wire.codec import REPORT_WIDTH, Flag, Flags
+from wire.codec import ALL_UP, REPORT_WIDTH, Flag, Flags
 
 Index = NDArray[np.int64]
+
+_OPEN, _HEAR = np.uint8(Flag.OPEN), np.uint8(Flag.HEAR)
 
 
 class LawError(HedgerowError):
@@ -72,7 +74,8 @@ class Shard:
         self._peer: Index = np.array([home.get(j, -1) for _, j in incidences], dtype=np.int64)
         self.say: list[Index] = [np.array([own[node] for node in peer.say], dtype=np.int64) for peer in view.peers]
         """Per peer: which of our nodes stand in a link message to it."""
-        self.everybody: Sequence[int] = range(len(view.peers))
+        self._everybody: Sequence[int] = range(len(view.peers))
+        self._up = bytes([ALL_UP]) * self.m
         self.x: Array = np.zeros(self.k)
         self.u: Array = np.zeros(self.k)
         self.report: Array = np.full((self.k, REPORT_WIDTH), np.nan)
@@ -88,10 +91,13 @@ class Shard:
         An input that was not heard is NaN: so is the flow that it enters, and a sample without its flow is skipped.
         """
         u = np.concatenate((self.u, u_heard))[self._column]
-        u = np.where(flags & Flag.HEAR, u, np.nan)
-        difference = np.where(flags & Flag.OPEN, self.u[self._row] - u, 0.0)
+        if self._all_up(flags):
+            difference = self.u[self._row] - u
+        else:
+            difference = np.where(flags & _OPEN, self.u[self._row] - np.where(flags & _HEAR, u, np.nan), 0.0)
         try:
-            self._law.learn(self.x, np.bincount(self._row, difference, self.k), x)
+            flow = np.asarray(np.bincount(self._row, difference, self.k), dtype=float)
+            self._law.learn(self.x, flow, x)
         except Exception as error:
             raise self._failed("learn", f"raised {type(error).__name__}: {error}") from error
         return self._act(x)
@@ -115,7 +121,9 @@ class Shard:
 
     def peers_with(self, bit: Flag, flags: Flags) -> Sequence[int]:
         """Peers to whom at least one incidence has `bit` set."""
-        marked = flags & bit
-        if marked.all():
-            return self.everybody
-        return [int(p) for p in np.unique(self._peer[marked != 0]) if p >= 0]
+        if self._all_up(flags):
+            return self._everybody
+        return [int(p) for p in np.unique(self._peer[flags & np.uint8(bit) != 0]) if p >= 0]
+
+    def _all_up(self, flags: Flags) -> bool:
+        return flags.tobytes() == self._up

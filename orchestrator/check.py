@@ -27,7 +27,7 @@ def table(topology: Topology) -> str:
             str(node),
             str(degree),
             "({:.4f}, {:.4f})".format(*interval) if interval else "none",
-            " ".join(f"{value:.4f}" for value in own.candidates or ()),  # type: ignore[union-attr]  # resolved: a tuple
+            " ".join(f"{value:.4f}" for value in own.candidates or ()),
             f"{own.a:.4f}",
             f"{own.x0:g}",
             " + ".join(_shown(part) for part in parts if part is not None) or "none",

@@ -25,7 +25,7 @@ def _id_type(topology: Topology) -> pa.DataType:
     return pa.int64() if all(isinstance(node, int) for node in topology.ids) else pa.string()
 
 
-def _ids(topology: Topology, positions: Any) -> np.ndarray[Any, Any]:
+def _ids(topology: Topology, positions: Any) -> Any:
     ids = topology.ids if _id_type(topology) == pa.int64() else [str(node) for node in topology.ids]
     return np.array(ids)[positions]
 

@@ -153,7 +153,7 @@ class Plant:
 
     def close(self) -> None:
         """Leave the network."""
-        self._session.close()
+        self._session.close()  # type: ignore[no-untyped-call]
 
     # The clock: every method below runs with the lock of `_changed` held.
 

@@ -90,7 +90,8 @@ def test_a_run_leaves_its_folder_and_its_verdict(here: Path) -> None:
     folder = here / "runs" / "latest"
     left = {path.name for path in folder.iterdir()}
     assert left == {
-        "topology.yaml", "telemetry.parquet", "edges.parquet", "run.rrd", "events.jsonl", "verdict.json", "logs", "processes",
+        "topology.yaml", "telemetry.parquet", "edges.parquet", "run.rrd",
+        "events.jsonl", "verdict.json", "logs", "processes",
     }  # fmt: skip
     verdict = verdict_of(folder)
     assert verdict["verdict"] == "valid"

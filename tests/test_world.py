@@ -15,8 +15,8 @@ from orchestrator.assign import layout, truth_of
 from plant.disturbance import Disturbance
 from plant.world import World, dynamics
 from tests.networks import disturbances, networks, observe, read, simulate
-from topologies.graph import Array
-from topologies.hinf import contraction
+from topologies.graph import Array, Graph
+from topologies.hinf import contraction, gamma_star, q_solver
 from topologies.resolve import truth
 from topologies.schema import Topology
 
@@ -188,3 +188,18 @@ def test_the_certificate_would_notice_a_controller_that_is_not_optimal() -> None
     observer, batch = observe(topology, simulate(topology))
     supply = batch.energy_sum[-1] * observer.gamma_star**2
     assert 0 <= batch.slack[-1] < 0.02 * supply
+
+
+def test_a_network_of_500_nodes_has_the_same_mathematics() -> None:
+    """Large networks take sparse algebra: gamma* and Q^-1 w are those of the paper's dense matrices."""
+    n, b = 500, 0.1
+    a = 0.3 + 0.4 * np.arange(n) / n
+    graph = Graph(n, np.array([[i, i + 1] for i in range(n - 1)]))
+    laplacian = np.zeros((n, n))
+    for i, j in graph.edges:
+        laplacian[[i, j], [i, j]] += 1
+        laplacian[[i, j], [j, i]] -= 1
+    q = np.diag((1 - a) ** 2) + b * b * laplacian
+    assert gamma_star(a, b, graph) == pytest.approx(np.linalg.eigvalsh(q)[0] ** -0.5, rel=1e-9)
+    w = np.sin(np.arange(n))
+    np.testing.assert_allclose(q @ q_solver(a, b, graph)(w), w, rtol=0, atol=1e-9)

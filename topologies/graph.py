@@ -40,7 +40,7 @@ class Graph:
     def flow(self, u: Array, edge_open: Mask) -> Array:
         """f_i = sum over neighbours j of (u_i - u_j), over the edges that are open, (n,); equation (1)."""
         difference = np.where(edge_open[self.edge], u[self.node] - u[self.neighbour], 0.0)
-        return np.bincount(self.node, difference, self.n)
+        return np.asarray(np.bincount(self.node, difference, self.n), dtype=float)
 
     def edge_input(self, u: Array, edge_open: Mask) -> Array:
         """u_e = u_j - u_i of each edge (i, j), 0 where it is closed, (E,); the paper's incidence matrix is -1 at i."""

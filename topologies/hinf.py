@@ -69,7 +69,7 @@ def smallest_eigenpair(a: Array, b: float, graph: Graph) -> tuple[float, Array]:
 
 def gamma_star(a: Array, b: float, graph: Graph) -> float:
     """gamma* = lambda_min(Q)^(-1/2), the optimal gain for the edge cost and known a; never the adaptive law's."""
-    return smallest_eigenpair(a, b, graph)[0] ** -0.5
+    return 1 / math.sqrt(smallest_eigenpair(a, b, graph)[0])
 
 
 def q_solver(a: Array, b: float, graph: Graph) -> Callable[[Array], Array]:

@@ -57,7 +57,8 @@ def load(name: str, overrides: Sequence[str] = ()) -> Topology:
             raise UserError(f"{path}: is not a regular file; name a topology file")
         if (size := path.stat().st_size) > MAX_BYTES:
             raise UserError(
-                f"{path}: {size / 2**20:.0f} MB, and at most {MAX_BYTES / 2**20:.0f} are read; put long samples in a CSV file"
+                f"{path}: {size / 2**20:.0f} MB, and at most {MAX_BYTES / 2**20:.0f} are read; "
+                "put long samples in a CSV file"
             )
         text = path.read_bytes()
     except OSError as error:

@@ -43,7 +43,8 @@ class _Draws:
         if what not in self._drawn:
             stream = np.random.default_rng([self._seed, zlib.crc32(what.encode())])
             self._drawn[what] = stream.random((self._n, width))
-        return self._drawn[what][node]
+        drawn: Array = self._drawn[what][node]
+        return drawn
 
 
 def resolve(topology: Topology, folder: Path = Path()) -> Topology:
@@ -61,12 +62,12 @@ def resolve(topology: Topology, folder: Path = Path()) -> Topology:
         assert interval is not None, "rules.py refuses a node with no interval"
         candidates, a = _model(settings, interval, draws, k)
         parts = settings.disturbance if isinstance(settings.disturbance, tuple) else (settings.disturbance,)
-        resolved = []
+        resolved: list[Component] = []
         for number, part in enumerate(parts):
             if isinstance(part, Samples) and part.file is not None:
-                table = tables.setdefault(part.file, {}) or columns(part.file, folder, topology.ids)
-                tables[part.file] = table
-                resolved.append(Samples(values=tuple(table[node][: topology.steps])))
+                if part.file not in tables:
+                    tables[part.file] = columns(part.file, folder, topology.ids)
+                resolved.append(Samples(values=tuple(tables[part.file][node][: topology.steps])))
             elif part is not None:
                 resolved.append(_numbers(part, f"disturbance {number}", draws, k))
         x0 = settings.x0

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path as FilePath
+from typing import Any
 
 from topologies.errors import Problem
 from topologies.hinf import allowed_interval, satisfies_condition
 from topologies.samples import columns
-from topologies.schema import Node, Samples, Topology, node_id
-from topologies.source import Source, place_of
+from topologies.schema import Samples, Topology, node_id
+from topologies.source import Path, Source, place_of
 
 
 def broken_rules(topology: Topology, source: Source, folder: FilePath) -> list[Problem]:
@@ -60,105 +62,84 @@ def _degrees(topology: Topology) -> Counter[int | str]:
     return Counter(end for edge in good for end in edge)
 
 
+@dataclass(frozen=True)
+class _Named:
+    """A node of the file, to say what is wrong with one of its settings, where the file gives it."""
+
+    id: int | str
+    topology: Topology
+    source: Source
+
+    def problem(self, key: str, what: str, cure: str, *inside: int) -> Problem:
+        own = getattr(self.topology.nodes[self.id], key) is not None
+        inherited = not own and getattr(self.topology.defaults, key) is not None
+        path = ("defaults",) if inherited else ("nodes", self.id)
+        return Problem(self.source.line((*path, key, *inside)), f"node {self.id}: {key}", what, cure)
+
+
 def _nodes(topology: Topology, source: Source) -> Iterator[Problem]:
-    degrees, b = _degrees(topology), topology.b
+    degrees = _degrees(topology)
     for node in topology.ids:
-        settings, degree = topology.settings(node), degrees[node]
+        yield from _condition_3(_Named(node, topology, source), topology.b, degrees[node])
+        yield from _truth(_Named(node, topology, source))
 
-        def problem(key: str, what: str, cure: str, *inside: int, node: int | str = node) -> Problem:
-            own = getattr(topology.nodes[node], key) is not None
-            path = ("nodes", node) if own or getattr(topology.defaults, key) is None else ("defaults",)
-            return Problem(source.line((*path, key, *inside)), f"node {node}: {key}", what, cure)
 
-        interval = allowed_interval(b, degree)
-        if interval is None:
-            line, room = source.line(("nodes", node)), max(0, math.ceil(1 / (8 * b * b)) - 1)
-            what = f"8 b² d = {8 * b * b * degree:.4g} is not below 1 (b = {b:g}, degree {degree}): no a satisfies condition (3)"
-            yield Problem(
-                line,
-                f"node {node}",
-                what,
-                f"give it at most {room} neighbours, or b below {1 / math.sqrt(8 * degree):.4g}",
-            )
-            continue
-        bounds = f"({interval[0]:.6g}, {interval[1]:.6g})"
-        why = f"the interval of condition (3) for b = {b:g} and degree {degree}"
+def _condition_3(node: _Named, b: float, degree: int) -> Iterator[Problem]:
+    interval = allowed_interval(b, degree)
+    if interval is None:
+        room = max(0, math.ceil(1 / (8 * b * b)) - 1)
+        load = f"8 b² d = {8 * b * b * degree:.4g} is not below 1 (b = {b:g}, degree {degree})"
+        cure = f"give it at most {room} neighbours, or b below {1 / math.sqrt(8 * degree):.4g}"
+        line = node.source.line(("nodes", node.id))
+        yield Problem(line, f"node {node.id}", f"{load}: no a satisfies condition (3)", cure)
+        return
+    settings = node.topology.settings(node.id)
+    listed = settings.candidates if isinstance(settings.candidates, tuple) else ()
+    values: list[tuple[str, Any, tuple[int, ...]]] = [("candidates", value, (m,)) for m, value in enumerate(listed)]
+    values.append(("nominal", settings.nominal, ()))
+    if not listed:  # a truth that must be among the candidates is judged with them
+        values.append(("a", settings.a, ()))
+    why = f"({interval[0]:.6g}, {interval[1]:.6g}), the interval of condition (3) for b = {b:g} and degree {degree}"
+    for key, value, inside in values:
+        if isinstance(value, float) and not satisfies_condition(value, b, degree):
+            yield node.problem(key, f"{value!r} is outside {why}", "choose a value inside it", *inside)
 
-        def outside(
-            key: str,
-            value: float,
-            *inside: int,
-            problem: Callable[..., Problem] = problem,
-            bounds: str = bounds,
-            why: str = why,
-        ) -> Problem:
-            what = f"{value!r} is outside {bounds}, {why}"
-            return problem(key, what, "choose a value inside it", *inside)
 
-        listed = settings.candidates if isinstance(settings.candidates, tuple) else ()
-        for m, value in enumerate(listed):
-            if not satisfies_condition(value, b, degree):
-                yield outside("candidates", value, m)
-        if isinstance(settings.a, float):
-            if listed and settings.a not in listed:
-                shown = ", ".join(f"{value:g}" for value in listed[:12])
-                yield problem(
-                    "a",
-                    f"the truth {settings.a!r} is not among the candidates [{shown}]",
-                    "add it to them, or choose one of them",
-                )
-            elif not listed and not satisfies_condition(settings.a, b, degree):
-                yield outside("a", settings.a)
-        if settings.nominal is not None and not satisfies_condition(settings.nominal, b, degree):
-            yield outside("nominal", settings.nominal)
+def _truth(node: _Named) -> Iterator[Problem]:
+    settings = node.topology.settings(node.id)
+    if (
+        isinstance(settings.candidates, tuple)
+        and isinstance(settings.a, float)
+        and settings.a not in settings.candidates
+    ):
+        shown = ", ".join(f"{value:g}" for value in settings.candidates[:12])
+        what = f"the truth {settings.a!r} is not among the candidates [{shown}]"
+        yield node.problem("a", what, "add it to them, or choose one of them")
 
 
 def _disturbances(topology: Topology, source: Source, folder: FilePath) -> Iterator[Problem]:
-    if topology.disturbance is not None:
-        for node, own in topology.nodes.items():
-            if own.disturbance is not None:
-                line = source.line(("nodes", node, "disturbance"))
-                what = "stands beside the network's own `disturbance:`, which replaces every node's"
-                yield Problem(line, f"node {node}: disturbance", what, "remove one of the two")
-    places: list[tuple[tuple[str | int, ...], Node, list[int | str]]] = [
-        (("nodes", node), own, [node]) for node, own in topology.nodes.items()
+    own = [
+        (node, settings.disturbance) for node, settings in topology.nodes.items() if settings.disturbance is not None
     ]
-    inherit = [node for node, own in topology.nodes.items() if own.disturbance is None]
-    places.append((("defaults",), topology.defaults, inherit))
-    for path, settings, nodes in places:
-        parts = settings.disturbance if isinstance(settings.disturbance, tuple) else (settings.disturbance,)
-        for part in parts:
+    if topology.disturbance is not None:
+        for node, _ in own:
+            line = source.line(("nodes", node, "disturbance"))
+            what = "stands beside the network's own `disturbance:`, which replaces every node's"
+            yield Problem(line, f"node {node}: disturbance", what, "remove one of the two")
+    inherits = [node for node, settings in topology.nodes.items() if settings.disturbance is None]
+    places: list[tuple[Path, Any, list[int | str]]] = [(("nodes", node), given, [node]) for node, given in own]
+    places.append((("defaults",), topology.defaults.disturbance, inherits))
+    for path, given, nodes in places:
+        for part in given if isinstance(given, tuple) else (given,):
             if isinstance(part, Samples):
                 place = (*path, "disturbance")
                 for what, cure in _samples(part, nodes, topology, folder):
                     yield Problem(source.line(place), place_of(place), what, cure)
-        for field in _ranges(settings):
-            for name, low, high in field:
-                place = (*path, name)
-                yield Problem(
-                    source.line(place),
-                    place_of(place),
-                    f"random: [{low:g}, {high:g}] is empty",
-                    "put the lower bound first",
-                )
-
-
-def _ranges(settings: Node) -> Iterator[list[tuple[str, float, float]]]:
-    parts = settings.disturbance if isinstance(settings.disturbance, tuple) else (settings.disturbance,)
-    for name, model in (
-        ("x0", settings),
-        *(("disturbance", part) for part in parts if part is not None),
-    ):
-        values = [model.x0] if isinstance(model, Node) else [getattr(model, key) for key in type(model).model_fields]
-        yield [(name, v.low, v.high) for v in values if hasattr(v, "random") and v.low > v.high]
 
 
 def _samples(part: Samples, nodes: list[int | str], topology: Topology, folder: FilePath) -> Iterator[tuple[str, str]]:
-    if (part.values is None) == (part.file is None):
-        yield "samples have either `values:` or `file:`", "give exactly one of them"
-    elif part.values is not None:
-        lengths = {len(part.values)}
-        yield from _long_enough(lengths, topology.steps)
+    if part.values is not None:
+        yield from _long_enough({len(part.values)}, topology.steps)
     elif part.file is not None:
         try:
             table = columns(part.file, folder, topology.ids)

@@ -13,7 +13,7 @@ MAX_BYTES = 512 * 2**20
 def columns(file: str, folder: Path, ids: Sequence[int | str]) -> dict[int | str, list[float]]:
     """The columns of `file` by node id; a header names them, without one they are in the order of `ids`.
 
-    Raises ValueError, in words for the user, for a file that lies outside `folder`, cannot be read, or is no such table.
+    Raises ValueError, in words for the user, for a file that lies outside `folder` or is no such table.
     """
     path = folder / file
     if not path.resolve().is_relative_to(folder.resolve()):

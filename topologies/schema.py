@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from functools import cached_property
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import (
@@ -22,6 +22,7 @@ from pydantic import (
     StrictInt,
     Tag,
     WithJsonSchema,
+    model_validator,
 )
 from pydantic_core import PydanticCustomError
 
@@ -82,6 +83,13 @@ class Uniform(Model):
     """A number left to chance: drawn uniformly from [low, high)."""
 
     random: tuple[Number, Number] = Field(description="[low, high]")
+
+    @model_validator(mode="after")
+    def _not_empty(self) -> Self:
+        if self.low > self.high:
+            what = f"random: [{self.low:g}, {self.high:g}] is empty; put the lower bound first"
+            raise PydanticCustomError("empty", "{what}", {"what": what})
+        return self
 
     @property
     def low(self) -> float:
@@ -163,8 +171,14 @@ class Samples(Model):
     values: tuple[Number, ...] | None = Field(None, description="one value a step")
     file: str | None = Field(
         None,
-        description="a CSV file beside the topology, one column a node: named by a header of node ids, or in node order",
+        description="a CSV file beside the topology, a column a node: named by a header of node ids, or in their order",
     )
+
+    @model_validator(mode="after")
+    def _one_of_both(self) -> Self:
+        if (self.values is None) == (self.file is None):
+            raise PydanticCustomError("samples", "samples have either `values:` or `file:`; give exactly one of them")
+        return self
 
 
 class Nothing(Model):

@@ -7,6 +7,7 @@ expand to are bounded before anything is built.
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass, field
 from typing import Any
@@ -19,7 +20,7 @@ MAX_BYTES = 32 * 2**20
 MAX_DEPTH = 32
 MAX_VALUES = 5_000_000
 
-Path = tuple[str | int, ...]
+Path = tuple[Any, ...]
 
 _INT = re.compile(r"[-+]?[0-9]+\Z")
 FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?\Z")
@@ -54,7 +55,9 @@ def read_source(name: str, text: bytes) -> Source:
     """Parse YAML; raise TopologyError when it is no YAML at all, keep lesser mistakes in `problems`."""
     source = Source(name)
     try:
-        _build(text.decode("utf-8-sig"), source)
+        builder = _Builder(source)
+        for event in yaml.parse(text.decode("utf-8-sig"), Loader=yaml.CSafeLoader):
+            builder.take(event)
     except UnicodeDecodeError as error:
         line = text[: error.start].count(b"\n") + 1
         _refuse(source, line, f"byte {error.start} is not UTF-8 text", "save the file as UTF-8")
@@ -90,92 +93,91 @@ class _Open:
     has_key: bool = False
     size: int = 1
 
+    @property
+    def next_path(self) -> Path:
+        return (*self.path, self.key if isinstance(self.items, dict) else len(self.items))
 
-def _build(text: str, source: Source) -> None:  # noqa: PLR0912, PLR0915 (one switch over the kinds of events)
-    anchors: dict[str, tuple[Any, int]] = {}
-    stack: list[_Open] = []
-    total = documents = 0
+    @property
+    def awaits_key(self) -> bool:
+        return isinstance(self.items, dict) and not self.has_key
 
-    def refuse(mark: Any, what: str, cure: str) -> None:
-        _refuse(source, mark.line + 1, what, cure)
 
-    def path_here(line: int) -> Path:
-        if not stack:
-            return ()
-        top = stack[-1]
-        step = top.key if isinstance(top.items, dict) and top.has_key else len(top.items)
-        path = (*top.path, step)
-        source.lines.setdefault(path, line)
-        return path
+class _Builder:
+    """Builds the values of a source from YAML events, one after the other; depth lives in `stack`, not on Python's."""
 
-    def place(value: Any, size: int, mark: Any) -> None:
-        nonlocal total
-        total += size
-        if total > MAX_VALUES:
-            refuse(
-                mark,
-                f"the file expands to more than {MAX_VALUES:,} values",
-                "remove aliases that multiply",
-            )
-        if not stack:
-            source.value = value
+    def __init__(self, source: Source) -> None:
+        self.source = source
+        self.stack: list[_Open] = []
+        self.anchors: dict[str, tuple[Any, int]] = {}
+        self.total = 0
+        """values so far, those of aliases counted each time"""
+        self.documents = 0
+
+    def take(self, event: Any) -> None:
+        line = event.start_mark.line + 1
+        if getattr(event, "tag", None) not in (None, "!"):
+            _refuse(self.source, line, f"tag {event.tag} is not allowed", "write the plain value")
+        match event:
+            case yaml.DocumentStartEvent():
+                self.documents += 1
+                if self.documents > 1:
+                    _refuse(self.source, line, "a second document starts here", "keep one network a file")
+            case yaml.AliasEvent():
+                if event.anchor not in self.anchors:
+                    what, cure = f"alias *{event.anchor} has no value yet", "define the anchor before it is used"
+                    _refuse(self.source, line, what, cure)
+                value, size = self.anchors[event.anchor]
+                self._place(value, size, line)
+            case yaml.ScalarEvent():
+                value = _scalar(event.value) if event.implicit[0] else event.value
+                self._place(value, 1, line, event.anchor)
+            case yaml.MappingStartEvent() | yaml.SequenceStartEvent():
+                self._open({} if isinstance(event, yaml.MappingStartEvent) else [], event.anchor, line)
+            case yaml.MappingEndEvent() | yaml.SequenceEndEvent():
+                done = self.stack.pop()
+                self.total -= done.size - 1  # its members are counted again with it, once
+                self._place(done.items, done.size, line, done.anchor)
+
+    def _open(self, items: dict[Any, Any] | list[Any], anchor: str | None, line: int) -> None:
+        if len(self.stack) >= MAX_DEPTH:
+            _refuse(self.source, line, f"nested more than {MAX_DEPTH} deep", "no topology needs that")
+        if self.stack and self.stack[-1].awaits_key:
+            _refuse(self.source, line, "a collection cannot be a key", "use a name or a whole number")
+        path = self.stack[-1].next_path if self.stack else ()
+        self.source.lines.setdefault(path, line)
+        self.stack.append(_Open(path, items, anchor))
+
+    def _place(self, value: Any, size: int, line: int, anchor: str | None = None) -> None:
+        """Put a finished value where it belongs: into the collection that is open, as a key of it, or at the top."""
+        self.total += size
+        if self.total > MAX_VALUES:
+            what = f"the file expands to more than {MAX_VALUES:,} values"
+            _refuse(self.source, line, what, "remove aliases that multiply")
+        if anchor:
+            self.anchors[anchor] = (value, size)
+        if not self.stack:
+            self.source.value = value
             return
-        top = stack[-1]
+        top = self.stack[-1]
         top.size += size
         if isinstance(top.items, list):
-            source.lines.setdefault((*top.path, len(top.items)), mark.line + 1)
+            self.source.lines.setdefault(top.next_path, line)
             top.items.append(value)
         elif top.has_key:
             top.items[top.key] = value
             top.has_key = False
-        elif isinstance(value, str | int | float | None) and value == value:
-            path = (*top.path, value)
-            if value in top.items:
-                where = f"first on line {source.lines[path]}"
-                what = f"{value!r} stands here twice ({where})"
-                source.problems.append(Problem(mark.line + 1, place_of(top.path), what, "keep one of the two"))
-            source.lines[path] = mark.line + 1
-            top.key, top.has_key = value, True
         else:
-            refuse(mark, f"{value!r} cannot be a key", "use a name or a whole number")
+            self._take_key(top, value, line)
 
-    for event in yaml.parse(text, Loader=yaml.CSafeLoader):
-        mark = event.start_mark
-        match event:
-            case yaml.DocumentStartEvent():
-                documents += 1
-                if documents > 1:
-                    refuse(mark, "a second document starts here", "keep one network a file")
-            case yaml.AliasEvent():
-                if event.anchor not in anchors:
-                    refuse(
-                        mark,
-                        f"alias *{event.anchor} has no value yet",
-                        "define the anchor before it is used",
-                    )
-                place(*anchors[event.anchor], mark)
-            case yaml.ScalarEvent():
-                if event.tag not in (None, "!"):
-                    refuse(mark, f"tag {event.tag} is not allowed", "write the plain value")
-                value = _scalar(event.value) if event.implicit[0] else event.value
-                if event.anchor:
-                    anchors[event.anchor] = (value, 1)
-                place(value, 1, mark)
-            case yaml.MappingStartEvent() | yaml.SequenceStartEvent():
-                if event.tag not in (None, "!"):
-                    refuse(mark, f"tag {event.tag} is not allowed", "write the plain value")
-                if len(stack) >= MAX_DEPTH:
-                    refuse(mark, f"nested more than {MAX_DEPTH} deep", "no topology needs that")
-                if stack and isinstance(stack[-1].items, dict) and not stack[-1].has_key:
-                    refuse(mark, "a collection cannot be a key", "use a name or a whole number")
-                items: dict[Any, Any] | list[Any] = {} if isinstance(event, yaml.MappingStartEvent) else []
-                stack.append(_Open(path_here(mark.line + 1), items, event.anchor))
-            case yaml.MappingEndEvent() | yaml.SequenceEndEvent():
-                done = stack.pop()
-                total -= done.size - 1  # its members are counted again with it, once
-                if done.anchor:
-                    anchors[done.anchor] = (done.items, done.size)
-                place(done.items, done.size, mark)
+    def _take_key(self, top: _Open, key: Any, line: int) -> None:
+        if isinstance(key, dict | list) or _is_nan(key):
+            _refuse(self.source, line, f"{key!r} cannot be a key", "use a name or a whole number")
+        path = (*top.path, key)
+        if key in top.items:
+            what = f"{key!r} stands here twice (first on line {self.source.lines[path]})"
+            self.source.problems.append(Problem(line, place_of(top.path), what, "keep one of the two"))
+        self.source.lines[path] = line
+        top.key, top.has_key = key, True
 
 
 def _scalar(text: str) -> Any:
@@ -184,6 +186,10 @@ def _scalar(text: str) -> Any:
     if len(text) <= _MAX_DIGITS and _INT.match(text):
         return int(text)
     return float(text) if FLOAT.match(text) else text
+
+
+def _is_nan(value: Any) -> bool:
+    return isinstance(value, float) and math.isnan(value)
 
 
 def place_of(path: Path) -> str:
