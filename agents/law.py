@@ -34,7 +34,7 @@ class Law(Protocol):
         """Take in the sample of one past step: x(t), f(t) and x(t + 1), (k,); where f is NaN there is none."""
 
     def report(self) -> Array:
-        """What the nodes say of themselves, (k, 4): ahat, its index, J_(2) - J_(1), a_LS; NaN for what there is not."""
+        """What the nodes say of themselves, (k, 3): ahat, its index, J_(2) - J_(1); NaN for what there is not."""
 
 
 def control(b: float, x: Array, ahat: Array) -> Array:
@@ -48,21 +48,20 @@ class Minimax:
     def __init__(self, b: float, candidates: Sequence[Sequence[float]]) -> None:
         self.b = b
         k, longest = len(candidates), max(map(len, candidates))
-        self.candidates = np.full((k, longest), 0.5)
-        self.J = np.full((k, longest), np.inf)
-        """J_i,m(t), (k, M); infinite where a node has fewer candidates than the longest list, so that it never wins."""
+        self.candidates = np.full((longest, k), 0.5)
+        self.J = np.full((longest, k), np.inf)
+        """J_m,i(t), (M, k); infinite where a node has fewer candidates than the longest list, so that it never wins."""
         for i, listed in enumerate(candidates):
-            self.candidates[i, : len(listed)] = listed
-            self.J[i, : len(listed)] = 0.0
-        self._rows = np.arange(k)
-        self._sxx = np.zeros(k)
-        self._sxy = np.zeros(k)
+            self.candidates[: len(listed), i] = listed
+            self.J[: len(listed), i] = 0.0
+        self._nodes = np.arange(k)
+        self._report = np.full((k, 3), np.inf)
         self._choose()
 
     def _choose(self) -> None:
         # argmin takes the first of equals: ties go to the candidate that is listed first.
-        self.index = self.J.argmin(axis=1)
-        self.ahat = self.candidates[self._rows, self.index]
+        self.index = self.J.argmin(axis=0)
+        self.ahat = self.candidates[self.index, self._nodes]
 
     def act(self, x: Array) -> Array:
         """Equation (6)."""
@@ -71,27 +70,21 @@ class Minimax:
     def learn(self, x: Array, flow: Array, x_next: Array) -> None:
         """Equation (7), one sample further; a node whose flow is unknown (NaN) skips it."""
         y = x_next - self.b * flow
-        residual = self.candidates * x[:, None] - y[:, None]
+        residual = self.candidates * x - y
         if np.isfinite(np.add.reduce(flow)):  # all are known
-            self.J += residual * residual
-            self._sxx += x * x
-            self._sxy += x * y
+            residual *= residual
+            self.J += residual
         else:
             known = np.isfinite(flow)
-            self.J[known] += residual[known] ** 2
-            self._sxx[known] += x[known] ** 2
-            self._sxy[known] += x[known] * y[known]
+            self.J[:, known] += residual[:, known] ** 2
         self._choose()
 
     def report(self) -> Array:
-        """The estimate ahat, its index, the margin J_(2) - J_(1) (infinite without a rival), and a_LS = Sxy / Sxx."""
-        report = np.empty((len(self.ahat), 4))
+        """The estimate ahat, its index, and the margin J_(2) - J_(1), infinite without a rival."""
+        report = self._report
         report[:, 0] = self.ahat
         report[:, 1] = self.index
-        report[:, 2] = np.inf
-        if self.J.shape[1] > 1:
-            least = np.partition(self.J, 1, axis=1)
-            report[:, 2] = least[:, 1] - least[:, 0]
-        report[:, 3] = np.nan
-        np.divide(self._sxy, self._sxx, out=report[:, 3], where=self._sxx > 0)
+        if len(self.J) > 1:
+            least, second = np.partition(self.J, 1, axis=0)[:2]
+            np.subtract(second, least, out=report[:, 2])
         return report

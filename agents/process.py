@@ -8,15 +8,17 @@ t - 1 from every peer whose link was up; whichever comes last sets it off.
 from __future__ import annotations
 
 import argparse
+import functools
 import logging
+import math
+import struct
 import threading
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NoReturn
 
-import numpy as np
 import zenoh
 
 from agents.shard import Shard
@@ -33,11 +35,13 @@ from wire.codec import (
     decode_state,
     encode_input,
     encode_link,
+    gather,
     kind_of,
 )
 from wire.session import open_client, publisher, subscriber, wait_for_listeners
 
 LOG = logging.getLogger("agent")
+_SILENCE = struct.pack("<d", math.nan)
 PATIENCE_S = 1.0
 """How long a step may take before the log says what it waits for."""
 
@@ -49,13 +53,14 @@ class Agent:
         self.shard = Shard(view)
         self.peers = [peer.shard for peer in view.peers]
         self._hears = [len(peer.hear) for peer in view.peers]
-        self._peer_of_key = {keys.link(peer.shard, view.shard): p for p, peer in enumerate(view.peers)}
         self.t = -1
         """The last step answered."""
         self._pending: State | None = None
         self._since = time.monotonic()
-        self._heard: list[dict[int, Array]] = [{} for _ in self.peers]
+        self._heard: list[dict[int, bytes]] = [{} for _ in self.peers]
         """Per peer: inputs by step, of the steps that no sample has used yet."""
+        self._u = b""
+        """Our own inputs of the last step."""
         self._said: deque[list[tuple[zenoh.Publisher, bytes]]] = deque(maxlen=2)
         """What went out in the last two steps: a neighbour may still need the one before the last."""
         self._lock = threading.Lock()
@@ -66,9 +71,10 @@ class Agent:
         self._session = open_client(endpoint, namespace)
         name = keys.shard_name(view.shard)
         self._subscribers = [
-            subscriber(self._session, keys.state(view.shard), self._take),
-            *(subscriber(self._session, key, self._take) for key in self._peer_of_key),
+            self._hear(keys.link(peer, view.shard), functools.partial(self._take_link, p))
+            for p, peer in enumerate(self.peers)
         ]
+        self._subscribers.append(self._hear(keys.state(view.shard), self._take_state))
         self._input = publisher(self._session, keys.input_(view.shard))
         self._links = [publisher(self._session, keys.link(view.shard, peer)) for peer in self.peers]
         wait_for_listeners([self._input, *self._links])
@@ -96,24 +102,27 @@ class Agent:
         """Leave the network."""
         self._session.close()  # type: ignore[no-untyped-call]
 
-    def _take(self, key: str, message: bytes) -> None:
-        with self._lock:
-            try:
-                if (peer := self._peer_of_key.get(key)) is not None:
-                    self._take_link(peer, message)
-                elif kind_of(message) == Kind.END:
+    def _hear(self, key: str, take: Callable[[bytes], None]) -> zenoh.Subscriber[None]:
+        """Take what comes on `key`, one message at a time; what is no message is refused, and the law may raise."""
+
+        def on_message(message: bytes) -> None:
+            with self._lock:
+                try:
+                    take(message)
+                except MessageError as error:
+                    self.refused += 1
+                    if self.refused == 1:
+                        LOG.warning("%s: refused: %s", key, error)
+                except Exception as error:  # it must reach the main thread, not Zenoh's log
+                    self._failure = error
                     self._ended.set()
-                else:
-                    self._take_state(message)
-            except MessageError as error:
-                self.refused += 1
-                if self.refused == 1:
-                    LOG.warning("%s: refused: %s", key, error)
-            except Exception as error:  # a law may raise anything; it must reach the main thread
-                self._failure = error
-                self._ended.set()
+
+        return subscriber(self._session, key, on_message)
 
     def _take_state(self, message: bytes) -> None:
+        if kind_of(message) == Kind.END:
+            self._ended.set()
+            return
         state = decode_state(message, self.shard.k, self.shard.m)
         if state.t not in (self.t, self.t + 1):
             return
@@ -129,7 +138,8 @@ class Agent:
         link = decode_link(message, self._hears[peer])
         if link.t >= self.t:
             self._heard[peer][link.t] = link.u
-            self._step_if_complete()
+            if self._pending is not None:
+                self._step_if_complete()
 
     def _missing(self, state: State) -> list[int]:
         if state.t == 0:
@@ -141,38 +151,38 @@ class Agent:
         if state is None or self._missing(state):
             return
         self._pending = None
-        if state.t == 0:
-            u = self.shard.start(state.x)
-        else:
-            u = self.shard.step(state.x, state.flags, self._inputs_of(state.t - 1))
-        self.t = state.t
-        says = [(p, self.shard.say[p]) for p in self.shard.peers_with(Flag.TELL, state.flags)]
-        out = [(self._links[p], encode_link(state.t, state.x[nodes], u[nodes])) for p, nodes in says]
-        out.append((self._input, encode_input(state.t, u, self.shard.report)))
+        shard = self.shard
+        u = shard.step(state.x, state.flags, self._inputs_of(state.t - 1)) if state.t else shard.start(state.x)
+        self.t, self._u = state.t, u.tobytes()
+        out = [(self._links[p], self._link_to(p, state.x, u)) for p in shard.peers_with(Flag.TELL, state.flags)]
+        out.append((self._input, encode_input(state.t, self._u, shard.report)))
         self._said.append(out)
         for neighbour, payload in out:
             neighbour.put(payload)
 
     def _inputs_of(self, t: int) -> Array:
-        """The inputs of step t from all peers, in their order; NaN where none came."""
-        parts: Sequence[Array] = [
-            heard.pop(t) if t in heard else np.full(n, np.nan)
-            for heard, n in zip(self._heard, self._hears, strict=True)
-        ]
-        return np.concatenate(parts) if parts else np.empty(0)
+        """The inputs of step t: our own, then those of all peers, in their order; NaN where none came."""
+        heard = (said.pop(t, _SILENCE * n) for said, n in zip(self._heard, self._hears, strict=True))
+        return gather((self._u, *heard))
+
+    def _link_to(self, peer: int, x: Array, u: Array) -> bytes:
+        nodes = self.shard.say[peer]
+        if nodes is None:
+            return encode_link(self.t, x, self._u)
+        return encode_link(self.t, x[nodes], u[nodes])
 
 
-def main() -> NoReturn:
+def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """`python -m agents VIEW --namespace RUN --connect ENDPOINT`: run one shard until the plant says END."""
     parser = argparse.ArgumentParser(prog="python -m agents", description=main.__doc__)
     parser.add_argument("view", type=Path, help="the local view, a JSON file")
     parser.add_argument("--namespace", required=True, help="the Zenoh namespace of the run")
     parser.add_argument("--connect", required=True, help="the router, a Zenoh endpoint")
-    arguments = parser.parse_args()
+    known = parser.parse_args(arguments)
 
     def body() -> None:
-        view = View.read(arguments.view)
-        agent = Agent(view, arguments.namespace, arguments.connect)
+        view = View.read(known.view)
+        agent = Agent(view, known.namespace, known.connect)
         LOG.info("ready: shard %d of nodes %s", view.shard, [node.id for node in view.nodes][:20])
         try:
             agent.run()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from agents.law import Array, Law, Minimax
 from agents.view import View
 from topologies.errors import HedgerowError, UserError
-from wire.codec import ALL_UP, REPORT_WIDTH, Flag, Flags
+from wire.codec import ALL_UP, REPORT_WIDTH, Flag
 
 Index = NDArray[np.int64]
 
@@ -25,15 +26,15 @@ class LawError(HedgerowError):
 
 
 def new_law(view: View) -> Law:
-    """The law of a view, with no sample seen yet; raises UserError when there is no such law or it cannot begin."""
-    law = _law_class(view.law)
+    """The law of a view, with no sample seen yet; UserError when there is none such, LawError when it cannot begin."""
+    law = law_class(view.law)
     try:
         return law(view.b, [node.candidates for node in view.nodes])
     except Exception as error:
-        raise UserError(f"law {view.law}: cannot begin: {type(error).__name__}: {error}; mend it") from error
+        raise LawError(f"law {view.law}: cannot begin: {type(error).__name__}: {error}; mend it") from error
 
 
-def _law_class(name: str) -> type[Law]:
+def law_class(name: str) -> type[Law]:
     """The class of a law: `minimax`, or `package.module:Class` (looked for in the working directory too)."""
     if name == "minimax":
         return Minimax
@@ -50,6 +51,10 @@ def _law_class(name: str) -> type[Law]:
     if missing := [method for method in ("act", "learn", "report") if not callable(getattr(law, method, None))]:
         raise UserError(f"law {name}: has no {', '.join(missing)}(); a law has act, learn and report (docs/laws.md)")
     return law
+
+
+def _all_or(k: int, nodes: list[int]) -> Index | None:
+    return None if nodes == list(range(k)) else np.array(nodes, dtype=np.int64)
 
 
 class Shard:
@@ -70,10 +75,11 @@ class Shard:
         incidences = [(i, j) for i, node in enumerate(view.nodes) for j in node.neighbours]
         self.m = len(incidences)
         self._row: Index = np.array([i for i, _ in incidences], dtype=np.int64)
-        self._column: Index = np.array([column[j] for _, j in incidences], dtype=np.int64)
+        self._ends: Index = np.array([self._row, [column[j] for _, j in incidences]], dtype=np.int64)
+        """Per incidence: where the inputs of its two ends stand among our own and the heard ones, (2, m)."""
         self._peer: Index = np.array([home.get(j, -1) for _, j in incidences], dtype=np.int64)
-        self.say: list[Index] = [np.array([own[node] for node in peer.say], dtype=np.int64) for peer in view.peers]
-        """Per peer: which of our nodes stand in a link message to it."""
+        self.say = [_all_or(self.k, [own[node] for node in peer.say]) for peer in view.peers]
+        """Per peer: which of our nodes stand in a link message to it; None for all of them, in order."""
         self._everybody: Sequence[int] = range(len(view.peers))
         self._up = bytes([ALL_UP]) * self.m
         self.x: Array = np.zeros(self.k)
@@ -85,18 +91,20 @@ class Shard:
         """u(0): there is no sample to close yet."""
         return self._act(x)
 
-    def step(self, x: Array, flags: Flags, u_heard: Array) -> Array:
-        """u(t), (k,), from x(t) (k,), the Flag bits of t - 1 (m,), and the inputs of t - 1 heard from all peers.
+    def step(self, x: Array, flags: bytes, u: Array) -> Array:
+        """u(t), (k,), from x(t) (k,), the Flag bits of t - 1 (m,), and the inputs of t - 1.
 
-        An input that was not heard is NaN: so is the flow that it enters, and a sample without its flow is skipped.
+        `u`, (k + h,), holds our own inputs and then those heard from all peers. One that was not heard is NaN: so is
+        the flow that it enters, and a sample without its flow is skipped.
         """
-        u = np.concatenate((self.u, u_heard))[self._column]
-        if self._all_up(flags):
-            difference = self.u[self._row] - u
-        else:
-            difference = np.where(flags & _OPEN, self.u[self._row] - np.where(flags & _HEAR, u, np.nan), 0.0)
+        own, other = u.take(self._ends)
+        if flags != self._up:
+            bits = np.frombuffer(flags, np.uint8)
+            own = np.where(bits & _OPEN, own, 0.0)
+            other = np.where(bits & _OPEN, np.where(bits & _HEAR, other, np.nan), 0.0)
+        difference = own - other
         try:
-            flow = np.asarray(np.bincount(self._row, difference, self.k), dtype=float)
+            flow: Array = np.bincount(self._row, difference, self.k)  # type: ignore[assignment]  # weighted: floats
             self._law.learn(self.x, flow, x)
         except Exception as error:
             raise self._failed("learn", f"raised {type(error).__name__}: {error}") from error
@@ -108,7 +116,7 @@ class Shard:
             self.report = np.asarray(self._law.report(), dtype=float)
         except Exception as error:
             raise self._failed("act", f"raised {type(error).__name__}: {error}") from error
-        if u.shape != (self.k,) or not np.isfinite(u).all():
+        if u.shape != (self.k,) or not math.isfinite(np.add.reduce(u)):
             raise self._failed("act", f"gave {u} for the states {x}, and an input is a number a node")
         if self.report.shape != (self.k, REPORT_WIDTH):
             raise self._failed("report", f"has the shape {self.report.shape}, and not {(self.k, REPORT_WIDTH)}")
@@ -119,11 +127,9 @@ class Shard:
         nodes = ", ".join(str(node.id) for node in self._view.nodes[:8])
         return LawError(f"law {self._view.law}: {method}() of node {nodes} {what}")
 
-    def peers_with(self, bit: Flag, flags: Flags) -> Sequence[int]:
+    def peers_with(self, bit: Flag, flags: bytes) -> Sequence[int]:
         """Peers to whom at least one incidence has `bit` set."""
-        if self._all_up(flags):
+        if flags == self._up:
             return self._everybody
-        return [int(p) for p in np.unique(self._peer[flags & np.uint8(bit) != 0]) if p >= 0]
-
-    def _all_up(self, flags: Flags) -> bool:
-        return flags.tobytes() == self._up
+        marked = np.frombuffer(flags, np.uint8) & np.uint8(bit) != 0
+        return [int(p) for p in np.unique(self._peer[marked]) if p >= 0]

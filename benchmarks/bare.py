@@ -19,7 +19,8 @@ from pathlib import Path
 
 from wire import keys
 from wire.codec import REPORT_WIDTH
-from wire.session import open_client, open_router, publisher, runtime_environment, subscriber, wait_for_listeners
+from wire.runtime import runtime_environment
+from wire.session import open_client, open_router, publisher, subscriber, wait_for_listeners
 
 HEADER = 16
 STEP = struct.Struct("<q")
@@ -50,7 +51,7 @@ def agent(endpoint: str, me: int, neighbours: list[int]) -> None:
             link.put(_stamp(t, 16))
         inputs.put(_stamp(t, 8 * (1 + REPORT_WIDTH)))
 
-    def on_state(_: str, message: bytes) -> None:
+    def on_state(message: bytes) -> None:
         t = _step(message)
         if t == STOP:
             done.set()
@@ -58,21 +59,21 @@ def agent(endpoint: str, me: int, neighbours: list[int]) -> None:
         waiting.append(t)
         go()
 
-    def on_link(_: str, message: bytes) -> None:
+    def on_link(message: bytes) -> None:
         t = _step(message)
         heard[t] = heard.get(t, 0) + 1
         if waiting:
             go()
 
     with open_client(endpoint, "bare") as session:
-        subscriber(session, keys.state(me), on_state)
-        for neighbour in neighbours:
-            subscriber(session, keys.link(neighbour, me), on_link)
+        subscribers = [subscriber(session, keys.link(neighbour, me), on_link) for neighbour in neighbours]
+        subscribers.append(subscriber(session, keys.state(me), on_state))
         inputs = publisher(session, keys.input_(me))
         links = [publisher(session, keys.link(me, neighbour)) for neighbour in neighbours]
         wait_for_listeners([inputs, *links])
-        session.liveliness().declare_token(keys.alive(str(me)))
+        token = session.liveliness().declare_token(keys.alive(str(me)))
         done.wait()
+        del token
 
 
 def plant(endpoint: str, degrees: list[int], steps: int, edges: int) -> float:
@@ -85,7 +86,7 @@ def plant(endpoint: str, degrees: list[int], steps: int, edges: int) -> float:
         for state, degree in zip(states, degrees, strict=True):
             state.put(_stamp(t, 8 + degree))
 
-    def on_input(_: str, __: bytes) -> None:
+    def on_input(_: bytes) -> None:
         nonlocal arrived, t
         arrived += 1
         if arrived < n:
@@ -100,7 +101,7 @@ def plant(endpoint: str, degrees: list[int], steps: int, edges: int) -> float:
     with open_client(endpoint, "bare") as session:
         telemetry = publisher(session, keys.TELEMETRY)
         states = [publisher(session, keys.state(i)) for i in range(n)]
-        subscriber(session, keys.input_("*"), on_input)
+        inputs = [subscriber(session, keys.input_(i), on_input) for i in range(n)]
         wait_for_listeners([telemetry, *states])
         while len(list(session.liveliness().get(keys.ALIVE))) < n:
             pass
@@ -108,6 +109,7 @@ def plant(endpoint: str, degrees: list[int], steps: int, edges: int) -> float:
         send()
         done.wait()
         elapsed = time.perf_counter() - began
+        del inputs
         for state in states:
             state.put(_stamp(STOP, 0))
         return steps / elapsed
@@ -120,16 +122,14 @@ def run(n: int, edges: Edges, steps: int) -> float:
         endpoint = f"unixsock-stream/{Path(folder) / 'router.sock'}"
         stack.enter_context(open_router(endpoint))
         observer = stack.enter_context(open_client(endpoint, "bare"))
-        subscriber(observer, keys.TELEMETRY, lambda *_: None)
+        stack.enter_context(subscriber(observer, keys.TELEMETRY, lambda _: None))
         environment = os.environ | runtime_environment()
         base = [sys.executable, "-m", "benchmarks.bare", endpoint]
         agents = [
             subprocess.Popen([*base, "agent", str(i), *map(str, neighbours[i])], env=environment) for i in range(n)
         ]
         command = [*base, "plant", str(steps), str(len(edges)), *(str(len(each)) for each in neighbours)]
-        output = subprocess.run(
-            command, env=environment, capture_output=True, text=True, check=True, timeout=300
-        ).stdout
+        output = subprocess.run(command, env=environment, capture_output=True, text=True, check=True, timeout=60).stdout
         for process in agents:
             process.wait(30)
         return float(output)

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import sys
 import time
+
+from orchestrator.nursery import Nursery
 
 BEGAN = time.monotonic()
 
 
 def main() -> None:
-    """Run the command line; `BEGAN` is from before anything was loaded."""
+    """Run the command line; when it is `up`, the nursery loads beside us from the very beginning."""
+    launches = "up" in sys.argv[1:2] and not {"--help", "--detach"} & set(sys.argv)
+    nursery = Nursery() if launches else None
     from orchestrator.cli import run_command  # noqa: PLC0415
 
-    run_command(BEGAN)
+    run_command(BEGAN, nursery)
 
 
 if __name__ == "__main__":

@@ -56,6 +56,11 @@ def candidates_of(topology: Topology) -> list[tuple[float, ...]]:
             return [tuple(node.candidates) for node in own]  # type: ignore[arg-type]
 
 
+def law_of(topology: Topology) -> str:
+    """The law that the agents run: hinf and nominal are minimax, with one candidate a node."""
+    return "minimax" if topology.law in ("hinf", "nominal") else topology.law
+
+
 def views_of(topology: Topology, shards: Layout) -> list[View]:
     """What each agent process is told: its own nodes and who their neighbours are, never the truth or the graph."""
     ids, graph = topology.ids, topology.graph
@@ -64,7 +69,6 @@ def views_of(topology: Topology, shards: Layout) -> list[View]:
     for i, j in zip(graph.node, graph.neighbour, strict=True):
         neighbours[i].append(int(j))
     candidates = candidates_of(topology)
-    law = "minimax" if topology.law in ("hinf", "nominal") else topology.law
     views = []
     for p, nodes in enumerate(shards):
         say: dict[int, set[int]] = {}
@@ -78,7 +82,7 @@ def views_of(topology: Topology, shards: Layout) -> list[View]:
             View(
                 shard=p,
                 b=topology.b,
-                law=law,
+                law=law_of(topology),
                 nodes=[NodeView(ids[i], candidates[i], [ids[j] for j in neighbours[i]]) for i in nodes],
                 peers=[
                     Peer(q, [ids[i] for i in sorted(say[q])], [ids[j] for j in sorted(hear[q])]) for q in sorted(say)

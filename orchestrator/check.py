@@ -38,13 +38,19 @@ def table(topology: Topology) -> str:
         if graph.n > MAX_ROWS:
             console.print(f"… and {graph.n - MAX_ROWS} nodes more")
         models = [np.array(listed) for listed in candidates_of(topology)]
+        size = f"{count(graph.n, 'node')}, {count(len(graph.edges), 'edge')}, b = {topology.b:g}"
+        gamma, rho = gamma_star(a, topology.b, graph), contraction(a, models)
         console.print(
-            f"\n{topology.name}: {graph.n} nodes, {len(graph.edges)} edges, b = {topology.b:g}, "
-            f"{topology.steps} steps, seed {topology.seed}, law {topology.law}\n"
-            f"gamma* = {gamma_star(a, topology.b, graph):.6g}, the optimal gain when every a is known; "
-            f"rho = {contraction(a, models):.6g}, the contraction whatever is estimated"
+            f"\n{topology.name}: {size}, {topology.steps} steps, seed {topology.seed}, law {topology.law}\n"
+            f"gamma* = {gamma:.6g}, the optimal gain when every a is known; "
+            f"rho = {rho:.6g}, the contraction whatever is estimated"
         )
     return capture.get().rstrip()
+
+
+def count(number: int, thing: str, plural: str = "s") -> str:
+    """A number of things, in words."""
+    return f"{number} {thing}{plural if number != 1 else ''}"
 
 
 def _shown(part: Component) -> str:

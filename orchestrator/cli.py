@@ -15,7 +15,8 @@ from typing import Annotated
 
 import typer
 
-from orchestrator.check import table
+from orchestrator.check import count, table
+from orchestrator.nursery import Nursery
 from orchestrator.verdict import EXIT_CODES, UNKNOWN
 from topologies.errors import HedgerowError, TopologyError, UserError
 from topologies.load import find, load
@@ -31,6 +32,7 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 _BEGAN = time.monotonic()
+_NURSERY: Nursery | None = None
 
 File = Annotated[str, typer.Argument(metavar="FILE", help="a topology file, a bundled name, or the folder of a run")]
 Sets = Annotated[list[str] | None, typer.Option("--set", metavar="PATH=VALUE", help="replace a value of the file")]
@@ -46,10 +48,10 @@ Viewer = Annotated[
 ]
 
 
-def run_command(began: float) -> None:
+def run_command(began: float, nursery: Nursery | None) -> None:
     """Run the command line and leave with its exit code; `began` is when the process did, by time.monotonic()."""
-    global _BEGAN  # noqa: PLW0603 (typer hands commands nothing but their options)
-    _BEGAN = began
+    global _BEGAN, _NURSERY
+    _BEGAN, _NURSERY = began, nursery
     try:
         code = app(standalone_mode=False) or 0
     except TopologyError as error:
@@ -82,6 +84,15 @@ def _leave(code: int) -> None:
         sys.stdout.flush()
         sys.stderr.flush()
     os._exit(code)
+
+
+def _importable(topology: Topology) -> Topology:
+    """The topology, whose law is code: a module that fails to load is better known before a run begins."""
+    from agents.shard import law_class  # noqa: PLC0415
+    from orchestrator.assign import law_of  # noqa: PLC0415
+
+    law_class(law_of(topology))
+    return topology
 
 
 def _read(file: str, sets: list[str] | None, **replace: object) -> Topology:
@@ -118,14 +129,14 @@ def up(
 
     if rate < 0 or deadline <= 0:
         raise UserError("--rate must not be negative, and --deadline must be above 0")
-    topology = _read(file, sets, steps=steps, seed=seed, law=law)
+    topology = _importable(_read(file, sets, steps=steps, seed=seed, law=law))
     shards = layout(topology, processes)
     viewer = _viewer(viewer)
     if detach:
         return _start_detached()
     folder = folders.create(topology, run_dir)
     display = screen(topology.steps, as_json)
-    what = f"{len(topology.ids)} nodes in {len(shards)} processes, {topology.steps} steps"
+    what = f"{count(len(topology.ids), 'node')} in {count(len(shards), 'process', 'es')}, {topology.steps} steps"
     display.say(f"{topology.name}: {what}, run {folder.name}")
     options = Options(rate, deadline, router, Watching(record, viewer), verify)
 
@@ -135,7 +146,8 @@ def up(
             display.say(f"running in the background; `orchestrator stop {folder.name}` ends it")
             _let_go_of_terminal(folder.logs / "up.log")
 
-    verdict = Network(topology, folder, shards, options, display, _BEGAN).run(on_first_step)
+    network = Network(topology, folder, shards, options, display, _NURSERY or Nursery(), _BEGAN)
+    verdict = network.run(on_first_step)
     return verdict.exit_code
 
 
@@ -196,7 +208,7 @@ def simulate(
     from orchestrator.screen import screen  # noqa: PLC0415
     from orchestrator.simulate import simulate as run_here  # noqa: PLC0415
 
-    topology = _read(file, sets, steps=steps, seed=seed, law=law)
+    topology = _importable(_read(file, sets, steps=steps, seed=seed, law=law))
     folder = folders.create(topology, run_dir)
     display = screen(topology.steps, as_json)
     verdict = run_here(topology, folder, layout(topology, 1), Watching(record, _viewer(viewer)), display)

@@ -20,12 +20,12 @@ def run(truth: Truth, views: Sequence[View]) -> Iterator[Telemetry | End]:
     shards = [Shard(view) for view in views]
     position = {node: k for k, node in enumerate(truth.ids)}
     nodes = [np.array(part, dtype=np.int64) for part in truth.shards]
-    heard = [np.array([position[node] for peer in view.peers for node in peer.hear], dtype=np.int64) for view in views]
-    flags = [np.full(shard.m, ALL_UP, dtype=np.uint8) for shard in shards]
-    edge_open, link_up = (
-        np.ones(len(truth.edges), dtype=np.bool_),
-        np.ones(2 * len(truth.edges), dtype=np.uint8),
-    )
+    heard = [
+        np.concatenate([own, [position[node] for peer in view.peers for node in peer.hear]]).astype(np.int64)
+        for own, view in zip(nodes, views, strict=True)
+    ]
+    flags = [bytes([ALL_UP]) * shard.m for shard in shards]
+    edge_open, link_up = (np.ones(k * len(truth.edges), dtype=np.uint8) for k in (1, 2))
     u, report = np.zeros(n), np.zeros((n, REPORT_WIDTH))
     began = time.monotonic()
     for t in range(truth.steps):
@@ -34,6 +34,6 @@ def run(truth: Truth, views: Sequence[View]) -> Iterator[Telemetry | End]:
         for shard, own, others, up in zip(shards, nodes, heard, flags, strict=True):
             u[own] = shard.step(x[own], up, before[others]) if t else shard.start(x[own])
             report[own] = shard.report
-        w = world.step(u, edge_open)
-        yield Telemetry(t, x, u, w, report, edge_open.view(np.uint8), link_up)
+        w = world.step(u)
+        yield Telemetry(t, x, u, w, report, edge_open, link_up)
     yield End(world.t, world.x, time.monotonic() - began)

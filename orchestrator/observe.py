@@ -42,7 +42,7 @@ class Batch:
     margin: Matrix
     """J_(2) - J_(1), infinite without a rival, (B, n)"""
     a_ls: Matrix
-    """the least-squares a, NaN before there is one, (B, n)"""
+    """the least-squares a = truth + beta, NaN before there is a sample, (B, n)"""
     beta: Matrix
     """sum x w / sum x^2 over past samples: a_LS = a + beta, (B, n)"""
     identifiable: NDArray[np.bool_]
@@ -90,17 +90,17 @@ class Batch:
         return np.where(self.energy_sum > 0, gain, np.nan)
 
 
-class _Twin:
-    """The network under a law whose model never changes."""
+class _Twins:
+    """The network under laws whose models never change, side by side: row 0 the oracle's, row 1 the nominal one's."""
 
-    def __init__(self, observer: Observer, model: Array) -> None:
-        self._network, self._model = observer, model
-        self.x = observer.x0
+    def __init__(self, observer: Observer) -> None:
+        self._network, self._models = observer, np.stack([observer.a, observer.nominal])
+        self.x = np.stack([observer.x0, observer.x0])
 
-    def step(self, w: Array, edge_open: NDArray[np.bool_]) -> tuple[Array, Array]:
-        """x(t) and u(t); moves on to t + 1."""
+    def step(self, w: Array, edge_open: NDArray[np.bool_] | None) -> tuple[Matrix, Matrix]:
+        """x(t) and u(t) of both, (2, n); moves on to t + 1."""
         network, x = self._network, self.x
-        u = control(network.b, x, self._model)
+        u = control(network.b, x, self._models)
         self.x = dynamics(network.a, network.b, network.graph, x, u, w, edge_open)
         return x, u
 
@@ -153,7 +153,7 @@ class Observer:
         longest = max(map(len, models))
         self._padded = np.array([np.pad(listed, (0, longest - len(listed)), mode="edge") for listed in models])
         self._solve_q = q_solver(self.a, self.b, self.graph)
-        self._oracle, self._nominal = _Twin(self, self.a), _Twin(self, self.nominal)
+        self._twins = _Twins(self)
         n = self.graph.n
         self._sums = np.zeros(5)
         self._supply = np.float64(0)
@@ -185,12 +185,12 @@ class Observer:
         x, u, w = (np.array([getattr(row, name) for row in rows]) for name in ("x", "u", "w"))
         report = np.array([row.report for row in rows])
         edge_open = np.array([row.edge_open for row in rows], dtype=np.bool_).reshape(len(rows), -1)
-        oracle = [self._oracle.step(w_t, on) for w_t, on in zip(w, edge_open, strict=True)]
-        nominal = [self._nominal.step(w_t, on) for w_t, on in zip(w, edge_open, strict=True)]
-        x_oracle, u_oracle = (np.array([pair[k] for pair in oracle]) for k in (0, 1))
-        x_nominal = np.array([pair[0] for pair in nominal])
-        u_edge = np.array([self.graph.edge_input(u_t, on) for u_t, on in zip(u, edge_open, strict=True)])
-        flow_cost = [self.graph.edge_input(u_t, on) for u_t, on in zip(u_oracle, edge_open, strict=True)]
+        closed = None if edge_open.all() else edge_open
+        twins = [self._twins.step(w_t, None if closed is None else on) for w_t, on in zip(w, edge_open, strict=True)]
+        x_oracle, x_nominal = (np.array([pair[0][k] for pair in twins]) for k in (0, 1))
+        u_oracle = np.array([pair[1][0] for pair in twins])
+        u_edge = self.graph.edge_input(u, closed)
+        flow_cost = self.graph.edge_input(u_oracle, closed)
         cost = (x * x).sum(axis=1) + (u_edge * u_edge).sum(axis=1)
         cost_oracle = (x_oracle * x_oracle).sum(axis=1) + np.square(flow_cost).sum(axis=1)
         regret, gap = np.abs(x - x_oracle), np.abs(x_oracle - x_nominal)
@@ -206,12 +206,12 @@ class Observer:
         supply = _running(self._supply, (w * q_inverse_w).sum(axis=1))
         self._supply = supply[-1]
         beta = self._beta(x, w)
-        slack = supply + self.v0 - self._v(np.vstack([x_oracle[1:], self._oracle.x])) - sums[:, 3]
-        self._check(rows, -slack / (supply + self.v0 + TINY) - ROUNDING)
+        slack = supply + self.v0 - self._v(np.vstack([x_oracle[1:], self._twins.x[:1]])) - sums[:, 3]
+        self._check(rows, x, u, report[:, :, 0], -slack / (supply + self.v0 + TINY) - ROUNDING)
         return Batch(
             t=t, x=x, u=u, w=w,
             ahat=report[:, :, 0], index=np.nan_to_num(report[:, :, 1], nan=-1.0).astype(np.int32),
-            margin=report[:, :, 2], a_ls=report[:, :, 3],
+            margin=report[:, :, 2], a_ls=self.a + beta,
             beta=beta, identifiable=self._identifiable(beta),
             edge_open=edge_open, u_edge=u_edge,
             x_oracle=x_oracle, x_nominal=x_nominal, regret=regret, nominal_gap=gap,
@@ -226,9 +226,9 @@ class Observer:
         while self.next_step < end.t:
             self.lost.append(self.next_step)
             self.next_step += 1
-        self.x_oracle_end, self.x_nominal_end = self._oracle.x, self._nominal.x
-        self._sums[0] += np.square(end.x - self._oracle.x).sum()
-        self._sums[1] += np.square(self._nominal.x - self._oracle.x).sum()
+        self.x_oracle_end, self.x_nominal_end = self._twins.x
+        self._sums[0] += np.square(end.x - self.x_oracle_end).sum()
+        self._sums[1] += np.square(self.x_nominal_end - self.x_oracle_end).sum()
         if self._last is not None and self._last.t == end.t - 1:
             self._check_motion([(self._last, end.x)])
 
@@ -257,31 +257,28 @@ class Observer:
             found[:, i] = (nearest == self.a[i]) & np.isfinite(beta[:, i])
         return found
 
-    def _check(self, rows: Sequence[Telemetry], certificate: Array) -> None:
+    def _check(self, rows: Sequence[Telemetry], x: Matrix, u: Matrix, ahat: Matrix, certificate: Array) -> None:
         steps = [row.t for row in rows]
         chain = rows if self._last is None else [self._last, *rows]
         # Where telemetry was lost, two rows that follow each other here are not of consecutive steps.
         self._check_motion([(p, q.x) for p, q in itertools.pairwise(chain) if q.t == p.t + 1])
         self._last = rows[-1]
         self.checks["oracle_certificate"].see(certificate, steps)
-        self.checks["estimates"].see(np.array([-1.0 if self._follows_the_law(row) else 1.0 for row in rows]), steps)
-
-    def _follows_the_law(self, row: Telemetry) -> bool:
-        """Whether every ahat is one of its node's candidates, and u is equation (6) of it, to the bit."""
-        ahat = row.report[:, 0]
-        listed = (self._padded == ahat[:, None]).any(axis=1)
-        return bool(listed.all()) and np.array_equal(control(self.b, row.x, ahat), row.u)
+        listed = (self._padded == ahat[:, :, None]).any(axis=2).all(axis=1)
+        acts = (control(self.b, x, ahat) == u).all(axis=1)
+        self.checks["estimates"].see(np.where(listed & acts, -1.0, 1.0), steps)
 
     def _check_motion(self, pairs: Sequence[tuple[Telemetry, Array]]) -> None:
         """Equation (1) to the bit, and the contraction, for each row and the state after it."""
         if not pairs:
             return
-        past, x_next = zip(*pairs, strict=True)
-        steps = [p.t for p in past]
-        moved = [dynamics(self.a, self.b, self.graph, p.x, p.u, p.w, p.edge_open.view(np.bool_)) for p in past]
-        equal = np.array([np.array_equal(m, x) for m, x in zip(moved, x_next, strict=True)])
+        x, u, w = (np.array([getattr(past, name) for past, _ in pairs]) for name in ("x", "u", "w"))
+        x_next = np.array([after for _, after in pairs])
+        edge_open = np.array([past.edge_open for past, _ in pairs], dtype=np.bool_)
+        steps = [past.t for past, _ in pairs]
+        equal = (dynamics(self.a, self.b, self.graph, x, u, w, edge_open) == x_next).all(axis=1)
         self.checks["dynamics"].see(np.where(equal, -1.0, 1.0), steps)
-        bound = np.array([self.rho * np.abs(p.x).sum() + np.abs(p.w).sum() for p in past])
+        bound = self.rho * np.abs(x).sum(axis=1) + np.abs(w).sum(axis=1)
         norm = np.abs(x_next).sum(axis=1)
         self.checks["contraction"].see(norm / (bound + TINY) - 1 - ROUNDING, steps)
 

@@ -6,12 +6,12 @@ import contextlib
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from orchestrator.folder import RunFolder, write_json
 from orchestrator.observe import Batch, Observer
-from orchestrator.record import Recorder
 from orchestrator.verdict import Ending, Verdict, judge
 from orchestrator.viewer import Viewer, start
 from topologies.errors import HedgerowError
@@ -19,6 +19,7 @@ from topologies.schema import Topology
 from wire.codec import End, Telemetry
 
 if TYPE_CHECKING:
+    from orchestrator.record import Recorder
     from orchestrator.rerun_stream import RerunStream
 
 CLOSE_DEADLINE_S = 5.0
@@ -38,11 +39,17 @@ class Run:
     def __init__(self, topology: Topology, folder: RunFolder, watching: Watching, ending: Ending) -> None:
         self.topology, self.folder, self.ending = topology, folder, ending
         self.observer = Observer(topology)
-        self._recorder = Recorder(topology, folder.path)
         self._watching = watching
         self._stream: RerunStream | None = None
         self.viewer: Viewer | None = None
         self._first_at: float | None = None
+
+    @cached_property
+    def _recorder(self) -> Recorder:
+        # Arrow takes a while to load: not before the processes of the run have been launched.
+        from orchestrator.record import Recorder  # noqa: PLC0415
+
+        return Recorder(self.topology, self.folder.path)
 
     def take(self, rows: Sequence[Telemetry]) -> Batch:
         """Observe and record some steps; OSError when the disk is full."""

@@ -4,28 +4,20 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import sys
 import tempfile
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from agents.view import View
 from orchestrator.folder import RunFolder
+from orchestrator.nursery import Nursery
 from plant.truth import Truth
-from topologies.errors import HedgerowError, UserError
 from wire import keys
 from wire.child import ERROR_PREFIX
-from wire.session import runtime_environment
 
 MAX_SOCKET_PATH = 100
 """Bytes; the kernel's limit for a Unix socket is 108 with its end."""
-
-
-class ProcessError(HedgerowError):
-    """A process of the run ended when it should not have."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +33,12 @@ class Dead:
         return f"{self.name} {how}" + (f": {self.error}" if self.error else "")
 
 
+def cause(dead: Sequence[Dead]) -> str:
+    """What to tell the user about processes that died."""
+    others = f" (and {len(dead) - 1} more: {', '.join(one.name for one in dead[1:8])})" if len(dead) > 1 else ""
+    return f"{dead[0]}{others}"
+
+
 def socket_path(folder: RunFolder) -> Path:
     """Where the router listens: in the run's folder, or in a private one when that path is too long for a socket."""
     if len(os.fsencode(folder.socket)) <= MAX_SOCKET_PATH:
@@ -49,13 +47,12 @@ def socket_path(folder: RunFolder) -> Path:
 
 
 class Processes:
-    """The plant and the agents, each a process of its own with a log of its own."""
+    """The plant and the agents of one run, each a process of its own with a log of its own."""
 
-    def __init__(self, folder: RunFolder, namespace: str, endpoint: str) -> None:
-        self._folder = folder
+    def __init__(self, nursery: Nursery, folder: RunFolder, namespace: str, endpoint: str) -> None:
+        self._nursery, self._folder = nursery, folder
         self._wire = ["--namespace", namespace, "--connect", endpoint]
-        self._running: dict[str, subprocess.Popen[bytes]] = {}
-        self._environment = os.environ | runtime_environment() | {"PYTHONUNBUFFERED": "1"}
+        self._names: list[str] = []
 
     def start_agent(self, view: View) -> None:
         """Launch one shard with its local view and nothing else."""
@@ -70,31 +67,26 @@ class Processes:
     def _start(self, name: str, module: str, told: str, options: Sequence[str]) -> None:
         file = self._folder.processes / f"{name}.json"
         file.write_text(told, encoding="utf-8")
-        # -P: a folder called `agents` in the user's working directory is not ours.
-        command = [sys.executable, "-P", "-m", module, str(file), *self._wire, *options]
-        with (self._folder.logs / f"{name}.log").open("ab") as log:
-            self._running[name] = subprocess.Popen(
-                command,
-                stdin=subprocess.PIPE,  # the lifeline: see wire.child
-                stdout=log,
-                stderr=log,
-                env=self._environment,
-                start_new_session=True,  # a Ctrl-C in the terminal is ours to handle
-            )
+        self._nursery.fork(name, module, [str(file), *self._wire, *options], self._folder.logs / f"{name}.log")
+        self._names.append(name)
 
-    @property
-    def pids(self) -> dict[str, int]:
-        """The process id of everyone started, by name."""
-        return {name: process.pid for name, process in self._running.items()}
+    def wait_until_started(self) -> dict[str, int]:
+        """The process ids by name, once all run."""
+        self._nursery.wait_until_forked(self._names)
+        return dict(self._nursery.pids)
 
     def dead(self) -> list[Dead]:
         """Who has ended so far, other than in good order."""
-        codes = {name: process.poll() for name, process in self._running.items()}
+        codes = dict(self._nursery.codes)
         return [Dead(name, code, self._last_error(name)) for name, code in codes.items() if code]
 
     def ended(self, name: str) -> bool:
         """Whether that process is gone, in good order or not."""
-        return self._running[name].poll() is not None
+        return name in self._nursery.codes or "nursery" in self._nursery.codes
+
+    def wait(self, timeout_s: float) -> None:
+        """Wait for all to end by themselves, at most so long."""
+        self._nursery.wait(timeout_s)
 
     def _last_error(self, name: str) -> str:
         try:
@@ -103,32 +95,3 @@ class Processes:
             return ""
         errors = [line for line in lines if line.startswith(ERROR_PREFIX)]
         return errors[-1].removeprefix(ERROR_PREFIX) if errors else ""
-
-    def wait(self, timeout_s: float) -> list[str]:
-        """Wait for all to end by themselves; return the names of those that have not."""
-        deadline = time.monotonic() + timeout_s
-        for process in self._running.values():
-            try:
-                process.wait(max(0.0, deadline - time.monotonic()))
-            except subprocess.TimeoutExpired:
-                break
-        return [name for name, process in self._running.items() if process.poll() is None]
-
-    def kill(self) -> None:
-        """End whoever is still there, at once; return when all are gone."""
-        for process in self._running.values():
-            if process.poll() is None:
-                process.kill()
-        for process in self._running.values():
-            process.wait()
-            if process.stdin is not None:
-                process.stdin.close()
-
-
-def cause(dead: Sequence[Dead]) -> HedgerowError:
-    """What to tell the user about processes that died: a mistake of theirs if one says so, else what happened."""
-    mistakes = [one for one in dead if one.code == 2 and one.error]
-    if mistakes:
-        return UserError(mistakes[0].error)
-    others = f" (and {len(dead) - 1} more: {', '.join(one.name for one in dead[1:8])})" if len(dead) > 1 else ""
-    return ProcessError(f"{dead[0]}{others}")

@@ -18,13 +18,13 @@ from orchestrator.assign import Layout, truth_of, views_of
 from orchestrator.control import ask
 from orchestrator.folder import RunFolder
 from orchestrator.interrupts import EndNowError, Interrupts
+from orchestrator.nursery import Nursery
 from orchestrator.run import Run, Watching
 from orchestrator.screen import Screen
 from orchestrator.simulate import equals_reference
 from orchestrator.supervise import Dead, Processes, cause, socket_path
 from orchestrator.verdict import Ending, Verdict
 from orchestrator.viewer import Viewer
-from topologies.errors import UserError
 from topologies.schema import Topology
 from wire import keys
 from wire.codec import Kind, decode_end, decode_telemetry, encode_seen, kind_of
@@ -61,7 +61,7 @@ class _Inbox:
         self.wake = threading.Event()
         """something should be looked at before the next tick"""
 
-    def put(self, _: str, message: bytes) -> None:
+    def put(self, message: bytes) -> None:
         self._messages.append(message)
         if self.first_at is None and kind_of(message) == Kind.TELEMETRY:
             self.first_at = time.monotonic()
@@ -77,9 +77,17 @@ class Network:
     """The processes of one run and what is heard of them, from launch to verdict."""
 
     def __init__(
-        self, topology: Topology, folder: RunFolder, shards: Layout, options: Options, screen: Screen, began: float
+        self,
+        topology: Topology,
+        folder: RunFolder,
+        shards: Layout,
+        options: Options,
+        screen: Screen,
+        nursery: Nursery,
+        began: float,
     ) -> None:
         """`began` is when the command was given, by time.monotonic(): the first step is counted from there."""
+        self._nursery = nursery
         self._topology, self._folder, self._shards, self._options = topology, folder, shards, options
         self._screen, self._began = screen, began
         self._ending = Ending(run=folder.name, engine="zenoh", processes=len(shards))
@@ -92,7 +100,7 @@ class Network:
         self._answered = False
 
     def run(self, on_first_step: Callable[[float], None] = lambda _: None) -> Verdict:
-        """Launch, observe until the end or an interrupt, clean up, and judge; UserError when a process says so.
+        """Launch, observe until the end or an interrupt, clean up, and judge.
 
         `on_first_step` is called with the seconds from the command to the first step, once it is done.
         """
@@ -117,9 +125,6 @@ class Network:
             self._screen.verdict(verdict, self._folder.path)
             if run.viewer is not None:
                 self._serve(run.viewer, interrupts)
-        mistake = cause(dead) if dead else None
-        if isinstance(mistake, UserError):
-            raise mistake
         return verdict
 
     def _serve(self, viewer: Viewer, interrupts: Interrupts) -> None:
@@ -139,16 +144,15 @@ class Network:
         if self._socket is not None:
             stack.callback(_remove_socket, self._socket, self._folder)
             stack.enter_context(open_router(self._endpoint))
-        processes = Processes(self._folder, self._namespace, self._endpoint)
-        stack.callback(processes.kill)
+        stack.callback(self._nursery.close)
+        processes = Processes(self._nursery, self._folder, self._namespace, self._endpoint)
         truth = truth_of(self._topology, self._shards)
         processes.start_plant(truth, self._options.rate, self._options.deadline_s, self._socket, listed)
         for view in views_of(self._topology, self._shards):
             processes.start_agent(view)
         session = stack.enter_context(open_client(self._endpoint, self._namespace))
-        self._folder.event(
-            "start", engine="zenoh", endpoint=self._endpoint, namespace=self._namespace, pids=processes.pids
-        )
+        pids = processes.wait_until_started()
+        self._folder.event("start", engine="zenoh", endpoint=self._endpoint, namespace=self._namespace, pids=pids)
         return processes, session
 
     def _observe(
@@ -211,7 +215,7 @@ class Network:
         if dead:
             self._folder.event("processes_died", processes=[str(one) for one in dead])
         if done < self._topology.steps:
-            reason = self._ending.stopped or (str(cause(dead)) if dead else "stopped on request")
+            reason = self._ending.stopped or (cause(dead) if dead else "stopped on request")
             self._ending.stopped = f"stopped at step {done}: {reason}"
 
 

@@ -82,7 +82,11 @@ def judge(topology: Topology, observer: Observer, ending: Ending) -> Verdict:
             "ok": ending.reference_equal,
             "claim": "telemetry equals the in-process reference, bit for bit",
         }
-    failed = [f"{name} fails at step {check.get('step', '?')}" for name, check in checks.items() if not check["ok"]]
+    failed = [
+        f"{name} fails" + (f" at step {check['step']}" if "step" in check else "")
+        for name, check in checks.items()
+        if not check["ok"]
+    ]
     doubts = []
     if ending.stopped:
         doubts.append(ending.stopped)

@@ -8,12 +8,14 @@ and gives up, by name, past the deadline.
 from __future__ import annotations
 
 import argparse
+import functools
 import json
 import logging
+import math
 import threading
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NoReturn
 
@@ -31,6 +33,7 @@ from wire.codec import (
     REPORT_WIDTH,
     End,
     Flags,
+    Input,
     MessageError,
     Telemetry,
     decode_input,
@@ -38,6 +41,7 @@ from wire.codec import (
     encode_end,
     encode_state,
     encode_telemetry,
+    gather,
 )
 from wire.session import open_client, publisher, remove_socket, subscriber, wait_for_listeners
 
@@ -54,7 +58,7 @@ class _Shard:
     """One agent process as the plant sees it."""
 
     nodes: Index
-    flags: Flags
+    flags: bytes
     state: zenoh.Publisher
     message: bytes = b""
     alive: bool = False
@@ -76,15 +80,6 @@ class _Clock:
         return self.started + t * self.period_s
 
 
-@dataclass
-class _Inputs:
-    """What step t has brought so far."""
-
-    u: np.ndarray[tuple[int], np.dtype[np.float64]]
-    report: np.ndarray[tuple[int, int], np.dtype[np.float64]]
-    missing: set[int] = field(default_factory=set)
-
-
 class Plant:
     """The plant's process, from the first state to the end."""
 
@@ -93,12 +88,18 @@ class Plant:
         self.truth = truth
         self.world = World(truth)
         self._deadline_s = deadline_s
-        self._edge_open = np.ones(e, dtype=np.bool_)
+        self._edge_open: Flags = np.ones(e, dtype=np.uint8)
         self._link_up: Flags = np.ones(2 * e, dtype=np.uint8)
         self._clock = _Clock(1 / rate if rate else 0.0)
         self._ahead = max(2, min(4096, AHEAD_BYTES // (8 * n * (3 + REPORT_WIDTH) + 3 * e)))
         self._seen = -1
-        self._inputs = _Inputs(np.zeros(n), np.zeros((n, REPORT_WIDTH)))
+        self._inputs = [Input(-1, b"", b"") for _ in truth.shards]
+        """Per shard: what it last said."""
+        self._missing: set[int] = set()
+        """Shards whose input(t) has not come."""
+        self._order: Index = np.concatenate([np.array(nodes, dtype=np.int64) for nodes in truth.shards])
+        """Nodes in the order of the shards, and `_place`, where each node stands in it."""
+        self._place = self._order.argsort()
         self._running = False
         self._stopping = False
         self._failure: Exception | None = None
@@ -106,24 +107,22 @@ class Plant:
         self._changed = threading.Condition()
 
         self._session = session = open_client(endpoint, namespace)
-        shard_of = {keys.input_(p): p for p in range(len(truth.shards))}
         self._telemetry = publisher(session, keys.TELEMETRY)
         degree = self.world.graph.degree
         self._shards = [
             _Shard(
                 nodes=np.array(nodes, dtype=np.int64),
-                flags=np.full(int(degree[list(nodes)].sum()), ALL_UP, dtype=np.uint8),
+                flags=bytes([ALL_UP]) * int(degree[list(nodes)].sum()),
                 state=publisher(session, keys.state(p)),
             )
             for p, nodes in enumerate(truth.shards)
         ]
         self._declared = [
-            subscriber(
-                session,
-                keys.input_("*"),
-                lambda key, message: self._take_input(shard_of.get(key), message),
+            *(
+                subscriber(session, keys.input_(p), functools.partial(self._take_input, p))
+                for p in range(len(truth.shards))
             ),
-            subscriber(session, keys.SEEN, lambda _, message: self._take_seen(message)),
+            subscriber(session, keys.SEEN, self._take_seen),
             session.declare_queryable(keys.STATUS, zenoh.handlers.Callback(self._answer_status, indirect=False)),
             session.declare_queryable(keys.STOP, zenoh.handlers.Callback(self._answer_stop, indirect=False)),
             session.liveliness().declare_subscriber(
@@ -171,9 +170,12 @@ class Plant:
             self._running = False
             self._changed.notify_all()
             return
-        self._inputs.missing.update(range(len(self._shards)))
+        self._missing.update(range(len(self._shards)))
+        x, first = self.world.x.take(self._order).tobytes(), 0
         for shard in self._shards:
-            shard.message = encode_state(self.world.t, self.world.x[shard.nodes], shard.flags)
+            last = first + 8 * len(shard.nodes)
+            shard.message = encode_state(self.world.t, x[first:last], shard.flags)
+            first = last
         self._clock.held = True
         self._release()
 
@@ -206,8 +208,7 @@ class Plant:
         waited = now - clock.sent_at
         if waited > self._deadline_s:
             names = ", ".join(
-                f"{self._name(p)} (alive: {'yes' if self._shards[p].alive else 'no'})"
-                for p in sorted(self._inputs.missing)
+                f"{self._name(p)} (alive: {'yes' if self._shards[p].alive else 'no'})" for p in sorted(self._missing)
             )
             raise DeadlineError(f"step {self.world.t}: no input from {names} for {waited:.1f} s; see its log")
         if waited > RESEND_AFTER_S * (clock.repeats + 1):
@@ -215,7 +216,7 @@ class Plant:
             LOG.info(
                 "step %d: repeated, still without shards %s",
                 self.world.t,
-                sorted(self._inputs.missing),
+                sorted(self._missing),
             )
             for shard in self._shards:
                 shard.state.put(shard.message)
@@ -223,12 +224,23 @@ class Plant:
 
     def _advance(self) -> None:
         """Every input(t) is here: act, start t + 1, and only then tell the observer of t."""
-        t, x, u, report = self.world.t, self.world.x, self._inputs.u.copy(), self._inputs.report
-        w = self.world.step(u, self._edge_open)
+        u = gather(one.u for one in self._inputs).take(self._place)
+        if not math.isfinite(np.add.reduce(u)):
+            self._refuse_undefined()
+            return
+        report = gather(one.report for one in self._inputs).reshape(-1, REPORT_WIDTH).take(self._place, axis=0)
+        t, x = self.world.t, self.world.x
+        w = self.world.step(u)
         self._clock.elapsed_s = time.monotonic() - self._clock.started
-        row = encode_telemetry(Telemetry(t, x, u, w, report, self._edge_open.view(np.uint8), self._link_up))
         self._prepare()
-        self._telemetry.put(row)
+        self._telemetry.put(encode_telemetry(Telemetry(t, x, u, w, report, self._edge_open, self._link_up)))
+
+    def _refuse_undefined(self) -> None:
+        """Wait on for inputs that are numbers: no agent of ours sends any other."""
+        for p, one in enumerate(self._inputs):
+            if not np.isfinite(gather([one.u])).all():
+                self._missing.add(p)
+                self._refuse(p, "an input is not finite")
 
     def _end(self) -> None:
         end = End(self.world.t, self.world.x, self._clock.elapsed_s)
@@ -252,27 +264,25 @@ class Plant:
 
     # What arrives: each method below takes the lock.
 
-    def _take_input(self, p: int | None, message: bytes) -> None:
+    def _take_input(self, p: int, message: bytes) -> None:
         with self._changed:
-            if p is None or not self._running:
+            if not self._running:
                 return
-            shard, inputs = self._shards[p], self._inputs
             try:
-                arrived = decode_input(message, len(shard.nodes))
-                if not np.isfinite(arrived.u).all():
-                    raise MessageError(f"step {arrived.t}: an input is not finite")
+                arrived = decode_input(message, len(self._shards[p].nodes))
             except MessageError as error:
-                self.refused += 1
-                if self.refused == 1:
-                    LOG.warning("input of %s refused: %s", self._name(p), error)
+                self._refuse(p, str(error))
                 return
-            if arrived.t != self.world.t or p not in inputs.missing:
-                return
-            inputs.u[shard.nodes] = arrived.u
-            inputs.report[shard.nodes] = arrived.report
-            inputs.missing.discard(p)
-            if not inputs.missing:
-                self._advance_or_fail()
+            if arrived.t == self.world.t and p in self._missing:
+                self._inputs[p] = arrived
+                self._missing.discard(p)
+                if not self._missing:
+                    self._advance_or_fail()
+
+    def _refuse(self, p: int, why: str) -> None:
+        self.refused += 1
+        if self.refused == 1:
+            LOG.warning("step %d: input of %s refused: %s", self.world.t, self._name(p), why)
 
     def _advance_or_fail(self) -> None:
         try:
@@ -301,7 +311,7 @@ class Plant:
                 "step": self.world.t,
                 "steps": self.truth.steps,
                 "running": self._running,
-                "missing": [self._name(p) for p in sorted(self._inputs.missing)],
+                "missing": [self._name(p) for p in sorted(self._missing)],
             }
         query.reply(keys.STATUS, json.dumps(status))
 

@@ -9,8 +9,11 @@ from plant.truth import Truth
 from topologies.graph import Array, Graph, Mask
 
 
-def dynamics(a: Array, b: float, graph: Graph, x: Array, u: Array, w: Array, edge_open: Mask) -> Array:
-    """x(t+1), (n,), from x(t), u(t), w(t) (n,) and the edges open at t (E,); equation (1)."""
+def dynamics(a: Array, b: float, graph: Graph, x: Array, u: Array, w: Array, edge_open: Mask | None = None) -> Array:
+    """x(t+1) from x(t), u(t), w(t) and the edges open at t (None: all); equation (1).
+
+    Shapes: (n,) and (E,); or (B, n) and (B, E) for B networks at once.
+    """
     return a * x + b * graph.flow(u, edge_open) + w
 
 
@@ -25,7 +28,7 @@ class World:
         self.x = np.array(truth.x0, dtype=float)
         self._disturbance = Disturbance(truth.disturbance, truth.seed)
 
-    def step(self, u: Array, edge_open: Mask) -> Array:
+    def step(self, u: Array, edge_open: Mask | None = None) -> Array:
         """Advance from t to t + 1 under the inputs u(t), (n,); return w(t), (n,)."""
         w = self._disturbance.at(self.t)
         self.x = dynamics(self.a, self.b, self.graph, self.x, u, w, edge_open)

@@ -263,7 +263,7 @@ def test_every_message_has_a_table() -> None:
     """Each encoder of wire.codec, and each kind, is in docs/wire.md."""
     encoders = {name.removeprefix("encode_") for name in vars(codec) if name.startswith("encode_")}
     assert encoders == MESSAGES.keys()
-    assert {kind.name.lower() for kind in codec.Kind} == encoders - {"seen"}
+    assert {kind.name.lower() for kind in codec.Kind} == encoders
     bits = {row["name"]: int(row["bit"]) for row in table("wire.md", "state", 1)}
     assert bits == {flag.name: flag.value for flag in codec.Flag}
 
@@ -272,8 +272,8 @@ def test_the_keys_are_those_of_the_code() -> None:
     """Each key of wire.keys has a row in docs/wire.md, and no other has."""
     patterns = {
         "state": keys.state(0).replace("0", "{p}"),
-        "input_": keys.input_("{p}"),
-        "link": keys.link("{p}", 0).replace("0", "{q}"),
+        "input_": keys.input_(0).replace("0", "{p}"),
+        "link": keys.link(0, 1).replace("0", "{p}").replace("1", "{q}"),
         "alive": keys.alive("{name}"),
         "TELEMETRY": keys.TELEMETRY,
         "SEEN": keys.SEEN,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
@@ -20,7 +21,7 @@ from tests.processes import Orchestrator, gone, orchestrator, parquet_bytes
 from wire.session import open_router
 
 QUIET = ("--viewer", "none", "--no-record")
-LONG = ("up", "paper7", "--steps", "1000000", *QUIET)
+LONG = ("up", "paper7", "--steps", "1000000", "--rate", "200", *QUIET)
 
 
 @pytest.fixture
@@ -147,6 +148,7 @@ def test_ctrl_c_twice_ends_at_once_even_with_a_frozen_plant(here: Path, paper7: 
 
 
 def test_sigkill_of_up_leaves_nobody_behind(here: Path, paper7: Orchestrator) -> None:
+    paper7.wait_for("\nstep ")
     children = paper7.children
     paper7.send(signal.SIGKILL)
     assert paper7.wait() == -signal.SIGKILL
@@ -197,10 +199,17 @@ def test_two_networks_share_an_existing_router(here: Path) -> None:
             assert other.wait() == 0, other.output
 
 
-def test_ps_status_and_stop_see_a_detached_network(here: Path) -> None:
+def end(listed: list[dict[str, Any]]) -> None:
+    for entry in listed:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(entry["pid"], signal.SIGKILL)
+
+
+def test_ps_status_and_stop_see_a_detached_network(here: Path, request: pytest.FixtureRequest) -> None:
     started = orchestrator(*LONG, "--detach")
     assert started.returncode == 0, started.stdout
     listed = json.loads(orchestrator("ps", "--json").stdout)
+    request.addfinalizer(lambda: end(listed))
     assert [entry["folder"] for entry in listed] == [str((here / "runs/latest").resolve())]
     status = json.loads(orchestrator("status", "--json").stdout)
     assert status["steps"] == 1000000
@@ -218,7 +227,7 @@ class Idle:
     def __init__(self, b, candidates): self.k = len(candidates)
     def act(self, x): return np.zeros(self.k)
     def learn(self, x, flow, x_next): pass
-    def report(self): return np.full((self.k, 4), np.nan)
+    def report(self): return np.full((self.k, 3), np.nan)
 class Undefined(Idle):
     def act(self, x): return x * np.nan
 class Tired(Idle):
@@ -242,7 +251,7 @@ def test_another_law_comes_in_by_its_name(here: Path) -> None:
         ("no.such:Law", 2, "law no.such:Law: cannot be loaded"),
         ("laws:Missing", 2, "has no attribute 'Missing'"),
         ("laws:LAWS", 2, "law laws:LAWS"),
-        ("laws:Undefined", 3, "act() gave [nan]"),
+        ("laws:Undefined", 3, "nan"),
         ("laws:Tired", 3, "I am tired"),
     ],
 )

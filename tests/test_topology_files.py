@@ -119,7 +119,7 @@ edges:
         ("seed: 4", "~: 4", 4, "null is no key; known keys are name, b,"),
         ("x0: 1", "x0: .nan", 5, "defaults: x0: NaN is not a finite number"),
         ("x0: 1", "xo: 1", 5, "defaults: unknown key `xo`; did you mean `x0`?"),
-        ("x0: 1", "x0: {random: [2, 1]}", 5, "defaults: x0: random: [2, 1] is empty"),
+        ("x0: 1", "x0: {random: [2, 1]}", 5, "defaults: x0: random: [2, 1] is empty; put the lower"),
         ("x0: 1", "x0: {random: [1]}", 5, "random: [1] has too few members; a pair has two"),
         ("[0.3, 0.6]", "[]", 5, "defaults: candidates: [] has too few members"),
         ("[0.3, 0.6]", "[0.3, no]", 5, 'defaults: candidates: 1: "no" is not a number'),

@@ -37,11 +37,24 @@ class Graph:
         """d_i, the number of neighbours of each node, (n,)."""
         return np.bincount(self.node, minlength=self.n)
 
-    def flow(self, u: Array, edge_open: Mask) -> Array:
-        """f_i = sum over neighbours j of (u_i - u_j), over the edges that are open, (n,); equation (1)."""
-        difference = np.where(edge_open[self.edge], u[self.node] - u[self.neighbour], 0.0)
-        return np.asarray(np.bincount(self.node, difference, self.n), dtype=float)
+    def flow(self, u: Array, edge_open: Mask | None = None) -> Array:
+        """f_i = sum over neighbours j of (u_i - u_j), over the edges that are open; equation (1).
 
-    def edge_input(self, u: Array, edge_open: Mask) -> Array:
-        """u_e = u_j - u_i of each edge (i, j), 0 where it is closed, (E,); the paper's incidence matrix is -1 at i."""
-        return np.where(edge_open, u[self.edges[:, 1]] - u[self.edges[:, 0]], 0.0)
+        u: (n,), or (B, n) for B networks at once; edge_open: (E,), or (B, E), None where all are open; f: as u.
+        """
+        difference = u.take(self.node, axis=-1) - u.take(self.neighbour, axis=-1)
+        if edge_open is not None:
+            difference = np.where(edge_open.take(self.edge, axis=-1), difference, 0.0)
+        if u.ndim == 1:
+            return np.bincount(self.node, difference, self.n)  # type: ignore[return-value]  # weighted: floats
+        node = self.node + self.n * np.arange(len(u))[:, None]
+        flows: Array = np.bincount(node.ravel(), difference.ravel(), u.size)  # type: ignore[assignment]
+        return flows.reshape(u.shape)
+
+    def edge_input(self, u: Array, edge_open: Mask | None = None) -> Array:
+        """u_e = u_j - u_i of each edge (i, j), 0 where it is closed; the paper's incidence matrix is -1 at i.
+
+        Shapes as in `flow`, with E columns in place of n.
+        """
+        difference = u.take(self.edges[:, 1], axis=-1) - u.take(self.edges[:, 0], axis=-1)
+        return difference if edge_open is None else np.where(edge_open, difference, 0.0)

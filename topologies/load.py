@@ -221,11 +221,12 @@ def _problem(source: Source, details: ErrorDetails) -> Problem:
     context = details.get("ctx", {})
     what, cure = {
         "finite_number": ("is not a finite number", "write a finite number"),
-        "greater_than": (f"is not above {context.get('gt')}", "choose a larger one"),
-        "greater_than_equal": (f"is below {context.get('ge')}", "choose a larger one"),
-        "less_than": (f"is not below {context.get('lt')}", "choose a smaller one"),
-        "less_than_equal": (f"is above {context.get('le')}", "choose a smaller one"),
+        "greater_than": (f"is not above {context.get('gt', 0):g}", "choose a larger one"),
+        "greater_than_equal": (f"is below {context.get('ge', 0):g}", "choose a larger one"),
+        "less_than": (f"is not below {context.get('lt', 0):g}", "choose a smaller one"),
+        "less_than_equal": (f"is above {context.get('le', 0):g}", "choose a smaller one"),
         "int_type": ("is not a whole number", "write one without quotes or a point"),
+        "empty": ("is empty", "put the lower bound first"),
         "number": ("is not a number", "write a number without quotes"),
         "literal_error": ("is neither a number nor `random`", "write one of the two"),
         "string_type": ("is not text", "write a name"),
@@ -248,7 +249,7 @@ def _problem(source: Source, details: ErrorDetails) -> Problem:
 _ABOUT_VALUE = frozenset(
     (
         *("finite_number", "greater_than", "greater_than_equal", "less_than", "less_than_equal"),
-        *("int_type", "number", "literal_error", "string_type", "too_short", "too_long"),
+        *("int_type", "number", "empty", "literal_error", "string_type", "too_short", "too_long"),
         *("tuple_type", "dict_type", "model_type"),
     )
 )

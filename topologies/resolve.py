@@ -17,6 +17,7 @@ from topologies.graph import Array
 from topologies.hinf import allowed_interval, smallest_eigenpair
 from topologies.samples import columns
 from topologies.schema import (
+    Component,
     Constant,
     Defaults,
     Drawn,

@@ -46,8 +46,12 @@ def _number(value: Any) -> Any:
     return value
 
 
+_NAME = r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}"
+_PATH = r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*"
+
+
 def _one_line_name(value: str) -> str:
-    if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}", value):
+    if not re.fullmatch(_NAME, value):
         raise PydanticCustomError(
             "name",
             "a name has 1 to 64 letters, digits, '_', '-' or '.', and starts with no '-' or '.'",
@@ -56,14 +60,16 @@ def _one_line_name(value: str) -> str:
 
 
 def _law(value: str) -> str:
-    if value not in LAWS and not re.fullmatch(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*", value):
+    if value not in LAWS and not re.fullmatch(_PATH, value):
         raise PydanticCustomError("law", "a law is minimax, hinf, nominal or package.module:Class")
     return value
 
 
-Number = Annotated[float, BeforeValidator(_number), WithJsonSchema({"type": "number"})]
-NonNegative = Annotated[Number, Field(ge=0)]
-Name = Annotated[str, AfterValidator(_one_line_name)]
+Number = Annotated[float, BeforeValidator(_number)]
+NonNegative = Annotated[float, Field(ge=0), BeforeValidator(_number)]
+Name = Annotated[
+    str, AfterValidator(_one_line_name), WithJsonSchema({"type": "string", "pattern": f"^{_NAME}$"}, mode="validation")
+]
 
 
 def node_id(value: Any) -> Any:
@@ -87,8 +93,7 @@ class Uniform(Model):
     @model_validator(mode="after")
     def _not_empty(self) -> Self:
         if self.low > self.high:
-            what = f"random: [{self.low:g}, {self.high:g}] is empty; put the lower bound first"
-            raise PydanticCustomError("empty", "{what}", {"what": what})
+            raise PydanticCustomError("empty", "is empty")
         return self
 
     @property
@@ -209,7 +214,9 @@ Component = Annotated[
         custom_error_type="kind",
         custom_error_message="a disturbance has `kind:` sinusoid, constant, white, impulse, samples or none",
     ),
-    BeforeValidator(_bare_kind),
+    BeforeValidator(
+        _bare_kind, json_schema_input_type=Sinusoid | Constant | White | Impulse | Samples | Nothing | Literal["none"]
+    ),
 ]
 Disturbance = Annotated[
     Annotated[Component, Tag("one")] | Annotated[tuple[Component, ...], Tag("sum")],
@@ -259,18 +266,24 @@ class Topology(Model):
     """A network: its nodes, edges, law and disturbances, and how long it runs."""
 
     name: Name = Field(description="names the run")
-    b: Annotated[Number, Field(gt=0, lt=1e100)] = Field(description="the gain b of (1)")
+    b: Annotated[float, Field(gt=0, lt=1e100), BeforeValidator(_number)] = Field(description="the gain b of (1)")
     steps: Steps = Field(description="T: inputs act at t = 0 .. T-1, states are recorded at t = 0 .. T")
     seed: Annotated[StrictInt, Field(ge=0, lt=2**63)] = Field(0, description="all that is random is drawn from it")
-    law: Annotated[str, AfterValidator(_law)] = Field(
-        "minimax", description="minimax (6)-(7), hinf (8), nominal, or package.module:Class"
-    )
+    law: Annotated[
+        str, AfterValidator(_law), WithJsonSchema({"type": "string", "pattern": f"^({'|'.join(LAWS)}|{_PATH})$"})
+    ] = Field("minimax", description="minimax (6)-(7), hinf (8), nominal, or package.module:Class")
     defaults: Defaults = Field(Defaults(), description="what holds for every node that does not say otherwise")
-    nodes: Annotated[dict[NodeId, Node], Field(min_length=1), BeforeValidator(_nodes)] = Field(
-        description="ids, or a mapping from ids to what they override"
-    )
+    nodes: Annotated[
+        dict[NodeId, Node],
+        Field(min_length=1),
+        # Keys in JSON are text, also those that are whole numbers.
+        BeforeValidator(_nodes, json_schema_input_type=list[NodeId] | dict[str, Node | None]),
+    ] = Field(description="ids, or a mapping from ids to what they override")
     edges: tuple[tuple[NodeId, NodeId], ...] = Field((), description="undirected pairs of node ids, each once")
-    disturbance: Annotated[WorstCase, BeforeValidator(_bare_kind)] | None = Field(
+    disturbance: (
+        Annotated[WorstCase, BeforeValidator(_bare_kind, json_schema_input_type=WorstCase | Literal["worst_case"])]
+        | None
+    ) = Field(
         None,
         description="`worst_case`: one disturbance for the whole network, in place of the nodes' own",
     )

@@ -123,11 +123,11 @@ class _Builder:
                 if self.documents > 1:
                     _refuse(self.source, line, "a second document starts here", "keep one network a file")
             case yaml.AliasEvent():
-                if event.anchor not in self.anchors:
-                    what, cure = f"alias *{event.anchor} has no value yet", "define the anchor before it is used"
+                name = str(event.anchor)
+                if name not in self.anchors:
+                    what, cure = f"alias *{name} has no value yet", "define the anchor before it is used"
                     _refuse(self.source, line, what, cure)
-                value, size = self.anchors[event.anchor]
-                self._place(value, size, line)
+                self._place(*self.anchors[name], line)
             case yaml.ScalarEvent():
                 value = _scalar(event.value) if event.implicit[0] else event.value
                 self._place(value, 1, line, event.anchor)
@@ -143,8 +143,10 @@ class _Builder:
             _refuse(self.source, line, f"nested more than {MAX_DEPTH} deep", "no topology needs that")
         if self.stack and self.stack[-1].awaits_key:
             _refuse(self.source, line, "a collection cannot be a key", "use a name or a whole number")
-        path = self.stack[-1].next_path if self.stack else ()
-        self.source.lines.setdefault(path, line)
+        path: Path = ()
+        if self.stack:
+            path = self.stack[-1].next_path
+            self.source.lines.setdefault(path, line)
         self.stack.append(_Open(path, items, anchor))
 
     def _place(self, value: Any, size: int, line: int, anchor: str | None = None) -> None:

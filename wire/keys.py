@@ -15,12 +15,12 @@ def state(shard: int) -> str:
     return f"state/{shard}"
 
 
-def input_(shard: int | str) -> str:
-    """Shard to plant: its inputs, and what it reports about itself; `*` for every shard."""
+def input_(shard: int) -> str:
+    """Shard to plant: its inputs, and what it reports about itself."""
     return f"input/{shard}"
 
 
-def link(sender: int | str, receiver: int) -> str:
+def link(sender: int, receiver: int) -> str:
     """Shard to shard: state and input of the sender's nodes that have a neighbour there."""
     return f"link/{sender}/{receiver}"
 

@@ -12,20 +12,13 @@ import zenoh
 
 from topologies.errors import DeadlineError, HedgerowError
 
-_RUNTIME = ", ".join(f"{duty}: (worker_threads: 1)" for duty in ("rx", "tx", "app", "net", "acc"))
-"""One thread for each duty of Zenoh's runtime: many processes share few cores (docs/performance.md)."""
-
+MAX_SESSIONS = 100_000
 CONNECT_TIMEOUT_S = 10.0
 LISTEN_TIMEOUT_S = 60.0
 
 
 class WireError(HedgerowError):
     """A session that could not be opened, or a peer that never came."""
-
-
-def runtime_environment() -> dict[str, str]:
-    """What to set in the environment of a process before it loads Zenoh."""
-    return {"ZENOH_RUNTIME": f"({_RUNTIME})"}
 
 
 def _config(namespace: str | None, settings: dict[str, object]) -> zenoh.Config:
@@ -46,7 +39,11 @@ def _config(namespace: str | None, settings: dict[str, object]) -> zenoh.Config:
 def open_router(endpoint: str) -> zenoh.Session:
     """A router that listens on `endpoint`, inside this process; raises WireError."""
     try:
-        return zenoh.open(_config(None, {"mode": "router", "listen/endpoints": [endpoint]}))
+        return zenoh.open(
+            _config(
+                None, {"mode": "router", "listen/endpoints": [endpoint], "transport/unicast/max_sessions": MAX_SESSIONS}
+            )
+        )
     except zenoh.ZError as error:
         raise WireError(f"no router on {endpoint}: {error}") from None
 
@@ -111,10 +108,10 @@ def _has_listener(one: zenoh.Publisher) -> bool:
     return bool(status.matching)
 
 
-def subscriber(session: zenoh.Session, key: str, take: Callable[[str, bytes], None]) -> zenoh.Subscriber[None]:
-    """Call `take(key, payload)` for each message, on the network thread: it must not wait for anything."""
+def subscriber(session: zenoh.Session, key: str, take: Callable[[bytes], None]) -> zenoh.Subscriber[None]:
+    """Call `take(payload)` for each message, on the network thread: it must not wait for anything."""
 
     def on_sample(sample: zenoh.Sample) -> None:
-        take(str(sample.key_expr), sample.payload.to_bytes())
+        take(sample.payload.to_bytes())
 
     return session.declare_subscriber(key, zenoh.handlers.Callback(on_sample, indirect=False))

@@ -18,4 +18,4 @@ class Damped:
         pass
 
     def report(self) -> Array:
-        return np.full((len(self.gain), 4), np.nan)
+        return np.full((len(self.gain), 3), np.nan)
