@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 
@@ -13,10 +14,13 @@ BEGAN = time.monotonic()
 def main() -> None:
     """Run the command line; when it is `up`, the nursery loads beside us from the very beginning."""
     launches = "up" in sys.argv[1:2] and not {"--help", "--detach"} & set(sys.argv)
-    nursery = Nursery() if launches else None
-    from orchestrator.cli import run_command  # noqa: PLC0415
+    try:
+        nursery = Nursery() if launches else None
+        from orchestrator.cli import run_command  # noqa: PLC0415
 
-    run_command(BEGAN, nursery)
+        run_command(BEGAN, nursery)
+    except KeyboardInterrupt:  # before there was a run to end
+        os._exit(130)
 
 
 if __name__ == "__main__":

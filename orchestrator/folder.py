@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import platform
@@ -38,13 +39,13 @@ class RunFolder:
         return self.path.name
 
     def event(self, kind: str, **details: Any) -> None:
-        """Append one line to events.jsonl."""
+        """Append one line to events.jsonl, if the disk has room: who records the run says it when not."""
         line = {
             "time": datetime.now().astimezone().isoformat(timespec="milliseconds"),
             "event": kind,
             **details,
         }
-        with self.events.open("a", encoding="utf-8") as file:
+        with contextlib.suppress(OSError), self.events.open("a", encoding="utf-8") as file:
             file.write(json.dumps(line) + "\n")
 
 

@@ -19,6 +19,7 @@ from topologies.errors import DeadlineError
 from wire.runtime import runtime_environment
 
 FORK_DEADLINE_S = 30.0
+END_DEADLINE_S = 5.0
 
 
 class Nursery:
@@ -38,6 +39,7 @@ class Nursery:
         os.close(held)
         self.pids: dict[str, int] = {}
         self.codes: dict[str, int] = {}
+        self._closing = False
         self._changed = threading.Condition()
         self._listener = threading.Thread(target=self._listen, name="nursery", daemon=True)
         self._listener.start()
@@ -50,7 +52,7 @@ class Nursery:
                 (self.pids if "pid" in said else self.codes)[said["name"]] = said.get("pid", said.get("code"))
                 self._changed.notify_all()
         with self._changed:
-            if self.pids.keys() - self.codes.keys():
+            if not self._closing:
                 self.codes["nursery"] = self._process.wait() or 1
             self._changed.notify_all()
 
@@ -76,18 +78,21 @@ class Nursery:
     def close(self) -> None:
         """End whoever is still there, at once, and the nursery; return when all are gone."""
         with self._changed:
+            self._closing = True
             left = [self.pids[name] for name in self.pids.keys() - self.codes.keys()]
         for pid in left:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
         if left:
-            self.wait(FORK_DEADLINE_S)
-        for pipe in (self._process.stdin, self._process.stdout):
-            with contextlib.suppress(OSError):
-                if pipe is self._process.stdout:
-                    self._process.wait()
-                    self._listener.join()
-                if pipe is not None:
-                    pipe.close()
+            self.wait(END_DEADLINE_S)
+        assert self._process.stdin is not None
+        with contextlib.suppress(OSError):
+            self._process.stdin.close()
+        try:
+            self._process.wait(END_DEADLINE_S)
+        except subprocess.TimeoutExpired:  # it was frozen
+            self._process.kill()
+            self._process.wait()
+        self._listener.join()
         with contextlib.suppress(OSError):
             os.close(self._lifeline)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -42,7 +41,7 @@ class Run:
         self._watching = watching
         self._stream: RerunStream | None = None
         self.viewer: Viewer | None = None
-        self._first_at: float | None = None
+        self._watched = False
 
     @cached_property
     def _recorder(self) -> Recorder:
@@ -55,8 +54,8 @@ class Run:
         """Observe and record some steps; OSError when the disk is full."""
         batch = self.observer.take(rows)
         self._recorder.write(batch)
-        if self._first_at is None:
-            self._first_at = time.monotonic()
+        if not self._watched:
+            self._watched = True
             self._open_stream()
         if self._stream is not None:
             self._stream.log(batch)

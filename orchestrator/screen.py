@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import sys
 import time
@@ -54,7 +55,8 @@ class Lines:
         self._steps, self._said = steps, time.monotonic()
 
     def say(self, text: str) -> None:
-        print(text, flush=True)
+        with contextlib.suppress(BrokenPipeError):  # a reader who has left does not end the run
+            print(text, flush=True)
 
     def progress(self, batch: Batch) -> None:
         now, done = time.monotonic(), int(batch.t[-1]) + 1

@@ -43,6 +43,8 @@ def simulate(topology: Topology, folder: RunFolder, shards: Layout, watching: Wa
             ending.stopped = f"stopped at step {run.observer.next_step}: {error}"
         verdict = run.close()
         screen.verdict(verdict, folder.path)
+        if run.viewer is not None:
+            run.viewer.end()
         return verdict
 
 

@@ -17,7 +17,7 @@ from orchestrator import registry
 from orchestrator.assign import Layout, truth_of, views_of
 from orchestrator.control import ask
 from orchestrator.folder import RunFolder
-from orchestrator.interrupts import EndNowError, Interrupts
+from orchestrator.interrupts import Interrupts
 from orchestrator.nursery import Nursery
 from orchestrator.run import Run, Watching
 from orchestrator.screen import Screen
@@ -25,6 +25,7 @@ from orchestrator.simulate import equals_reference
 from orchestrator.supervise import Dead, Processes, cause, socket_path
 from orchestrator.verdict import Ending, Verdict
 from orchestrator.viewer import Viewer
+from topologies.errors import HedgerowError
 from topologies.schema import Topology
 from wire import keys
 from wire.codec import Kind, decode_end, decode_telemetry, encode_seen, kind_of
@@ -115,7 +116,7 @@ class Network:
                         processes.wait(END_DEADLINE_S)
                     finally:
                         dead = processes.dead()
-            except (EndNowError, WireError, OSError) as error:
+            except (HedgerowError, OSError) as error:
                 self._ending.stopped = str(error)
             self._explain(run, dead)
             if self._options.verify and not self._ending.stopped:

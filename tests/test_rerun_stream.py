@@ -189,7 +189,8 @@ def test_events_stand_at_their_steps(tmp_path: Path) -> None:
     stream.event("node 3 fell silent", "WARN", 4)
     assert stream.close(5.0)
     (chunk,) = RrdReader(tmp_path / "run.rrd").stream().filter(content="/events")
-    (row,) = chunk.to_record_batch().to_pylist()
+    batch = chunk.to_record_batch()
+    (row,) = batch.drop_columns(["wall"]).to_pylist()  # nanoseconds fit no datetime
     assert (row["step"], row["TextLog:text"], row["TextLog:level"]) == (4, ["node 3 fell silent"], ["WARN"])
 
 
