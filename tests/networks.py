@@ -29,8 +29,8 @@ def read(text: str, *overrides: str, folder: Path = Path()) -> Topology:
     return resolve(parse(text.encode(), "network.yaml", folder, overrides), folder)
 
 
-def from_vector(path: Path) -> tuple[Topology, dict[str, Any]]:
-    """The network of a vector, by way of a topology file's text, and the numbers it should give."""
+def vector_file(path: Path) -> tuple[str, dict[str, Any]]:
+    """The text of a topology file for the network of a vector, and the numbers it should give."""
     vector = json.loads(path.read_text(encoding="utf-8"))
     nodes = {
         i: {
@@ -42,7 +42,13 @@ def from_vector(path: Path) -> tuple[Topology, dict[str, Any]]:
         for i in range(vector["N"])
     }
     text = {"name": vector["name"], "b": vector["b"], "steps": vector["T"]}
-    return read(json.dumps(text | {"nodes": nodes, "edges": vector["edges"]})), vector["expected"]
+    return json.dumps(text | {"nodes": nodes, "edges": vector["edges"]}), vector["expected"]
+
+
+def from_vector(path: Path) -> tuple[Topology, dict[str, Any]]:
+    """The network of a vector, by way of a topology file, and the numbers it should give."""
+    text, expected = vector_file(path)
+    return read(text), expected
 
 
 @dataclass(frozen=True)

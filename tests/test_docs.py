@@ -34,8 +34,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from orchestrator.observe import Batch
+from orchestrator.panels import quantities
 from orchestrator.record import to_parquet
-from orchestrator.rerun_stream import quantities
 from tests.networks import observe, read, simulate
 from topologies.load import load
 from topologies.resolve import resolve

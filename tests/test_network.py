@@ -16,7 +16,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from tests.networks import VECTORS
+from tests.networks import VECTORS, vector_file
 from tests.processes import Orchestrator, gone, orchestrator, parquet_bytes
 from wire.session import open_router
 
@@ -47,26 +47,16 @@ def verdict_of(folder: Path) -> dict[str, Any]:
 
 @pytest.mark.parametrize("path", VECTORS, ids=lambda path: path.stem)
 def test_the_vectors_hold_with_one_process_a_node(path: Path, here: Path) -> None:
-    vector = json.loads(path.read_text())
-    nodes = {
-        node: {
-            "a": vector["a_true"][node],
-            "candidates": vector["candidates"][node],
-            "x0": vector["x0"][node],
-            "disturbance": {"kind": "samples", "values": [row[node] for row in vector["w"]]},
-        }
-        for node in range(vector["N"])
-    }
-    file = {"name": vector["name"], "b": vector["b"], "steps": vector["T"], "nodes": nodes, "edges": vector["edges"]}
-    (here / "vector.yaml").write_text(json.dumps(file))
+    text, expected = vector_file(path)
+    (here / "vector.yaml").write_text(text)
     done = orchestrator("up", "vector.yaml", *QUIET, "--run-dir", "run")
     assert done.returncode == 0, done.stderr
     table = pq.read_table(here / "run" / "telemetry.parquet")
-    shape = (vector["T"] + 1, vector["N"])
+    shape = np.shape(expected["x"])
     x, u, index = (table[name].to_numpy(zero_copy_only=False).reshape(shape) for name in ("x", "u", "index"))
-    assert np.abs(x - vector["expected"]["x"]).max() <= 1e-12
-    assert np.abs(u[:-1] - vector["expected"]["u"]).max() <= 1e-12
-    assert (index[:-1] == vector["expected"]["index"]).all()
+    assert np.abs(x - expected["x"]).max() <= 1e-12
+    assert np.abs(u[:-1] - expected["u"]).max() <= 1e-12
+    assert (index[:-1] == expected["index"]).all()
     assert len(verdict_of(here / "run")["checks"]) == 4
 
 
