@@ -54,7 +54,8 @@ class Orchestrator:
         self._said = ""
         self._changed = threading.Condition()
         self._ended = False
-        threading.Thread(target=self._listen, daemon=True).start()
+        self._listener = threading.Thread(target=self._listen, daemon=True)
+        self._listener.start()
 
     def _listen(self) -> None:
         assert self._process.stdout is not None
@@ -111,8 +112,10 @@ class Orchestrator:
         if self._process.poll() is None:
             self._process.kill()
         self._process.wait()
-        if self._process.stdout is not None and self._ended:
-            self._process.stdout.close()
+        self._listener.join(DEADLINE_S)
+        assert not self._listener.is_alive(), "somebody still holds the output of a command that has ended"
+        assert self._process.stdout is not None
+        self._process.stdout.close()
 
 
 def _events() -> list[dict[str, object]]:
