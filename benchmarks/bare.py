@@ -19,7 +19,7 @@ from pathlib import Path
 
 from wire import keys
 from wire.codec import REPORT_WIDTH
-from wire.runtime import runtime_environment
+from wire.runtime import runtime_environment, share_the_cores
 from wire.session import open_client, open_router, publisher, subscriber, wait_for_listeners
 
 HEADER = 16
@@ -143,6 +143,7 @@ def main() -> None:
     parser.add_argument("numbers", type=int, nargs="+")
     known = parser.parse_args()
     first, *rest = known.numbers
+    share_the_cores()
     if known.role == "agent":
         agent(known.endpoint, first, rest)
     else:

@@ -24,6 +24,7 @@ from typing import Any, NoReturn
 
 import agents.process
 import plant.process
+from wire.runtime import share_the_cores
 
 PROGRAMS: dict[str, Callable[[Sequence[str]], NoReturn]] = {"agents": agents.process.main, "plant": plant.process.main}
 
@@ -75,6 +76,7 @@ def _become(told: dict[str, Any], lifeline: int) -> NoReturn:
     """In the child: a session and a log of its own, the lifeline as standard input; then the program, for good."""
     signal.set_wakeup_fd(-1)
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+    share_the_cores()
     os.setsid()  # a Ctrl-C in the terminal is the parent's to handle
     log = os.open(told["log"], os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
     for descriptor, source in ((0, lifeline), (1, log), (2, log)):
