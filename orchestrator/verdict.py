@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 from orchestrator.folder import versions
@@ -36,7 +36,6 @@ class Ending:
     """why the run ended early; empty when it did not"""
     reference_equal: bool | None = None
     """telemetry equal to the in-process reference, bit for bit; None where not asked"""
-    refused: list[str] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
