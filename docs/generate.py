@@ -25,7 +25,8 @@ import yaml
 from pydantic import AfterValidator
 from pydantic.fields import FieldInfo
 
-from topologies import schema
+from topologies import faults, schema
+from topologies.base import Model
 from topologies.load import bundled, find, load, parse
 from topologies.resolve import resolve
 
@@ -38,11 +39,19 @@ WRITTEN = {
     "edges": "list of pairs of node ids",
     "law": "`minimax`, `hinf`, `nominal` or `package.module:Class`",
     "disturbance": "[`worst_case`](#worst_case)",
+    "faults": "list of [faults](#faults)",
 }
 """What the types of the whole file cannot say in plain words."""
+OF_FAULTS = {
+    **dict.fromkeys(("link", "edge"), "pair of node ids"),
+    **dict.fromkeys(("from", "to", "node"), "node id"),
+    "groups": "list of lists of node ids",
+    "steps": "pair of whole numbers",
+}
+"""What the types of a fault cannot say in plain words."""
 VALIDATED = {"_one_line_name": "name"}
 """Types that a validator narrows, by the validator's name."""
-PLAIN = {float: "number", int: "whole number", str: "text", Any: "anything"}
+PLAIN = {float: "number", int: "whole number", bool: "`true` or `false`", str: "text", Any: "anything"}
 LIMITS = {
     limits.Gt: ("gt", "above"),
     limits.Ge: ("ge", "at least"),
@@ -60,6 +69,30 @@ EXAMPLES: dict[str, Any] = {
     "worst_case": {"kind": "worst_case", "energy": 1},
 }
 """One disturbance of each kind; the generator fails when a kind has none, or when one is refused."""
+FAULT_EXAMPLES: dict[str, list[dict[str, Any]]] = {
+    "drop": [
+        {"kind": "drop", "link": [2, 4], "steps": [10, 20]},
+        {"kind": "drop", "from": 2, "to": 4, "probability": 0.3},
+        {"kind": "drop", "at": {10: [[2, 4], [3, 5]], 12: [[2, 4]]}},
+    ],
+    "delay": [{"kind": "delay", "from": 2, "to": 4, "by": 3, "steps": [10, 20]}],
+    "cut": [
+        {"kind": "cut", "edge": [2, 4], "steps": [10, 20]},
+        {"kind": "cut", "at": {10: [[2, 4], [3, 5]], 12: [[2, 4]]}},
+    ],
+    "partition": [{"kind": "partition", "groups": [[1, 2, 3, 5], [4, 6, 7]], "steps": [10, 20], "cut": True}],
+    "sensor": [{"kind": "sensor", "node": 3, "steps": [5, 9]}],
+    "actuator": [{"kind": "actuator", "node": 3, "steps": [5, 9], "probability": 0.5}],
+    "crash": [
+        {"kind": "crash", "node": 4, "at": 12, "restart_after": 5},
+        {"kind": "crash", "process": 2, "at": 12},
+    ],
+    "jump": [
+        {"kind": "jump", "node": 4, "at": 15, "a": 0.3},
+        {"kind": "jump", "node": 5, "at": 15, "a": "random"},
+    ],
+}
+"""Faults of each kind, in the tree of `paper7`; the generator fails when a kind has none, or when one is refused."""
 
 
 def words(hint: Any, where: Sequence[Any] = ()) -> str:
@@ -69,12 +102,12 @@ def words(hint: Any, where: Sequence[Any] = ()) -> str:
         return words(inside[0], [*where, *_flat(inside[1:])])
     if origin in (Union, types.UnionType):
         return " or ".join(dict.fromkeys(words(one, where) for one in inside if one is not type(None)))
-    if origin is tuple and any(isinstance(one, limits.MaxLen) and one.max_length == 0 for one in where):
-        return "empty list"
+    if origin is dict:
+        return "mapping from steps to lists of pairs"
     if origin is tuple:
         member = words(inside[0])
         said = f"list of {member}" + ("" if member.startswith("[") else "s")
-    elif isinstance(hint, type) and issubclass(hint, schema.Model):
+    elif isinstance(hint, type) and issubclass(hint, Model):
         said = "[`{random: …}`](#left-to-chance)" if "random" in hint.model_fields else "[disturbance](#disturbances)"
     else:
         names = [getattr(one.func, "__name__", "") for one in where if isinstance(one, AfterValidator)]
@@ -97,18 +130,18 @@ def _flat(metadata: Sequence[Any]) -> Iterator[Any]:
 def _power(value: float) -> str:
     if isinstance(value, int) and value >= 2**20 and value.bit_count() == 1:
         return f"2^{value.bit_length() - 1}"
-    return f"{value:g}"
+    return str(value) if isinstance(value, int) else f"{value:g}"
 
 
 def flow(value: Any) -> str:
     """A value as it stands in a file, on one line."""
-    if isinstance(value, schema.Model):
+    if isinstance(value, Model):
         value = value.model_dump()
         value = value["kind"] if list(value) == ["kind"] else value
     return yaml.safe_dump(value, default_flow_style=True, sort_keys=False, width=1000).removesuffix("\n...\n").strip()
 
 
-def keys(model: type[schema.Model], hide: Sequence[str] = (), default: Callable[[str], str] | None = None) -> str:
+def keys(model: type[Model], hide: Sequence[str] = (), default: Callable[[str], str] | None = None) -> str:
     """The table of a model's keys."""
     hints = typing.get_type_hints(model, include_extras=True)
     rows = ["| key | type | default | what it says |", "|---|---|---|---|"]
@@ -116,9 +149,10 @@ def keys(model: type[schema.Model], hide: Sequence[str] = (), default: Callable[
         if name in hide:
             continue
         if not field.description:
-            raise SystemExit(f"{model.__name__}.{name} has no description: give it one in topologies/schema.py")
-        kind = WRITTEN.get(name, "") if model is schema.Topology else ""
-        kind = kind or words(hints[name])
+            raise SystemExit(f"{model.__name__}.{name} has no description: give it one in {model.__module__}")
+        key = field.serialization_alias or name
+        written = OF_FAULTS if issubclass(model, faults.FaultModel) else WRITTEN if model is schema.Topology else {}
+        kind = written.get(key) or words(hints[name])
         if default is not None:
             otherwise = default(name)
         elif field.is_required():
@@ -126,7 +160,7 @@ def keys(model: type[schema.Model], hide: Sequence[str] = (), default: Callable[
         else:
             otherwise = "—" if field.default in (None, ()) else f"`{flow(field.default)}`"
         described = field.description.replace("|", "\\|")
-        rows.append(f"| `{name}` | {kind} | {otherwise} | {described} |")
+        rows.append(f"| `{key}` | {kind} | {otherwise} | {described} |")
     return "\n".join(rows)
 
 
@@ -138,7 +172,7 @@ def topology() -> str:
 def _default_of_file(field: FieldInfo) -> str:
     if field.is_required():
         return "required"
-    return "—" if isinstance(field.default, schema.Node) or field.default in (None, ()) else f"`{field.default}`"
+    return "—" if isinstance(field.default, schema.Node) or field.default in (None, ()) else f"`{flow(field.default)}`"
 
 
 def node() -> str:
@@ -146,9 +180,9 @@ def node() -> str:
     return keys(schema.Node, default=lambda name: f"`{flow(getattr(schema.Defaults.FALLBACK, name))}`")
 
 
-def _kinds() -> list[type[schema.Model]]:
+def _kinds() -> list[type[Model]]:
     """Every model that has a `kind`, in the order of the schema."""
-    models = [one for one in vars(schema).values() if isinstance(one, type) and issubclass(one, schema.Model)]
+    models = [one for one in vars(schema).values() if isinstance(one, type) and issubclass(one, Model)]
     kinds = [one for one in models if "kind" in one.model_fields]
     if missing := {one.model_fields["kind"].default for one in kinds} - EXAMPLES.keys():
         raise SystemExit(f"no example of {', '.join(missing)}: add one to EXAMPLES in docs/generate.py")
@@ -174,10 +208,29 @@ def disturbances() -> str:
     return "\n\n".join(parts)
 
 
+def of_faults() -> str:
+    """Each kind of fault: what happens, examples that were read, its keys."""
+    if missing := faults.KINDS.keys() - FAULT_EXAMPLES.keys():
+        raise SystemExit(f"no example of {', '.join(missing)}: add one to FAULT_EXAMPLES in docs/generate.py")
+    tree = load("paper7")
+    network: dict[str, Any] = {"name": "tree", "b": tree.b, "steps": tree.steps, "nodes": [*tree.ids]}
+    network |= {"edges": [list(edge) for edge in tree.edges], "defaults": {"candidates": [0.3, 0.6]}}
+    parts = []
+    for kind, model in faults.KINDS.items():
+        resolve(parse(yaml.safe_dump(network | {"faults": FAULT_EXAMPLES[kind]}).encode(), kind, DOCS))
+        lines = "\n".join(f"- {flow(example)}" for example in FAULT_EXAMPLES[kind])
+        parts.append(f"### {kind}\n\n{(model.__doc__ or '').strip()}\n\n```yaml\nfaults:\n{lines}\n```")
+        if model.FORMS:
+            forms = ", or ".join(" and ".join(f"`{key}`" for key in form) for form in model.FORMS)
+            parts.append(f"Exactly one of these is given: {forms}.")
+        parts.append(keys(model, hide=["kind"]))
+    return "\n\n".join(parts)
+
+
 def random() -> str:
     """The models that leave something to chance, and the keys under which each may stand."""
     rows = ["| written | may stand at | what is drawn |", "|---|---|---|"]
-    owners: list[type[schema.Model]] = [schema.Node, *_kinds()]
+    owners: list[type[Model]] = [schema.Node, *_kinds()]
     for model in (schema.Drawn, schema.Uniform, schema.NonNegativeUniform):
         inside = "M" if model is schema.Drawn else "[low, high]"
         places = []
@@ -186,10 +239,11 @@ def random() -> str:
             places += [_place(owner, name) for name in owner.model_fields if model in _members(hints[name])]
         rows.append(f"| `{{random: {inside}}}` | {', '.join(places)} | {(model.__doc__ or '').strip()} |")
     rows.insert(2, "| `random` | `a` | The truth: one of the node's candidates, each as likely. |")
+    rows.insert(3, "| `random` | `jump.a` | The new truth: a candidate that is not the old truth, if there is one. |")
     return "\n".join(rows)
 
 
-def _place(owner: type[schema.Model], name: str) -> str:
+def _place(owner: type[Model], name: str) -> str:
     return f"`{name}`" if owner is schema.Node else f"`{owner.model_fields['kind'].default}.{name}`"
 
 
@@ -263,6 +317,7 @@ def generate() -> str:
             "topology": topology,
             "node": node,
             "disturbances": disturbances,
+            "faults": of_faults,
             "random": random,
             "bundled": bundled_files,
             "file": scratch.file,

@@ -1,5 +1,6 @@
 """What a network is: its schema, how a file of it is read, drawn and checked, and the bundled files.
 
-`topologies.load` reads a file, `topologies.schema` says what may stand in one, `topologies.graph` and
-`topologies.hinf` are the mathematics. Nothing is imported here: an agent needs `topologies.errors` alone.
+`topologies.load` reads a file, `topologies.schema` says what may stand in one, `topologies.faults` what may go
+wrong, `topologies.graph` and `topologies.hinf` are the mathematics. Nothing is imported here: an agent needs
+`topologies.errors` alone, and the plant `topologies.effects` beside it.
 """

@@ -37,6 +37,14 @@ class Graph:
         """d_i, the number of neighbours of each node, (n,)."""
         return np.bincount(self.node, minlength=self.n)
 
+    @cached_property
+    def reverse(self) -> Index:
+        """Per incidence: the same edge seen from its other end, (2E,)."""
+        order = np.lexsort((self.node, self.neighbour))
+        place = np.empty_like(order)
+        place[np.arange(len(order))] = order
+        return place
+
     def flow(self, u: Array, edge_open: Mask | None = None) -> Array:
         """f_i = sum over neighbours j of (u_i - u_j), over the edges that are open; equation (1).
 

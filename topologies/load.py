@@ -13,9 +13,11 @@ from typing import Any
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
+from topologies.base import kind_of, node_id
 from topologies.errors import Problem, TopologyError, UserError
+from topologies.faults import KINDS, known_keys
 from topologies.rules import broken_rules
-from topologies.schema import Defaults, Node, Topology, node_id
+from topologies.schema import Defaults, Node, Topology
 from topologies.source import MAX_BYTES, Path, Source, place_of, read_source
 
 _SHOWN = 60
@@ -157,7 +159,7 @@ def _validate(source: Source) -> tuple[Topology | None, list[Problem]]:
         return Topology.model_validate(source.value), []
     except ValidationError as error:
         found = error.errors(include_url=False)
-    problems = [_problem(source, details) for details in found]
+    problems = [(_no_fault if details["type"] == "fault" else _problem)(source, details) for details in found]
     if not isinstance(source.value.get("nodes"), dict):
         return None, problems
     try:
@@ -168,6 +170,9 @@ def _validate(source: Source) -> tuple[Topology | None, list[Problem]]:
 
 _STAND_INS = {"name": "unnamed", "b": 1e-9, "steps": 1}
 """For required keys that are wrong: values that break no rule which the right ones would keep."""
+
+_NO_FAULT = {"kind": "crash", "process": 0, "at": 0}
+"""In place of a fault that is wrong, for the others to keep theirs: it breaks no rule."""
 
 
 def _without(value: dict[str, Any], found: Iterable[ErrorDetails]) -> dict[str, Any]:
@@ -186,6 +191,8 @@ def _without(value: dict[str, Any], found: Iterable[ErrorDetails]) -> dict[str, 
             case ("edges", int(), *_):
                 wrong = {d["loc"][1] for d in found if d["loc"][0] == "edges" and len(d["loc"]) > 1}
                 kept["edges"] = [edge for k, edge in enumerate(value["edges"]) if k not in wrong]
+            case ("faults", int(k), *_):
+                kept["faults"] = [*kept["faults"][:k], _NO_FAULT, *kept["faults"][k + 1 :]]
             case (key, *_):
                 kept.pop(str(key), None)
     for key, stand_in in _STAND_INS.items():
@@ -203,7 +210,7 @@ def _problem(source: Source, details: ErrorDetails) -> Problem:
     if kind == "invalid_key":
         path, at = _trace(source.value, details["loc"][:-1])
         key = next((key for key in at if str(key) == str(last)), last)
-        names = ", ".join(_known_keys(path))
+        names = ", ".join(_known_keys(source, path))
         cure = f"known keys are {names}" if names else "remove it"
         return Problem(source.line((*path, key)), place_of(path), f"{_shown(key)} is no key", cure)
     if kind == "literal_error" and last == "kind":
@@ -214,10 +221,7 @@ def _problem(source: Source, details: ErrorDetails) -> Problem:
             "write `worst_case`, or give it to the nodes or under `defaults:`",
         )
     if kind == "extra_forbidden":
-        known = _known_keys(path[:-1])
-        near = difflib.get_close_matches(str(last), known, 1, 0.5)
-        cure = f"did you mean `{near[0]}`?" if near else f"known keys are {', '.join(known)}" if known else "remove it"
-        return Problem(source.line(path), place_of(path[:-1]), f"unknown key `{last}`", cure)
+        return Problem(source.line(path), place_of(path[:-1]), f"unknown key `{last}`", _near(source, path))
     context = details.get("ctx", {})
     what, cure = {
         "finite_number": ("is not a finite number", "write a finite number"),
@@ -226,6 +230,8 @@ def _problem(source: Source, details: ErrorDetails) -> Problem:
         "less_than": (f"is not below {context.get('lt', 0):g}", "choose a smaller one"),
         "less_than_equal": (f"is above {context.get('le', 0):g}", "choose a smaller one"),
         "int_type": ("is not a whole number", "write one without quotes or a point"),
+        "bool_type": ("is neither true nor false", "write one of the two"),
+        "window": ("holds no step", "write [from, to): the first step, and the one after the last"),
         "empty": ("is empty", "put the lower bound first"),
         "number": ("is not a number", "write a number without quotes"),
         "literal_error": ("is neither a number nor `random`", "write one of the two"),
@@ -236,8 +242,6 @@ def _problem(source: Source, details: ErrorDetails) -> Problem:
         "dict_type": ("is not a mapping", "write key: value"),
         "model_type": ("is not a mapping", "write {key: value}"),
     }.get(kind, (details["msg"][0].lower() + details["msg"][1:], ""))
-    if path[:1] == ("faults",) and kind == "too_long":
-        cure = "this version knows no kinds of fault yet; leave the list empty"
     return Problem(
         source.line(path),
         place_of(path),
@@ -250,31 +254,69 @@ _ABOUT_VALUE = frozenset(
     (
         *("finite_number", "greater_than", "greater_than_equal", "less_than", "less_than_equal"),
         *("int_type", "number", "empty", "literal_error", "string_type", "too_short", "too_long"),
-        *("tuple_type", "dict_type", "model_type"),
+        *("tuple_type", "dict_type", "model_type", "bool_type", "window"),
     )
 )
 
 
 def _trace(value: Any, loc: Sequence[int | str]) -> tuple[Path, Any]:
     """Where pydantic's location leads in the file, less the names of union members that it puts in between."""
-    path: list[int | str] = []
+    path: list[Any] = []
     for k, step in enumerate(loc):
-        inside = (
-            step in value
-            if isinstance(value, dict)
-            else isinstance(value, list) and isinstance(step, int) and step < len(value)
-        )
-        if inside:
-            path.append(step)
-            value = value[step]
+        key = _key(value, step)
+        if key is not None:
+            path.append(key)
+            value = value[key]
         elif k == len(loc) - 1 and step == "[key]":
             value = path[-1]
     return tuple(path), value
 
 
-def _known_keys(path: Path) -> list[str]:
+def _key(value: Any, step: int | str) -> Any:
+    """The key or the index of `value` that pydantic means by `step`; None when it is neither."""
+    if isinstance(value, list):
+        return step if isinstance(step, int) and step < len(value) else None
+    if not isinstance(value, dict):
+        return None
+    if step in value:
+        return step
+    # A key that is a number with a point comes as text.
+    return next((key for key in value if type(key) is float and str(key) == step), None)
+
+
+def _no_fault(source: Source, details: ErrorDetails) -> Problem:
+    """Something that no `kind` makes a fault."""
+    path, written = _trace(source.value, details["loc"])
+    kinds = f"kinds are {', '.join(KINDS)}"
+    if not isinstance(written, dict):
+        return Problem(source.line(path), place_of(path), f"{_shown(written)} is not a mapping", "write {kind: …}")
+    if "kind" not in written:
+        return Problem(source.line(path), place_of(path), "`kind:` is missing", kinds)
+    near = difflib.get_close_matches(str(written["kind"]), KINDS, 1, 0.5)
+    cure = f"did you mean `{near[0]}`? {kinds}" if near else kinds
+    path = (*path, "kind")
+    return Problem(source.line(path), place_of(path), f"{_shown(written['kind'])} is no kind of fault", cure)
+
+
+def _near(source: Source, path: Path) -> str:
+    """What the unknown key at the end of `path` may have been meant to be."""
+    known = _known_keys(source, path[:-1])
+    listed = f"known keys are {', '.join(known)}" if known else "remove it"
+    if path[0] != "faults":
+        near = difflib.get_close_matches(str(path[-1]), known, 1, 0.5)
+        return f"did you mean `{near[0]}`?" if near else listed
+    # The keys of a fault are few and alike: one that stands there already is not meant.
+    others = [key for key in known if key not in source.value["faults"][path[1]]]
+    near = difflib.get_close_matches(str(path[-1]), others, 1, 0.5)
+    return f"did you mean `{near[0]}`? {listed}" if near else listed
+
+
+def _known_keys(source: Source, path: Path) -> list[str]:
     if not path:
         return list(Topology.model_fields)
+    if path[0] == "faults" and len(path) == 2:
+        kind = kind_of(source.value["faults"][path[1]])
+        return known_keys(KINDS[kind]) if kind in KINDS else []
     if len(path) <= 2 and path[0] in ("nodes", "defaults"):
         return list((Defaults if path[0] == "defaults" else Node).model_fields)
     return []

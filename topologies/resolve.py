@@ -7,21 +7,25 @@ order whether the node needs it or not: to pin one node's number changes no othe
 from __future__ import annotations
 
 import zlib
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 import yaml
 
+from topologies.base import Model
+from topologies.errors import TopologyError
+from topologies.faults import Fault, Jump
 from topologies.graph import Array
 from topologies.hinf import allowed_interval, smallest_eigenpair
+from topologies.rules import broken_faults
 from topologies.samples import columns
 from topologies.schema import (
     Component,
     Constant,
     Defaults,
     Drawn,
-    Model,
     Node,
     Nothing,
     Samples,
@@ -52,6 +56,7 @@ def resolve(topology: Topology, folder: Path = Path()) -> Topology:
     """The same network with every number drawn and every node spelled out; resolving it again changes nothing.
 
     `folder` is where the CSV files of `samples` lie. The topology must have passed the rules of `topologies.rules`.
+    Raises TopologyError for a fault that breaks them; that of a jump may show only now, with the candidates drawn.
     """
     draws = _Draws(topology.seed, len(topology.ids))
     degree = topology.graph.degree
@@ -81,6 +86,10 @@ def resolve(topology: Topology, folder: Path = Path()) -> Topology:
         )
     drawn = topology.model_copy(update={"nodes": nodes, "defaults": Defaults()})
     drawn.__dict__.pop("ids", None)
+    if problems := broken_faults(drawn):
+        raise TopologyError(topology.name, problems)
+    if any(isinstance(fault, Jump) and fault.a == "random" for fault in drawn.faults):
+        drawn = drawn.model_copy(update={"faults": _jumps(drawn, draws)})
     return _worst_case(drawn) if topology.disturbance is not None else drawn
 
 
@@ -112,6 +121,22 @@ def _model(settings: Node, interval: tuple[float, float], draws: _Draws, k: int)
     return candidates, a if isinstance(a, float) else candidates[int(pick * len(candidates))]
 
 
+def _jumps(topology: Topology, draws: _Draws) -> tuple[Fault, ...]:
+    """The faults, with jumps that lead away from the truth until then, where there is another candidate."""
+    faults = list(topology.faults)
+    position = {node: k for k, node in enumerate(topology.ids)}
+    now = {node: own.a for node, own in topology.nodes.items()}
+    for at, k in sorted((fault.at, k) for k, fault in enumerate(faults) if isinstance(fault, Jump)):
+        jump = cast("Jump", faults[k])
+        candidates = cast("tuple[float, ...]", topology.nodes[jump.node].candidates)
+        if jump.a == "random":
+            others = [a for a in candidates if a != now[jump.node]] or candidates
+            pick = float(draws.of(f"jump {at}", position[jump.node])[0])
+            faults[k] = jump = jump.model_copy(update={"a": others[int(pick * len(others))]})
+        now[jump.node] = jump.a
+    return tuple(faults)
+
+
 def _worst_case(topology: Topology) -> Topology:
     assert topology.disturbance is not None
     _, direction = smallest_eigenpair(truth(topology), topology.b, topology.graph)
@@ -133,7 +158,23 @@ def to_yaml(topology: Topology) -> str:
     whole = topology.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
     whole["nodes"] = {node: own.model_dump(mode="json", exclude_none=True) for node, own in topology.nodes.items()}
     whole["edges"] = [list(edge) for edge in topology.edges]
+    if topology.faults:
+        whole["faults"] = [_lines(fault.written()) for fault in topology.faults]
     return yaml.dump(whole, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=10**6)
+
+
+@dataclass(frozen=True)
+class _Line:
+    """What stands on one line of the file, whatever is in it."""
+
+    value: Any
+
+
+def _lines(fault: dict[str, Any]) -> _Line | dict[str, Any]:
+    """A line for a fault, or one for each step of its table."""
+    if isinstance(table := fault.get("at"), dict):
+        return {**fault, "at": {step: _Line(struck) for step, struck in table.items()}}
+    return _Line(fault)
 
 
 class _Dumper(yaml.CSafeDumper):
@@ -150,6 +191,13 @@ def _float(dumper: yaml.CSafeDumper, value: float) -> yaml.ScalarNode:
     return dumper.represent_scalar("tag:yaml.org,2002:float", text)
 
 
+def _line(dumper: yaml.CSafeDumper, line: _Line) -> yaml.Node:
+    node = cast("yaml.CollectionNode", dumper.represent_data(line.value))
+    node.flow_style = True
+    return node
+
+
 _Dumper.add_representer(float, _float)
+_Dumper.add_representer(_Line, _line)
 # YAML 1.1 reads `1e5` and `08` as text and leaves them bare; to our reader they are numbers.
 _Dumper.add_implicit_resolver("tag:yaml.org,2002:float", FLOAT, list("-+.0123456789"))

@@ -1,18 +1,20 @@
-"""The rules that a schema cannot say: the graph is a graph, and condition (3) holds at every node."""
+"""The rules that a schema cannot say: the graph is a graph, condition (3) holds, and faults strike what there is."""
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path as FilePath
 from typing import Any
 
+from topologies.base import node_id
 from topologies.errors import Problem
+from topologies.faults import Crash, Cut, Delay, Drop, Fault, Jump, Partition
 from topologies.hinf import allowed_interval, satisfies_condition
 from topologies.samples import columns
-from topologies.schema import Samples, Topology, node_id
+from topologies.schema import Samples, Topology
 from topologies.source import Path, Source, place_of
 
 
@@ -22,6 +24,8 @@ def broken_rules(topology: Topology, source: Source, folder: FilePath) -> list[P
         *_edges(topology, source),
         *_nodes(topology, source),
         *_disturbances(topology, source, folder),
+        *_processes(topology, source),
+        *broken_faults(topology, source),
     ]
 
 
@@ -157,3 +161,86 @@ def _samples(part: Samples, nodes: list[int | str], topology: Topology, folder: 
 def _long_enough(lengths: set[int], steps: int) -> Iterator[tuple[str, str]]:
     if short := [n for n in lengths if n < steps]:
         yield f"{min(short)} samples are too few for {steps} steps", "add samples or lower `steps:`"
+
+
+def _processes(topology: Topology, source: Source) -> Iterator[Problem]:
+    if topology.processes is not None and topology.processes > len(topology.nodes):
+        what = f"{topology.processes} are too many for {len(topology.nodes)} nodes"
+        yield Problem(source.line(("processes",)), "processes", what, f"give at most {len(topology.nodes)}")
+
+
+def broken_faults(topology: Topology, source: Source | None = None) -> list[Problem]:
+    """Every rule that the faults of `topology` break; without `source`, on no line."""
+    if not topology.faults:
+        return []
+    struck = _Struck(topology)
+    if source is not None and len(source.value.get("edges") or ()) != len(topology.edges):
+        struck.neighbours = None
+    return [
+        Problem(source.line(path) if source else 0, place_of(path), what, cure)
+        for k, fault in enumerate(topology.faults)
+        for inside, what, cure in struck.missing(fault)
+        for path in [("faults", k, *inside)]
+    ]
+
+
+class _Struck:
+    """What there is to be struck by a fault."""
+
+    def __init__(self, topology: Topology) -> None:
+        self.topology = topology
+        self.neighbours: dict[int | str, dict[int | str, None]] | None = {node: {} for node in topology.ids}
+        """In the order of the edges; None where the schema refused some: nobody knows what they were to be."""
+        for i, j in topology.edges:
+            self.neighbours.setdefault(i, {})[j] = None
+            self.neighbours.setdefault(j, {})[i] = None
+
+    def missing(self, fault: Fault) -> Iterator[tuple[Path, str, str]]:
+        """What the fault strikes that is not there: where it says so, what is wrong, and the cure."""
+        for path, node in _named_nodes(fault):
+            if node not in self.topology.nodes:
+                yield path, f"{node!r} is no node", f"the nodes are {_listed(self.topology.ids)}"
+        for path, (i, j) in _named_pairs(fault):
+            if self.neighbours is None or not {i, j} <= self.topology.nodes.keys():
+                continue
+            near = self.neighbours[i]
+            if j not in near:
+                cure = f"the neighbours of {i} are {_listed([*near])}" if near else f"{i} has no neighbours"
+                yield path, f"{i} and {j} are not neighbours", cure
+        if isinstance(fault, Crash) and fault.process is not None:
+            processes = self.topology.processes or len(self.topology.nodes)
+            if fault.process >= processes:
+                yield ("process",), f"there is no process {fault.process}", f"they are 0 to {processes - 1}"
+        if isinstance(fault, Jump) and fault.node in self.topology.nodes:
+            candidates = self.topology.settings(fault.node).candidates
+            if isinstance(candidates, tuple) and fault.a != "random" and fault.a not in candidates:
+                shown = _listed(candidates)
+                yield ("a",), f"{fault.a!r} is not among the candidates of node {fault.node}", f"they are {shown}"
+
+
+def _named_nodes(fault: Fault) -> Iterator[tuple[Path, int | str]]:
+    """Every node that a fault names, and where."""
+    if isinstance(fault, Partition):
+        yield from ((("groups", g, m), node) for g, group in enumerate(fault.groups) for m, node in enumerate(group))
+    elif isinstance(fault, Drop | Delay | Cut):
+        for path, pair in _named_pairs(fault):
+            ends = [("from",), ("to",)] if path == ("to",) else [path, path]
+            yield from dict.fromkeys(zip(ends, pair, strict=True))
+    elif fault.node is not None:
+        yield ("node",), fault.node
+
+
+def _named_pairs(fault: Fault) -> Iterator[tuple[Path, tuple[int | str, int | str]]]:
+    """Every link or edge that a fault names, and where."""
+    if isinstance(fault, Drop | Delay) and fault.link is not None:
+        yield ("link",), fault.link
+    if isinstance(fault, Drop | Delay) and fault.from_ is not None and fault.to is not None:
+        yield ("to",), (fault.from_, fault.to)
+    if isinstance(fault, Cut) and fault.edge is not None:
+        yield ("edge",), fault.edge
+    if isinstance(fault, Drop | Cut) and fault.at is not None:
+        yield from ((("at", step, m), pair) for step, pairs in fault.at.items() for m, pair in enumerate(pairs))
+
+
+def _listed(values: Sequence[float | str]) -> str:
+    return ", ".join(map(str, values[:12])) + (", …" if len(values) > 12 else "")

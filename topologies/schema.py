@@ -14,11 +14,10 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 import numpy as np
 from pydantic import (
     AfterValidator,
-    BaseModel,
     BeforeValidator,
-    ConfigDict,
     Discriminator,
     Field,
+    StrictBool,
     StrictInt,
     Tag,
     WithJsonSchema,
@@ -26,37 +25,14 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
+from topologies.base import Model, Name, NodeId, NonNegative, Number, Truth, kind_of, number
+from topologies.faults import Fault
 from topologies.graph import Graph
 
 LAWS = ("minimax", "hinf", "nominal")
 
 
-class Model(BaseModel):
-    """Frozen, and closed to unknown keys."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-def _number(value: Any) -> Any:
-    """A number is an int or a float; text and booleans are not."""
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise PydanticCustomError("number", "expects a number")
-    if isinstance(value, int) and abs(value) >= 2**1023:
-        raise PydanticCustomError("finite_number", "is not a finite number")
-    return value
-
-
-_NAME = r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}"
 _PATH = r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*"
-
-
-def _one_line_name(value: str) -> str:
-    if not re.fullmatch(_NAME, value):
-        raise PydanticCustomError(
-            "name",
-            "a name has 1 to 64 letters, digits, '_', '-' or '.', and starts with no '-' or '.'",
-        )
-    return value
 
 
 def _law(value: str) -> str:
@@ -65,23 +41,6 @@ def _law(value: str) -> str:
     return value
 
 
-Number = Annotated[float, BeforeValidator(_number)]
-NonNegative = Annotated[float, Field(ge=0), BeforeValidator(_number)]
-Name = Annotated[
-    str, AfterValidator(_one_line_name), WithJsonSchema({"type": "string", "pattern": f"^{_NAME}$"}, mode="validation")
-]
-
-
-def node_id(value: Any) -> Any:
-    """Whole numbers in quotes, as every key of JSON is, are numbers."""
-    return int(value) if isinstance(value, str) and re.fullmatch(r"-?[0-9]{1,18}", value) else value
-
-
-NodeId = Annotated[
-    Annotated[StrictInt, Field(ge=-(2**63), lt=2**63), Tag("id")] | Annotated[Name, Tag("name")],
-    Discriminator(lambda value: "name" if isinstance(value, str) else "id"),
-    BeforeValidator(node_id),
-]
 Steps = Annotated[StrictInt, Field(ge=1, le=2**40)]
 
 
@@ -124,10 +83,6 @@ def _mapping_or(other: str) -> Discriminator:
 Value = Annotated[
     Annotated[Number, Tag("number")] | Annotated[Uniform, Tag("random")],
     _mapping_or("number"),
-]
-Truth = Annotated[
-    Annotated[Number, Tag("number")] | Annotated[Literal["random"], Tag("word")],
-    Discriminator(lambda value: "word" if isinstance(value, str) else "number"),
 ]
 Candidates = Annotated[
     Annotated[Annotated[tuple[Number, ...], Field(min_length=1)], Tag("list")] | Annotated[Drawn, Tag("random")],
@@ -192,11 +147,6 @@ class Nothing(Model):
     kind: Literal["none"] = "none"
 
 
-def _kind(value: Any) -> str | None:
-    kind = value.get("kind") if isinstance(value, dict) else getattr(value, "kind", None)
-    return kind if isinstance(kind, str) else None
-
-
 def _bare_kind(value: Any) -> Any:
     """`none` and `worst_case` may stand without their braces."""
     return {"kind": value} if isinstance(value, str) else value
@@ -210,7 +160,7 @@ Component = Annotated[
     | Annotated[Samples, Tag("samples")]
     | Annotated[Nothing, Tag("none")],
     Discriminator(
-        _kind,
+        kind_of,
         custom_error_type="kind",
         custom_error_message="a disturbance has `kind:` sinusoid, constant, white, impulse, samples or none",
     ),
@@ -266,7 +216,7 @@ class Topology(Model):
     """A network: its nodes, edges, law and disturbances, and how long it runs."""
 
     name: Name = Field(description="names the run")
-    b: Annotated[float, Field(gt=0, lt=1e100), BeforeValidator(_number)] = Field(description="the gain b of (1)")
+    b: Annotated[float, Field(gt=0, lt=1e100), BeforeValidator(number)] = Field(description="the gain b of (1)")
     steps: Steps = Field(description="T: inputs act at t = 0 .. T-1, states are recorded at t = 0 .. T")
     seed: Annotated[StrictInt, Field(ge=0, lt=2**63)] = Field(0, description="all that is random is drawn from it")
     law: Annotated[
@@ -287,8 +237,11 @@ class Topology(Model):
         None,
         description="`worst_case`: one disturbance for the whole network, in place of the nodes' own",
     )
-    faults: Annotated[tuple[Any, ...], Field(max_length=0)] = Field(
-        (), description="what goes wrong; this version knows no kinds yet, so the list is empty"
+    faults: tuple[Fault, ...] = Field((), description="what goes wrong, and when")
+    backfill: StrictBool = Field(True, description="missing neighbour inputs are fetched when the link is up again")
+    history: Steps = Field(100_000, description="how many past steps are kept for back-filling")
+    processes: Annotated[StrictInt, Field(ge=1)] | None = Field(
+        None, description="agent processes that share the nodes, in their order; one a node if absent"
     )
 
     @cached_property

@@ -195,10 +195,10 @@ def _is_nan(value: Any) -> bool:
 
 
 def place_of(path: Path) -> str:
-    """A path as a person says it: `node 3: disturbance: amplitude`, `edge 2`."""
+    """A path as a person says it: `node 3: disturbance: amplitude`, `edge 2`, `fault 1: steps`."""
     words = [str(step) for step in path]
     if len(path) >= 2 and path[0] == "nodes":
         words[:2] = [f"node {path[1]}"]
-    elif len(path) >= 2 and path[0] == "edges" and isinstance(path[1], int):
-        words[:2] = [f"edge {path[1] + 1}"]
+    elif len(path) >= 2 and path[0] in ("edges", "faults") and isinstance(path[1], int):
+        words[:2] = [f"{path[0].removesuffix('s')} {path[1] + 1}"]
     return ": ".join(words)

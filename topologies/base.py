@@ -1,0 +1,75 @@
+"""What all models of a topology file are built of: a frozen model, numbers, names and node ids."""
+
+from __future__ import annotations
+
+import re
+from typing import Annotated, Any, Literal
+
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Discriminator,
+    Field,
+    StrictInt,
+    Tag,
+    WithJsonSchema,
+)
+from pydantic_core import PydanticCustomError
+
+
+class Model(BaseModel):
+    """Frozen, and closed to unknown keys."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+def number(value: Any) -> Any:
+    """A number is an int or a float; text and booleans are not."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise PydanticCustomError("number", "expects a number")
+    if isinstance(value, int) and abs(value) >= 2**1023:
+        raise PydanticCustomError("finite_number", "is not a finite number")
+    return value
+
+
+_NAME = r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}"
+
+
+def _one_line_name(value: str) -> str:
+    if not re.fullmatch(_NAME, value):
+        raise PydanticCustomError(
+            "name",
+            "a name has 1 to 64 letters, digits, '_', '-' or '.', and starts with no '-' or '.'",
+        )
+    return value
+
+
+Number = Annotated[float, BeforeValidator(number)]
+NonNegative = Annotated[float, Field(ge=0), BeforeValidator(number)]
+Name = Annotated[
+    str, AfterValidator(_one_line_name), WithJsonSchema({"type": "string", "pattern": f"^{_NAME}$"}, mode="validation")
+]
+
+
+def node_id(value: Any) -> Any:
+    """Whole numbers in quotes, as every key of JSON is, are numbers."""
+    return int(value) if isinstance(value, str) and re.fullmatch(r"-?[0-9]{1,18}", value) else value
+
+
+NodeId = Annotated[
+    Annotated[StrictInt, Field(ge=-(2**63), lt=2**63), Tag("id")] | Annotated[Name, Tag("name")],
+    Discriminator(lambda value: "name" if isinstance(value, str) else "id"),
+    BeforeValidator(node_id),
+]
+Truth = Annotated[
+    Annotated[Number, Tag("number")] | Annotated[Literal["random"], Tag("word")],
+    Discriminator(lambda value: "word" if isinstance(value, str) else "number"),
+]
+
+
+def kind_of(value: Any) -> str | None:
+    """The `kind` of a member of a union, written or already read."""
+    kind = value.get("kind") if isinstance(value, dict) else getattr(value, "kind", None)
+    return kind if isinstance(kind, str) else None
