@@ -36,6 +36,10 @@ class Law(Protocol):
     def report(self) -> Array:
         """What the nodes say of themselves, (k, 3): ahat, its index, J_(2) - J_(1); NaN for what there is not."""
 
+    memory: Array
+    """All that was learned, (..., k), a node a column. To put back a copy is to unlearn what came since: so a sample
+    whose input arrives late is learned in its place, and a node that lost its memory begins again."""
+
 
 def control(b: float, x: Array, ahat: Array) -> Array:
     """The inputs u = b x / (ahat - 1), all (k,); equations (6) and (8)."""
@@ -58,6 +62,16 @@ class Minimax:
         self._report = np.full((k, 3), np.inf)
         self._choose()
 
+    @property
+    def memory(self) -> Array:
+        """J."""
+        return self.J
+
+    @memory.setter
+    def memory(self, J: Array) -> None:
+        self.J = J
+        self._choose()
+
     def _choose(self) -> None:
         # argmin takes the first of equals: ties go to the candidate that is listed first.
         self.index = self.J.argmin(axis=0)
@@ -69,14 +83,15 @@ class Minimax:
 
     def learn(self, x: Array, flow: Array, x_next: Array) -> None:
         """Equation (7), one sample further; a node whose flow is unknown (NaN) skips it."""
+        if not (whole := bool(np.isfinite(np.add.reduce(flow)))) and not (known := np.isfinite(flow)).any():
+            return
         y = x_next - self.b * flow
         residual = self.candidates * x - y
-        if np.isfinite(np.add.reduce(flow)):  # all are known
-            residual *= residual
+        residual *= residual
+        if whole:
             self.J += residual
         else:
-            known = np.isfinite(flow)
-            self.J[:, known] += residual[:, known] ** 2
+            self.J[:, known] += residual[:, known]
         self._choose()
 
     def report(self) -> Array:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import math
+import struct
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,26 +13,34 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.law import Array, Law, Minimax
+from agents.samples import Samples
 from agents.view import View
-from topologies.errors import HedgerowError, UserError
-from wire.codec import ALL_UP, REPORT_WIDTH, Flag
+from topologies.errors import UserError
+from wire.codec import ALL_UP, REPORT_WIDTH, TAKEN, Flag, Link, Mask, Record, State, gather
 
 Index = NDArray[np.int64]
 
-_OPEN, _HEAR = np.uint8(Flag.OPEN), np.uint8(Flag.HEAR)
+_TAKEN_OF = bytes(flags & TAKEN for flags in range(256))
+_SILENCE = struct.pack("<d", math.nan)
 
 
-class LawError(HedgerowError):
-    """A law that failed while it ran."""
+class LawError(UserError):
+    """A law that failed while it ran: whose law it is mends it, and to start its agent again would not."""
 
 
 def new_law(view: View) -> Law:
     """The law of a view, with no sample seen yet; UserError when there is none such, LawError when it cannot begin."""
     law = law_class(view.law)
     try:
-        return law(view.b, [node.candidates for node in view.nodes])
+        begun = law(view.b, [node.candidates for node in view.nodes])
+        shape = np.shape(begun.memory)
     except Exception as error:
         raise LawError(f"law {view.law}: cannot begin: {type(error).__name__}: {error}; mend it") from error
+    if shape[-1:] != (len(view.nodes),):
+        raise LawError(
+            f"law {view.law}: its memory has the shape {shape}; its last axis is the {len(view.nodes)} nodes"
+        )
+    return begun
 
 
 def law_class(name: str) -> type[Law]:
@@ -60,8 +69,10 @@ def _all_or(k: int, nodes: list[int]) -> Index | None:
 class Shard:
     """Closes the sample of t - 1 and acts at t, for all its nodes at once.
 
-    Incidences (a node and one of its edges) are ordered by node and then by neighbour, as in the plant, so that
-    a flow is the same sum, bit for bit, in every layout of the network over processes.
+    `hear` what neighbours say and `recall` what the plant says of nodes that come back; when `awaits` nobody any more,
+    `answer` a state, and `say` the link messages of that step. Incidences (a node and one of its edges) are ordered by
+    node and then by neighbour, as in the plant, so that a flow is the same sum, bit for bit, in every layout of the
+    network over processes.
     """
 
     def __init__(self, view: View) -> None:
@@ -74,62 +85,182 @@ class Shard:
         home = {node: p for p, peer in enumerate(view.peers) for node in peer.hear}
         incidences = [(i, j) for i, node in enumerate(view.nodes) for j in node.neighbours]
         self.m = len(incidences)
+        self.degrees = [len(node.neighbours) for node in view.nodes]
         self._row: Index = np.array([i for i, _ in incidences], dtype=np.int64)
-        self._ends: Index = np.array([self._row, [column[j] for _, j in incidences]], dtype=np.int64)
+        ends: Index = np.array([self._row, [column[j] for _, j in incidences]], dtype=np.int64)
         """Per incidence: where the inputs of its two ends stand among our own and the heard ones, (2, m)."""
         self._peer: Index = np.array([home.get(j, -1) for _, j in incidences], dtype=np.int64)
-        self.say = [_all_or(self.k, [own[node] for node in peer.say]) for peer in view.peers]
+        self._say = [_all_or(self.k, [own[node] for node in peer.say]) for peer in view.peers]
         """Per peer: which of our nodes stand in a link message to it; None for all of them, in order."""
+        self.hears = [len(peer.hear) for peer in view.peers]
+        self.says = [len(peer.say) for peer in view.peers]
+        first = self.k
+        self._over: list[list[int]] = [np.flatnonzero(self._peer == p).tolist() for p in range(len(view.peers))]
+        """Per peer: the incidences that lead to it."""
+        self._columns: list[slice] = []
+        """Per peer: where its inputs stand among our own and the heard ones."""
+        for n in self.hears:
+            self._columns.append(slice(first, first + n))
+            first += n
         self._everybody: Sequence[int] = range(len(view.peers))
         self._up = bytes([ALL_UP]) * self.m
+        self._took_all = bytes([TAKEN]) * self.m
+        self._samples = Samples(self._law, view.history, self._row, ends, first)
+        self._mail: list[dict[int, Link]] = [{} for _ in view.peers]
+        """Per peer: link messages by step, of the steps that no sample has used yet."""
+        self._record: Record | None = None
+        self.t = -1
+        """The last step answered."""
         self.x: Array = np.zeros(self.k)
         self.u: Array = np.zeros(self.k)
+        self._own = b""
+        """u as bytes"""
         self.report: Array = np.full((self.k, REPORT_WIDTH), np.nan)
         """What the nodes say of themselves at the last step."""
+        self.took = self._took_all
+        """What they took in of the step before it: Flag bits by incidence."""
 
-    def start(self, x: Array) -> Array:
-        """u(0): there is no sample to close yet."""
-        return self._act(x)
+    # What comes in.
 
-    def step(self, x: Array, flags: bytes, u: Array) -> Array:
-        """u(t), (k,), from x(t) (k,), the Flag bits of t - 1 (m,), and the inputs of t - 1.
+    def hear(self, peer: int, link: Link) -> None:
+        """Keep a link message of a peer until its step is closed."""
+        if link.t >= self.t:
+            self._mail[peer][link.t] = link
 
-        `u`, (k + h,), holds our own inputs and then those heard from all peers. One that was not heard is NaN: so is
-        the flow that it enters, and a sample without its flow is skipped.
-        """
-        own, other = u.take(self._ends)
-        if flags != self._up:
-            bits = np.frombuffer(flags, np.uint8)
-            own = np.where(bits & _OPEN, own, 0.0)
-            other = np.where(bits & _OPEN, np.where(bits & _HEAR, other, np.nan), 0.0)
-        difference = own - other
+    def recall(self, record: Record) -> None:
+        """Keep what the plant says of nodes that come back at `record.t`."""
+        if record.t > self.t:
+            self._record = record
+
+    def follows(self, state: State) -> bool:
+        """Whether a state is the next one to be answered; a shard that comes back begins where its record ends."""
+        return state.t == self.t + 1 or (self._record is not None and self._record.t == state.t)
+
+    def awaits(self, state: State) -> list[int]:
+        """Peers whose link message of t - 1 crosses, by what the plant says, and is not here yet."""
+        past, flags = state.t - 1, state.flags
+        late = [p for p in self._everybody if past not in self._mail[p]] if state.t else []
+        if late and flags != self._up:
+            late = [p for p in late if any(flags[c] & Flag.HEAR for c in self._over[p])]
+        return late
+
+    # A step.
+
+    def answer(self, state: State) -> Array:
+        """u(t), (k,), from the state of t once nobody is awaited: the sample of t - 1 is closed first."""
+        t, x = state.t, state.x
+        record = self._record if self._record is not None and self._record.t == t else None
         try:
-            flow: Array = np.bincount(self._row, difference, self.k)  # type: ignore[assignment]  # weighted: floats
-            self._law.learn(self.x, flow, x)
+            if record is not None:
+                self._restore(record)
+            if t > 0:
+                self._close(state, record.back if record is not None else None)
         except Exception as error:
             raise self._failed("learn", f"raised {type(error).__name__}: {error}") from error
-        return self._act(x)
+        self._record = None
+        return self._act(t, x)
 
-    def _act(self, x: Array) -> Array:
+    def _restore(self, record: Record) -> None:
+        """Take the record of the nodes that come back for what they remember; the mail is kept, it may be theirs."""
+        back = record.back
+        for mail in self._mail:
+            for t in [t for t in mail if t < record.t - 1]:
+                del mail[t]
+        anew = self.t != record.t - 1
+        if anew:
+            self.x, self.u = np.full(self.k, np.nan), np.full(self.k, np.nan)
+        self._samples.restore(record, anew)
+        self.x, self.u = self.x.copy(), self.u.copy()
+        if len(record.x):
+            self.x[back], self.u[back] = record.x[-1], record.u[-1]
+        else:
+            self.x[back] = self.u[back] = np.nan
+        self._own = self.u.tobytes()
+
+    def _close(self, state: State, back: Mask | None) -> None:
+        """Learn the sample of t - 1, and first those before it whose inputs have come by now."""
+        past = state.t - 1
+        links = [mail.pop(past, None) for mail in self._mail]
+        if state.flags == self._up and not state.spans and self._samples.complete and back is None:
+            self.took = self._took_all
+            inputs = gather((self._own, *(link.u for link in links if link is not None)))
+            self._samples.take(self.x, inputs, state.x)
+            return
+        # The newest row of a link message is that of t - 1, unless the link is late.
+        newest = (_SILENCE * n if link is None else link.u[-8 * n :] for link, n in zip(links, self.hears, strict=True))
+        old = [
+            (columns, link.first, gather([link.u]).reshape(-1, n)[: past - link.first])
+            for link, columns, n in zip(links, self._columns, self.hears, strict=True)
+            if link is not None and link.first < past
+        ]
+        took = bytearray(state.flags.translate(_TAKEN_OF))
+        came: list[tuple[int, int, int]] = []
+        for c, late, count, _, _ in state.spans:
+            if took[c] & Flag.HEAR:
+                last = past - late
+                came.append((c, last - count, min(last + 1, past)))
+                if late:
+                    took[c] -= Flag.HEAR
+        self.took = bytes(took)
+        inputs = gather((self._own, *newest))
+        self._samples.take_late(past, self.x, inputs, self.took, state.x, old, came, back)
+
+    def _act(self, t: int, x: Array) -> Array:
         try:
             u = np.asarray(self._law.act(x), dtype=float)
             self.report = np.asarray(self._law.report(), dtype=float)
         except Exception as error:
             raise self._failed("act", f"raised {type(error).__name__}: {error}") from error
         if u.shape != (self.k,) or not math.isfinite(np.add.reduce(u)):
-            raise self._failed("act", f"gave {u} for the states {x}, and an input is a number a node")
+            u = self._without_blind(x, u)
         if self.report.shape != (self.k, REPORT_WIDTH):
             raise self._failed("report", f"has the shape {self.report.shape}, and not {(self.k, REPORT_WIDTH)}")
-        self.x, self.u = x, u
+        self.t, self.x, self.u = t, x, u
+        self._own = u.tobytes()
         return u
+
+    def _without_blind(self, x: Array, u: Array) -> Array:
+        """Inputs of the nodes that have a reading: without one there is no input."""
+        blind = np.isnan(x)
+        if u.shape != (self.k,) or not np.isfinite(u[~blind]).all():
+            raise self._failed("act", f"gave {u} for the states {x}, and an input is a number a node")
+        return np.where(blind, np.nan, u)
 
     def _failed(self, method: str, what: str) -> LawError:
         nodes = ", ".join(str(node.id) for node in self._view.nodes[:8])
         return LawError(f"law {self._view.law}: {method}() of node {nodes} {what}")
 
-    def peers_with(self, bit: Flag, flags: bytes) -> Sequence[int]:
-        """Peers to whom at least one incidence has `bit` set."""
-        if flags == self._up:
-            return self._everybody
-        marked = np.frombuffer(flags, np.uint8) & np.uint8(bit) != 0
-        return [int(p) for p in np.unique(self._peer[marked]) if p >= 0]
+    # What goes out.
+
+    @property
+    def silence(self) -> tuple[bytes, bytes, bytes]:
+        """Of one that cannot answer: no inputs, no reports, nothing taken in."""
+        nothing = np.full((1 + REPORT_WIDTH) * self.k, np.nan).tobytes()
+        return nothing[: 8 * self.k], nothing[8 * self.k :], bytes(self.m)
+
+    def say(self, state: State) -> list[tuple[int, Link]]:
+        """The link messages of the step just answered, by peer."""
+        if state.flags == self._up and not state.spans:
+            return [(p, self._rows(p, self.t, self.t)) for p in self._everybody]
+        first, last = {}, {}
+        for c, _, _, late, count in state.spans:
+            first[c], last[c] = self.t - late - count, self.t - late
+        said: list[tuple[int, Link]] = []
+        for p, incidences in enumerate(self._over):
+            if told := [c for c in incidences if state.flags[c] & Flag.TELL]:
+                begin, end = min(first.get(c, self.t) for c in told), max(last.get(c, self.t) for c in told)
+                said.append((p, self._rows(p, begin, end)))
+        return said
+
+    def _rows(self, peer: int, first: int, last: int) -> Link:
+        """A link message with the rows of steps first .. last, as far as they are kept."""
+        nodes = self._say[peer]
+        x, u = (self.x, self.u) if nodes is None else (self.x[nodes], self.u[nodes])
+        if first == last == self.t:
+            return Link(self.t, first, x.tobytes(), u.tobytes())
+        old_x, old_u = self._samples.said(first, last + 1)
+        if nodes is not None:
+            old_x, old_u = old_x[:, nodes], old_u[:, nodes]
+        if last < self.t:
+            return Link(self.t, last + 1 - len(old_x), old_x.tobytes(), old_u.tobytes())
+        return Link(self.t, last - len(old_x), old_x.tobytes() + x.tobytes(), old_u.tobytes() + u.tobytes())

@@ -40,6 +40,8 @@ class View:
     law: str
     nodes: Sequence[NodeView]
     peers: Sequence[Peer]
+    history: int
+    """how many past steps are kept for back-filling, 0 for none: then what was missed stays missed"""
 
     def to_json(self) -> str:
         """The view as JSON text."""

@@ -1,4 +1,4 @@
-"""`python -m benchmarks.loop`: paper7 against the bare Zenoh loop, and with run.rrd against without, in pairs.
+"""`python -m benchmarks.loop`: paper7 against the bare Zenoh loop, with run.rrd and with lost messages, in pairs.
 
 Every round runs each variant once, in turn; the table gives medians over the rounds and of the ratios within a
 round, so that a machine that slows down slows all of them.
@@ -19,6 +19,9 @@ from typing import Any
 
 from benchmarks import bare
 from topologies.load import load
+
+DROPS = [{"kind": "drop", "link": list(edge), "probability": 0.3} for edge in load("paper7").edges]
+"""Every message of every link is lost with a probability of 0.3, and made up for later."""
 
 
 def ours(steps: int, *options: str) -> dict[str, Any]:
@@ -45,18 +48,21 @@ def main() -> None:
     for _ in range(known.rounds):
         without = ours(known.steps, "--no-record")
         recording = ours(known.steps, "--record")
+        dropping = ours(known.steps, "--no-record", "--set", f"faults={json.dumps(DROPS)}")
         first_steps += [without["first_step_s"], recording["first_step_s"]]
         rounds.append(
             {
                 "bare": bare.run(len(topology.ids), edges, known.steps),
                 "ours": without["steps_per_s"],
                 "ours, run.rrd": recording["steps_per_s"],
+                "ours, 30% drops": dropping["steps_per_s"],
             }
         )
     rates = {name: statistics.median(each[name] for each in rounds) for name in rounds[0]}
     ratios = {
         "ours / bare": statistics.median(each["ours"] / each["bare"] for each in rounds),
         "run.rrd / none": statistics.median(each["ours, run.rrd"] / each["ours"] for each in rounds),
+        "30% drops / none": statistics.median(each["ours, 30% drops"] / each["ours"] for each in rounds),
     }
     result = {
         "machine": f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}",

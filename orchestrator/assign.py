@@ -9,10 +9,14 @@ import numpy as np
 from agents.view import NodeView, Peer, View
 from plant.truth import Truth
 from topologies.errors import UserError
+from topologies.faults import effects
 from topologies.schema import Nothing, Topology
 
 Layout = Sequence[Sequence[int]]
 """Per agent process: the positions of its nodes, ascending."""
+
+HISTORY_BYTES = 2**28
+"""What the histories of a network may take, all processes together, as a rough measure."""
 
 
 def layout(topology: Topology, processes: int | None) -> Layout:
@@ -36,7 +40,16 @@ def truth_of(topology: Topology, shards: Layout) -> Truth:
         steps=topology.steps,
         seed=topology.seed,
         shards=shards,
+        effects=[effect.to_dict() for effect in effects(topology.faults, topology)],
+        faults=len(topology.faults),
+        history=history_of(topology),
     )
+
+
+def history_of(topology: Topology) -> int:
+    """How many past steps every process keeps for back-filling: as many as the file says and memory has room for."""
+    row = 8 * (3 * len(topology.ids) + 2 * len(topology.edges))
+    return min(topology.history, max(1, HISTORY_BYTES // row)) if topology.backfill else 0
 
 
 def _components(disturbance: object) -> list[dict[str, object]]:
@@ -84,6 +97,7 @@ def views_of(topology: Topology, shards: Layout) -> list[View]:
                 b=topology.b,
                 law=law_of(topology),
                 nodes=[NodeView(ids[i], candidates[i], [ids[j] for j in neighbours[i]]) for i in nodes],
+                history=history_of(topology),
                 peers=[
                     Peer(q, [ids[i] for i in sorted(say[q])], [ids[j] for j in sorted(hear[q])]) for q in sorted(say)
                 ],

@@ -8,6 +8,8 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
+import threading
 import time
 from datetime import datetime
 from pathlib import Path
@@ -15,6 +17,7 @@ from typing import Annotated
 
 import typer
 
+from orchestrator import cli_live
 from orchestrator.check import count, table
 from orchestrator.nursery import Nursery
 from orchestrator.verdict import EXIT_CODES, UNKNOWN
@@ -118,9 +121,16 @@ def up(
     deadline: Annotated[float, typer.Option(metavar="S", help="seconds without an answer before giving up")] = 10.0,
     verify: Annotated[bool, typer.Option("--verify", help="compare with the in-process reference afterwards")] = False,
     detach: Annotated[bool, typer.Option("--detach", help="return once it runs")] = False,
+    lifeline: Annotated[bool, typer.Option("--lifeline", help="end when standard input does")] = False,
     as_json: AsJson = False,
 ) -> int:
     """Run a network: one process an agent, one for the plant, over Zenoh."""
+    if lifeline and detach:
+        raise UserError(
+            "--lifeline --detach: choose one; what runs in the background has no standard input to end with"
+        )
+    if lifeline:
+        threading.Thread(target=_end_with_standard_input, name="lifeline", daemon=True).start()
     from orchestrator import folder as folders  # noqa: PLC0415
     from orchestrator.assign import layout  # noqa: PLC0415
     from orchestrator.run import Watching  # noqa: PLC0415
@@ -129,8 +139,8 @@ def up(
 
     if rate < 0 or deadline <= 0:
         raise UserError("--rate must not be negative, and --deadline must be above 0")
-    topology = _importable(_read(file, sets, steps=steps, seed=seed, law=law))
-    shards = layout(topology, processes)
+    topology = _importable(_read(file, sets, steps=steps, seed=seed, law=law, processes=processes))
+    shards = layout(topology, topology.processes)
     viewer = _viewer(viewer)
     if detach:
         return _start_detached()
@@ -146,9 +156,16 @@ def up(
             display.say(f"running in the background; `orchestrator stop {folder.name}` ends it")
             _let_go_of_terminal(folder.logs / "up.log")
 
-    network = Network(topology, folder, shards, options, display, _NURSERY or Nursery(), _BEGAN)
-    verdict = network.run(on_first_step)
-    return verdict.exit_code
+    with contextlib.closing(_NURSERY or Nursery()) as nursery:
+        network = Network(topology, folder, shards, options, display, nursery, _BEGAN)
+        return network.run(on_first_step).exit_code
+
+
+def _end_with_standard_input() -> None:
+    """Whoever started us holds the other end of the pipe; even SIGKILL makes them let go of it."""
+    while os.read(0, 4096):
+        pass
+    os.kill(os.getpid(), signal.SIGTERM)
 
 
 _DETACHED = "HEDGEROW_DETACHED"
@@ -249,19 +266,11 @@ def ps(as_json: AsJson = False) -> int:
 @app.command()
 def status(run: RunName = None, as_json: AsJson = False) -> int:
     """Say how far a running network is."""
-    from orchestrator import registry  # noqa: PLC0415
-    from orchestrator.control import ask  # noqa: PLC0415
-    from wire import keys  # noqa: PLC0415
-    from wire.session import open_client  # noqa: PLC0415
+    from orchestrator.live import Live, where  # noqa: PLC0415
 
-    entry = registry.find(run)
-    with open_client(entry.endpoint, entry.namespace) as session:
-        answer = ask(session, keys.STATUS)
-    if as_json:
-        print(json.dumps({**vars(entry), **answer}))
-        return 0
-    waiting = f", waiting for {', '.join(answer['missing'])}" if answer["missing"] else ""
-    print(f"{entry.run}: step {answer['step']} of {answer['steps']}{waiting if not answer['running'] else ''}")
+    with Live(run) as live:
+        answer = live.status()
+    print(json.dumps({**vars(live.entry), **answer}) if as_json else f"{live.run}: {where(answer)}")
     return 0
 
 
@@ -272,14 +281,13 @@ def stop(
 ) -> int:
     """End a running network cleanly, as Ctrl-C does, and wait until it is gone."""
     from orchestrator import registry  # noqa: PLC0415
-    from orchestrator.control import ask  # noqa: PLC0415
-    from wire import keys  # noqa: PLC0415
-    from wire.session import WireError, open_client  # noqa: PLC0415
+    from orchestrator.live import Live  # noqa: PLC0415
+    from wire.session import WireError  # noqa: PLC0415
 
     entry = registry.find(run)
     try:
-        with open_client(entry.endpoint, entry.namespace) as session:
-            ask(session, keys.STOP)
+        with Live(entry) as live:
+            live.stop()
     except WireError:  # the plant is gone or frozen: then its parent must see to it
         with contextlib.suppress(ProcessLookupError):
             os.kill(entry.pid, signal.SIGTERM)
@@ -290,3 +298,27 @@ def stop(
         time.sleep(0.05)
     print(f"{entry.run}: stopped; {entry.folder}")
     return 0
+
+
+@app.command()
+def chaos(
+    seed: Annotated[
+        int, typer.Option(metavar="N", min=0, help="the first seed; all that happens is drawn from it")
+    ] = 0,
+    runs: Annotated[int, typer.Option(min=1, help="how many seeds to try, one after the other")] = 1,
+    nodes: Annotated[int, typer.Option(min=2, max=200, help="networks of 2 to so many nodes")] = 12,
+) -> int:
+    """Run random networks under random faults until one misbehaves, and leave the least file that does; exit code 1."""
+    from orchestrator.chaos import hunt, write  # noqa: PLC0415
+
+    with tempfile.TemporaryDirectory(prefix="hedgerow-") as scratch:
+        finding = hunt(range(seed, seed + runs), nodes, Path(scratch), lambda text: print(text, flush=True))
+    if finding is None:
+        return 0
+    file = Path(f"chaos-{finding.seed}.yaml")
+    write(finding, file)
+    print(f"{finding.wrong}\nagain with: orchestrator up {file} --verify")
+    return 1
+
+
+cli_live.register(app)

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from typing import Any
 
 import zenoh
 
+from wire import keys
 from wire.session import WireError
 
 
-def ask(session: zenoh.Session, key: str, timeout_s: float = 2.0) -> dict[str, Any]:
-    """The plant's answer to a query on `key`; raises WireError when none comes in time."""
-    for reply in session.get(key, timeout=timeout_s):
+def ask(
+    session: zenoh.Session, command: str, request: Mapping[str, Any] | None = None, timeout_s: float = 2.0
+) -> dict[str, Any]:
+    """The plant's answer to a command of plant/control.py; raises WireError when none comes in time."""
+    key = keys.control(command)
+    for reply in session.get(key, payload=json.dumps(request or {}), timeout=timeout_s):
         if reply.ok is not None:
             answer: dict[str, Any] = json.loads(reply.ok.payload.to_string())
             return answer

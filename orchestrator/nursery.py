@@ -12,7 +12,7 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from topologies.errors import DeadlineError
@@ -37,8 +37,11 @@ class Nursery:
             start_new_session=True,
         )
         os.close(held)
+        self.pid = self._process.pid
         self.pids: dict[str, int] = {}
         self.codes: dict[str, int] = {}
+        self.on_end: Callable[[], None] = lambda: None
+        """called when somebody has ended, on a thread of ours"""
         self._closing = False
         self._changed = threading.Condition()
         self._listener = threading.Thread(target=self._listen, name="nursery", daemon=True)
@@ -51,14 +54,20 @@ class Nursery:
             with self._changed:
                 (self.pids if "pid" in said else self.codes)[said["name"]] = said.get("pid", said.get("code"))
                 self._changed.notify_all()
+            if "code" in said:
+                self.on_end()
         with self._changed:
             if not self._closing:
                 self.codes["nursery"] = self._process.wait() or 1
             self._changed.notify_all()
+        self.on_end()
 
     def fork(self, name: str, module: str, arguments: Sequence[str], log: Path) -> None:
         """Have `python -m MODULE ARGUMENTS` run in a process of its own, which logs to `log`."""
         told = {"name": name, "module": module, "arguments": list(arguments), "log": str(log)}
+        with self._changed:
+            self.pids.pop(name, None)
+            self.codes.pop(name, None)
         assert self._process.stdin is not None
         self._process.stdin.write(json.dumps(told).encode() + b"\n")
         self._process.stdin.flush()
@@ -70,21 +79,37 @@ class Nursery:
         if not ok:
             raise DeadlineError(f"no process of its own for {names[0]} after {FORK_DEADLINE_S:g} s")
 
-    def wait(self, timeout_s: float) -> None:
-        """Wait until all who were forked have ended, at most so long."""
+    def kill(self, name: str) -> None:
+        """End one of them at once, if it runs."""
         with self._changed:
-            self._changed.wait_for(lambda: self.pids.keys() <= self.codes.keys() | {"nursery"}, timeout_s)
-
-    def close(self) -> None:
-        """End whoever is still there, at once, and the nursery; return when all are gone."""
-        with self._changed:
-            self._closing = True
-            left = [self.pids[name] for name in self.pids.keys() - self.codes.keys()]
-        for pid in left:
+            pid = self.pids.get(name) if name not in self.codes else None
+        if pid is not None:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
+
+    def wait(self, names: Iterable[str], timeout_s: float) -> None:
+        """Wait until these have ended, as far as they were forked, at most so long."""
+        with self._changed:
+            self._changed.wait_for(
+                lambda: "nursery" in self.codes or self.pids.keys() & names <= self.codes.keys(), timeout_s
+            )
+
+    def clear(self) -> None:
+        """End whoever is still there, at once; return when all are gone and forgotten."""
+        with self._changed:
+            left = self.pids.keys() - self.codes.keys()
+        for name in left:
+            self.kill(name)
         if left:
-            self.wait(END_DEADLINE_S)
+            self.wait(left, END_DEADLINE_S)
+        with self._changed:
+            self.pids.clear()
+            self.codes.clear()
+
+    def close(self) -> None:
+        """The same, and then end the nursery itself."""
+        self._closing = True
+        self.clear()
         assert self._process.stdin is not None
         with contextlib.suppress(OSError):
             self._process.stdin.close()
@@ -94,5 +119,7 @@ class Nursery:
             self._process.kill()
             self._process.wait()
         self._listener.join()
+        assert self._process.stdout is not None
+        self._process.stdout.close()
         with contextlib.suppress(OSError):
             os.close(self._lifeline)

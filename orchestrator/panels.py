@@ -56,7 +56,7 @@ def quantities(topology: Topology, observer: Observer) -> list[Quantity]:
     ids = [str(node) for node in topology.ids]
     edges = [f"{i}–{j}" for i, j in topology.edges]
     node, pale = _hues(len(ids)), _hues(len(ids), alpha=140)
-    truth, limit = observer.a, observer.gamma_star
+    limit = observer.gamma_star
 
     def gains(batch: Batch) -> Matrix:
         gamma_star = np.full(len(batch.t), limit)
@@ -72,7 +72,7 @@ def quantities(topology: Topology, observer: Observer) -> list[Quantity]:
         Quantity("u_edge", lambda batch: batch.u_edge, edges, _hues(len(edges)), steps=True),
         Quantity("w", lambda batch: batch.w, ids, node, steps=True),
         Quantity("ahat", lambda batch: batch.ahat, ids, node, 2.0, steps=True),
-        Quantity("truth", lambda b: np.tile(truth, (len(b.t), 1)), _each(ids, "truth"), pale, 1.0),
+        Quantity("truth", lambda batch: batch.a, _each(ids, "truth"), pale, 1.0, steps=True),
         Quantity("a_ls", lambda batch: batch.a_ls, ids, node),
         Quantity("margin", lambda batch: batch.margin, ids, node),
         Quantity("nodes_right", lambda batch: batch.right, ["nodes right"], [GREEN], steps=True),

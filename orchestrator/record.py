@@ -14,7 +14,9 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from orchestrator.accounts import at_ends
 from orchestrator.observe import Batch, Observer
+from topologies.graph import Mask
 from topologies.schema import Topology
 from wire.codec import End
 
@@ -93,6 +95,11 @@ def _whole_batches(reader: Any) -> Iterator[pa.RecordBatch]:
             return
 
 
+def _null(values: Any, missing: Mask) -> Any:
+    """A column in which what is missing is null."""
+    return pa.array(values.ravel(), mask=missing.ravel()) if missing.any() else values.ravel()
+
+
 class Recorder:
     """Writes what the observer computes to the tables of a run's folder; OSError when the disk is full."""
 
@@ -100,6 +107,7 @@ class Recorder:
         node = _id_type(topology)
         f8 = pa.float64()
         self._n, self._edges = len(topology.ids), topology.graph.edges
+        self._hears = at_ends(topology.graph)
         self._ids = _ids(topology, np.arange(self._n))
         self._i, self._j = (_ids(topology, self._edges[:, end]) for end in (0, 1))
         floats = [(name, f8) for name in ("x", "u", "w", "ahat")]
@@ -127,21 +135,23 @@ class Recorder:
                     ("j", node),
                     ("u_edge", f8),
                     ("open", pa.bool_()),
+                    ("i_hears", pa.bool_()),
+                    ("j_hears", pa.bool_()),
                 ]
             ),
         )
 
     def write(self, batch: Batch) -> None:
         """Append the rows of one batch."""
-        rows, e = len(batch.t), len(self._edges)
+        rows, e, unknown = len(batch.t), len(self._edges), np.isnan(batch.ahat)
         self._telemetry.append(
             {
                 "step": np.repeat(batch.t, self._n),
                 "node": np.tile(self._ids, rows),
-                **{
-                    name: getattr(batch, name).ravel()
-                    for name in ("x", "u", "w", "ahat", "index", "x_oracle", "x_nominal")
-                },
+                **{name: getattr(batch, name).ravel() for name in ("x", "w", "x_oracle", "x_nominal")},
+                "u": _null(batch.u, np.isnan(batch.u)),
+                "ahat": _null(batch.ahat, unknown),
+                "index": _null(batch.index, unknown),
             }
         )
         if e:
@@ -152,6 +162,8 @@ class Recorder:
                     "j": np.tile(self._j, rows),
                     "u_edge": batch.u_edge.ravel(),
                     "open": batch.edge_open.ravel(),
+                    "i_hears": batch.link_up[:, self._hears[:, 0]].ravel(),
+                    "j_hears": batch.link_up[:, self._hears[:, 1]].ravel(),
                 }
             )
 

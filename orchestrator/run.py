@@ -14,6 +14,7 @@ from orchestrator.observe import Batch, Observer
 from orchestrator.verdict import Ending, Verdict, judge
 from orchestrator.viewer import Viewer, start
 from topologies.errors import HedgerowError
+from topologies.resolve import to_yaml
 from topologies.schema import Topology
 from wire.codec import End, Telemetry
 
@@ -40,6 +41,8 @@ class Run:
         self.observer = Observer(topology)
         self._watching = watching
         self._stream: RerunStream | None = None
+        self._notes: list[tuple[str, str, int]] = []
+        """what was noted before there was a stream"""
         self.viewer: Viewer | None = None
         self._watched = False
 
@@ -67,7 +70,33 @@ class Run:
         self._recorder.write_end(self.observer, end)
         if self._stream is not None:
             self._stream.end(self.observer)
-            self._stream.event(f"the run ended after {end.t} steps", "INFO", end.t)
+        self.note(f"the run ended after {end.t} steps", "INFO", end.t)
+
+    def change(self, topology: Topology) -> None:
+        """The faults are these from the next step on: the observer goes by them, and so will who runs the folder again.
+
+        Raises OSError when the disk is full.
+        """
+        self.topology = topology
+        self.observer.change(topology)
+        part = self.folder.topology.with_name("topology.yaml.part")
+        try:
+            part.write_text(to_yaml(topology), encoding="utf-8")
+            part.rename(self.folder.topology)
+        finally:
+            part.unlink(missing_ok=True)
+
+    def note(self, text: str, level: str, step: int) -> None:
+        """Show a line among the viewer's events; `level` is INFO, WARN or ERROR."""
+        if self._stream is not None:
+            self._stream.event(text, level, step)
+        elif not self._watched:
+            self._notes.append((text, level, step))
+
+    def tell_faults(self) -> None:
+        """Write down the faults that the file schedules."""
+        for number, fault in enumerate(self.topology.faults, 1):
+            self.folder.event("fault", fault=number, entry=fault.written())
 
     def _open_stream(self) -> None:
         if not self._watching.record and self._watching.viewer == "none":
@@ -78,6 +107,8 @@ class Run:
         path = self.folder.recording if self._watching.record else None
         self.viewer = start(self._watching.viewer)
         self._stream = RerunStream(self.topology, self.observer, self.folder.name, path, self.viewer)
+        for note in self._notes:
+            self._stream.event(*note)
         self.folder.event(
             "recording", path=str(path) if path else None, viewer=self.viewer.url if self.viewer else None
         )

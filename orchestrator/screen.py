@@ -117,6 +117,21 @@ class Json:
         print(json.dumps({"folder": str(folder), **verdict.content}), flush=True)
 
 
+class Quiet:
+    """Nothing at all."""
+
+    interactive = False
+
+    def say(self, text: str) -> None:
+        pass
+
+    def progress(self, batch: Batch) -> None:
+        pass
+
+    def verdict(self, verdict: Verdict, folder: Path) -> None:
+        pass
+
+
 def screen(steps: int, as_json: bool) -> Screen:
     """The screen that fits where we run."""
     if as_json:

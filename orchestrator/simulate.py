@@ -13,7 +13,7 @@ from orchestrator.assign import Layout, truth_of, views_of
 from orchestrator.folder import RunFolder, create
 from orchestrator.interrupts import EndNowError, Interrupts
 from orchestrator.run import Run, Watching, same_tables
-from orchestrator.screen import Json, Screen
+from orchestrator.screen import Quiet, Screen
 from orchestrator.verdict import Ending, Verdict
 from topologies.schema import Topology
 from wire.codec import End, Telemetry
@@ -26,6 +26,7 @@ def simulate(topology: Topology, folder: RunFolder, shards: Layout, watching: Wa
     ending = Ending(run=folder.name, engine="in-process", processes=0)
     run = Run(topology, folder, watching, ending)
     folder.event("start", engine=ending.engine)
+    run.tell_faults()
     began = time.monotonic()
     telemetry = in_process.run(truth_of(topology, shards), views_of(topology, shards))
     with Interrupts() as interrupts:
@@ -52,10 +53,5 @@ def equals_reference(topology: Topology, folder: RunFolder) -> bool:
     """Whether a finished run's tables equal those of the in-process reference, bit for bit."""
     with tempfile.TemporaryDirectory(prefix="hedgerow-") as scratch:
         reference = create(topology, Path(scratch) / "reference")
-        simulate(topology, reference, [range(len(topology.ids))], Watching(record=False), _Silent())
+        simulate(topology, reference, [range(len(topology.ids))], Watching(record=False), Quiet())
         return same_tables(folder.path, reference.path)
-
-
-class _Silent(Json):
-    def verdict(self, verdict: Verdict, folder: Path) -> None:
-        pass

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import secrets
 import threading
 import time
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import zenoh
 
 from orchestrator import registry
 from orchestrator.assign import Layout, truth_of, views_of
 from orchestrator.control import ask
+from orchestrator.course import with_end, with_fault, with_loss
 from orchestrator.folder import RunFolder
 from orchestrator.interrupts import Interrupts
 from orchestrator.nursery import Nursery
@@ -28,14 +30,15 @@ from orchestrator.viewer import Viewer
 from topologies.errors import HedgerowError
 from topologies.schema import Topology
 from wire import keys
-from wire.codec import Kind, decode_end, decode_telemetry, encode_seen, kind_of
-from wire.session import WireError, open_client, open_router, publisher, remove_socket, subscriber
+from wire.codec import Kind, Telemetry, decode_end, decode_event, decode_telemetry, encode_seen, kind_of
+from wire.session import WireError, close, open_client, open_router, publisher, remove_socket, subscriber
+from wire.stream import Inbox
 
 TICK_S = 0.2
 """How often telemetry is taken in: in batches, off the loop's path."""
 WAKE_ROWS = 512
-END_DEADLINE_S = 5.0
-"""How long processes have to end by themselves once told."""
+PLANT_END_DEADLINE_S, AGENTS_END_DEADLINE_S = 5.0, 1.0
+"""How long the plant has to end by itself once told, and the agents after it: they have nothing to lose."""
 
 
 @dataclass(frozen=True)
@@ -51,27 +54,6 @@ class Options:
     watching: Watching = field(default_factory=Watching)
     verify: bool = False
     """compare with the in-process reference afterwards"""
-
-
-class _Inbox:
-    """Telemetry between Zenoh's thread and ours."""
-
-    def __init__(self) -> None:
-        self._messages: deque[bytes] = deque()
-        self.first_at: float | None = None
-        self.wake = threading.Event()
-        """something should be looked at before the next tick"""
-
-    def put(self, message: bytes) -> None:
-        self._messages.append(message)
-        if self.first_at is None and kind_of(message) == Kind.TELEMETRY:
-            self.first_at = time.monotonic()
-            self.wake.set()
-        elif len(self._messages) >= WAKE_ROWS or kind_of(message) == Kind.END:
-            self.wake.set()
-
-    def drain(self) -> list[bytes]:
-        return [self._messages.popleft() for _ in range(len(self._messages))]
 
 
 class Network:
@@ -92,13 +74,20 @@ class Network:
         self._topology, self._folder, self._shards, self._options = topology, folder, shards, options
         self._screen, self._began = screen, began
         self._ending = Ending(run=folder.name, engine="zenoh", processes=len(shards))
-        self._inbox = _Inbox()
+        self._inbox = Inbox()
+        self._wake = threading.Event()
+        """something should be looked at before the next tick"""
+        self._first_at: float | None = None
+        self._repeated = False
+        """the plant has said again what we have"""
         self._namespace = f"hedgerow/{folder.name}-{secrets.token_hex(4)}"
         self._socket = socket_path(folder) if options.router is None else None
         self._endpoint = options.router or f"unixsock-stream/{self._socket}"
         self._asked_at: float | None = None
         """when the plant was first asked to stop"""
         self._answered = False
+        self.interrupted = False
+        """the user asked for the end"""
 
     def run(self, on_first_step: Callable[[float], None] = lambda _: None) -> Verdict:
         """Launch, observe until the end or an interrupt, clean up, and judge.
@@ -106,22 +95,27 @@ class Network:
         `on_first_step` is called with the seconds from the command to the first step, once it is done.
         """
         dead: list[Dead] = []
-        with Interrupts(self._inbox.wake.set) as interrupts, self._announced() as listed:
+        self._nursery.on_end = self._wake.set
+        with Interrupts(self._wake.set) as interrupts, self._announced() as listed:
             run = Run(self._topology, self._folder, self._options.watching, self._ending)
             try:
                 with contextlib.ExitStack() as stack:
                     processes, session = self._launch(stack, listed)
+                    run.tell_faults()
                     try:
                         self._observe(run, session, processes, interrupts, on_first_step)
-                        processes.wait(END_DEADLINE_S)
+                        processes.wait(PLANT_END_DEADLINE_S, AGENTS_END_DEADLINE_S)
                     finally:
                         dead = processes.dead()
+                        self._ending.restarts = processes.restarts
+                        self._ending.down = [str(one) for one in processes.down]
             except (HedgerowError, OSError) as error:
                 self._ending.stopped = str(error)
+            self.interrupted = interrupts.count > 0
             self._explain(run, dead)
             if self._options.verify and not self._ending.stopped:
                 run.close_tables()
-                self._ending.reference_equal = equals_reference(self._topology, self._folder)
+                self._ending.reference_equal = equals_reference(run.topology, self._folder)
             verdict = run.close()
             self._screen.verdict(verdict, self._folder.path)
             if run.viewer is not None:
@@ -132,9 +126,9 @@ class Network:
         """Keep a web page up until Ctrl-C, where somebody can press that."""
         if viewer.link is not None and self._screen.interactive and not interrupts.count:
             self._screen.say(f"{viewer.link} stays until Ctrl-C")
-            self._inbox.wake.clear()
+            self._wake.clear()
             while not interrupts.count:
-                self._inbox.wake.wait(TICK_S)
+                self._wake.wait(TICK_S)
         viewer.end()
 
     def _announced(self) -> contextlib.AbstractContextManager[Path]:
@@ -145,13 +139,14 @@ class Network:
         if self._socket is not None:
             stack.callback(_remove_socket, self._socket, self._folder)
             stack.enter_context(open_router(self._endpoint))
-        stack.callback(self._nursery.close)
+        stack.callback(self._nursery.clear)
         processes = Processes(self._nursery, self._folder, self._namespace, self._endpoint)
         truth = truth_of(self._topology, self._shards)
         processes.start_plant(truth, self._options.rate, self._options.deadline_s, self._socket, listed)
         for view in views_of(self._topology, self._shards):
             processes.start_agent(view)
-        session = stack.enter_context(open_client(self._endpoint, self._namespace))
+        session = open_client(self._endpoint, self._namespace)
+        stack.callback(close, session)
         pids = processes.wait_until_started()
         self._folder.event("start", engine="zenoh", endpoint=self._endpoint, namespace=self._namespace, pids=pids)
         return processes, session
@@ -165,36 +160,100 @@ class Network:
         on_first_step: Callable[[float], None],
     ) -> None:
         """Take telemetry in, batch by batch, until the plant's END or until there is nobody to wait for."""
-        with subscriber(session, keys.TELEMETRY, self._inbox.put):
+
+        def tell_died(shard: int, life: int) -> bool:
+            with contextlib.suppress(WireError):
+                ask(session, "died", {"shard": shard, "life": life}, timeout_s=TICK_S)
+                return True
+            return False
+
+        with subscriber(session, keys.TELEMETRY, self._put):
             seen = publisher(session, keys.SEEN)
             while run.observer.end is None:
-                self._inbox.wake.wait(TICK_S)
-                self._inbox.wake.clear()
-                if self._ending.first_step_s is None and self._inbox.first_at is not None:
-                    self._ending.first_step_s = self._inbox.first_at - self._began
+                self._wake.wait(self._tick_s(processes))
+                self._wake.clear()
+                if self._ending.first_step_s is None and self._first_at is not None:
+                    self._ending.first_step_s = self._first_at - self._began
                     self._folder.event("first_step", after_s=round(self._ending.first_step_s, 3))
                     on_first_step(self._ending.first_step_s)
                 nobody_left = processes.ended(keys.PLANT) or self._asked_long_ago()
-                if self._take_in(run):
-                    seen.put(encode_seen(run.observer.next_step - 1))
+                something = self._take_in(run, processes)
+                if something or self._repeated:
+                    self._repeated = False
+                    seen.put(encode_seen(self._inbox.last))
                 elif nobody_left:
                     return
+                for happened in processes.tend(tell_died):
+                    self._folder.event(**happened)
                 if interrupts.count or processes.dead():
                     self._ask_to_stop(session, interrupts.name)
 
-    def _take_in(self, run: Run) -> bool:
-        """Observe what has come; whether anything had."""
+    def _tick_s(self, processes: Processes) -> float:
+        due = processes.next_due
+        return TICK_S if due is None else min(TICK_S, max(0.0, due - time.monotonic()))
+
+    def _put(self, whole: bytes) -> None:
+        """Take a message, on the network thread, and wake up for what should not wait for the next tick."""
+        message = self._inbox.put(whole)
+        if message is None:  # what we said to have seen was lost
+            self._repeated = True
+        kind = kind_of(message) if message is not None else -1
+        if kind == Kind.TELEMETRY and self._first_at is None:
+            self._first_at = time.monotonic()
+            self._wake.set()
+        elif kind in (Kind.EVENT, Kind.END) or len(self._inbox) >= WAKE_ROWS:
+            self._wake.set()
+
+    def _take_in(self, run: Run, processes: Processes) -> bool:
+        """Observe what has come, in its order; whether anything had."""
         messages = self._inbox.drain()
         n, e = len(self._topology.ids), len(self._topology.edges)
-        rows = [decode_telemetry(message, n, e) for message in messages if kind_of(message) == Kind.TELEMETRY]
-        if rows:
-            unseen = run.viewer is None
-            self._screen.progress(run.take(rows))
-            if unseen and run.viewer is not None:
-                self._screen.say(f"watch it at {run.viewer.link or run.viewer.url}")
-        if messages and kind_of(messages[-1]) == Kind.END:
-            run.finish(decode_end(messages[-1], n))
+        for kind, some in itertools.groupby(messages, kind_of):
+            match kind:
+                case Kind.TELEMETRY:
+                    self._take_rows(run, [decode_telemetry(message, n, e) for message in some])
+                case Kind.EVENT:
+                    for message in some:
+                        self._take_event(run, processes, decode_event(message))
+                case Kind.END:
+                    run.finish(decode_end(next(some), n))
         return bool(messages)
+
+    def _take_rows(self, run: Run, rows: list[Telemetry]) -> None:
+        unseen = run.viewer is None
+        self._screen.progress(run.take(rows))
+        if unseen and run.viewer is not None:
+            self._screen.say(f"watch it at {run.viewer.link or run.viewer.url}")
+
+    def _take_event(self, run: Run, processes: Processes, event: dict[str, Any]) -> None:
+        """Act on what the plant says between two steps, write it down, and keep the resolved file true."""
+        topology, step = run.topology, event["step"]
+        details = {key: value for key, value in event.items() if key != "event"}
+        if "fault" in event:  # people count from 1
+            details["fault"] += 1
+        self._folder.event(event["event"], **details)
+        match event["event"]:
+            case "kill":
+                processes.kill(event["shard"], event["life"], event["restart"])
+            case "revive":
+                processes.revive(event["shard"])
+            case "lost":
+                nodes = [topology.ids[k] for k in self._shards[event["shard"]]]
+                run.change(with_loss(topology, event["shard"], nodes, step))
+                self._say(run, f"step {step}: going on without {event['who']}: {event['cause']}", "WARN", step)
+            case "back":
+                run.change(with_end(topology, event["fault"], event["at"]))
+                self._say(run, f"step {event['at']}: {event['who']} is back", "INFO", step)
+            case "fault":
+                run.change(with_fault(topology, event["entry"]))
+                self._say(run, f"step {event['at']}: fault {event['fault'] + 1} begins", "WARN", step)
+            case "heal":
+                run.change(with_end(topology, event["fault"], event["at"]))
+                self._say(run, f"step {event['at']}: fault {event['fault'] + 1} ends", "INFO", step)
+
+    def _say(self, run: Run, text: str, level: str, step: int) -> None:
+        self._screen.say(text)
+        run.note(text, level, step)
 
     def _ask_to_stop(self, session: zenoh.Session, why: str) -> None:
         """Ask the plant to end the run, again at every tick until it answers: it may not have begun yet."""
@@ -204,11 +263,11 @@ class Network:
             self._folder.event("stopping", why=why or "a process died")
         if not self._answered:
             with contextlib.suppress(WireError):
-                ask(session, keys.STOP, timeout_s=1.0)
+                ask(session, "stop", timeout_s=1.0)
                 self._answered = True
 
     def _asked_long_ago(self) -> bool:
-        return self._asked_at is not None and time.monotonic() - self._asked_at > END_DEADLINE_S
+        return self._asked_at is not None and time.monotonic() - self._asked_at > PLANT_END_DEADLINE_S
 
     def _explain(self, run: Run, dead: list[Dead]) -> None:
         """Why the run ended before its last step, if it did."""

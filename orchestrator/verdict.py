@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
+from orchestrator.checks import Worst
 from orchestrator.folder import versions
-from orchestrator.observe import Observer, Worst
+from orchestrator.observe import Observer
+from topologies.describe import describe
 from topologies.schema import LAWS, Topology
 
 VALID, INVALID, UNKNOWN = "valid", "INVALID", "unknown"
@@ -15,9 +17,13 @@ EXIT_CODES = {VALID: 0, INVALID: 1, UNKNOWN: 3}
 
 CLAIMS = {
     "dynamics": "every x(t+1) is equation (1) of x, u, w and the open edges, to the bit",
-    "estimates": "every ahat is one of its candidates, and every u is equation (6) of it, to the bit",
+    "estimates": "every ahat is one of its candidates, and every u that came is equation (6) of it, to the bit",
     "contraction": "|x(t+1)|_1 <= rho |x(t)|_1 + |w(t)|_1 at every step",
-    "oracle_certificate": "sum (|x*|^2 + |u*_e|^2) <= sum w'Q^-1 w + V(x(0)) - V(x*(t+1)) at every step",
+    "oracle_certificate": "sum (|x*|^2 + |u*_e|^2) <= sum w'Q^-1 w + V(x(0)) - V(x*(t+1)) at every step"
+    " before the first at which an edge is closed or an a jumps",
+    "missing_inputs": "an edge carries flow only where both its ends sent an input",
+    "links": "what every node says it took in of a step is what was open and crossed in that step",
+    "faults": "every fault fired as scheduled, was seen where it struck, and nothing else went wrong",
 }
 _OF_THE_LAW = {"estimates", "contraction"}
 """Checks that hold for the paper's law and not for any other."""
@@ -36,6 +42,10 @@ class Ending:
     """why the run ended early; empty when it did not"""
     reference_equal: bool | None = None
     """telemetry equal to the in-process reference, bit for bit; None where not asked"""
+    restarts: int = 0
+    """processes that were started again"""
+    down: list[str] = field(default_factory=list)
+    """processes that ended, unplanned, and were not started again, each in words"""
 
 
 @dataclass(frozen=True)
@@ -55,6 +65,13 @@ class Verdict:
         numbers = [f"{c['steps_done']} of {c['steps']} steps"]
         if c["steps_per_s"]:
             numbers.append(f"{c['steps_per_s']:.0f} steps/s")
+        for what, thing in (
+            ("restarts", "restart"),
+            ("missing_inputs", "missing input"),
+            ("lost_messages", "lost message"),
+        ):
+            if number := c[what]:
+                numbers.append(f"{number} {thing}{'s' if number > 1 else ''}")
         if m:
             numbers += [
                 f"regret D {_number(m['regret'])} (nominal {_number(m['regret_nominal'])})",
@@ -91,8 +108,14 @@ def judge(topology: Topology, observer: Observer, ending: Ending) -> Verdict:
         doubts.append(ending.stopped)
     if observer.lost:
         doubts.append(f"{len(observer.lost)} steps of telemetry lost, the first {observer.lost[0]}")
+    doubts += [f"stayed down: {one}" for one in ending.down]
     if observer.end is None and not doubts:
         doubts.append("the final state never came")
+    faults = _faults(topology, observer)
+    doubts += [
+        f"fault {k + 1} ({faults[k]['what']}) could not fire: {why}"
+        for k, why in observer.schedule.idle(topology.steps).items()
+    ]
     verdict = INVALID if failed else UNKNOWN if doubts else VALID
     done = observer.end.t if observer.end is not None else observer.next_step
     elapsed_s = observer.end.elapsed_s if observer.end is not None else None
@@ -114,11 +137,40 @@ def judge(topology: Topology, observer: Observer, ending: Ending) -> Verdict:
         "steps_per_s": done / elapsed_s if elapsed_s else None,
         "first_step_s": ending.first_step_s,
         "lost_rows": len(observer.lost) * observer.graph.n,
+        "missing_inputs": observer.accounts.missing_inputs,
+        "lost_messages": observer.accounts.lost_messages,
+        "forgotten_rows": observer.end.forgotten if observer.end is not None else 0,
+        "restarts": ending.restarts,
+        "down": ending.down,
+        "faults": faults,
         "checks": checks,
         "metrics": {name: _finite(value) for name, value in observer.summary().items()} if done else {},
         "versions": versions(),
     }
     return Verdict(verdict, content)
+
+
+def _faults(topology: Topology, observer: Observer) -> list[dict[str, Any]]:
+    """What became of each fault, as verdict.json holds it."""
+    if not topology.faults:
+        return []
+
+    done = observer.end.t if observer.end is not None else observer.next_step
+    return [
+        {
+            "fault": k,
+            "kind": fault.kind,
+            "what": describe(fault),
+            "scheduled": account.scheduled,
+            "fired": account.fired,
+            "masked": account.masked,
+            "seen": account.seen if fault.kind != "jump" else None,
+            "beyond": beyond,
+        }
+        for k, (fault, account, beyond) in enumerate(
+            zip(topology.faults, observer.accounts, observer.schedule.beyond(done), strict=True), 1
+        )
+    ]
 
 
 def _check(name: str, worst: Worst) -> dict[str, Any]:

@@ -1,83 +1,84 @@
 """The world on the wire, and its clock: send state(t), wait for every input(t) and for nothing else, advance.
 
 As in an agent, the work is done where messages arrive; the main thread keeps time. It releases a step that had
-to wait (for its turn under `--rate`, or for an observer that fell behind), repeats a state that was not answered,
-and gives up, by name, past the deadline.
+to wait (for its turn, for a process that ends or begins, or for an observer that fell behind), repeats what was not
+answered, and past the deadline goes on without who is silent, by name.
 """
 
 from __future__ import annotations
 
 import argparse
 import functools
-import json
 import logging
-import math
 import threading
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 import zenoh
 
+from plant.clock import RESEND_AFTER_S, Clock
+from plant.control import Control
 from plant.truth import Truth
 from plant.world import World
+from topologies.effects import FOREVER, Effect
 from topologies.errors import DeadlineError
-from topologies.graph import Index
 from wire import keys
 from wire.child import run_child
 from wire.codec import (
-    ALL_UP,
     REPORT_WIDTH,
     End,
-    Flags,
     Input,
     MessageError,
-    Telemetry,
     decode_input,
     decode_seen,
     encode_end,
+    encode_event,
+    encode_record,
     encode_state,
     encode_telemetry,
     gather,
 )
-from wire.session import open_client, publisher, remove_socket, subscriber, wait_for_listeners
+from wire.session import close, open_client, publisher, remove_socket, subscriber, wait_for_listeners
+from wire.stream import Outbox
 
 LOG = logging.getLogger("plant")
 START_DEADLINE_S = 60.0
 OBSERVER_DEADLINE_S = 60.0
-RESEND_AFTER_S = 0.5
+END_DEADLINE_S = 5.0
 AHEAD_BYTES = 32 * 2**20
-"""How much telemetry the plant may send before the observer has taken it in; it bounds the observer's memory."""
+"""How much telemetry the plant may send before the observer has taken it in; it bounds the memory of both."""
 
 
 @dataclass
 class _Shard:
     """One agent process as the plant sees it."""
 
-    nodes: Index
-    flags: bytes
+    nodes: Sequence[int]
+    incidences: int
     state: zenoh.Publisher
-    message: bytes = b""
+    messages: list[bytes] = field(default_factory=list)
+    """what it is told at this step"""
+    life: int = -1
+    """how often it was started again; -1 before it was ever seen"""
     alive: bool = False
+    """whether its token is there"""
+    died: int = -1
+    """the last life that is over"""
+    gone: bool = False
+    """that life was needed, and the step after its end has not begun"""
+    fault: int | None = None
+    """since it was lost: the number of the crash which that is, in the list of faults"""
+    back: bool = False
+    """it was heard of since then"""
 
-
-@dataclass
-class _Clock:
-    """When the next state may leave."""
-
-    period_s: float
-    started: float = 0.0
-    elapsed_s: float = 0.0
-    sent_at: float = 0.0
-    repeats: int = 0
-    held: bool = False
-    """state(t) is ready, and has not left yet"""
-
-    def due(self, t: int) -> float:
-        return self.started + t * self.period_s
+    @property
+    def ready(self) -> bool:
+        """Whether it can be sent a state."""
+        return self.alive and self.life > self.died
 
 
 class Plant:
@@ -87,64 +88,68 @@ class Plant:
         n, e = len(truth.ids), len(truth.edges)
         self.truth = truth
         self.world = World(truth)
+        self.clock = Clock(rate)
+        self.fault_count = truth.faults
         self._deadline_s = deadline_s
-        self._edge_open: Flags = np.ones(e, dtype=np.uint8)
-        self._link_up: Flags = np.ones(2 * e, dtype=np.uint8)
-        self._clock = _Clock(1 / rate if rate else 0.0)
-        self._ahead = max(2, min(4096, AHEAD_BYTES // (8 * n * (3 + REPORT_WIDTH) + 3 * e)))
-        self._seen = -1
-        self._inputs = [Input(-1, b"", b"") for _ in truth.shards]
-        """Per shard: what it last said."""
+        self._ahead = max(2, min(4096, AHEAD_BYTES // (8 * n * (3 + REPORT_WIDTH) + 5 * e)))
         self._missing: set[int] = set()
         """Shards whose input(t) has not come."""
-        self._order: Index = np.concatenate([np.array(nodes, dtype=np.int64) for nodes in truth.shards])
-        """Nodes in the order of the shards, and `_place`, where each node stands in it."""
-        self._place = self._order.argsort()
-        self._running = False
-        self._stopping = False
+        self._until: list[tuple[int, Callable[[], bool]]] = []
+        """What state(t) is held for besides its turn: shards, and what must be true of them."""
+        self._since = self._called_at = time.monotonic()
+        """when state(t) was made ready, and when the lost were last called"""
+        self._deserted = False
+        """every shard that should be there is lost: t waits for one of them"""
+        self.running = False
+        self.over = False
+        self.stopping = False
         self._failure: Exception | None = None
+        self._elapsed_s = 0.0
         self.refused = 0
-        self._changed = threading.Condition()
+        self.changed = threading.Condition()
 
         self._session = session = open_client(endpoint, namespace)
         self._telemetry = publisher(session, keys.TELEMETRY)
+        self._outbox = Outbox(self._telemetry.put)
         degree = self.world.graph.degree
-        self._shards = [
-            _Shard(
-                nodes=np.array(nodes, dtype=np.int64),
-                flags=bytes([ALL_UP]) * int(degree[list(nodes)].sum()),
-                state=publisher(session, keys.state(p)),
-            )
+        self.shards = [
+            _Shard(nodes, int(degree[list(nodes)].sum()), publisher(session, keys.state(p)))
             for p, nodes in enumerate(truth.shards)
         ]
+        silence = (np.full(len(one.nodes) * (1 + REPORT_WIDTH), np.nan).tobytes() for one in self.shards)
+        self._silence = [
+            Input(-1, nan[: 8 * len(one.nodes)], nan[8 * len(one.nodes) :], bytes(one.incidences))
+            for one, nan in zip(self.shards, silence, strict=True)
+        ]
+        self._inputs = list(self._silence)
+        """Per shard: what it says at this step."""
         self._declared = [
             *(
                 subscriber(session, keys.input_(p), functools.partial(self._take_input, p))
                 for p in range(len(truth.shards))
             ),
             subscriber(session, keys.SEEN, self._take_seen),
-            session.declare_queryable(keys.STATUS, zenoh.handlers.Callback(self._answer_status, indirect=False)),
-            session.declare_queryable(keys.STOP, zenoh.handlers.Callback(self._answer_stop, indirect=False)),
             session.liveliness().declare_subscriber(
                 keys.ALIVE, zenoh.handlers.Callback(self._take_alive, indirect=False), history=True
             ),
-            session.liveliness().declare_token(keys.alive(keys.PLANT)),
         ]
+        self._control = Control(self, session)
+        self._token = session.liveliness().declare_token(keys.alive(keys.PLANT))
 
     def run(self) -> None:
         """Keep time until the last step, a stop or a failure; raise DeadlineError past a deadline."""
         try:
-            with self._changed:
+            with self.changed:
                 self._wait_for_agents()
-            if not self._stopping:
-                wait_for_listeners([self._telemetry, *(shard.state for shard in self._shards)])
-            with self._changed:
-                LOG.info("all %d agents are ready", len(self._shards))
-                self._running = True
-                self._clock.started = time.monotonic()
+            if not self.stopping:
+                wait_for_listeners([self._telemetry, *(shard.state for shard in self.shards)])
+            with self.changed:
+                LOG.info("all %d agents are ready", len(self.shards))
+                self.running = True
+                self.clock.start()
                 self._prepare()
-                while self._running:
-                    self._changed.wait(self._keep_time())
+                while self.running:
+                    self.changed.wait(self._keep_time())
         finally:
             self._end()
         if self._failure is not None:
@@ -152,175 +157,268 @@ class Plant:
 
     def close(self) -> None:
         """Leave the network."""
-        self._session.close()  # type: ignore[no-untyped-call]
+        close(self._session)
 
-    # The clock: every method below runs with the lock of `_changed` held.
+    # The clock: every method below runs with the lock of `changed` held.
 
     def _wait_for_agents(self) -> None:
         def all_alive() -> bool:
-            return self._stopping or all(shard.alive for shard in self._shards)
+            return self.stopping or all(shard.alive for shard in self.shards)
 
-        if not self._changed.wait_for(all_alive, START_DEADLINE_S):
-            late = [self._name(p) for p, shard in enumerate(self._shards) if not shard.alive]
+        if not self.changed.wait_for(all_alive, START_DEADLINE_S):
+            late = [self.name(p) for p, shard in enumerate(self.shards) if not shard.alive]
             raise DeadlineError(f"{', '.join(late[:8])} not ready after {START_DEADLINE_S:g} s; see their logs")
 
     def _prepare(self) -> None:
         """Make state(t) ready, and let it go if it may; end when t is the last."""
-        if self._stopping or self.world.t == self.truth.steps:
-            self._running = False
-            self._changed.notify_all()
+        world = self.world
+        if self.stopping or world.t == self.truth.steps:
+            self.running = False
+            self.changed.notify_all()
             return
-        self._missing.update(range(len(self._shards)))
-        x, first = self.world.x.take(self._order).tobytes(), 0
-        for shard in self._shards:
-            last = first + 8 * len(shard.nodes)
-            shard.message = encode_state(self.world.t, x[first:last], shard.flags)
-            first = last
-        self._clock.held = True
+        for p, shard in enumerate(self.shards):
+            if shard.fault is not None:
+                self._take_back(p, shard, shard.fault)
+            elif shard.gone:
+                shard.gone = False
+                if world.wanted(p, world.t):
+                    self._lose(p, "its process died")
+        self._deserted = self._is_deserted()
+        if self._deserted:
+            self._since = time.monotonic()
+            return
+        world.begin()
+        self._inputs = list(self._silence)
+        self._until.clear()
+        for p, (shard, (state, record)) in enumerate(zip(self.shards, world.states(), strict=True)):
+            shard.messages = [] if record is None else [encode_record(record)]
+            if state is not None:
+                self._missing.add(p)
+                shard.messages.append(encode_state(*state))
+            elif shard.fault is None:
+                self._await_crash(p, shard)
+        self.clock.held, self._since = True, time.monotonic()
         self._release()
 
+    def _is_deserted(self) -> bool:
+        """Whether nobody would act at t, and not because the faults of the file say so."""
+        lost = [shard for shard in self.shards if shard.fault is not None]
+        there = (shard.fault is None and self.world.wanted(p, self.world.t) for p, shard in enumerate(self.shards))
+        return bool(lost) and not any(there)
+
+    def _await_crash(self, p: int, shard: _Shard) -> None:
+        """Nobody of this shard is there at t: hold the step until its process is gone, or there again if it must."""
+        t, life = self.world.t, shard.life
+        if self.world.wanted(p, t - 1) and shard.died < life:
+            self.tell("kill", shard=p, life=life, restart=self.world.comes_back(p))
+            self._until.append((p, lambda: shard.died >= life))
+        if self.world.wanted(p, t + 1):
+            if not shard.ready:
+                self.tell("revive", shard=p)
+            self._until.append((p, lambda: shard.ready))
+
     def _release(self) -> None:
-        if not self._clock.held or self._wait_s() > 0:
-            return
-        self._clock.held, self._clock.sent_at, self._clock.repeats = False, time.monotonic(), 0
-        for shard in self._shards:
-            shard.state.put(shard.message)
+        if self.clock.held and not self._held_for() and self._wait_s() <= 0:
+            self.clock.sent()
+            self._send_states()
+
+    def _send_states(self) -> None:
+        for shard in self.shards:
+            for message in shard.messages:
+                shard.state.put(message)
+
+    def _held_for(self) -> list[int]:
+        """Shards that state(t) is held for."""
+        return [p for p, is_true in self._until if not is_true()]
 
     def _wait_s(self) -> float:
         """How long state(t) must still be held: until its turn, or until the observer has caught up."""
-        if self.world.t - self._seen > self._ahead:
-            return RESEND_AFTER_S
-        return self._clock.due(self.world.t) - time.monotonic() if self._clock.period_s else 0.0
+        return RESEND_AFTER_S if len(self._outbox) > self._ahead else self.clock.wait_s(self.world.t)
 
     def _keep_time(self) -> float:
         """What the main thread has to do now; return in how many seconds to look again."""
-        clock, now = self._clock, time.monotonic()
-        if self._stopping:
-            self._running = False
+        if self.stopping:
+            self.running = False
             return 0.0
-        if clock.held:
+        self._outbox.repeat_if_due()
+        self._call_the_lost()
+        if self._deserted:
+            return self._look_for_anybody()
+        if self.clock.held:
             self._release()
-            if clock.held and now - max(clock.sent_at, clock.due(self.world.t)) > OBSERVER_DEADLINE_S:
-                raise DeadlineError(
-                    f"step {self.world.t}: the observer has taken in nothing for {OBSERVER_DEADLINE_S:g} s"
-                )
-            return max(self._wait_s(), 0.0) if clock.held else RESEND_AFTER_S
-        waited = now - clock.sent_at
-        if waited > self._deadline_s:
-            names = ", ".join(
-                f"{self._name(p)} (alive: {'yes' if self._shards[p].alive else 'no'})" for p in sorted(self._missing)
-            )
-            raise DeadlineError(f"step {self.world.t}: no input from {names} for {waited:.1f} s; see its log")
-        if waited > RESEND_AFTER_S * (clock.repeats + 1):
-            clock.repeats += 1
-            LOG.info(
-                "step %d: repeated, still without shards %s",
-                self.world.t,
-                sorted(self._missing),
-            )
-            for shard in self._shards:
-                shard.state.put(shard.message)
+        if self.clock.held:
+            self._check_hold()
+            return min(max(self._wait_s(), 0.0), RESEND_AFTER_S)
+        if self._missing and self.clock.waited_s() > self._deadline_s:
+            self._go_on_without(sorted(self._missing))
+        elif self._missing and self.clock.repeat_is_due():
+            LOG.info("step %d: repeated, still without shards %s", self.world.t, sorted(self._missing))
+            self._send_states()
+        self._go_on()
+        return min(RESEND_AFTER_S, max(0.01, self._deadline_s - self.clock.waited_s()))
+
+    def _look_for_anybody(self) -> float:
+        """Go on at t once one of the lost is back; DeadlineError past the deadline."""
+        if any(shard.back for shard in self.shards):
+            self._prepare()
+            self._go_on()
+        elif time.monotonic() - self._since > START_DEADLINE_S:
+            names = ", ".join(self.name(p) for p in range(len(self.shards)))
+            raise DeadlineError(f"step {self.world.t}: {names}: nobody is back after {START_DEADLINE_S:g} s")
         return RESEND_AFTER_S
+
+    def _check_hold(self) -> None:
+        """Whether state(t) is held for something that should have come long ago; DeadlineError if so."""
+        t, now = self.world.t, time.monotonic()
+        if len(self._outbox) > self._ahead and now - self._outbox.progress_at > OBSERVER_DEADLINE_S:
+            raise DeadlineError(f"step {t}: the observer has taken in nothing for {OBSERVER_DEADLINE_S:g} s")
+        if (held := self._held_for()) and now - self._since > START_DEADLINE_S:
+            names = ", ".join(map(self.name, held))
+            raise DeadlineError(f"step {t}: {names} neither gone nor back for {START_DEADLINE_S:g} s; see its log")
+
+    def _go_on_without(self, late: Sequence[int]) -> None:
+        waited = self.clock.waited_s()
+        alive = [f"{self.name(p)} (alive: {'yes' if self.shards[p].alive else 'no'})" for p in late]
+        if len(late) == sum(shard.fault is None and bool(shard.messages) for shard in self.shards):
+            # Nobody at all answers: it is we who are cut off, or there is no network any more.
+            raise DeadlineError(
+                f"step {self.world.t}: no input from {', '.join(alive)} for {waited:.1f} s; see its log"
+            )
+        for p, who in zip(late, alive, strict=True):
+            LOG.warning("step %d: no input from %s for %.1f s", self.world.t, who, waited)
+            self._lose(p, f"no input from {who} for {waited:.1f} s")
+
+    def _lose(self, p: int, why: str) -> None:
+        """Go on without a shard: from t on it has crashed, as if a fault of the file had said so."""
+        shard, t = self.shards[p], self.world.t
+        shard.fault, shard.back = self.fault_count, False
+        self.fault_count += 1
+        self._missing.discard(p)
+        shard.messages.clear()
+        self.world.faults.add([Effect(shard.fault, "crash", tuple(shard.nodes), t, FOREVER)])
+        self.tell("lost", shard=p, fault=shard.fault, who=self.name(p), cause=why)
+
+    def _take_back(self, p: int, shard: _Shard, fault: int) -> None:
+        """A lost shard that is there again hears its neighbours from t on, and acts from t + 1 on."""
+        if shard.back and shard.life > shard.died:
+            self.world.faults.end(fault, self.world.t + 1)
+            self.tell("back", shard=p, fault=fault, who=self.name(p), at=self.world.t + 1)
+            shard.fault = None
+
+    def _call_the_lost(self) -> None:
+        """Who was lost by the deadline may be there again: it answers a state of a step that never comes."""
+        if time.monotonic() - self._called_at < RESEND_AFTER_S:
+            return
+        self._called_at = time.monotonic()
+        for shard in self.shards:
+            if shard.fault is not None and shard.died < shard.life:
+                nothing = np.full(len(shard.nodes), np.nan)
+                shard.state.put(encode_state(FOREVER, nothing, bytes(shard.incidences)))
+
+    def _go_on(self) -> None:
+        """Make all steps that can be made; a failure must reach the main thread, not Zenoh's log."""
+        try:
+            while self.running and not (self.clock.held or self._missing or self._deserted):
+                self._advance()
+        except Exception as error:
+            self._failure, self.running = error, False
+            self.changed.notify_all()
 
     def _advance(self) -> None:
         """Every input(t) is here: act, start t + 1, and only then tell the observer of t."""
-        u = gather(one.u for one in self._inputs).take(self._place)
-        if not math.isfinite(np.add.reduce(u)):
-            self._refuse_undefined()
-            return
-        report = gather(one.report for one in self._inputs).reshape(-1, REPORT_WIDTH).take(self._place, axis=0)
-        t, x = self.world.t, self.world.x
-        w = self.world.step(u)
-        self._clock.elapsed_s = time.monotonic() - self._clock.started
+        inputs = self._inputs
+        u, report = gather([one.u for one in inputs]), gather([one.report for one in inputs])
+        row = self.world.step(u, report.reshape(-1, REPORT_WIDTH), b"".join([one.took for one in inputs]))
+        self._elapsed_s = time.monotonic() - self.clock.began
         self._prepare()
-        self._telemetry.put(encode_telemetry(Telemetry(t, x, u, w, report, self._edge_open, self._link_up)))
+        self._outbox.send(encode_telemetry(row))
 
-    def _refuse_undefined(self) -> None:
-        """Wait on for inputs that are numbers: no agent of ours sends any other."""
-        for p, one in enumerate(self._inputs):
-            if not np.isfinite(gather([one.u])).all():
-                self._missing.add(p)
-                self._refuse(p, "an input is not finite")
+    def tell(self, event: str, **details: Any) -> None:
+        """Tell the observer of something that happens at this step."""
+        self._outbox.send(encode_event(self.world.t, {"event": event, **details}))
 
     def _end(self) -> None:
-        end = End(self.world.t, self.world.x, self._clock.elapsed_s)
-        self._telemetry.put(encode_end(end))
-        for shard in self._shards:
-            shard.state.put(encode_end(end._replace(x=np.empty(0))))
-        LOG.info(
-            "end at step %d of %d, %d messages refused",
-            self.world.t,
-            self.truth.steps,
-            self.refused,
-        )
+        """Say that it is over, and wait until the observer knows all of it."""
+        end = End(self.world.t, self.world.x, self._elapsed_s, self.world.links.forgotten)
+        with self.changed:
+            self.over = True
+            self._outbox.send(encode_end(end))
+            for shard in self.shards:
+                shard.state.put(encode_end(end._replace(x=np.empty(0))))
+            by = time.monotonic() + END_DEADLINE_S
+            while self._outbox and (left := by - time.monotonic()) > 0:
+                self._outbox.repeat_if_due()
+                self.changed.wait(min(left, RESEND_AFTER_S))
+        LOG.info("end at step %d of %d, %d messages refused", self.world.t, self.truth.steps, self.refused)
 
-    def _name(self, p: int) -> str:
-        ids = [str(self.truth.ids[k]) for k in self._shards[p].nodes]
-        return (
-            f"agent {ids[0]}"
-            if len(ids) == 1
-            else f"shard {p} of agents {', '.join(ids[:4])}{', …' if len(ids) > 4 else ''}"
-        )
+    def name(self, p: int) -> str:
+        """What messages call a shard."""
+        ids = [str(self.truth.ids[k]) for k in self.shards[p].nodes]
+        if len(ids) == 1:
+            return f"agent {ids[0]}"
+        return f"shard {p} of agents {', '.join(ids[:4])}{', …' if len(ids) > 4 else ''}"
+
+    @property
+    def missing(self) -> list[str]:
+        """Whose input(t) has not come, once it was asked for."""
+        return [] if self.clock.held else [self.name(p) for p in sorted(self._missing)]
 
     # What arrives: each method below takes the lock.
 
     def _take_input(self, p: int, message: bytes) -> None:
-        with self._changed:
-            if not self._running:
-                return
+        with self.changed:
+            shard = self.shards[p]
             try:
-                arrived = decode_input(message, len(self._shards[p].nodes))
+                arrived = decode_input(message, len(shard.nodes), shard.incidences)
             except MessageError as error:
-                self._refuse(p, str(error))
+                self.refused += 1
+                if self.refused == 1:
+                    LOG.warning("step %d: input of %s refused: %s", self.world.t, self.name(p), error)
                 return
-            if arrived.t == self.world.t and p in self._missing:
+            if shard.fault is not None:
+                shard.back = True
+                self.changed.notify_all()
+            elif arrived.t == self.world.t and p in self._missing and self.running:
                 self._inputs[p] = arrived
                 self._missing.discard(p)
                 if not self._missing:
-                    self._advance_or_fail()
-
-    def _refuse(self, p: int, why: str) -> None:
-        self.refused += 1
-        if self.refused == 1:
-            LOG.warning("step %d: input of %s refused: %s", self.world.t, self._name(p), why)
-
-    def _advance_or_fail(self) -> None:
-        try:
-            self._advance()
-        except Exception as error:  # it must reach the main thread, not Zenoh's log
-            self._failure, self._running = error, False
-            self._changed.notify_all()
+                    self._go_on()
 
     def _take_seen(self, message: bytes) -> None:
-        with self._changed:
-            self._seen = max(self._seen, decode_seen(message))
-            if self._running:
+        with self.changed:
+            try:
+                self._outbox.seen(decode_seen(message))
+            except MessageError:
+                self.refused += 1
+            if self.running and self.clock.held:
                 self._release()
+                self._go_on()
+            elif not self.running:
+                self.changed.notify_all()
 
     def _take_alive(self, sample: zenoh.Sample) -> None:
-        name = str(sample.key_expr).removeprefix("alive/")
-        with self._changed:
-            for p, shard in enumerate(self._shards):
-                if keys.shard_name(p) == name:
+        _, name, *life = str(sample.key_expr).split("/")
+        with self.changed:
+            for p, shard in enumerate(self.shards):
+                if keys.shard_name(p) == name and int(life[0]) >= shard.life:
                     shard.alive = sample.kind == zenoh.SampleKind.PUT
-            self._changed.notify_all()
+                    shard.back = shard.back or int(life[0]) > shard.life
+                    shard.life = int(life[0])
+            self.changed.notify_all()
 
-    def _answer_status(self, query: zenoh.Query) -> None:
-        with self._changed:
-            status = {
-                "step": self.world.t,
-                "steps": self.truth.steps,
-                "running": self._running,
-                "missing": [self._name(p) for p in sorted(self._missing)],
-            }
-        query.reply(keys.STATUS, json.dumps(status))
-
-    def _answer_stop(self, query: zenoh.Query) -> None:
-        with self._changed:
-            self._stopping = True
-            self._changed.notify_all()
-            t = self.world.t
-        query.reply(keys.STOP, json.dumps({"step": t}))
+    def died(self, p: int, life: int) -> None:
+        """The process of a shard is gone, says who started it."""
+        shard = self.shards[p]
+        if life <= shard.died:
+            return
+        shard.died, shard.life = life, max(shard.life, life)
+        if shard.fault is None and self.running:
+            if p in self._missing:
+                self._lose(p, "its process died")
+                self._go_on()
+            else:
+                shard.gone = self.world.wanted(p, self.world.t)
+        self.changed.notify_all()
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
@@ -330,7 +428,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     parser.add_argument("--namespace", required=True, help="the Zenoh namespace of the run")
     parser.add_argument("--connect", required=True, help="the router, a Zenoh endpoint")
     parser.add_argument("--rate", type=float, default=0.0, help="steps per second; 0 for as fast as possible")
-    parser.add_argument("--deadline", type=float, default=10.0, help="seconds to wait for an input before giving up")
+    parser.add_argument("--deadline", type=float, default=10.0, help="seconds to wait for an input before going on")
     parser.add_argument("--socket", type=Path, help="the parent's router's Unix socket, removed should the parent die")
     parser.add_argument("--listed", type=Path, help="the parent's entry among running networks, likewise")
     known = parser.parse_args(arguments)

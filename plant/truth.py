@@ -27,6 +27,12 @@ class Truth:
     seed: int
     shards: Sequence[Sequence[int]]
     """Per agent process: the positions of its nodes."""
+    effects: Sequence[Mapping[str, Any]]
+    """What goes wrong: topologies.effects.Effect as its `to_dict` writes it."""
+    faults: int
+    """How many faults there are: that number is the next one's."""
+    history: int
+    """How many past steps are kept for back-filling, 0 for none."""
 
     def to_json(self) -> str:
         """The truth as JSON text."""

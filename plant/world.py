@@ -1,12 +1,24 @@
-"""The dynamics (1): x_i(t+1) = a_i x_i(t) + b sum_j (u_i(t) - u_j(t)) + w_i(t), over the edges that are open."""
+"""The dynamics (1): x_i(t+1) = a_i x_i(t) + b sum_j (u_i(t) - u_j(t)) + w_i(t), over the edges that are open.
+
+And all that goes wrong with them. A step has two halves: `begin` decides what holds at t, which `states` tells the
+shards; `step` takes their inputs and moves on. An input that is missing, for whatever cause, closes all edges of its
+node at that step, at both ends: no old value is held, and no flow is one-sided (docs/theory.md).
+"""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 
 from plant.disturbance import Disturbance
+from plant.faults import NOTHING, Faults
+from plant.links import Crossing, Links
 from plant.truth import Truth
-from topologies.graph import Array, Graph, Mask
+from topologies.effects import Effect
+from topologies.graph import Array, Graph, Index, Mask
+from wire.codec import ALL_UP, TAKEN, Flag, Flags, Record, Span, State, Telemetry
+from wire.history import History
 
 
 def dynamics(a: Array, b: float, graph: Graph, x: Array, u: Array, w: Array, edge_open: Mask | None = None) -> Array:
@@ -17,20 +29,204 @@ def dynamics(a: Array, b: float, graph: Graph, x: Array, u: Array, w: Array, edg
     return a * x + b * graph.flow(u, edge_open) + w
 
 
+@dataclass(frozen=True)
+class _Part:
+    """A shard: its nodes, and its incidences in the shard's own order."""
+
+    nodes: Index
+    incidences: Index
+
+
+@dataclass(frozen=True)
+class _Step:
+    """What holds at one step."""
+
+    told: Array
+    """x(t) as the agents read it: NaN where the reading is lost or nobody is there, (n,)"""
+    read: Array
+    """the same, of those who are not there too: one that comes back is told of the meantime"""
+    absent: Mask
+    back: Mask
+    """nodes that were absent at the step before"""
+    crossing: Crossing
+    cut: Mask | None
+    mute: Mask | None
+    flags: Flags | None
+    """Flag bits by incidence, (2E,); None if all are set, and there is nothing else to tell"""
+
+
 class World:
-    """The true network in motion: its state x(t), and the step to the next."""
+    """The true network in motion: its state x(t), what goes wrong, and the step to the next."""
 
     def __init__(self, truth: Truth) -> None:
-        self.graph = Graph(len(truth.ids), np.array(truth.edges, dtype=np.int64).reshape(-1, 2))
+        self.graph = graph = Graph(len(truth.ids), np.array(truth.edges, dtype=np.int64).reshape(-1, 2))
         self.a = np.array(truth.a)
         self.b = truth.b
         self.t = 0
         self.x = np.array(truth.x0, dtype=float)
+        self._steps = truth.steps
         self._disturbance = Disturbance(truth.disturbance, truth.seed)
+        self.faults = Faults((Effect.from_dict(one) for one in truth.effects), graph, truth.seed)
+        self.links = Links(graph, truth.history)
+        self._record = History(truth.history, graph.n, graph.n, len(graph.edges))
+        self._parts = [
+            _Part(np.array(nodes, dtype=np.int64), np.flatnonzero(np.isin(graph.node, list(nodes))))
+            for nodes in truth.shards
+        ]
+        incidences = [part.incidences for part in self._parts]
+        self.order: Index = np.concatenate([part.nodes for part in self._parts])
+        """Nodes in the order of the shards."""
+        self._incidence_order: Index = np.concatenate(incidences) if incidences else np.empty(0, dtype=np.int64)
+        self._home = {c: p for p, part in enumerate(self._parts) for c in part.incidences.tolist()}
+        self._local = {c: k for part in self._parts for k, c in enumerate(part.incidences.tolist())}
+        """Per incidence: its shard, and which of the shard's it is."""
+        self._place, self._incidence_place = self.order.argsort(), self._incidence_order.argsort()
+        e = len(graph.edges)
+        self._nobody: Mask = np.zeros(graph.n, dtype=bool)
+        self._all_open: Flags = np.ones(e, dtype=np.uint8)
+        self._all_up: Flags = np.ones(2 * e, dtype=np.uint8)
+        self._all_taken: Flags = np.full(2 * e, TAKEN, dtype=np.uint8)
+        self._up_bytes = [bytes([ALL_UP]) * len(part.incidences) for part in self._parts]
+        self._open: Flags = self._all_open
+        """edges that carried flow at t - 1, (E,)"""
+        self._heard = self.links.whole
+        """what crossed at t - 1"""
+        self._now = _Step(self.x, self.x, self._nobody, self._nobody, self.links.whole, None, None, None)
 
-    def step(self, u: Array, edge_open: Mask | None = None) -> Array:
-        """Advance from t to t + 1 under the inputs u(t), (n,); return w(t), (n,)."""
-        w = self._disturbance.at(self.t)
-        self.x = dynamics(self.a, self.b, self.graph, self.x, u, w, edge_open)
+    # The first half of a step: what holds at t, and who is told what.
+
+    def begin(self) -> None:
+        """Decide what holds at t."""
+        t, faults, links, graph = self.t, self.faults, self.links, self.graph
+        for node, a in faults.jumps(t):
+            self.a[node] = a
+        wrong = faults.at(t)
+        gone, soon = faults.absent(t), faults.absent(t + 1)
+        before = self._now.absent
+        if wrong is NOTHING and gone is None and soon is None and before is self._nobody and links.complete:
+            crossing = links.whole
+            quiet = self._open is self._all_open and self._heard is links.whole
+            flags = None if quiet else self._flags(crossing)
+            self._now = _Step(self.x, self.x, self._nobody, self._nobody, crossing, None, None, flags)
+            return
+        absent = self._nobody if gone is None else gone
+        down = absent[graph.neighbour]
+        if gone is not None and soon is not None:  # who is back at t + 1 hears already what is said at t
+            down = down | (gone & soon)[graph.node]
+        if wrong.lost is not None:
+            down = down | wrong.lost
+        links.forget(absent)
+        crossing = links.plan(t, down, wrong.late)
+        read = self.x if wrong.blind is None else np.where(wrong.blind, np.nan, self.x)
+        told = read if gone is None else np.where(absent, np.nan, read)
+        self._now = _Step(told, read, absent, before & ~absent, crossing, wrong.cut, wrong.mute, self._flags(crossing))
+
+    def _flags(self, crossing: Crossing) -> Flags:
+        graph = self.graph
+        flags = self._open.take(graph.edge)
+        flags |= self._heard.some.view(np.uint8) << 1
+        flags |= crossing.some.take(graph.reverse).view(np.uint8) << 2
+        return flags
+
+    def present(self, p: int) -> bool:
+        """Whether shard p has a node whose agent is there at t."""
+        return self._now.absent is self._nobody or not bool(self._now.absent[self._parts[p].nodes].all())
+
+    def wanted(self, p: int, t: int) -> bool:
+        """Whether shard p has a node whose agent should be there at step t."""
+        absent = self.faults.absent(t)
+        return absent is None or not bool(absent[self._parts[p].nodes].all())
+
+    def comes_back(self, p: int) -> bool:
+        """Whether shard p, where nobody is at t, will be wanted again before the last step."""
+        ends = [one.stop for one in self.faults.effects if one.kind == "crash"]
+        return any(self.wanted(p, stop) for stop in ends if self.t < stop < self._steps)
+
+    def states(self) -> list[tuple[State | None, Record | None]]:
+        """By shard: its state of t, None if nobody is there, and the record of its nodes that come back."""
+        now, t = self._now, self.t
+        x = now.told.take(self.order)
+        told: list[tuple[State | None, Record | None]] = []
+        spans = self._spans() if now.flags is not None else {}
+        anybody_back = now.back is not self._nobody and bool(now.back.any())
+        first = 0
+        for p, part in enumerate(self._parts):
+            own = x[first : first + len(part.nodes)]
+            first += len(part.nodes)
+            if now.flags is None:
+                told.append((State(t, own, self._up_bytes[p]), None))
+            elif not self.present(p):
+                told.append((None, None))
+            else:
+                flags = now.flags[part.incidences].tobytes()
+                record = self._record_of(part) if anybody_back else None
+                told.append((State(t, own, flags, spans.get(p, ())), record))
+        return told
+
+    def _spans(self) -> dict[int, list[Span]]:
+        """By shard: where other rows cross than that of the step alone."""
+        heard, told, reverse = self._heard, self._now.crossing, self.graph.reverse
+        numbers = np.stack([heard.late, heard.back, told.late[reverse], told.back[reverse]])
+        spans: dict[int, list[Span]] = {}
+        for c in np.flatnonzero(numbers.any(axis=0)).tolist():
+            spans.setdefault(self._home[c], []).append(Span(self._local[c], *numbers[:, c].tolist()))
+        return spans
+
+    def _record_of(self, part: _Part) -> Record | None:
+        back = self._now.back[part.nodes]
+        if not back.any():
+            return None
+        nodes, record = part.nodes[back], self._record
+        edges = self.graph.edge[part.incidences[np.isin(self.graph.node[part.incidences], nodes)]]
+        first = record.first if record.next else self.t
+        x, u = record.x(first, self.t)[:, nodes], record.u(first, self.t)[:, nodes]
+        return Record(self.t, back, first, x.copy(), u.copy(), record.bits(first, self.t)[:, edges].copy())
+
+    # The second half: the inputs, and on to t + 1.
+
+    def step(self, u: Array, report: Array, took: bytes) -> Telemetry:
+        """Advance from t to t + 1 under u(t), NaN where an input is missing; what was, as telemetry.
+
+        u (n,), report (n, REPORT_WIDTH) and the Flag bits taken in are in the order of the shards.
+        """
+        now, graph, x, t = self._now, self.graph, self.x, self.t
+        u, report = u.take(self._place), report.take(self._place, axis=0)
+        taken = self._taken(took)
+        edge_open: Flags = self._all_open
+        crossing = now.crossing
+        missing = ~np.isfinite(u)
+        gone = self.faults.absent(t)
+        absent = self._nobody if gone is None else gone
+        died = absent & ~now.absent  # since the step began
+        if now.mute is not None:
+            missing |= now.mute
+        missing |= absent
+        if now.cut is not None or missing.any():
+            u = np.where(missing, np.nan, u)
+            closed = missing[graph.edges].any(axis=1)
+            if now.cut is not None:
+                closed |= now.cut
+            if closed.any():
+                edge_open = np.where(closed, np.uint8(0), np.uint8(1))
+        if absent.any():
+            report = np.where(absent[:, None], np.nan, report)
+            taken = np.where(absent[graph.node], np.uint8(0), taken)
+            some = crossing.some & ~absent[graph.neighbour] & ~died[graph.node]
+            crossing = Crossing(some, np.where(some, crossing.late, 0), np.where(some, crossing.back, 0))
+        self.links.commit(t, crossing)
+        w = self._disturbance.at(t)
+        self.x = dynamics(
+            self.a, self.b, graph, x, u, w, None if edge_open is self._all_open else edge_open.view(np.bool_)
+        )
+        self._record.append(now.read, u, edge_open)
+        self._open, self._heard = edge_open, crossing
         self.t += 1
-        return w
+        up = self._all_up if crossing is self.links.whole else (crossing.fresh & ~absent[graph.node]).view(np.uint8)
+        if now.back.any():  # what was said to them before they were there is made up for, and not heard in time
+            taken = np.where(now.back[graph.node], taken & np.uint8(~Flag.HEAR & 0xFF), taken)
+        return Telemetry(t, x, u, w, report, edge_open, up, taken)
+
+    def _taken(self, took: bytes) -> Flags:
+        if took == self._all_taken.data:
+            return self._all_taken
+        return np.frombuffer(took, np.uint8).take(self._incidence_place)

@@ -8,9 +8,10 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 COMMAND = (sys.executable, "-P", "-m", "orchestrator")
 DEADLINE_S = 60.0
@@ -47,9 +48,14 @@ def _runs(pid: int) -> bool:
 class Orchestrator:
     """A command that is running; killed at the end of the block if it still is."""
 
-    def __init__(self, *arguments: str) -> None:
+    def __init__(self, *arguments: str, inside: Sequence[str] = ()) -> None:
+        """`inside` is a command that runs others somewhere else."""
         self._process = subprocess.Popen(
-            [*COMMAND, *arguments], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True
+            [*inside, *COMMAND, *arguments],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            start_new_session=True,
         )
         self._said = ""
         self._changed = threading.Condition()
@@ -78,19 +84,37 @@ class Orchestrator:
             assert self._changed.wait_for(lambda: text in self._said or self._ended, DEADLINE_S), self._said
             assert text in self._said, self._said
 
-    def wait_for_event(self, kind: str) -> None:
-        """Wait until the latest run's events.jsonl has such an event."""
+    def wait_for_event(self, kind: str, times: int = 1) -> dict[str, Any]:
+        """Wait until the latest run's events.jsonl has so many events of a kind; the last of them."""
         deadline = time.monotonic() + DEADLINE_S
         pause = threading.Event()
-        while not any(event["event"] == kind for event in _events()):
-            assert time.monotonic() < deadline, f"no event {kind!r} in {_events()}"
+        while len(found := [event for event in _events() if event["event"] == kind]) < times:
+            assert self._process.poll() is None or self.output, self.output
+            assert time.monotonic() < deadline, f"{len(found)} of {times} events {kind!r} in {_events()}"
+            pause.wait(0.01)
+        return found[-1]
+
+    def wait_for_step(self, step: int) -> None:
+        """Wait until the latest run has come so far."""
+        deadline = time.monotonic() + DEADLINE_S
+        while json.loads(orchestrator("status", "--json").stdout)["step"] < step:
+            assert time.monotonic() < deadline, self.output
+
+    def wait_for_log(self, name: str, text: str, times: int = 1) -> None:
+        """Wait until a process of the latest run has logged `text` so often."""
+        log = Path(os.getcwd()) / f"runs/latest/logs/{name}.log"
+        deadline = time.monotonic() + DEADLINE_S
+        pause = threading.Event()
+        while log.read_text(encoding="utf-8").count(text) < times:
+            assert time.monotonic() < deadline, log.read_text(encoding="utf-8")
             pause.wait(0.01)
 
     @property
     def children(self) -> dict[str, int]:
-        """Process ids of the plant and the agents by name."""
-        pids: dict[str, int] = _events()[0]["pids"]  # type: ignore[assignment]
-        return pids
+        """Process ids of the plant and the agents by name, of those that were started last."""
+        pids: dict[str, int] = dict(_events()[0]["pids"])
+        again = {event["process"]: event["pid"] for event in _events() if event["event"] == "restarted"}
+        return pids | again
 
     def send(self, signal: int) -> None:
         """Send the command's own process a signal."""
@@ -118,6 +142,6 @@ class Orchestrator:
         self._process.stdout.close()
 
 
-def _events() -> list[dict[str, object]]:
+def _events() -> list[dict[str, Any]]:
     text = (Path(os.getcwd()) / "runs/latest/events.jsonl").read_text(encoding="utf-8")
-    return [json.loads(line) for line in text.splitlines()]
+    return [json.loads(line) for line in text.splitlines() if line.endswith("}")]

@@ -32,18 +32,22 @@ import numpy as np
 import pyarrow.ipc
 import pyarrow.parquet as pq
 import pytest
+import yaml
+from PIL import Image
 
+from orchestrator.accounts import Account
 from orchestrator.observe import Batch
 from orchestrator.panels import quantities
 from orchestrator.record import to_parquet
 from tests.networks import observe, read, simulate
+from topologies.faults import KINDS
 from topologies.load import load
 from topologies.resolve import resolve
 from wire import codec, keys, session
 
 ROOT = Path(__file__).parents[1]
 DOCS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
-SLOW = {"README.md", "laws.md", "run-folder.md", "theory.md", "topology.md"}
+SLOW = {"README.md", "faults.md", "laws.md", "run-folder.md", "theory.md", "topology.md"}
 """Documents whose blocks take more than five seconds."""
 COMMAND_DEADLINE_S = 120.0
 
@@ -176,6 +180,24 @@ def test_topology_md_is_fresh() -> None:
     assert ran.returncode == 0, ran.stderr
 
 
+def test_the_picture_of_faults_is_fresh(tmp_path: Path) -> None:
+    """docs/plot_faults.py draws, and the picture that stands in docs/faults.md was drawn from the same numbers."""
+    image = tmp_path / "faults.png"
+    ran = subprocess.run(
+        [sys.executable, "-W", "error", str(ROOT / "docs/plot_faults.py"), str(image)],
+        env=os.environ | {"MPLCONFIGDIR": str(tmp_path)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        check=False,
+    )
+    assert ran.returncode == 0, ran.stdout
+    with Image.open(ROOT / "docs/images/faults.png") as old, Image.open(image) as new:
+        assert old.info["Description"] == new.info["Description"] == ran.stdout.strip()
+        assert old.size == new.size
+        assert len(new.convert("RGB").getcolors(new.width * new.height) or ()) > 100  # something was drawn
+
+
 def test_links_lead_somewhere() -> None:
     """Every relative link names a file that exists, and a heading in it."""
     wrong = []
@@ -211,7 +233,10 @@ def table(document: str, heading: str, number: int = 0) -> list[dict[str, str]]:
     return [dict(zip(titles, row, strict=True)) for row in rows]
 
 
-K, M, N, E, T = 3, 5, 4, 2, 7
+K, M, N, E, T, S = 3, 5, 4, 2, 7, 2
+BACK = np.array([True, False, True])
+R, D = 2, 3
+"""The nodes that come back, and their incidences."""
 ARRAYS = {
     name: np.arange(1.0, 1 + size).reshape(shape) / 7 + offset
     for offset, (name, size, shape) in enumerate(
@@ -224,31 +249,48 @@ FLAGS = {
     "link_up": np.array([1, 0, 0, 1], np.uint8),
 }
 X, U, W, REPORT = ARRAYS["x"], ARRAYS["u"], ARRAYS["w"], ARRAYS["report"]
+TOOK = np.array([3, 0, 1, 3, 2], np.uint8)
+SPANS = [codec.Span(1, 0, 3, 0, 0), codec.Span(4, 2, 1, 5, 6)]
+ROWS = {"first": np.array(T - 2), "x": np.arange(S * N).reshape(S, N) / 3, "u": np.arange(S * N).reshape(S, N) / 5}
+PAST = {
+    "x": ROWS["x"][:, :R].copy(),
+    "u": ROWS["u"][:, :R].copy(),
+    "edge_open": np.array([[1, 0, 1], [0, 1, 1]], np.uint8),
+}
+EVENT = {"event": "lost", "shard": 1}
+TEXT = np.frombuffer(json.dumps(EVENT).encode(), np.uint8)
 MESSAGES: dict[str, tuple[bytes, dict[str, Any]]] = {
-    "state": (codec.encode_state(T, X[:K], FLAGS["flags"]), {"x": X[:K], **FLAGS}),
-    "input": (codec.encode_input(T, U[:K], REPORT[:K]), {"u": U[:K], "report": REPORT[:K]}),
-    "link": (codec.encode_link(T, X, U), ARRAYS),
-    "telemetry": (
-        codec.encode_telemetry(codec.Telemetry(T, X, U, W, REPORT, FLAGS["edge_open"], FLAGS["link_up"])),
-        {**ARRAYS, **FLAGS},
+    "state": (codec.encode_state(T, X[:K], FLAGS["flags"], SPANS), {"x": X[:K], **FLAGS, "spans": np.array(SPANS)}),
+    "record": (
+        codec.encode_record(codec.Record(T, BACK, T - 2, *PAST.values())),
+        {"first": ROWS["first"], "back": BACK, **PAST},
     ),
-    "end": (codec.encode_end(codec.End(T, X, 1.25)), {**ARRAYS, "elapsed_s": np.array(1.25)}),
+    "input": (codec.encode_input(T, U[:K], REPORT[:K], TOOK), {"u": U[:K], "report": REPORT[:K], "took": TOOK}),
+    "link": (codec.encode_link(codec.Link(T, T - 2, ROWS["x"].tobytes(), ROWS["u"].tobytes()), N), ROWS),
+    "telemetry": (
+        codec.encode_telemetry(
+            codec.Telemetry(T, X, U, W, REPORT, FLAGS["edge_open"], FLAGS["link_up"], TOOK[: 2 * E])
+        ),
+        {**ARRAYS, **FLAGS, "took": TOOK[: 2 * E]},
+    ),
+    "event": (codec.encode_event(T, EVENT), {"event": TEXT}),
+    "end": (
+        codec.encode_end(codec.End(T, X, 1.25, 3)),
+        {**ARRAYS, "elapsed_s": np.array(1.25), "forgotten": np.array(3)},
+    ),
     "seen": (codec.encode_seen(T), {}),
 }
 TYPES = {"u8": "<u1", "u16": "<u2", "u32": "<u4", "i64": "<i8", "f64": "<f8"}
 
 
-def number(expression: str) -> int:
-    """An expression of the tables in the sizes that the messages here have."""
-    return int(eval(expression, {}, {"k": K, "m": M, "n": N, "e": E, "t": T}))
+def packed_by(heading: str, values: dict[str, Any], s: int = S) -> bytes:
+    """The bytes that a table of docs/wire.md makes of some values, in the sizes that the messages here have."""
 
+    def number(expression: str) -> int:
+        return int(eval(expression, {}, {"k": K, "m": M, "n": N, "e": E, "t": T, "r": R, "d": D, "s": s}))
 
-@pytest.mark.parametrize("name", MESSAGES)
-def test_the_byte_tables_are_the_codec(name: str) -> None:
-    """Bytes packed by the table of docs/wire.md are the bytes that wire.codec packs."""
-    message, values = MESSAGES[name]
     packed = b""
-    for row in table("wire.md", name):
+    for row in table("wire.md", heading):
         kind, *shape = re.findall(r"[^\[\]]+", row["type"])
         field, _, constant = (part.strip() for part in row["field"].partition("="))
         value = np.array(number(constant)) if constant else np.asarray(values[field])
@@ -256,7 +298,23 @@ def test_the_byte_tables_are_the_codec(name: str) -> None:
         piece = value.astype(TYPES[kind]).tobytes()
         assert (number(row["offset"]), number(row["bytes"])) == (len(packed), len(piece)), field
         packed += piece
-    assert packed == message
+    return packed
+
+
+@pytest.mark.parametrize("name", MESSAGES)
+def test_the_byte_tables_are_the_codec(name: str) -> None:
+    """Bytes packed by the table of docs/wire.md are the bytes that wire.codec packs."""
+    message, values = MESSAGES[name]
+    assert packed_by(name, values, len(TEXT) if name == "event" else S) == message
+
+
+def test_what_is_left_out_and_what_stands_before() -> None:
+    """A state without spans ends before them, and on `telemetry` a number stands before the message."""
+    whole, _ = MESSAGES["state"]
+    assert codec.encode_state(T, X[:K], FLAGS["flags"]) == whole[: -20 * S]
+    message = np.frombuffer(whole, np.uint8)
+    packed = packed_by("The number of a message", {"number": np.array(T), "message": message}, len(message))
+    assert packed == codec.numbered(T, whole)
 
 
 def test_every_message_has_a_table() -> None:
@@ -266,6 +324,7 @@ def test_every_message_has_a_table() -> None:
     assert {kind.name.lower() for kind in codec.Kind} == encoders
     bits = {row["name"]: int(row["bit"]) for row in table("wire.md", "state", 1)}
     assert bits == {flag.name: flag.value for flag in codec.Flag}
+    assert [row["number of a span"] for row in table("wire.md", "state", 2)] == [*codec.Span._fields]
 
 
 def test_the_keys_are_those_of_the_code() -> None:
@@ -274,15 +333,23 @@ def test_the_keys_are_those_of_the_code() -> None:
         "state": keys.state(0).replace("0", "{p}"),
         "input_": keys.input_(0).replace("0", "{p}"),
         "link": keys.link(0, 1).replace("0", "{p}").replace("1", "{q}"),
-        "alive": keys.alive("{name}"),
+        "alive": keys.alive("{name}", "{life}"),  # type: ignore[arg-type]
+        "control": keys.control("{command}"),
         "TELEMETRY": keys.TELEMETRY,
         "SEEN": keys.SEEN,
-        "STATUS": keys.STATUS,
-        "STOP": keys.STOP,
     }
     known = {name for name, value in vars(keys).items() if isinstance(value, FunctionType) or name.isupper()}
     assert known - {"ALIVE", "PLANT", "shard_name"} == patterns.keys()
     assert {row["key"] for row in table("wire.md", "Keys")} == set(patterns.values())
+
+
+def test_the_commands_and_events_are_those_of_the_code() -> None:
+    """Each command that the plant answers, each event that it tells, and no other, has a row in docs/wire.md."""
+    control, process = ((ROOT / "plant" / name).read_text(encoding="utf-8") for name in ("control.py", "process.py"))
+    commands = set(re.findall(r'"(\w+)": self\._\w+,', control))
+    assert commands == {row["command"] for row in table("wire.md", "Commands")}
+    events = set(re.findall(r'\.tell\(\s*"(\w+)"', control + process))
+    assert events == {row["event"] for row in table("wire.md", "event", 1)}
 
 
 def test_the_deadlines_are_those_of_the_code() -> None:
@@ -302,6 +369,19 @@ def test_the_session_settings_are_those_of_the_code() -> None:
         assert config.get_json(row["setting"]) == row["value"], row["setting"]
 
 
+def test_every_kind_of_fault_is_in_faults_md() -> None:
+    """Each kind has a row, the fault in it is one of that kind, and an account has the fields that are explained."""
+    rows = table("faults.md", "The kinds")
+    assert [row["kind"] for row in rows] == [*KINDS]
+    for row in rows:
+        fault = yaml.safe_load(row["in a file"])
+        written = KINDS[row["kind"]].model_validate(fault).written()
+        assert json.loads(json.dumps(written)) == fault
+    counted = [name for name in Account._fields if name != "visible"]
+    fields = {row["field"] for row in table("faults.md", "Faults that prove they fired")}
+    assert fields == {*counted, "beyond"}
+
+
 def test_every_metric_is_where_theory_md_says() -> None:
     """Fields, columns and entities exist; and no metric of a verdict, no entity of Rerun, is left out."""
     topology = resolve(load("paper7"))
@@ -316,7 +396,7 @@ def test_every_metric_is_where_theory_md_says() -> None:
     shown = {quantity.entity for quantity in quantities(topology, observer)}
     assert named("Rerun") == shown
     fields = {*Batch.__dataclass_fields__, "cost_regret", "ratio", "gain"}
-    assert named("Batch") == fields - {"t", "edge_open"}
+    assert named("Batch") == fields - {"t", "a", "edge_open", "link_up"}
 
 
 def orchestrator(scratch: Scratch, *arguments: str) -> subprocess.Popen[str]:

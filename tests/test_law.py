@@ -180,7 +180,7 @@ def test_an_agent_is_told_of_its_own_nodes_and_neighbours_alone(topology: Topolo
     assert truth_of(topology, shards).shards == shards
     for view, nodes in zip(views, shards, strict=True):
         told = json.loads(view.to_json())
-        assert set(told) == {"shard", "b", "law", "nodes", "peers"}
+        assert set(told) == {"shard", "b", "law", "nodes", "peers", "history"}
         assert [set(node) for node in told["nodes"]] == [{"id", "candidates", "neighbours"}] * len(nodes)
         own = {topology.ids[k] for k in nodes}
         beside = {end for edge in topology.edges if own & set(edge) for end in edge} - own

@@ -17,6 +17,7 @@ import urllib.request
 from collections.abc import Callable, Iterator
 from dataclasses import fields, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -28,6 +29,7 @@ from orchestrator.observe import Batch, Observer
 from orchestrator.rerun_stream import RerunStream
 from orchestrator.viewer import Viewer, choose, listening, native, start
 from tests.networks import simulate
+from tests.schedules import with_faults
 from topologies.errors import HedgerowError, UserError
 from topologies.load import load
 from topologies.resolve import resolve
@@ -144,7 +146,7 @@ def test_the_recording_holds_every_step_bit_for_bit(tmp_path: Path) -> None:
         "u_edge": ran.u_edge,
         "w": ran.w,
         "ahat": ran.ahat,
-        "truth": np.tile(observer.a, (len(steps), 1)),
+        "truth": ran.a,
         "a_ls": ran.a_ls,
         "margin": np.where(np.isinf(ran.margin), np.nan, ran.margin),
         "nodes_right": ran.right[:, None],
@@ -181,6 +183,31 @@ def test_a_node_without_rival_has_an_infinite_margin_and_the_plot_a_gap(tmp_path
     stream.log(batch)
     assert stream.close(5.0)
     assert np.isnan(read(tmp_path / "run.rrd", "margin")[1]).all()
+
+
+def test_what_is_missing_is_a_gap_and_a_truth_that_jumps_is_a_step(tmp_path: Path) -> None:
+    """Node 4 is dead for three steps, node 1 blind for two; then the a of node 2 is another."""
+    candidates = paper7().nodes[2].candidates
+    assert isinstance(candidates, tuple)
+    faults: list[dict[str, Any]] = [
+        {"kind": "crash", "node": 4, "at": 10, "restart_after": 3},
+        {"kind": "sensor", "node": 1, "steps": [15, 17]},
+        {"kind": "jump", "node": 2, "at": 20, "a": candidates[0]},
+    ]
+    observer = Observer(with_faults(paper7(), faults))
+    stream = RerunStream(observer.topology, observer, "story", tmp_path / "run.rrd", None)
+    batches = batches_of(observer, 7)
+    for batch in batches:
+        stream.log(batch)
+    stream.end(observer)
+    assert stream.close(5.0)
+    ran = whole(batches)
+    for entity, values in {"u": ran.u, "ahat": ran.ahat, "margin": ran.margin, "truth": ran.a}.items():
+        np.testing.assert_array_equal(read(tmp_path / "run.rrd", entity)[1], values, err_msg=entity)
+    gaps = np.argwhere(np.isnan(read(tmp_path / "run.rrd", "u")[1]))
+    assert gaps.tolist() == [[10, 3], [11, 3], [12, 3], [15, 0], [16, 0]]
+    assert (ran.a[20:, 1] == candidates[0]).all()
+    assert np.isfinite(read(tmp_path / "run.rrd", "x")[1]).all()
 
 
 def test_events_stand_at_their_steps(tmp_path: Path) -> None:

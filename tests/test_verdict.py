@@ -23,7 +23,7 @@ from tests.networks import Trajectory, networks, observe, read, simulate
 from topologies.load import bundled, load
 from topologies.resolve import resolve, truth
 from topologies.schema import Topology
-from wire.codec import End, Telemetry
+from wire.codec import REPORT_WIDTH, TAKEN, End, Telemetry
 
 PAPER = resolve(load("paper7"))
 GOOD = simulate(PAPER)
@@ -60,12 +60,16 @@ CARELESS = f"{__name__}:Careless"
 
 
 def test_a_good_run_is_valid() -> None:
-    """Four claims, each checked at every step."""
+    """Seven claims, each checked at every step; of the last, nobody tells what was taken in."""
     good = verdict(GOOD)
     assert (good.verdict, good.exit_code) == ("valid", 0)
     assert good.line().startswith("valid: 30 of 30 steps")
     checked = {name: check["steps"] for name, check in good.content["checks"].items()}
-    assert checked == dict.fromkeys(["dynamics", "contraction", "oracle_certificate", "estimates"], 30)
+    of_the_law = ["dynamics", "contraction", "oracle_certificate", "estimates"]
+    assert checked == dict.fromkeys([*of_the_law, "missing_inputs", "faults"], 30) | {"links": 29}
+    lost = [good.content[name] for name in ("missing_inputs", "lost_messages", "forgotten_rows", "restarts")]
+    assert (lost, good.content["down"], good.content["faults"]) == ([0] * 4, [], [])
+    assert "missing" not in good.line()
 
 
 @pytest.mark.parametrize("node", range(7))
@@ -125,11 +129,12 @@ def one_sided(topology: Topology, ahat: Sequence[Sequence[float]]) -> Trajectory
     a, b, graph = truth(topology), topology.b, topology.graph
     x = np.array([own.x0 for own in topology.nodes.values()], dtype=float)
     rows, on, no_w = [], np.ones(1, np.uint8), np.zeros(2)
+    up, took = np.ones(2, np.uint8), np.full(2, TAKEN, np.uint8)
     for t in range(topology.steps):
-        report = np.zeros((2, 4))
+        report = np.zeros((2, REPORT_WIDTH))
         report[:, 0] = ahat[t % 2]
         u = control(b, x, report[:, 0])
-        rows.append(Telemetry(t, x, u, no_w, report, on, np.ones(2, np.uint8)))
+        rows.append(Telemetry(t, x, u, no_w, report, on, up, took))
         x = dynamics(a, b, graph, x, u, no_w, np.ones(1, np.bool_))
         if t >= 2:
             x[1] = a[1] * rows[-1].x[1]
@@ -155,7 +160,7 @@ def test_a_law_of_ones_own_makes_no_claim_of_the_papers() -> None:
     ran = simulate(topology)
     own = verdict(ran, topology)
     assert own.verdict == "valid"
-    assert set(own.content["checks"]) == {"dynamics", "oracle_certificate"}
+    assert set(own.content["checks"]) == {"dynamics", "oracle_certificate", "missing_inputs", "links", "faults"}
     rows = [row._replace(w=row.w + 1.0) if row.t == 5 else row for row in ran.rows]
     assert verdict(Trajectory(rows, ran.end), topology).content["reasons"] == ["dynamics fails at step 5"]
 

@@ -19,6 +19,7 @@ from topologies.graph import Array, Graph
 from topologies.hinf import contraction, gamma_star, q_solver
 from topologies.resolve import truth
 from topologies.schema import Topology
+from wire.codec import REPORT_WIDTH, TAKEN
 
 SEED = 2**63 - 1
 
@@ -102,10 +103,12 @@ def test_the_world_moves_by_equation_1(topology: Topology) -> None:
     for i, j in edges:
         laplacian[[i, j], [i, j]] += 1
         laplacian[[i, j], [j, i]] -= 1
+    report, took = np.zeros((n, REPORT_WIDTH)), bytes([TAKEN]) * 2 * len(edges)
     for t in range(topology.steps):
         x, u = world.x, np.cos(np.arange(n) + t)
-        w = world.step(u, np.ones(len(edges), np.bool_))
-        expected = truth(topology) * x + topology.b * laplacian @ u + w
+        world.begin()
+        row = world.step(u, report, took)
+        expected = truth(topology) * x + topology.b * laplacian @ u + row.w
         np.testing.assert_allclose(world.x, expected, rtol=1e-12, atol=1e-12)
     assert world.t == topology.steps
 

@@ -11,6 +11,8 @@ from typing import NoReturn
 
 from topologies.errors import HedgerowError, UserError
 
+USER_ERROR = 2
+"""The exit code of a process that failed by its user's mistake: to start it again would not help."""
 ERROR_PREFIX = "error: "
 """The last line of the log of a process that failed starts so."""
 
@@ -32,7 +34,7 @@ def run_child(body: Callable[[], None], on_orphaned: Callable[[], None] = lambda
     try:
         body()
     except HedgerowError as error:
-        code = 2 if isinstance(error, UserError) else 1
+        code = USER_ERROR if isinstance(error, UserError) else 1
         print(f"{ERROR_PREFIX}{error}", file=sys.stderr)
     except Exception as error:
         code = 1

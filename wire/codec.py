@@ -6,8 +6,9 @@ they share, so that a length which does not fit is refused here and nowhere else
 
 from __future__ import annotations
 
+import json
 import struct
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from enum import IntEnum
 from typing import Any, NamedTuple
 
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 
 from topologies.errors import HedgerowError
 
-VERSION = 1
+VERSION = 2
 REPORT_WIDTH = 3
 """Numbers that a node reports about itself: ahat, its index, the margin J_(2) - J_(1)."""
 
@@ -26,9 +27,12 @@ _HEADER = struct.Struct("<BBHIq")
 _SIZE = _HEADER.size
 _F8 = np.dtype("<f8")
 _U1 = np.dtype("u1")
+_STEP = struct.Struct("<q")
+_SPAN = struct.Struct("<IIIII")
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.uint8]
+Mask = NDArray[np.bool_]
 Buffer = bytes | NDArray[Any]
 
 
@@ -41,52 +45,100 @@ class Kind(IntEnum):
     TELEMETRY = 3
     END = 4
     SEEN = 5
+    RECORD = 6
+    EVENT = 7
 
 
 class Flag(IntEnum):
-    """Bits of one incidence in a state message."""
+    """Bits of one incidence in a state message; in an input message, what the node took in: OPEN and HEAR."""
 
     OPEN = 1
     """the edge carried flow at t - 1"""
     HEAR = 2
-    """the link from the neighbour was up at t - 1: its message of that step has come or will"""
+    """the link from the neighbour brought something at t - 1: its message of that step has come or will"""
     TELL = 4
     """the link to the neighbour is up at t: send it this step's message"""
 
 
 ALL_UP = Flag.OPEN | Flag.HEAR | Flag.TELL
+TAKEN = Flag.OPEN | Flag.HEAR
 
 
 class MessageError(HedgerowError):
     """Bytes that are not the message which their key promises."""
 
 
+class Span(NamedTuple):
+    """Which rows cross the links of one incidence, where that is not the row of the step alone.
+
+    Over the link from the neighbour, at t - 1: row t - 1 - heard_late and heard_back rows before it; over the link to
+    it, at t: row t - told_late and told_back rows before it.
+    """
+
+    incidence: int
+    heard_late: int
+    heard_back: int
+    told_late: int
+    told_back: int
+
+
 class State(NamedTuple):
-    """Plant to shard, at t: x (k,), and a byte of Flag bits per incidence of the shard (m,)."""
+    """Plant to shard, at t: x (k,), NaN without a reading, and a byte of Flag bits per incidence of the shard (m,).
+
+    A link that is up and has no span carries the row of its own step alone.
+    """
 
     t: int
     x: Array
     flags: bytes
+    spans: Sequence[Span] = ()
+
+
+class Record(NamedTuple):
+    """Plant to shard, before the state of t, of the r nodes that come back: all that they said and were told.
+
+    Steps `first` .. t - 1, S of them: x and u (S, r), NaN where there was none, and which of their incidences' edges
+    were open (S, m_r).
+    """
+
+    t: int
+    back: Mask
+    """which of the shard's nodes come back, (k,)"""
+    first: int
+    x: Array
+    u: Array
+    edge_open: Flags
 
 
 class Input(NamedTuple):
-    """Shard to plant, at t: u (k,), and what its nodes report about themselves (k, REPORT_WIDTH); see `gather`."""
+    """Shard to plant, at t: u (k,), NaN where there is none; what its nodes report about themselves
+    (k, REPORT_WIDTH); and the Flag bits of what they took in of t - 1 (m,). See `gather`.
+    """
 
     t: int
     u: bytes
     report: bytes
+    took: bytes
 
 
 class Link(NamedTuple):
-    """Shard to shard, at t: x and u of the sender's nodes with a neighbour there, both (n,); see `gather`."""
+    """Shard to shard, at t: x and u of the sender's n nodes with a neighbour there, a row a step from `first` on.
+
+    Most often that is the row of t alone; see `gather`.
+    """
 
     t: int
+    first: int
     x: bytes
     u: bytes
 
 
 class Telemetry(NamedTuple):
-    """Plant to observer, at t: x, u, w (n,), report (n, REPORT_WIDTH), edges open (E,), links up (2E,)."""
+    """Plant to observer, at t: x, u, w (n,), report (n, REPORT_WIDTH), edges open (E,), links up (2E,).
+
+    u is NaN where no input came, the report where nobody was there. `took` (2E,), of step t - 1, is what the nodes
+    themselves say that they took in, in Flag bits.
+    """
 
     t: int
     x: Array
@@ -95,6 +147,7 @@ class Telemetry(NamedTuple):
     report: Array
     edge_open: Flags
     link_up: Flags
+    took: Flags
 
 
 class End(NamedTuple):
@@ -104,6 +157,8 @@ class End(NamedTuple):
     x: Array
     elapsed_s: float
     """from the first state sent to the last input taken, by the plant's clock"""
+    forgotten: int = 0
+    """rows of neighbours' inputs that fell off the history before they could be back-filled"""
 
 
 def _pack(kind: int, n: int, t: int, *arrays: Buffer) -> bytes:
@@ -152,37 +207,74 @@ def _floats(message: bytes, count: int, skip: int = 0) -> Array:
     return np.frombuffer(message, _F8, count, _SIZE + 8 * skip)
 
 
-def encode_state(t: int, x: Buffer, flags: Buffer) -> bytes:
+def encode_state(t: int, x: Buffer, flags: Buffer, spans: Sequence[Span] = ()) -> bytes:
     """A State message."""
-    return _pack(Kind.STATE, _count(x), t, x, flags)
+    return _pack(Kind.STATE, _count(x), t, x, flags, *(_SPAN.pack(*span) for span in spans))
 
 
 def decode_state(message: bytes, k: int, m: int) -> State:
     """A State of k nodes and m incidences."""
-    t = _open(message, Kind.STATE, k, 8 * k + m)
-    return State(t, _floats(message, k), message[_SIZE + 8 * k :])
+    end = _SIZE + 8 * k + m
+    count = max(0, len(message) - end) // _SPAN.size
+    t = _open(message, Kind.STATE, k, 8 * k + m + count * _SPAN.size)
+    x, flags = _floats(message, k), message[_SIZE + 8 * k : end]
+    if not count:
+        return State(t, x, flags)
+    spans = [Span(*numbers) for numbers in _SPAN.iter_unpack(message[end:])]
+    if any(span.incidence >= m for span in spans):
+        raise MessageError(f"a span of incidence {max(span.incidence for span in spans)}, and there are {m}")
+    return State(t, x, flags, spans)
 
 
-def encode_input(t: int, u: Buffer, report: Buffer) -> bytes:
+def encode_record(record: Record) -> bytes:
+    """A Record message."""
+    arrays = (_STEP.pack(record.first), record.back.astype(_U1), record.x, record.u, record.edge_open)
+    return _pack(Kind.RECORD, len(record.back), record.t, *arrays)
+
+
+def decode_record(message: bytes, degrees: Sequence[int]) -> Record:
+    """A Record for a shard whose nodes have so many neighbours each."""
+    k = len(degrees)
+    fixed = 8 + k
+    back = np.frombuffer(message[_SIZE + 8 : _SIZE + fixed], _U1).astype(bool)
+    if len(back) != k:
+        raise MessageError(_complaint(message, Kind.RECORD, k, fixed))
+    r, m = int(back.sum()), int(np.dot(back, degrees))
+    row = 16 * r + m
+    steps = (len(message) - _SIZE - fixed) // row if row else 0
+    t = _open(message, Kind.RECORD, k, fixed + steps * row)
+    (first,) = _STEP.unpack_from(message, _SIZE)
+    at = _SIZE + fixed
+    x, u = np.frombuffer(message, _F8, 2 * steps * r, at).reshape(2, steps, r)
+    edge_open = np.frombuffer(message, _U1, steps * m, at + 16 * steps * r).reshape(steps, m)
+    return Record(t, back, first, x, u, edge_open)
+
+
+def encode_input(t: int, u: Buffer, report: Buffer, took: Buffer) -> bytes:
     """An Input message."""
-    return _pack(Kind.INPUT, _count(u), t, u, report)
+    return _pack(Kind.INPUT, _count(u), t, u, report, took)
 
 
-def decode_input(message: bytes, k: int) -> Input:
-    """An Input of k nodes."""
-    t = _open(message, Kind.INPUT, k, 8 * k * (1 + REPORT_WIDTH))
-    return Input(t, message[_SIZE : _SIZE + 8 * k], message[_SIZE + 8 * k :])
+def decode_input(message: bytes, k: int, m: int) -> Input:
+    """An Input of k nodes with m incidences."""
+    reported = 8 * k * (1 + REPORT_WIDTH)
+    t = _open(message, Kind.INPUT, k, reported + m)
+    at = _SIZE + reported
+    return Input(t, message[_SIZE : _SIZE + 8 * k], message[_SIZE + 8 * k : at], message[at:])
 
 
-def encode_link(t: int, x: Buffer, u: Buffer) -> bytes:
-    """A Link message."""
-    return _pack(Kind.LINK, _count(x), t, x, u)
+def encode_link(link: Link, n: int) -> bytes:
+    """A Link message of n nodes."""
+    return _pack(Kind.LINK, n, link.t, _STEP.pack(link.first), link.x, link.u)
 
 
 def decode_link(message: bytes, n: int) -> Link:
-    """A Link of n boundary nodes."""
-    t = _open(message, Kind.LINK, n, 16 * n)
-    return Link(t, message[_SIZE : _SIZE + 8 * n], message[_SIZE + 8 * n :])
+    """A Link of n boundary nodes, with one row or more."""
+    size = max(1, (len(message) - _SIZE - 8) // (16 * n)) * 16 * n
+    t = _open(message, Kind.LINK, n, 8 + size)
+    (first,) = _STEP.unpack_from(message, _SIZE)
+    at, middle = _SIZE + 8, _SIZE + 8 + size // 2
+    return Link(t, first, message[at:middle], message[middle:])
 
 
 def encode_telemetry(row: Telemetry) -> bytes:
@@ -197,35 +289,66 @@ def encode_telemetry(row: Telemetry) -> bytes:
         row.report,
         row.edge_open,
         row.link_up,
+        row.took,
     )
 
 
 def decode_telemetry(message: bytes, n: int, e: int) -> Telemetry:
     """A Telemetry row of n nodes and e edges."""
     floats = 3 + REPORT_WIDTH
-    t = _open(message, Kind.TELEMETRY, n, 8 * n * floats + 3 * e)
+    t = _open(message, Kind.TELEMETRY, n, 8 * n * floats + 5 * e)
     values = _floats(message, n * floats)
-    bits = np.frombuffer(message, _U1, 3 * e, _SIZE + 8 * n * floats)
+    bits = np.frombuffer(message, _U1, 5 * e, _SIZE + 8 * n * floats)
     report = values[3 * n :].reshape(n, REPORT_WIDTH)
-    return Telemetry(t, values[:n], values[n : 2 * n], values[2 * n : 3 * n], report, bits[:e], bits[e:])
+    return Telemetry(
+        t, values[:n], values[n : 2 * n], values[2 * n : 3 * n], report, bits[:e], bits[e : 3 * e], bits[3 * e :]
+    )
 
 
 def encode_end(end: End) -> bytes:
     """An End message; to a shard it carries no states."""
-    return _pack(Kind.END, len(end.x), end.t, end.x, np.array([end.elapsed_s]))
+    return _pack(Kind.END, len(end.x), end.t, end.x, np.array([end.elapsed_s]), _STEP.pack(end.forgotten))
 
 
 def decode_end(message: bytes, n: int) -> End:
     """An End with n final states."""
-    t = _open(message, Kind.END, n, 8 * n + 8)
-    return End(t, _floats(message, n), float(_floats(message, 1, n)[0]))
+    t = _open(message, Kind.END, n, 8 * n + 16)
+    (forgotten,) = _STEP.unpack_from(message, _SIZE + 8 * n + 8)
+    return End(t, _floats(message, n), float(_floats(message, 1, n)[0]), forgotten)
 
 
-def encode_seen(t: int) -> bytes:
-    """Observer to plant: telemetry up to step t is taken in."""
-    return _pack(Kind.SEEN, 0, t)
+def numbered(number: int, message: bytes) -> bytes:
+    """A message of the stream from plant to observer, with its number before it."""
+    return _STEP.pack(number) + message
+
+
+def read_number(whole: bytes) -> tuple[int, bytes]:
+    """The number of such a message, and the message."""
+    if len(whole) < _STEP.size + _SIZE:
+        raise MessageError(f"{len(whole)} bytes are too short for a number and a header")
+    return _STEP.unpack_from(whole)[0], whole[_STEP.size :]
+
+
+def encode_seen(number: int) -> bytes:
+    """Observer to plant: all up to this number is taken in."""
+    return _pack(Kind.SEEN, 0, number)
 
 
 def decode_seen(message: bytes) -> int:
-    """The step of a `seen` message."""
+    """The number in a `seen` message."""
     return _open(message, Kind.SEEN, 0, 0)
+
+
+def encode_event(t: int, event: Mapping[str, Any]) -> bytes:
+    """Plant to observer, between the rows of telemetry: something that happened at step t."""
+    return _pack(Kind.EVENT, 0, t, json.dumps(event).encode())
+
+
+def decode_event(message: bytes) -> dict[str, Any]:
+    """The event in a message, with its `step`."""
+    t = _open(message, Kind.EVENT, 0, max(0, len(message) - _SIZE))
+    try:
+        event: dict[str, Any] = json.loads(message[_SIZE:])
+        return {**event, "step": t}
+    except (ValueError, TypeError) as error:
+        raise MessageError(f"an event that is no JSON object: {error}") from None

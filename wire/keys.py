@@ -4,9 +4,7 @@ from __future__ import annotations
 
 TELEMETRY = "telemetry"
 SEEN = "seen"
-STATUS = "control/status"
-STOP = "control/stop"
-ALIVE = "alive/*"
+ALIVE = "alive/**"
 PLANT = "plant"
 
 
@@ -25,9 +23,14 @@ def link(sender: int, receiver: int) -> str:
     return f"link/{sender}/{receiver}"
 
 
-def alive(name: str) -> str:
-    """The liveliness token of a process that is ready."""
-    return f"alive/{name}"
+def control(command: str) -> str:
+    """Anybody to plant, a query: one of the commands of plant/control.py."""
+    return f"control/{command}"
+
+
+def alive(name: str, life: int = 0) -> str:
+    """The liveliness token of a process that is ready; who is started again says so in its next life."""
+    return f"alive/{name}/{life}"
 
 
 def shard_name(shard: int) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import threading
 from collections.abc import Callable, Sequence
@@ -15,6 +16,8 @@ from topologies.errors import DeadlineError, HedgerowError
 MAX_SESSIONS = 100_000
 CONNECT_TIMEOUT_S = 10.0
 LISTEN_TIMEOUT_S = 60.0
+
+_BLOCK = "transport/link/tx/queue/congestion_control/block"
 
 
 class WireError(HedgerowError):
@@ -41,7 +44,16 @@ def open_router(endpoint: str) -> zenoh.Session:
     try:
         return zenoh.open(
             _config(
-                None, {"mode": "router", "listen/endpoints": [endpoint], "transport/unicast/max_sessions": MAX_SESSIONS}
+                None,
+                {
+                    "mode": "router",
+                    "listen/endpoints": [endpoint],
+                    "transport/unicast/max_sessions": MAX_SESSIONS,
+                    # Half a second before it opens, to hear of others: there are none.
+                    "scouting/delay": 0,
+                    # A client that is frozen is cut off before those who wait behind it notice.
+                    f"{_BLOCK}/wait_before_close": 300_000,
+                },
             )
         )
     except zenoh.ZError as error:
@@ -61,11 +73,19 @@ def open_client(endpoint: str, namespace: str, timeout_s: float = CONNECT_TIMEOU
         "connect/endpoints": [endpoint],
         "connect/timeout_ms": int(timeout_s * 1000),
         "connect/exit_on_failure": True,
+        # A router that comes back finds its clients back within half a second.
+        "connect/retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2},
     }
     try:
         return zenoh.open(_config(namespace, settings))
     except zenoh.ZError as error:
         raise WireError(f"no router at {endpoint} after {timeout_s:g} s: {error}") from None
+
+
+def close(session: zenoh.Session) -> None:
+    """Leave the network; one that does not answer any more is left without a word."""
+    with contextlib.suppress(zenoh.ZError):
+        session.close()  # type: ignore[no-untyped-call]
 
 
 def publisher(session: zenoh.Session, key: str) -> zenoh.Publisher:

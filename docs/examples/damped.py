@@ -10,6 +10,7 @@ from agents.law import Array
 class Damped:
     def __init__(self, b: float, candidates: Sequence[Sequence[float]]) -> None:
         self.gain = np.array([0.5 * b / (1.0 - min(listed)) for listed in candidates])
+        self.memory = np.empty((0, len(candidates)))
 
     def act(self, x: Array) -> Array:
         return -self.gain * x

@@ -1,0 +1,206 @@
+"""Samples in the order of their steps, whatever the order in which their inputs came.
+
+A sample of node i at step t is x_i(t), f_i(t) and x_i(t + 1). The law learns each as it is closed and skips those
+that lack an input. When that input comes after all, what was learned since is unlearned, and all is learned again in
+the order of the steps: what the law then knows is, bit for bit, what it would have known without the gap.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agents.law import Array, Law
+from wire.codec import TAKEN, Flag, Flags, Mask, Record
+from wire.history import History
+
+Index = NDArray[np.int64]
+
+_OPEN, _HEAR = np.uint8(Flag.OPEN), np.uint8(Flag.HEAR)
+MARK_EVERY = 64
+"""steps between copies of the law's memory while a sample is incomplete: it bounds how much is learned again"""
+
+
+class Samples:
+    """What k nodes learn from: `row` and `ends` (2, m) say where the ends of each incidence stand among `width` inputs.
+
+    At most `most` past steps are kept, and with 0 of them nothing is ever learned late.
+    """
+
+    def __init__(self, law: Law, most: int, row: Index, ends: Index, width: int) -> None:
+        self._law, self._row, self._ends, self._most = law, row, ends, most
+        self._blank = law.memory.copy()
+        self.k, m = self._blank.shape[-1], len(row)
+        self._history = History(most, self.k, width, m)
+        self._all = np.full(m, TAKEN, dtype=np.uint8)
+        self._behind: set[int] = set()
+        """incidences with a row that is wanted and has not come"""
+        self._marks: list[tuple[int, Array]] = []
+        """(t, the law's memory before the sample of t), while any is behind"""
+
+    @property
+    def complete(self) -> bool:
+        """Whether no sample waits for an input."""
+        return not self._marks
+
+    def take(self, x: Array, u: Array, x_next: Array) -> None:
+        """Learn the sample of the next step, of which all is known but, maybe, a reading of x, as of all before it."""
+        self._history.append(x, u, self._all)
+        own, other = u.take(self._ends)
+        self._learn(x, self._sums(own - other), x_next)
+
+    def take_late(
+        self,
+        t: int,
+        x: Array,
+        u: Array,
+        took: bytes,
+        x_next: Array,
+        old: Sequence[tuple[slice, int, Array]],
+        came: Sequence[tuple[int, int, int]],
+        back: Mask | None,
+    ) -> None:
+        """Learn the sample of t under these Flag bits, and in their place those before it that are complete by now.
+
+        `old` are inputs of earlier steps, (columns, first step, rows); `came` says over which incidences rows have
+        come, (incidence, from, to); `back` are nodes to learn anew from the oldest row on.
+        """
+        bits = np.frombuffer(took, np.uint8)
+        if self._most:
+            if (wants := Flag.OPEN in took) and not self._marks:
+                self._marks.append((t, self._law.memory.copy()))
+            self._append(x, u, bits)
+            for columns, first, rows in old:
+                kept = self._history.u(first, first + len(rows))
+                kept[:, columns] = rows[len(rows) - len(kept) :]
+            since, nodes = self._completed(came, t)
+            if back is not None:
+                self._forget(back)
+                again = np.flatnonzero(back).tolist()
+                self._learn_again(self._history.first, t, again)
+                nodes -= set(again)
+            if nodes:
+                self._learn_again(since, t, sorted(nodes))
+            # What closes a gap is a row of t itself: all rows before it have come with it.
+            self._behind = {c for c in self._behind if not took[c] & Flag.HEAR}
+            if wants:
+                self._behind.update(np.flatnonzero(bits == _OPEN).tolist())
+        elif back is not None:
+            self._forget(back)
+        self._learn(x, self._flow(u, bits), x_next)
+        if not self._behind:
+            self._marks.clear()
+        elif self._history.next % MARK_EVERY == 0:
+            self._marks.append((self._history.next, self._law.memory.copy()))
+
+    def restore(self, record: Record, anew: bool) -> None:
+        """Put what was recorded of nodes that come back where it belongs; `anew` if nothing else is known."""
+        if not self._most:
+            return
+        first, last = record.first, record.t - 1
+        if anew:
+            self._history.begin_at(first, last)
+            self._marks.clear()
+            self._behind.clear()
+        nodes = np.flatnonzero(record.back)
+        incidences = np.flatnonzero(record.back[self._row])
+        steps = len(self._history.x(first, last))
+        past = slice(len(record.x) - 1 - steps, len(record.x) - 1)
+        self._history.x(first, last)[:, nodes] = record.x[past]
+        self._history.u(first, last)[:, nodes] = record.u[past]
+        self._history.bits(first, last)[:, incidences] = record.edge_open[past] * _OPEN
+        # Until its rows come, each of these waits for all that was open.
+        wanted = (record.edge_open[past] != 0).any(axis=0)
+        self._behind.difference_update(incidences.tolist())
+        self._behind.update(incidences[wanted].tolist())
+
+    def said(self, start: int, stop: int) -> tuple[Array, Array]:
+        """X and u of our own nodes at steps start .. stop - 1, as far as they are kept, (S, k) each."""
+        return self._history.x(start, stop), self._history.u(start, stop)[:, : self.k]
+
+    def _completed(self, came: Sequence[tuple[int, int, int]], t: int) -> tuple[int, set[int]]:
+        """Note that these rows have come; the first of them that a sample waited for, and whose samples did."""
+        since = t
+        nodes: set[int] = set()
+        for incidence, start, stop in came:
+            start = max(start, self._history.first)  # noqa: PLW2901
+            bits = self._history.bits(start, stop)[:, incidence]
+            waited = [step for step, bit in enumerate(bits.tolist(), start) if bit == Flag.OPEN]
+            bits |= _HEAR
+            if waited:
+                nodes.add(int(self._row[incidence]))
+                since = min(since, waited[0])
+        return since, nodes
+
+    def _append(self, x: Array, u: Array, bits: Flags) -> None:
+        history = self._history
+        if self._marks and history.next - history.first == history.most and self._marks[0][0] == history.first:
+            self._move_first_mark(x)
+        history.append(x, u, bits)
+
+    def _move_first_mark(self, newest: Array) -> None:
+        """What falls off is learned for good: nothing can complete it any more."""
+        t, memory = self._marks.pop(0)
+        if self._marks and self._marks[0][0] == t + 1:
+            return
+        history = self._history
+        now, self._law.memory = self._law.memory, memory
+        x_next = np.vstack([history.x(t + 1, t + 2), newest])[0]
+        self._learn(history.x(t, t + 1)[0], self._flow(history.u(t, t + 1)[0], history.bits(t, t + 1)[0]), x_next)
+        self._marks.insert(0, (t + 1, self._law.memory))
+        self._law.memory = now
+
+    def _forget(self, nodes: Mask) -> None:
+        """Begin anew with these nodes, from the oldest row on."""
+        first = self._history.first
+        for _, memory in self._marks:
+            memory[..., nodes] = self._blank[..., nodes]
+        if not self._marks or self._marks[0][0] > first:
+            # To the other nodes this mark means nothing: their gaps are younger, and have marks of their own.
+            self._marks.insert(0, (first, self._blank.copy()))
+        memory = self._law.memory.copy()
+        memory[..., nodes] = self._blank[..., nodes]
+        self._law.memory = memory
+
+    def _learn_again(self, since: int, until: int, nodes: list[int]) -> None:
+        """Learn the samples of `since` .. `until` - 1 once more, for these nodes."""
+        law = self._law
+        k = max(k for k, (t, _) in enumerate(self._marks) if t <= since or k == 0)
+        start, memory = self._marks[k]
+        later = dict(self._marks[k + 1 :])
+        if len(nodes) == self.k:
+            law.memory = memory.copy()
+        else:
+            partly = law.memory.copy()
+            partly[..., nodes] = memory[..., nodes]
+            law.memory = partly
+        x, u, bits = (rows(start, until + 1) for rows in (self._history.x, self._history.u, self._history.bits))
+        for step in range(until - start + 1):
+            if (mark := later.get(start + step)) is not None:
+                mark[..., nodes] = law.memory[..., nodes]
+            if start + step < until:
+                flow = self._flow(u[step], bits[step])
+                if len(nodes) < self.k:
+                    partly = np.full(self.k, np.nan)
+                    partly[nodes] = flow[nodes]
+                    flow = partly
+                self._learn(x[step], flow, x[step + 1])
+
+    def _flow(self, u: Array, bits: Flags) -> Array:
+        """F of one step, (k,), from inputs (width,) and Flag bits (m,); NaN where an input is missing."""
+        own, other = u.take(self._ends)
+        difference = own - other
+        difference[bits & _HEAR == 0] = np.nan
+        difference[bits & _OPEN == 0] = 0.0
+        return self._sums(difference)
+
+    def _sums(self, difference: Array) -> Array:
+        flow: Array = np.bincount(self._row, difference, self.k)  # type: ignore[assignment]  # weighted: floats
+        return flow
+
+    def _learn(self, x: Array, flow: Array, x_next: Array) -> None:
+        if np.isnan(np.add.reduce(x + x_next)):  # a reading is missing: so is the sample before it and the one after
+            flow = np.where(np.isnan(x + x_next), np.nan, flow)
+        self._law.learn(x, flow, x_next)

@@ -1,0 +1,30 @@
+"""Acts by equation (6) on the least-squares a itself, as far as the candidates reach."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from agents.law import Array, control
+
+
+class LeastSquares:
+    def __init__(self, b: float, candidates: Sequence[Sequence[float]]) -> None:
+        self.b = b
+        self.low = np.array([min(listed) for listed in candidates])
+        self.high = np.array([max(listed) for listed in candidates])
+        self.memory = np.zeros((2, len(candidates)))  # Sxx and Sxy
+
+    @property
+    def a(self) -> Array:
+        sxx, sxy = self.memory
+        return np.clip(np.divide(sxy, sxx, out=self.low.copy(), where=sxx > 0), self.low, self.high)
+
+    def act(self, x: Array) -> Array:
+        return control(self.b, x, self.a)
+
+    def learn(self, x: Array, flow: Array, x_next: Array) -> None:
+        y = x_next - self.b * flow
+        self.memory += np.where(np.isfinite(flow), [x * x, x * y], 0.0)
+
+    def report(self) -> Array:
+        return np.column_stack([self.a, np.full((len(self.a), 2), np.nan)])

@@ -1,0 +1,105 @@
+"""Make docs/images/faults.png: node 3 of docs/examples/faulty.yaml, with its faults and without them.
+
+python docs/plot_faults.py [IMAGE]
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib import pyplot as plt
+from matplotlib.axes import Axes
+
+from orchestrator.assign import layout, truth_of, views_of
+from orchestrator.in_process import run
+from orchestrator.observe import Batch, Observer
+from topologies.load import load
+from topologies.resolve import resolve
+from wire.codec import End, Telemetry
+
+HERE = Path(__file__).parent
+NODE = 2  # the position of node 3
+WINDOWS = {
+    (0, 12): "drop\nmessages between 2 and 3 are lost",
+    (22, 32): "cut\nnothing flows between 3 and 4",
+    (42, 52): "crash\nagent 3 is dead",
+}
+NOTES = (
+    (1, 6, 0.15, "no samples:\nits first candidate stays"),
+    (1, 13.5, 0.62, "back-filled: as if\nnothing was lost"),
+    (1, 27, 0.73, "this flow is known to be 0:\nno sample is lost"),
+    (1, 47, 0.79, "nobody estimates"),
+    (1, 52.2, 0.62, "what it would\nhave had"),
+    (2, 14.6, 2.2, "a wrong estimate costs regret"),
+    (2, 37, 0.35, "the oracle's twin has the same edges closed: no regret"),
+)
+"""(panel, step, height, text)"""
+FAULTY, WITHOUT, SHADE = "#c2410c", "#475569", "#e8edf3"
+
+
+def ran(*overrides: str) -> tuple[Observer, Batch]:
+    """The network's run in this process, and all metrics of it."""
+    network = resolve(load(str(HERE / "examples/faulty.yaml"), overrides))
+    shards = layout(network, None)
+    *rows, end = run(truth_of(network, shards), views_of(network, shards))
+    assert isinstance(end, End)
+    observer = Observer(network)
+    batch = observer.take([row for row in rows if isinstance(row, Telemetry)])
+    observer.finish(end)
+    return observer, batch
+
+
+def draw(axes: np.ndarray[tuple[int], np.dtype[np.object_]], faulty: Batch, without: Batch) -> None:
+    """State, estimate and regret of the node, one below the other."""
+    state, estimate, regret = axes
+    for batch, colour, label, width in ((without, WITHOUT, "without faults", 1.2), (faulty, FAULTY, "with them", 2.0)):
+        style = {"color": colour, "lw": width, "label": label, "ls": "--" if batch is without else "-"}
+        state.plot(batch.t, batch.x[:, NODE], **style)
+        estimate.step(batch.t, batch.ahat[:, NODE], where="post", **style)
+        regret.plot(batch.t, batch.regret[:, NODE], **style)
+    state.legend(loc="upper left", bbox_to_anchor=(0.54, 1.0), fontsize=8, frameon=False, handlelength=1.6)
+    estimate.set_yticks([0.3, 0.6, 0.88], ["0.3", "0.6", "truth 0.88"])
+    for panel, step, height, text in NOTES:
+        where = "center" if step in (6, 27, 37, 47) else "left"
+        axes[panel].text(step, height, text, ha=where, va="center", fontsize=8, color="#334155")
+    for axis, title, highest in (
+        (state, "state $x_3$", 7.4),
+        (estimate, "estimate $\\hat a_3$", 1.05),
+        (regret, "regret $|x_3 - x_3^*|$", 3.8),
+    ):
+        axis.set_ylabel(title)
+        axis.set_ylim(0, highest)
+        shade(axis)
+
+
+def shade(axis: Axes) -> None:
+    """Show when a fault holds."""
+    for start, stop in WINDOWS:
+        axis.axvspan(start, stop, color=SHADE, zorder=0, lw=0)
+    axis.spines[["top", "right"]].set_visible(False)
+    axis.set_xlim(0, 60)
+
+
+def main(image: Path) -> None:
+    """Draw and write the picture."""
+    observer, faulty = ran()
+    lossless, without = ran("faults=[]")
+    mpl.use("Agg")
+    figure, axes = plt.subplots(3, 1, figsize=(9, 6.4), sharex=True, layout="constrained")
+    draw(axes, faulty, without)
+    for (start, stop), text in WINDOWS.items():
+        name, what = text.split("\n")
+        middle = (start + stop) / 2
+        axes[0].text(middle, 8.1, name, ha="center", va="bottom", fontsize=11, weight="bold")
+        axes[0].text(middle, 7.6, what, ha="center", va="bottom", fontsize=8)
+    axes[-1].set_xlabel("step")
+    said = f"regret D {observer.regret_sum:.4g} with faults, {lossless.regret_sum:.4g} without"
+    figure.savefig(image, dpi=150, metadata={"Description": said, "Software": None})
+    print(said)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]) if len(sys.argv) > 1 else HERE / "images/faults.png")

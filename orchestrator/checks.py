@@ -1,0 +1,82 @@
+"""What is checked at every step, and how near each check came to failing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from topologies.graph import Array, Index, Mask
+
+TINY = 1e-300
+"""keeps 0 / 0 from being asked"""
+ROUNDING = 1e-9
+"""Relative slack of inequalities that are exact only in exact arithmetic."""
+
+
+@dataclass
+class Worst:
+    """One check over all steps: the largest excess seen, and the step where; a positive excess is a violation."""
+
+    excess: float = -np.inf
+    step: int = -1
+    steps: int = 0
+
+    def see(self, excess: Array, steps: Index) -> None:
+        """Take in the excess at each of `steps`; NaN counts as a violation."""
+        if len(excess):
+            excess = np.where(np.isnan(excess), np.inf, excess)
+            k = int(np.argmax(excess))
+            if excess[k] > self.excess:
+                self.excess, self.step = float(excess[k]), int(steps[k])
+            self.steps += len(excess)
+
+    def see_exact(self, holds: Mask, steps: Index) -> None:
+        """Take in a claim that holds at a step or does not."""
+        self.see(np.where(holds, -1.0, 1.0), steps)
+
+
+class _Due(NamedTuple):
+    """What some rows say of the state after each: the step, x (B, n) by equation (1), and the bound on its 1-norm."""
+
+    t: Index
+    x: Array
+    bound: Array
+
+    def rows(self, some: slice | Mask) -> _Due:
+        return _Due(self.t[some], self.x[some], self.bound[some])
+
+    def then(self, later: _Due) -> _Due:
+        return _Due(*(np.concatenate([getattr(one, name) for one in (self, later)]) for name in self._fields))
+
+
+class Motion:
+    """Equation (1) to the bit, and the contraction: from each row to the state after it, whatever lies between."""
+
+    def __init__(self) -> None:
+        self.dynamics, self.contraction = Worst(), Worst()
+        self._due: _Due | None = None
+        """of the last row"""
+
+    def take(self, t: Index, x: Array, x_next: Array, bound: Array) -> None:
+        """Take in x (B, n) at steps t (B,), what follows each by equation (1), and the bound on the 1-norm of that."""
+        due = _Due(t, x_next, bound)
+        if self._due is not None:
+            due = self._due.then(due)
+        self._due = due.rows(slice(-1, None))
+        known = len(due.t) - 1
+        self._compare(due.rows(slice(known)), t[len(t) - known :], x[len(t) - known :])
+
+    def finish(self, t: int, x: Array) -> None:
+        """Take in the final state x (n,) at step t."""
+        if self._due is not None:
+            self._compare(self._due, np.array([t]), x[None])
+
+    def _compare(self, due: _Due, t: Index, x: Array) -> None:
+        """Where telemetry was lost, two rows that follow each other here are not of consecutive steps."""
+        follows = t == due.t + 1
+        if not follows.all():
+            due, x = due.rows(follows), x[follows]
+        self.dynamics.see_exact((due.x == x).all(axis=1), due.t)
+        self.contraction.see(np.abs(x).sum(axis=1) / (due.bound + TINY) - 1 - ROUNDING, due.t)

@@ -1,0 +1,45 @@
+"""How the list of faults changes while a run goes on: what was added or ended stands in the resolved file as if it
+had been there from the start, so that the run can be repeated from its folder.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from topologies.effects import FOREVER
+from topologies.faults import Crash, Fault
+from topologies.schema import Topology
+
+
+def with_fault(topology: Topology, entry: Mapping[str, Any]) -> Topology:
+    """The topology with one fault more, as a file spells it."""
+    (fault,) = Topology.model_validate({**_LEAST, "faults": [entry]}).faults
+    return topology.model_copy(update={"faults": (*topology.faults, fault)})
+
+
+_LEAST = {"name": "one", "b": 0.1, "steps": 1, "nodes": [0]}
+"""The least of a file: it gives a fault its type, and what it names was checked before."""
+
+
+def with_loss(topology: Topology, shard: int, nodes: list[int | str], at: int) -> Topology:
+    """The topology with the crash that losing an agent process at a step amounts to."""
+    who = {"process": shard} if topology.processes is not None else {"node": nodes[0]}
+    return with_fault(topology, {"kind": "crash", **who, "at": at})
+
+
+def with_end(topology: Topology, number: int, at: int) -> Topology:
+    """The topology whose fault of that number, from 0, stops at step `at`, after it has begun."""
+    faults = list(topology.faults)
+    faults[number] = _ended(faults[number], at)
+    return topology.model_copy(update={"faults": tuple(faults)})
+
+
+def _ended(fault: Fault, at: int) -> Fault:
+    if isinstance(fault, Crash):
+        return fault.model_copy(update={"restart_after": at - fault.at})
+    table = getattr(fault, "at", None)
+    if isinstance(table, Mapping):
+        return fault.model_copy(update={"at": {step: pairs for step, pairs in table.items() if step < at}})
+    start, stop = getattr(fault, "steps", None) or (0, FOREVER)
+    return fault.model_copy(update={"steps": (start, min(stop, at))})

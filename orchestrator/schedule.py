@@ -1,0 +1,102 @@
+"""What the faults of a run say of some of its steps: a function of the file alone, whatever happened."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from plant.faults import strikes
+from topologies.effects import FOREVER, Effect
+from topologies.faults import effects
+from topologies.graph import Index, Mask
+from topologies.schema import Topology
+
+
+class Instances(NamedTuple):
+    """What faults strike, a (target, step) each: which fault, at which of the steps asked for, and what, (K,)."""
+
+    fault: Index
+    row: Index
+    target: Index
+
+
+class Schedule:
+    """The effects of all faults of a resolved topology."""
+
+    def __init__(self, topology: Topology) -> None:
+        self._seed, self._n = topology.seed, len(topology.ids)
+        self.faults = len(topology.faults)
+        self.effects = effects(topology.faults, topology) if topology.faults else []
+
+    def between(self, first: int, stop: int) -> list[Effect]:
+        """The effects that hold at one of these steps or more."""
+        return [one for one in self.effects if max(one.start, first) < min(one.stop, stop)]
+
+    def instances(self, steps: Index, *kinds: str) -> Instances:
+        """All that faults of some kinds strike at some ascending steps; a crash and a jump strike as they start."""
+        found: list[Index] = [np.empty((3, 0), dtype=np.int64)]
+        for effect in self.between(int(steps[0]), int(steps[-1]) + 1):
+            if effect.kind in kinds:
+                rows, targets = self._struck(effect, steps)
+                found.append(np.stack([np.full(len(rows), effect.fault), rows, targets]))
+        return Instances(*np.concatenate(found, axis=1))
+
+    def _struck(self, effect: Effect, steps: Index) -> tuple[Index, Index]:
+        """(row, target) of all that one effect strikes."""
+        if effect.table is not None:
+            table = effect.table
+            pairs = [(row, target) for row, t in enumerate(steps.tolist()) for target in table.get(t, ())]
+            row, target = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
+            return row, target
+        if effect.kind in ("crash", "jump"):
+            struck = np.repeat(steps[:, None] == effect.start, len(effect.targets), axis=1)
+        else:
+            struck = strikes(effect, self._seed, steps)
+        row, column = struck.nonzero()
+        return row, np.array(effect.targets, dtype=np.int64)[column]
+
+    def absent(self, steps: Index) -> Mask:
+        """Whose agent is dead at each of some ascending steps, (S, n)."""
+        absent = np.zeros((len(steps), self._n), dtype=np.bool_)
+        for one in self.between(int(steps[0]), int(steps[-1]) + 1):
+            if one.kind == "crash":
+                within = (one.start <= steps) & (steps < one.stop)
+                absent[np.ix_(within, np.array(one.targets, dtype=np.int64))] = True
+        return absent
+
+    def jumps(self, since: int) -> list[Effect]:
+        """The jumps at step `since` and later, in the order in which they come true."""
+        return sorted((one for one in self.effects if one.kind == "jump" and one.start >= since), key=_start)
+
+    def beyond(self, steps: int) -> list[int]:
+        """By fault: how many (target, step) of its window lie at `steps` or later; 0 for a window without an end."""
+        beyond = [0] * self.faults
+        for one in self.effects:
+            if one.table is not None:
+                beyond[one.fault] += sum(len(struck) for step, struck in one.table.items() if step >= steps)
+            elif one.kind in ("crash", "jump"):
+                beyond[one.fault] += len(one.targets) * (steps <= one.start < one.stop)
+            elif one.stop < FOREVER:
+                beyond[one.fault] += len(one.targets) * max(0, one.stop - max(one.start, steps))
+        return beyond
+
+    def idle(self, steps: int) -> dict[int, str]:
+        """The faults that cannot strike before `steps`, whatever is drawn, and why; not those that were healed."""
+        able = {one.fault for one in self.effects if one.start >= one.stop or _strikes_before(one, steps)}
+        late = {one.fault for one in self.effects if _strikes_before(one, FOREVER)}
+        return {
+            fault: f"the run has {steps} steps" if fault in late else "there is nothing that it strikes"
+            for fault in range(self.faults)
+            if fault not in able
+        }
+
+
+def _strikes_before(effect: Effect, steps: int) -> bool:
+    if effect.table is not None:
+        return any(struck and step < steps for step, struck in effect.table.items())
+    return bool(effect.targets) and effect.start < min(steps, effect.stop)
+
+
+def _start(effect: Effect) -> int:
+    return effect.start

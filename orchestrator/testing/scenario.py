@@ -1,0 +1,167 @@
+"""A network and what is to go wrong with it, before it runs: immutable, so that tests may share it."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal
+
+from orchestrator import in_process
+from orchestrator.assign import layout, truth_of, views_of
+from orchestrator.folder import create
+from orchestrator.live import FaultVerbs, checked
+from orchestrator.run import Run, Watching
+from orchestrator.testing.result import Result
+from orchestrator.testing.running import Running, run_to_the_end
+from orchestrator.verdict import Ending
+from topologies.errors import UserError
+from topologies.faults import Fault
+from topologies.load import find, parse
+from topologies.resolve import resolve, to_yaml
+from topologies.schema import Topology
+from wire.codec import End, Telemetry
+
+BATCH_STEPS = 256
+RUN_DEADLINE_S = 120.0
+LIVE_STEPS = 1_000_000
+
+
+@dataclass(frozen=True)
+class Scenario(FaultVerbs["Scenario"]):
+    """A network with its settings and faults; each method returns another one, and none runs until `run` or `up`.
+
+    Steps of faults are those of the run. What a file would be refused for raises UserError at once.
+    """
+
+    text: bytes = field(repr=False)
+    """the topology file"""
+    name: str
+    """what messages call it"""
+    folder: Path = field(repr=False)
+    """where its CSV files lie"""
+    new_folder: Callable[[str], Path] = field(repr=False, compare=False)
+    """makes an empty folder for a run, near that name"""
+    on_result: Callable[[Result], None] = field(repr=False, compare=False, default=lambda _: None)
+    """told of every result"""
+    settings: tuple[str, ...] = ()
+    faults: tuple[Fault, ...] = ()
+
+    @cached_property
+    def topology(self) -> Topology:
+        """The network, resolved: what will run."""
+        drawn = resolve(parse(self.text, self.name, self.folder, self.settings), self.folder)
+        return resolve(drawn.model_copy(update={"faults": (*drawn.faults, *self.faults)}))
+
+    def set(self, *settings: str) -> Scenario:
+        """With values of the file replaced: `path=value`, as for `--set` on the command line."""
+        return _now(replace(self, settings=(*self.settings, *settings)))
+
+    def inject(self, fault: Fault | Mapping[str, Any]) -> Scenario:
+        """With one fault more: a model of `topologies.faults`, or a mapping as a file spells it."""
+        return replace(self, faults=(*self.faults, checked(fault, self.topology)))
+
+    def run(
+        self,
+        steps: int | None = None,
+        processes: int | None = None,
+        engine: Literal["in-process", "zenoh"] = "in-process",
+        seed: int | None = None,
+        deadline_s: float = RUN_DEADLINE_S,
+    ) -> Result:
+        """Run to the last step, and return what is left; steps, processes and seed replace those of the file.
+
+        engine: `in-process`, the reference, has no processes and takes milliseconds; `zenoh` is `orchestrator up`,
+        with real ones. Both give the same bits. Past `deadline_s`, which is for zenoh, DeadlineError is raised.
+        """
+        scenario = self._with(steps=steps, processes=processes, seed=seed)
+        folder = self.new_folder(scenario.topology.name)
+        match engine:
+            case "in-process":
+                result = _run_here(scenario.topology, folder)
+            case "zenoh":
+                result = run_to_the_end(scenario.topology, folder, deadline_s)
+            case _:
+                raise UserError(f"engine={engine!r}: is neither 'in-process' nor 'zenoh'")
+        self.on_result(result)
+        return result
+
+    def up(
+        self,
+        rate: float = 0.0,
+        steps: int | None = LIVE_STEPS,
+        processes: int | None = None,
+        seed: int | None = None,
+        step_deadline_s: float = 10.0,
+    ) -> Running:
+        """Launch it as `orchestrator up` does, for a `with` block; gone at its end, however that comes.
+
+        rate: steps a second, 0 for as fast as possible. steps: far more than a test waits for; None for the file's.
+        step_deadline_s: how long the plant waits for an answer, `up --deadline`.
+        """
+        scenario = self._with(steps=steps, processes=processes, seed=seed)
+        folder = self.new_folder(scenario.topology.name)
+        return Running(scenario.topology, folder, rate, step_deadline_s, self.on_result)
+
+    def _with(self, **settings: int | None) -> Scenario:
+        given = [f"{key}={value}" for key, value in settings.items() if value is not None]
+        return self.set(*given) if given else self
+
+
+def _now(scenario: Scenario) -> Scenario:
+    """The scenario, once it is known to be right: a mistake is shown where it was made."""
+    _ = scenario.topology
+    return scenario
+
+
+def _run_here(topology: Topology, path: Path) -> Result:
+    """As `orchestrator simulate`; but Ctrl-C and what a law raises are the test's."""
+    folder = create(topology, path)
+    ending = Ending(run=folder.name, engine="in-process", processes=0)
+    run = Run(topology, folder, Watching(record=False), ending)
+    folder.event("start", engine=ending.engine)
+    run.tell_faults()
+    shards = layout(topology, topology.processes or 1)
+    rows = in_process.run(truth_of(topology, shards), views_of(topology, shards))
+    for batch in _batches(rows):
+        if steps := [row for row in batch if isinstance(row, Telemetry)]:
+            run.take(steps)
+        if isinstance(batch[-1], End):
+            run.finish(batch[-1])
+    run.close()
+    return Result.read(path)
+
+
+def _batches(rows: Iterator[Telemetry | End]) -> Iterator[list[Telemetry | End]]:
+    while batch := list(itertools.islice(rows, BATCH_STEPS)):
+        yield batch
+
+
+@dataclass(frozen=True)
+class Networks:
+    """What the fixture `network` is: call it with a network, and get a Scenario."""
+
+    new_folder: Callable[[str], Path] = field(repr=False)
+    on_result: Callable[[Result], None] = field(repr=False, default=lambda _: None)
+
+    def __call__(self, network: str | Path | Topology, *settings: str) -> Scenario:
+        """network: a bundled name, a file, the folder of a run, a Topology, or the text of a file.
+
+        settings: `path=value`, as for `--set` on the command line. Raises UserError.
+        """
+        text, name, folder = _text(network)
+        return _now(Scenario(text, name, folder, self.new_folder, self.on_result, settings))
+
+
+def _text(network: str | Path | Topology) -> tuple[bytes, str, Path]:
+    if isinstance(network, Topology):
+        return to_yaml(network).encode(), network.name, Path()
+    if isinstance(network, str) and ("\n" in network or network.lstrip().startswith("{")):
+        return network.encode(), "network", Path()
+    path = find(str(network))
+    try:
+        return path.read_bytes(), str(path), path.parent
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read: {error.strerror}; check its permissions") from None

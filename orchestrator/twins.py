@@ -1,0 +1,40 @@
+"""The twins of a run: the same network with the same w, x(0) and open edges, under other laws.
+
+The oracle acts on the true a (8), the nominal one on the nominal value. Neither needs an estimator.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from agents.law import control
+from plant.world import dynamics
+from topologies.graph import Array, Graph, Mask
+
+
+class Twins:
+    """Both, side by side: first the oracle's, then the nominal one's."""
+
+    def __init__(self, b: float, graph: Graph, x0: Array, a: Array, nominal: Array) -> None:
+        self._b, self._graph, self._nominal = b, graph, nominal
+        self.x: Array = np.stack([x0, x0])
+        """x(t) of both, (2, n)"""
+        self._turn(a)
+
+    def _turn(self, a: Array) -> None:
+        """The true a is this one from now on: both move by it, and the oracle knows."""
+        self._a, self._models = a, np.stack([a, self._nominal])
+
+    def run(self, w: Array, edge_open: Mask | None, turns: Mapping[int, Array]) -> tuple[Array, Array]:
+        """Both over B steps: x and u, (2, B, n), from w (B, n), edges (B, E) and, by row, where a becomes another."""
+        x, u = np.empty((2, *w.shape)), np.empty((2, *w.shape))
+        for k, w_t in enumerate(w):
+            if k in turns:
+                self._turn(turns[k])
+            x[:, k] = self.x
+            u[:, k] = now = control(self._b, self.x, self._models)
+            on = None if edge_open is None else edge_open[k]
+            self.x = dynamics(self._a, self._b, self._graph, self.x, now, w_t, on)
+        return x, u

@@ -1,0 +1,69 @@
+"""When a step may begin: the rate, pause and single steps, and how long an answer has been waited for."""
+
+from __future__ import annotations
+
+import time
+
+RESEND_AFTER_S = 0.5
+
+
+class Clock:
+    """The time of one run; all times are by time.monotonic(), in seconds."""
+
+    def __init__(self, rate: float) -> None:
+        self.began = self.sent_at = time.monotonic()
+        self.held = False
+        """the next state is ready, and has not left yet"""
+        self.paused = False
+        self._allowed = 0
+        """steps that may be made although paused"""
+        self._repeats = 0
+        self.set_rate(rate, 0)
+
+    def start(self) -> None:
+        """The first state may leave now."""
+        self.began = time.monotonic()
+        self.set_rate(self.rate, 0)
+
+    def set_rate(self, rate: float, t: int) -> None:
+        """So many steps a second from step t on; 0 for as fast as possible."""
+        self.rate = rate
+        self._period = 1 / rate if rate else 0.0
+        self._base, self._base_t = time.monotonic(), t
+
+    def pause(self) -> None:
+        """Hold the next state until `resume`."""
+        self.paused, self._allowed = True, 0
+
+    def resume(self, t: int) -> None:
+        """Go on at the same rate from step t."""
+        self.paused = False
+        self.set_rate(self.rate, t)
+
+    def allow(self, steps: int) -> None:
+        """Pause, but make so many steps first."""
+        self.paused = True
+        self._allowed += steps
+
+    def wait_s(self, t: int) -> float:
+        """How long state(t) must still be held; infinite while paused."""
+        if self.paused:
+            return 0.0 if self._allowed else float("inf")
+        return self._base + (t - self._base_t) * self._period - time.monotonic() if self._period else 0.0
+
+    def sent(self) -> None:
+        """State(t) has left."""
+        self.held, self.sent_at, self._repeats = False, time.monotonic(), 0
+        if self.paused:
+            self._allowed -= 1
+
+    def waited_s(self) -> float:
+        """How long the answers to the last state have been waited for."""
+        return time.monotonic() - self.sent_at
+
+    def repeat_is_due(self) -> bool:
+        """Whether the last state should be said again; true once every RESEND_AFTER_S."""
+        if self.waited_s() <= RESEND_AFTER_S * (self._repeats + 1):
+            return False
+        self._repeats += 1
+        return True
