@@ -17,8 +17,6 @@ MAX_SESSIONS = 100_000
 CONNECT_TIMEOUT_S = 10.0
 LISTEN_TIMEOUT_S = 60.0
 
-_BLOCK = "transport/link/tx/queue/congestion_control/block"
-
 
 class WireError(HedgerowError):
     """A session that could not be opened, or a peer that never came."""
@@ -51,8 +49,6 @@ def open_router(endpoint: str) -> zenoh.Session:
                     "transport/unicast/max_sessions": MAX_SESSIONS,
                     # Half a second before it opens, to hear of others: there are none.
                     "scouting/delay": 0,
-                    # A client that is frozen is cut off before those who wait behind it notice.
-                    f"{_BLOCK}/wait_before_close": 300_000,
                 },
             )
         )
