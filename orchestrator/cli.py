@@ -17,7 +17,7 @@ from typing import Annotated
 
 import typer
 
-from orchestrator import cli_live
+from orchestrator import cli_files, cli_live
 from orchestrator.check import count, table
 from orchestrator.nursery import Nursery
 from orchestrator.verdict import EXIT_CODES, UNKNOWN
@@ -321,4 +321,5 @@ def chaos(
     return 1
 
 
+cli_files.register(app)
 cli_live.register(app)

@@ -72,7 +72,7 @@ def _row_groups(reader: Any) -> Iterator[pa.Table]:
     """The stream as tables of a multiple of ROW_GROUP rows, and the rest."""
     waiting: list[pa.RecordBatch] = []
     rows = 0
-    for batch in _whole_batches(reader):
+    for batch in whole_batches(reader):
         waiting.append(batch)
         rows += batch.num_rows
         if rows >= ROW_GROUP:
@@ -83,7 +83,8 @@ def _row_groups(reader: Any) -> Iterator[pa.Table]:
         yield pa.Table.from_batches(waiting)
 
 
-def _whole_batches(reader: Any) -> Iterator[pa.RecordBatch]:
+def whole_batches(reader: Any) -> Iterator[pa.RecordBatch]:
+    """The batches of an Arrow stream, up to where a writer that was killed left off."""
     while True:
         try:
             yield reader.read_next_batch()
