@@ -360,8 +360,9 @@ class Plant:
 
     @property
     def missing(self) -> list[str]:
-        """Whose input(t) has not come, once it was asked for."""
-        return [] if self.clock.held else [self.name(p) for p in sorted(self._missing)]
+        """Whose input(t) has not come for a while."""
+        late = not self.clock.held and self.clock.waited_s() > RESEND_AFTER_S
+        return [self.name(p) for p in sorted(self._missing)] if late else []
 
     # What arrives: each method below takes the lock.
 
