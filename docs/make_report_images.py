@@ -1,0 +1,81 @@
+"""Make docs/images/report-*.png: figures of `orchestrator report`, of paper7 and authors7, four to a picture.
+
+python docs/make_report_images.py [FOLDER [PICTURE ...]]
+"""
+
+from __future__ import annotations
+
+import io
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+from PIL import Image
+from PIL.PngImagePlugin import PngInfo
+
+from orchestrator.assign import layout
+from orchestrator.folder import create
+from orchestrator.recorded import RecordedRun, load_run
+from orchestrator.report.figures import FIGURES
+from orchestrator.report.style import look
+from orchestrator.run import Watching
+from orchestrator.screen import Quiet
+from orchestrator.simulate import simulate
+from topologies.load import load
+from topologies.resolve import resolve
+
+IMAGES = Path(__file__).parent / "images"
+PICTURES = {
+    "report-paper7": ("paper7", ("2", "3", "4", "5")),
+    "report-authors7": ("authors7", ("2", "3", "4", "5")),
+    "report-paper7-ours": ("paper7", ("estimates", "regret", "cost", "gain")),
+}
+DPI, GAP, COLOURS = 200, 24, 64
+
+
+def ran(name: str, scratch: Path) -> RecordedRun:
+    """A bundled network, run in this process."""
+    topology = resolve(load(name))
+    folder = create(topology, scratch / name)
+    simulate(topology, folder, layout(topology, 1), Watching(record=False), Quiet())
+    return load_run(folder.path)
+
+
+def picture(run: RecordedRun, keys: tuple[str, ...]) -> Image.Image:
+    """Four figures, two beside each other."""
+    drawn = []
+    for kind in FIGURES:
+        if kind.key in keys:
+            png = io.BytesIO()
+            kind.draw([run]).savefig(png, format="png", dpi=DPI)
+            drawn.append(Image.open(png).convert("RGB"))
+    heights = [max(one.height for one in row) for row in (drawn[:2], drawn[2:])]
+    whole = Image.new("RGB", (2 * drawn[0].width + GAP, sum(heights) + GAP), "white")
+    for k, one in enumerate(drawn):
+        whole.paste(one, (k % 2 * (one.width + GAP), k // 2 * (heights[0] + GAP)))
+    return whole
+
+
+def numbers(run: RecordedRun) -> str:
+    """What a picture was drawn of, so that a stale one is known."""
+    metrics = run.verdict["metrics"]
+    said = f"{run.topology.name}: D {metrics['regret']:.6g}, nominal {metrics['regret_nominal']:.6g}"
+    return said + f", gain {metrics['gain']:.6g}, {metrics['nodes_right']} right"
+
+
+def main(images: Path, pictures: Sequence[str]) -> None:
+    """Draw and write the pictures, and say of which numbers."""
+    with tempfile.TemporaryDirectory() as scratch, look():
+        runs = {name: ran(name, Path(scratch)) for name in sorted({PICTURES[file][0] for file in pictures})}
+        for file in pictures:
+            name, keys = PICTURES[file]
+            info = PngInfo()
+            info.add_text("Description", numbers(runs[name]))
+            small = picture(runs[name], keys).quantize(COLOURS, dither=Image.Dither.NONE)
+            small.save(images / f"{file}.png", optimize=True, pnginfo=info)
+            print(f"{file}.png: {numbers(runs[name])}")
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]) if len(sys.argv) > 1 else IMAGES, sys.argv[2:] or [*PICTURES])

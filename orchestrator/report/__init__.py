@@ -1,0 +1,85 @@
+"""The report of a run, or of several beside each other: figures for a paper, and one page with all of it."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from topologies.errors import UserError
+
+if TYPE_CHECKING:
+    from orchestrator.recorded import RecordedRun
+    from orchestrator.report.figures import Kind
+
+PAGE = "report.html"
+RUNS = 7
+"""colours that can be told apart"""
+
+
+def report(
+    runs: Sequence[RecordedRun], out: Path | None = None, figures: str | None = None, force: bool = False
+) -> list[Path]:
+    """Write report.html and each figure as PDF and PNG into the folder `out`, and return the files.
+
+    `figures` picks some, as in "2,4,gain". The folder is there whole or not at all; the same runs give the same bytes.
+    Raises UserError for a mistake, where matplotlib is missing, and where nothing can be written.
+    """
+    if not 1 <= len(runs) <= RUNS:
+        raise UserError(f"{len(runs)} runs: a report is of 1 to {RUNS}")
+    try:
+        from orchestrator.report import figures as known  # noqa: PLC0415
+        from orchestrator.report.page import page  # noqa: PLC0415
+        from orchestrator.report.style import look, save  # noqa: PLC0415
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] != "matplotlib":
+            raise
+        raise UserError("a report needs matplotlib; install it with: pip install 'hedgerow[report]'") from None
+    kinds = _chosen(known.FIGURES, figures, runs)
+    out = out or Path("-".join(run.run for run in runs[:2]) + "-report")
+    _refuse(out, force, {PAGE, *(f"{kind.file}{suffix}" for kind in known.FIGURES for suffix in (".pdf", ".png"))})
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=".report-", dir=out.parent) as scratch:
+            whole = Path(scratch) / "report"
+            whole.mkdir()
+            with look():
+                drawn = {kind: save(kind.draw(runs), whole, kind.file, kind.title) for kind in kinds}
+            (whole / PAGE).write_text(page(runs, drawn), encoding="utf-8")
+            if out.is_dir():
+                out.rename(Path(scratch) / "old")
+            whole.rename(out)
+    except OSError as error:
+        raise UserError(f"{out}: cannot be written: {error.strerror}; --out names another folder") from None
+    return [out / PAGE, *(out / f"{kind.file}{suffix}" for kind in kinds for suffix in (".pdf", ".png"))]
+
+
+def _chosen(known: Sequence[Kind], figures: str | None, runs: Sequence[RecordedRun]) -> list[Kind]:
+    """The figures asked for, in the order of the report; without asking, all of which there is something to show."""
+    if figures is None:
+        return [kind for kind in known if kind.has(runs)]
+    asked = [key.strip() for key in figures.split(",")]
+    there = [kind.key for kind in known]
+    for key in asked:
+        if key not in there:
+            raise UserError(
+                f"--figures {figures}: there is no figure {key or 'without a name'}; choose of {', '.join(there)}"
+            )
+    chosen = [kind for kind in known if kind.key in asked]
+    for kind in chosen:
+        if not kind.has(runs):
+            what = " and ".join(run.run for run in runs)
+            raise UserError(f"--figures {figures}: there is nothing to show of {kind.key} in {what}; leave it out")
+    return chosen
+
+
+def _refuse(out: Path, force: bool, own: set[str]) -> None:
+    """Raise UserError if a report may not be written to `out`."""
+    if out.exists() and not out.is_dir():
+        raise UserError(f"{out}: is a file; --out names a folder")
+    there = {path.name for path in out.iterdir()} if out.exists() else set()
+    if strange := sorted(there - own):
+        raise UserError(f"{out}: holds {strange[0]}, which is of no report; --out names another folder")
+    if there and not force:
+        raise UserError(f"{out}: is there already; --force replaces it, --out names another folder")

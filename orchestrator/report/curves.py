@@ -1,0 +1,142 @@
+"""How many nodes and many steps are drawn: a line a node while lines can be told apart, and never more than fits."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import StepPatch
+from matplotlib.ticker import MaxNLocator
+
+from orchestrator.recorded import RecordedRun
+from orchestrator.report.style import BLACK, SKY
+from topologies.graph import Array, Index
+
+NODES = 12
+"""larger networks are drawn as quantiles"""
+STEPS = 1000
+"""longer runs are drawn in bins of steps"""
+BINS = 500
+_NAME = 16
+"""characters of a name that a legend has room for"""
+_LINE = 66
+"""characters that a line of a legend has room for, of which each handle takes _HANDLE"""
+_HANDLE = 5
+
+
+class Entries(NamedTuple):
+    """What a legend shows: handles, and what each stands for."""
+
+    handles: Sequence[Artist]
+    names: Sequence[str]
+
+
+def bins(rows: int) -> list[Index]:
+    """Which rows are drawn as one: each alone, or the parts of a run that is too long."""
+    return np.array_split(np.arange(rows), BINS if rows > STEPS else rows)
+
+
+def thin(values: Array) -> tuple[Index, Array]:
+    """A series over its steps: all of it, or of each bin of steps the least and the largest value, in order."""
+    t = np.arange(len(values))
+    if len(t) <= STEPS:
+        return t, values
+    rows: list[int] = []
+    for part in bins(len(t)):
+        known = part[np.isfinite(values[part])]
+        ends = {known[values[known].argmin()], known[values[known].argmax()]} if len(known) else {part[0]}
+        rows += sorted(map(int, ends))
+    return t[rows], values[rows]
+
+
+def highest(values: Array) -> tuple[Index, Array]:
+    """A series over its steps: all of it, or of each bin of steps the largest value, where it was taken."""
+    parts = bins(len(values))
+    filled = np.where(np.isfinite(values), values, -np.inf)
+    rows = [int(part[filled[part].argmax()]) for part in parts]
+    return np.array(rows), values[rows]
+
+
+def stairs(axis: Axes, values: Array, **style: Any) -> StepPatch:
+    """A series of which each value holds until the next step, the last one too."""
+    t, shown = thin(values)
+    return axis.stairs(shown, np.append(t, len(values)), baseline=None, **style)
+
+
+def quantiles(values: Array, at: Sequence[float]) -> tuple[Index, Array]:
+    """Quantiles over the nodes, and over the steps of each bin, (S,) and (len(at), S); NaN where nothing is known."""
+    parts, found = bins(len(values)), []
+    for part in parts:
+        known = values[part][np.isfinite(values[part])]
+        found.append(np.quantile(known, at) if len(known) else np.full(len(at), np.nan))
+    return np.array([part[0] for part in parts]), np.array(found).T
+
+
+def draw_nodes(axis: Axes, run: RecordedRun, values: Array) -> Entries:
+    """Curves of all nodes, (S, n): a line each or, of too many nodes or steps that swing to and fro, quantiles."""
+    if not as_quantiles(run, values):
+        lines = [axis.plot(*highest(of_node))[0] for of_node in values.T]
+        return Entries(lines, ["node " * (k == 0) + plain(short(str(node))) for k, node in enumerate(run.ids)])
+    t, (least, low, median, high, most) = quantiles(values, (0, 0.1, 0.5, 0.9, 1))
+    bands = [
+        axis.plot(t, median, color=BLACK)[0],
+        axis.fill_between(t, low, high, color=SKY, lw=0, alpha=0.8),
+        axis.fill_between(t, least, most, color=SKY, lw=0, alpha=0.3, zorder=0.5),
+    ]
+    return Entries(bands, ["median", "10 to 90 %", f"least to largest of {len(run.ids)} nodes"])
+
+
+def as_quantiles(run: RecordedRun, values: Array) -> bool:
+    """Whether there are too many nodes for a line each, or so many steps that the lines of signed values cover all."""
+    return len(run.ids) > NODES or (len(values) > STEPS and bool(np.nanmin(values) < 0))
+
+
+def legend(figure: Figure, entries: Entries) -> None:
+    """A legend above all axes, in as few lines as the names allow."""
+    names = entries.names
+    fitting = [columns for columns in range(1, len(names) + 1) if _length(names, columns) <= _LINE]
+    figure.legend(*entries, loc="outside upper center", ncols=max(fitting, default=1))
+
+
+def _length(names: Sequence[str], columns: int) -> int:
+    """How many characters wide a legend is; it is filled column by column."""
+    parts = np.array_split([len(re.sub(r"\\\w+|[${}^]", "", name)) for name in names], columns)
+    return sum(_HANDLE + int(part.max()) for part in parts)
+
+
+def short(name: str) -> str:
+    """A name with its middle left out where it is too long for a legend."""
+    half = _NAME // 2
+    return name if len(name) <= _NAME else f"{name[:half]}…{name[1 - half :]}"
+
+
+def plain(text: str) -> str:
+    """Text in which no sign means mathematics."""
+    return text.replace("$", r"\$")
+
+
+def steps_axis(axis: Axes, runs: Sequence[RecordedRun]) -> None:
+    """The axis of time, from step 0 to the last."""
+    axis.set_xlim(0, max(run.T for run in runs))
+    axis.set_xlabel("step $t$")
+    axis.xaxis.set_major_locator(MaxNLocator("auto", steps=[1, 2, 2.5, 5, 10], integer=True))
+
+
+def letter(place: int) -> str:
+    """What a run is called in a comparison."""
+    return chr(ord("A") + place)
+
+
+def law(run: RecordedRun) -> str:
+    """What a run's law is called: without the module that it is in."""
+    return plain(run.law.rpartition(":")[2])
+
+
+def called(place: int, run: RecordedRun) -> str:
+    """What a run of a comparison is called in a legend."""
+    return f"{letter(place)}: {law(run)}"

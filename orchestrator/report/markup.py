@@ -1,0 +1,45 @@
+"""HTML that is put together from parts: whatever is not markup already is text, and stays text."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Iterable, Sequence
+
+
+class Markup(str):
+    """HTML; only `tag` and `join` make it."""
+
+    __slots__ = ()
+
+
+_VOID = {"img", "meta", "link"}
+
+
+def join(parts: Iterable[object]) -> Markup:
+    """Parts behind each other; text among them is escaped."""
+    return Markup("".join(part if isinstance(part, Markup) else html.escape(str(part)) for part in parts))
+
+
+def tag(name: str, /, *inside: object, **attributes: str) -> Markup:
+    """An element; a trailing underscore of an attribute's name is dropped, others become hyphens."""
+    said = "".join(f' {key.rstrip("_").replace("_", "-")}="{html.escape(value)}"' for key, value in attributes.items())
+    opened = f"<{name}{said}>"
+    return Markup(opened if name in _VOID else f"{opened}{join(inside)}</{name}>")
+
+
+def table(headings: Sequence[object], rows: Iterable[Sequence[object]], class_: str = "") -> Markup:
+    """A table whose first column names the row; it scrolls sideways where the page is too narrow."""
+    head = tag("thead", tag("tr", *(tag("th", one, scope="col") for one in headings)))
+    body = (tag("tr", tag("th", row[0], scope="row"), *(tag("td", cell) for cell in row[1:])) for row in rows)
+    return tag("div", tag("table", head, "\n", tag("tbody", *_lines(body)), class_=class_), class_="wide")
+
+
+def listed(items: Iterable[object]) -> Markup:
+    """A list."""
+    return tag("ul", *_lines(tag("li", item) for item in items))
+
+
+def _lines(parts: Iterable[Markup]) -> Iterable[object]:
+    for part in parts:
+        yield part
+        yield "\n"

@@ -1,0 +1,85 @@
+"""Figure 1: the network, and who ends with a wrong estimate."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from orchestrator.layout import positions
+from orchestrator.recorded import RecordedRun
+from orchestrator.report.curves import Entries, called, legend, plain, short
+from orchestrator.report.style import BLACK, GREY, RED, WIDTH_IN, sheet
+from topologies.graph import Array, Mask
+
+NAMED = 40
+"""larger networks are drawn without names"""
+_INSIDE = 3
+"""characters that a node has room for; longer names stand below it"""
+_MARGIN = 0.6
+"""around the network, in lengths of an edge"""
+
+
+def network(runs: Sequence[RecordedRun]) -> Figure:
+    """The graph of each run, laid out by itself: the same file gives the same places."""
+    places = [positions(run.topology.graph) for run in runs]
+    heights = [float(np.clip((WIDTH_IN - 0.2) * _aspect(own), 0.7, 3.3)) for own in places]
+    figure = sheet(0.3 + sum(heights) + 0.2 * (len(runs) - 1))
+    axes = figure.subplots(len(runs), 1, squeeze=False, height_ratios=heights)[:, 0]
+    for k, (axis, run, own) in enumerate(zip(axes, runs, places, strict=True)):
+        _draw(axis, run, own)
+        if len(runs) > 1:
+            axis.set_title(called(k, run))
+    if any(wrong(run).any() for run in runs):
+        mark = Line2D([], [], ls="", marker="o", ms=6, mfc=RED, mec=BLACK, mew=0.6)
+        legend(figure, Entries([mark], ["estimate wrong at the end"]))
+    return figure
+
+
+def wrong(run: RecordedRun) -> Mask:
+    """Whose last estimate is not the truth, (n,)."""
+    last, truth = run.ahat[-1], run.a[-1]
+    return np.asarray(np.isfinite(last) & (last != truth))
+
+
+def unnamed(runs: Sequence[RecordedRun]) -> str:
+    """That names are left out, if they are."""
+    return f" Beyond {NAMED} nodes names are left out." if any(len(run.ids) > NAMED for run in runs) else ""
+
+
+def _aspect(places: Array) -> float:
+    """Height over width, margins included."""
+    width, height = np.ptp(places, axis=0) + 2 * _MARGIN
+    return float(height / width)
+
+
+def _draw(axis: Axes, run: RecordedRun, places: Array) -> None:
+    n = len(run.ids)
+    axis.add_collection(
+        LineCollection([*places[run.edges]], colors=GREY, linewidths=0.8 if n <= NAMED else 0.4, zorder=1)
+    )
+    size = 170 if n <= NAMED // 2 else 90 if n <= NAMED else max(2.0, 6000 / n)
+    faces = np.where(wrong(run), RED, "#FFFFFF")
+    axis.scatter(
+        places[:, 0],
+        places[:, 1],
+        s=size,
+        c=faces.tolist(),
+        edgecolors=BLACK,
+        linewidths=0.6 if n <= NAMED else 0.2,
+        zorder=2,
+    )
+    for node, (x, y), own in zip(run.ids, places.tolist(), wrong(run), strict=True):
+        name = plain(short(str(node)))
+        if n <= NAMED and len(name) <= _INSIDE:
+            ink = "#FFFFFF" if own else BLACK
+            axis.text(x, y, name, ha="center", va="center_baseline", color=ink, fontsize="x-small", zorder=3)
+        elif n <= NAMED:
+            axis.annotate(name, (x, y), (0, -9), textcoords="offset points", ha="center", va="top", fontsize="x-small")
+    low, high = places.min(axis=0) - _MARGIN, places.max(axis=0) + _MARGIN
+    axis.set(xlim=(low[0], high[0]), ylim=(high[1], low[1]), aspect="equal")
+    axis.set_axis_off()

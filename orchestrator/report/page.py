@@ -1,0 +1,222 @@
+"""report.html: figures, numbers, network, faults and how to repeat it, in one file that asks for no other."""
+
+from __future__ import annotations
+
+import base64
+import json
+import shlex
+from collections.abc import Mapping, Sequence
+from importlib import resources
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+
+from orchestrator.check import _shown
+from orchestrator.recorded import RecordedRun
+from orchestrator.report.compare import notices
+from orchestrator.report.curves import letter
+from orchestrator.report.figures import Kind
+from orchestrator.report.markup import Markup, join, listed, table, tag
+from orchestrator.report.reading import METRICS, growth, metrics, number, sentences
+from topologies.resolve import to_yaml
+
+Runs = Sequence[RecordedRun]
+NODES = 200
+"""rows that the table of nodes has room for"""
+YAML_BYTES = 2**20
+"""larger topologies stay in the folder of the run"""
+WITHOUT = "none yet"
+"""the verdict of a run that has not ended, or was killed"""
+_COUNTS = ("scheduled", "fired", "masked", "seen", "beyond")
+
+
+def page(runs: Runs, drawn: Mapping[Kind, bytes]) -> str:
+    """The whole page; `drawn` holds each figure as SVG."""
+    names = " and ".join(run.run for run in runs)
+    css = resources.files("orchestrator.report").joinpath("report.css").read_text(encoding="utf-8")
+    head = tag(
+        "head",
+        tag("meta", charset="utf-8"),
+        tag("meta", name="viewport", content="width=device-width"),
+        tag("title", f"{names}: report"),
+        tag("style", Markup(css)),
+    )
+    body = [*_opening(runs, names), *_figures(runs, drawn), *_numbers(runs)]
+    for k, run in enumerate(runs):
+        body += _run(run, letter(k) if len(runs) > 1 else "")
+    body += _repeat(runs)
+    spaced = (piece for part in body for piece in (part, "\n"))
+    return f"<!DOCTYPE html>\n{tag('html', head, Markup(chr(10)), tag('body', *spaced), lang='en')}\n"
+
+
+def _opening(runs: Runs, names: str) -> list[Markup]:
+    parts = [tag("h1", names)]
+    if len(runs) == 1:
+        return [*parts, tag("p", _verdict(runs[0]), f" {_size(runs[0])}"), listed(sentences(runs[0]))]
+    for k, run in enumerate(runs):
+        parts.append(tag("p", tag("strong", f"{letter(k)}: {run.run}. "), _verdict(run), f" {_size(run)}"))
+    comparable, said = notices(runs)
+    if not comparable:
+        warning = "These runs are not comparable: the networks differ, and every number below depends on that. "
+        parts.append(tag("p", tag("strong", warning), " ".join(said), class_="warning"))
+    else:
+        parts.append(listed(said))
+    return parts
+
+
+def _verdict(run: RecordedRun) -> Markup:
+    verdict = str(run.verdict.get("verdict", WITHOUT))
+    reasons = f" ({'; '.join(run.verdict['reasons'])})" if run.verdict.get("reasons") else ""
+    return tag("span", f"Verdict: {verdict}{reasons}.", class_=verdict if run.verdict else "unknown")
+
+
+def _size(run: RecordedRun) -> str:
+    topology = run.topology
+    said = f"Network {topology.name}, law {run.law}, {len(run.ids)} nodes, {len(run.edges)} edges, b = {run.b:g}, "
+    said += f"{run.T} of {topology.steps} steps, seed {topology.seed}."
+    return said + (f" The telemetry of {len(run.lost)} steps was lost." if len(run.lost) else "")
+
+
+def _numbers(runs: Runs) -> list[Markup]:
+    of_runs = [metrics(run) for run in runs]
+    names = [letter(k) for k in range(len(runs))] if len(runs) > 1 else ["value"]
+    rows: list[list[object]] = [
+        [words, *(number(of_run[name]) for of_run in of_runs)] for name, words in METRICS.items()
+    ]
+    rows[0][1:] = [f"{right} of {len(run.ids)}" for right, run in zip(rows[0][1:], runs, strict=True)]
+    counted = [
+        ("missing_inputs", "inputs that did not come"),
+        ("lost_messages", "messages lost"),
+        ("forgotten_rows", "rows that could not be back-filled"),
+        ("restarts", "processes started again"),
+        ("steps_per_s", "steps a second"),
+    ]
+    if all(run.verdict for run in runs):
+        rows += [[words, *(number(run.verdict[name]) for run in runs)] for name, words in counted]
+    parts = [tag("h2", "Numbers"), table(["", *names], rows, "numbers")]
+    for k, run in enumerate(runs):
+        if checks := run.verdict.get("checks"):
+            parts += [tag("h3", " ".join(["Checks", *([letter(k)] if len(runs) > 1 else [])])), _checks(checks)]
+    return parts
+
+
+def _checks(checks: Mapping[str, Any]) -> Markup:
+    rows = [
+        [
+            name,
+            tag("span", "holds" if check["ok"] else "FAILS", class_="valid" if check["ok"] else "INVALID"),
+            check["claim"],
+            *("—" if check.get(field) is None else number(check[field]) for field in ("steps", "step", "excess")),
+        ]
+        for name, check in checks.items()
+    ]
+    return table(["check", "", "claim", "steps", "closest at step", "excess [share of the bound]"], rows)
+
+
+def _figures(runs: Runs, drawn: Mapping[Kind, bytes]) -> list[Markup]:
+    shown = [
+        tag(
+            "figure",
+            tag("img", src=f"data:image/svg+xml;base64,{base64.b64encode(svg).decode()}", alt=kind.title),
+            tag(
+                "figcaption", tag("strong", f"{kind.title}. "), kind.caption(runs), " ", tag("code", f"{kind.file}.pdf")
+            ),
+        )
+        for kind, svg in drawn.items()
+    ]
+    note = (
+        "Figures 1 to 5 are those of the paper. [units of x] are those in which the file gives x(0) and w."
+        " The oracle, x*, is the same network with the same x(0), disturbances and open edges, and knows every a."
+    )
+    return [tag("h2", "Figures"), tag("p", note), tag("div", *shown, class_="figures")]
+
+
+def _run(run: RecordedRun, name: str) -> list[Markup]:
+    behind = f" of {name}" if name else ""
+    return [tag("h2", f"Network{behind}"), *_nodes(run), *_faults(run, behind)]
+
+
+def _nodes(run: RecordedRun) -> list[Markup]:
+    topology, of_node = run.topology, np.nansum(run.regret**2, axis=0)
+    shown = np.sort(np.argsort(-of_node, kind="stable")[:NODES])
+    neighbours: dict[Any, list[str]] = {node: [] for node in run.ids}
+    for i, j in topology.edges:
+        neighbours[i].append(str(j))
+        neighbours[j].append(str(i))
+    rows = []
+    for k in shown.tolist():
+        node, own = run.ids[k], topology.nodes[run.ids[k]]
+        parts = own.disturbance if isinstance(own.disturbance, tuple) else (own.disturbance,)
+        last = run.ahat[-1, k]
+        ends = "—" if np.isnan(last) else f"{last:.4f}, {'right' if last == run.a[-1, k] else 'wrong'}"
+        rows.append(
+            [
+                node,
+                ", ".join(neighbours[node]) or "none",
+                f"{run.a[0, k]:.4f}",
+                ", ".join(f"{value:.4f}" for value in own.candidates or ()),
+                ends,
+                f"{of_node[k]:.4g}",
+                number(own.x0),
+                " + ".join(_shown(part) for part in parts if part is not None) or "none",
+            ]
+        )
+    headings = ["node", "neighbours", "true a", "candidates", "estimate at the end", "Σ r²", "x(0)", "disturbance"]
+    parts_ = [table(headings, rows)]
+    if len(run.ids) > NODES:
+        parts_.insert(
+            0, tag("p", f"The {NODES} of {len(run.ids)} nodes whose regret is largest, in the order of the file.")
+        )
+    return parts_
+
+
+def _faults(run: RecordedRun, behind: str) -> list[Markup]:
+    faults = run.topology.faults
+    if not faults:
+        return []
+    accounts = run.verdict.get("faults") or [{"what": str(fault.written())} for fault in faults]
+    rows = [
+        [k, account["what"], *("—" if account.get(c) is None else account[c] for c in _COUNTS), grew]
+        for k, (account, grew) in enumerate(zip(accounts, growth(run), strict=True), 1)
+    ]
+    note = (
+        "An instance is one target at one step. It fired if it took effect, was masked if there was nothing to take"
+        " away, and was seen if whoever should miss something says so. The last column is how much of D came about"
+        " in the fault's own steps, whatever caused it; a wrong estimate may cost later, too."
+    )
+    return [tag("h2", f"Faults{behind}"), table(["", "fault", *_COUNTS, "growth of D"], rows), tag("p", note)]
+
+
+def _repeat(runs: Runs) -> list[Markup]:
+    parts = [tag("h2", "To repeat it")]
+    for run in runs:
+        text, name = to_yaml(run.topology).encode(), f"{run.run}.yaml"
+        if len(text) <= YAML_BYTES:
+            link = f"data:text/yaml;base64,{base64.b64encode(text).decode()}"
+            where = join([tag("a", name, download=name, href=link), " holds every number that was drawn."])
+        else:
+            where = join([tag("code", name), " stands for topology.yaml in the run's folder, too large for this page."])
+        processes = f" --processes {run.verdict['processes']}" if run.verdict.get("processes") else ""
+        commands = f"orchestrator simulate {_quoted(name)}\norchestrator up {_quoted(name)}{processes}"
+        own = f" The law is {run.law}, which must be importable." if ":" in run.law else ""
+        parts += [
+            tag("p", where, " With the same versions either command gives the same trajectory, to the bit.", own),
+            tag("pre", commands),
+        ]
+    reported = " ".join(_quoted(run.run) for run in runs)
+    parts += [tag("p", "And this report of the runs' folders:"), tag("pre", f"orchestrator report {reported}")]
+    for run in runs:
+        if run.verdict:
+            versions = {**run.verdict["versions"], "matplotlib (this report)": mpl.__version__}
+            said = ", ".join(f"{package} {version}" for package, version in versions.items())
+            whole = tag("pre", json.dumps(run.verdict, indent=2, ensure_ascii=False))
+            parts += [
+                tag("p", f"{run.run} was made with {said}."),
+                tag("details", tag("summary", "verdict.json"), whole),
+            ]
+    return parts
+
+
+def _quoted(name: str) -> str:
+    return shlex.quote(name)

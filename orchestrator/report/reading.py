@@ -1,0 +1,81 @@
+"""The numbers of a run as a reader meets them: each with what it means, and what may not be concluded from it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from orchestrator.recorded import RecordedRun
+from orchestrator.schedule import Schedule
+
+METRICS = {
+    "nodes_right": "estimates that are the truth at the end",
+    "regret": "D = Σ |x − x*|², trajectory regret",
+    "regret_nominal": "D of the nominal controller",
+    "cost": "C = Σ |x|² + |u_e|², cost",
+    "cost_oracle": "C*, the oracle's cost",
+    "cost_regret": "R = C − C*, cost regret, signed",
+    "cost_ratio": "C / C*",
+    "disturbance_energy": "Σ |w|²",
+    "gain": "√(C / Σ |w|²), gain",
+    "gain_less_x0": "the same less V(x(0))",
+    "gamma_star": "γ*, the oracle's optimal gain",
+    "rho": "ρ, contraction",
+}
+"""What each field of `metrics` in verdict.json is; docs/theory.md says more."""
+
+
+def metrics(run: RecordedRun) -> Mapping[str, Any]:
+    """The numbers of the verdict, else of what is recorded so far."""
+    return run.verdict.get("metrics") or run.metrics
+
+
+def number(value: Any) -> str:
+    """A number as it is printed."""
+    return "undefined" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def sentences(run: RecordedRun) -> list[str]:
+    """What the numbers of a run say, and what they do not."""
+    m, n, right = metrics(run), len(run.ids), run.right[run.right >= 0]
+    said = [_estimates(int(m["nodes_right"]), n, int(right.max()), run.T)]
+    if run.law == "hinf":
+        said.append("The law is the oracle's: there is nothing to regret.")
+    elif run.law != "nominal":
+        nearer = m["regret"] < m["regret_nominal"]
+        said.append(
+            f"D is {m['regret']:.4g}, and {m['regret_nominal']:.4g} under the nominal controller: the law was "
+            + (
+                "nearer to the oracle than that fixed guess."
+                if nearer
+                else "no nearer to the oracle than a fixed guess."
+            )
+        )
+    sign = "more" if m["cost_regret"] > 0 else "less"
+    if m["cost_regret"]:
+        said.append(f"It cost {abs(m['cost_regret']):.4g} {sign} than the oracle; either sign is possible.")
+    if m["gain_less_x0"] is not None:
+        side = "above" if m["gain_less_x0"] > m["gamma_star"] else "not above"
+        said.append(
+            f"The gain less V(x(0)) is {m['gain_less_x0']:.4g}, {side} γ* = {m['gamma_star']:.4g}. γ* is the oracle's"
+            " number; nothing bounds the gain of the adaptive law by it."
+        )
+    return said
+
+
+def _estimates(right: int, n: int, most: int, steps: int) -> str:
+    fell = f" There were up to {most} before: estimates can get worse as a run goes on." if most > right else ""
+    return f"{right} of {n} estimates are the truth after {steps} steps; that says nothing about later ones.{fell}"
+
+
+def growth(run: RecordedRun) -> list[str]:
+    """By fault: how much of D came about in the steps at which it was to strike, whatever its cause."""
+    D, T = run.regret_sum, run.T
+    steps: list[list[int]] = [[] for _ in run.topology.faults]
+    for effect in Schedule(run.topology).effects:
+        steps[effect.fault] += [effect.start, effect.stop - 1] if effect.table is None else [*effect.table]
+    said = []
+    for own in steps:
+        start, stop = (min(own), min(max(own) + 1, T)) if own else (0, 0)
+        said.append(f"{D[stop] - D[start]:.4g}" if start < stop else "—")
+    return said

@@ -1,0 +1,117 @@
+"""Figures of the network as a whole: a few series of each run, all runs on the same axes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from orchestrator.recorded import RecordedRun
+from orchestrator.report.curves import Entries, called, law, legend, stairs, steps_axis, thin
+from orchestrator.report.style import BLACK, BLUE, GREY, ORANGE, colour, sheet
+from topologies.graph import Array
+
+Runs = Sequence[RecordedRun]
+
+
+class Series(NamedTuple):
+    """One number a step; a run alone gives it the colour, and runs beside each other the style of line."""
+
+    name: str
+    of: Callable[[RecordedRun], Array | float]
+    """(S,), or a number that holds at all steps"""
+    color: str
+    style: str = "-"
+    holds: bool = False
+    """whether a value holds until the next step"""
+
+
+def draw_series(axis: Axes, runs: Runs, listed: Sequence[Series]) -> Entries:
+    """Draw series of all runs; an empty name stands for the law of the run."""
+    alone = len(runs) == 1
+    drawn: list[Artist] = []
+    for k, run in enumerate(runs):
+        for series in listed:
+            line: dict[str, Any] = {"color": series.color if alone else colour(k), "ls": series.style}
+            values = series.of(run)
+            if isinstance(values, float):
+                drawn.append(axis.axhline(values, **line))
+            elif series.holds:
+                drawn.append(stairs(axis, values, **line, lw=1))
+            else:
+                drawn += axis.plot(*thin(values), **line)
+    if alone:
+        return Entries(drawn, [series.name or law(runs[0]) for series in listed])
+    named = [called(k, run) for k, run in enumerate(runs)]
+    solid = [Line2D([], [], color=colour(k)) for k in range(len(runs))]
+    styles = [series for series in listed if series.name]
+    return Entries(
+        [*solid, *(Line2D([], [], color=BLACK, ls=series.style) for series in styles)],
+        [*named, *(series.name for series in styles)],
+    )
+
+
+def _one(runs: Runs, label: str, listed: Sequence[Series]) -> tuple[Figure, Axes]:
+    figure = sheet(2.15)
+    axis = figure.subplots()
+    entries = draw_series(axis, runs, listed)
+    if len(entries.names) > 1:
+        legend(figure, entries)
+    axis.set_ylabel(label)
+    steps_axis(axis, runs)
+    return figure, axis
+
+
+def sums(runs: Runs) -> Figure:
+    """D of the run, and of its nominal twin."""
+    listed = [Series("", lambda run: run.regret_sum, BLUE), Series("nominal", _nominal_sum, ORANGE, "--")]
+    figure, axis = _one(runs, "$D(t)$ [units of $x^2$]", listed)
+    axis.set_ylim(bottom=0)
+    return figure
+
+
+def _nominal_sum(run: RecordedRun) -> Array:
+    return run.nominal_regret_sum
+
+
+def cost(runs: Runs) -> Figure:
+    """R, with its sign."""
+    figure, axis = _one(runs, "$R(t)$ [units of $x^2$]", [Series("", lambda run: run.cost_regret, BLUE)])
+    axis.axhline(0, color=GREY, lw=0.5, zorder=1)
+    low = min(0.0, *(float(np.nanmin(run.cost_regret)) for run in runs))
+    high = max(0.0, *(float(np.nanmax(run.cost_regret)) for run in runs))
+    room = 0.06 * (high - low) or 1.0
+    axis.set_ylim(low - room, high + room)
+    return figure
+
+
+GAINS = (
+    Series("less $V(x(0))$", lambda run: run.gain_less_x0, BLUE),
+    Series("gain", lambda run: run.gain, ORANGE, "--"),
+    Series(r"$\gamma^*$ (the oracle's)", lambda run: float(run.gamma_star), GREY, ":"),
+)
+
+
+def gain(runs: Runs) -> Figure:
+    """The empirical gain, with and without what x(0) may have cost, and the number of the oracle."""
+    figure, axis = _one(runs, "gain [1]", GAINS)
+    axis.set_ylim(0, ceiling(runs))
+    return figure
+
+
+def ceiling(runs: Runs) -> float:
+    """Room for all but the start of the gain, which an x(0) may make as large as it likes."""
+    shown = [np.nanmax([run.gamma_star, run.gain[-1], np.nanmax(run.gain_less_x0, initial=0)]) for run in runs]
+    return 2 * float(max(shown))
+
+
+def beyond(runs: Runs) -> str:
+    """What of the gain lies above the axis, in words."""
+    tops = [(run, float(np.nanmax(run.gain, initial=0))) for run in runs]
+    said = [f"{top:.3g}" for _, top in tops if top > ceiling(runs)]
+    return f" The gain begins above the axis, at up to {' and '.join(said)}." if said else ""
