@@ -1,8 +1,10 @@
-"""Make docs/images/paper7.png: the bundled network paper7 over 60 steps, as the viewer shows it.
+"""Make docs/images/paper7.png and paper7-faults.png: the bundled network paper7 as the viewer shows it.
 
     python docs/screenshot.py
 
-Needs a graphics driver, no display: on Debian, `apt-get install mesa-vulkan-drivers ca-certificates`.
+The first is a run of 60 steps; the second is taken in the middle of one whose nodes 2 and 4 do not hear each other,
+while the edge between 3 and 5 is cut. Needs a graphics driver, no display: on Debian,
+`apt-get install mesa-vulkan-drivers ca-certificates`.
 """
 
 from __future__ import annotations
@@ -23,50 +25,61 @@ from topologies.resolve import resolve
 from wire.codec import End, Telemetry
 
 STEPS = 60
-IMAGE = Path(__file__).parent / "images" / "paper7.png"
+IMAGES = Path(__file__).parent / "images"
+FAULTS = "[{kind: drop, link: [2, 4], steps: [0, 50]}, {kind: cut, edge: [3, 5], steps: [28, 50]}]"
+DURING = 40
+"""how many steps are shown of the run with faults"""
 DEADLINE_S = 60.0
 QUIET_S = 8.0
 
 
-def stream(rerun: RerunStream, observer: Observer) -> None:
-    """Run the network in this process, and show it."""
+def stream(rerun: RerunStream, observer: Observer, steps: int) -> None:
+    """Run the network in this process, and show its first steps."""
     shards = layout(observer.topology, None)
     ran = list(in_process.run(truth_of(observer.topology, shards), views_of(observer.topology, shards)))
-    rerun.log(observer.take([row for row in ran if isinstance(row, Telemetry)]))
+    rerun.log(observer.take([row for row in ran if isinstance(row, Telemetry)][:steps]))
+    if steps < STEPS:
+        return
     assert isinstance(ran[-1], End)
     observer.finish(ran[-1])
     rerun.event(f"the run ended after {STEPS} steps", "INFO", STEPS)
     rerun.end(observer)
 
 
-def settle(client: ViewerClient) -> None:
+def settle(client: ViewerClient, image: Path) -> None:
     """Save pictures until none has changed for QUIET_S: the viewer's notices at its start have gone by then."""
     now = began = changed = time.monotonic()
     before = b""
     while now < changed + QUIET_S:
         if now > began + DEADLINE_S:
             raise SystemExit("the viewer's picture does not settle")
-        client.save_screenshot(str(IMAGE))
-        picture, now = Image.open(IMAGE).tobytes(), time.monotonic()
+        client.save_screenshot(str(image))
+        picture, now = Image.open(image).tobytes(), time.monotonic()
         if picture != before:
             before, changed = picture, now
 
 
-def main() -> None:
+def make(image: Path, faults: str, steps: int) -> None:
     """Run, show, and save the picture."""
-    observer = Observer(resolve(load("paper7", [f"steps={STEPS}"])))
+    observer = Observer(resolve(load("paper7", [f"steps={STEPS}", f"faults={faults}"])))
     viewer = native("--headless", "--window-size", "1600x900")
     assert viewer.process is not None
-    rerun = RerunStream(observer.topology, observer, "paper7", None, viewer)
     try:
-        stream(rerun, observer)
+        rerun = RerunStream(observer.topology, observer, image.stem, None, viewer)
+        stream(rerun, observer, steps)
         if not rerun.close(DEADLINE_S):
             raise SystemExit("the viewer does not take the data")
-        IMAGE.parent.mkdir(exist_ok=True)
-        settle(ViewerClient.connect(viewer.url))
+        image.parent.mkdir(exist_ok=True)
+        settle(ViewerClient.connect(viewer.url), image)
     finally:
         viewer.process.kill()
-    Image.open(IMAGE).convert("RGB").quantize(128).save(IMAGE, optimize=True)
+    Image.open(image).convert("RGB").quantize(256).save(image, optimize=True)
+
+
+def main() -> None:
+    """Both pictures."""
+    make(IMAGES / "paper7.png", "[]", STEPS)
+    make(IMAGES / "paper7-faults.png", FAULTS, DURING)
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ from typing import Annotated
 
 import typer
 
-from orchestrator import cli_files, cli_live
+from orchestrator import cli_files, cli_live, cli_report, cli_watch
 from orchestrator.check import count, table
 from orchestrator.nursery import Nursery
 from orchestrator.verdict import EXIT_CODES, UNKNOWN
@@ -45,6 +45,7 @@ Law = Annotated[str | None, typer.Option(help="replace `law:`")]
 RunDir = Annotated[Path | None, typer.Option(metavar="DIR", help="the run's folder, new or empty [runs/NAME-TIME]")]
 AsJson = Annotated[bool, typer.Option("--json", help="one JSON object on standard output")]
 Record = Annotated[bool, typer.Option("--record/--no-record", help="write run.rrd")]
+Plain = Annotated[bool, typer.Option("--plain", help="lines rather than a live table, on a terminal too")]
 RunName = Annotated[str | None, typer.Argument(metavar="[RUN]", help="a running network's name [the youngest]")]
 Viewer = Annotated[
     str, typer.Option(metavar="native|web|none|URL", help="where to watch live [native, if there is a display]")
@@ -122,6 +123,7 @@ def up(
     verify: Annotated[bool, typer.Option("--verify", help="compare with the in-process reference afterwards")] = False,
     detach: Annotated[bool, typer.Option("--detach", help="return once it runs")] = False,
     lifeline: Annotated[bool, typer.Option("--lifeline", help="end when standard input does")] = False,
+    plain: Plain = False,
     as_json: AsJson = False,
 ) -> int:
     """Run a network: one process an agent, one for the plant, over Zenoh."""
@@ -145,7 +147,7 @@ def up(
     if detach:
         return _start_detached()
     folder = folders.create(topology, run_dir)
-    display = screen(topology.steps, as_json)
+    display = screen(topology, as_json, plain, watched=viewer != "none")
     what = f"{count(len(topology.ids), 'node')} in {count(len(shards), 'process', 'es')}, {topology.steps} steps"
     display.say(f"{topology.name}: {what}, run {folder.name}")
     options = Options(rate, deadline, router, Watching(record, viewer), verify)
@@ -156,7 +158,7 @@ def up(
             display.say(f"running in the background; `orchestrator stop {folder.name}` ends it")
             _let_go_of_terminal(folder.logs / "up.log")
 
-    with contextlib.closing(_NURSERY or Nursery()) as nursery:
+    with contextlib.closing(display), contextlib.closing(_NURSERY or Nursery()) as nursery:
         network = Network(topology, folder, shards, options, display, nursery, _BEGAN)
         return network.run(on_first_step).exit_code
 
@@ -216,6 +218,7 @@ def simulate(
     sets: Sets = None,
     viewer: Viewer = "none",
     record: Record = True,
+    plain: Plain = False,
     as_json: AsJson = False,
 ) -> int:
     """Run the same network in this one process, without Zenoh: the reference, and the quick way."""
@@ -227,9 +230,9 @@ def simulate(
 
     topology = _importable(_read(file, sets, steps=steps, seed=seed, law=law))
     folder = folders.create(topology, run_dir)
-    display = screen(topology.steps, as_json)
-    verdict = run_here(topology, folder, layout(topology, 1), Watching(record, _viewer(viewer)), display)
-    return verdict.exit_code
+    viewer = _viewer(viewer)
+    with contextlib.closing(screen(topology, as_json, plain, watched=viewer != "none")) as display:
+        return run_here(topology, folder, layout(topology, 1), Watching(record, viewer), display).exit_code
 
 
 @app.command()
@@ -321,5 +324,7 @@ def chaos(
     return 1
 
 
-cli_files.register(app)
 cli_live.register(app)
+cli_files.register(app)
+cli_report.register(app)
+cli_watch.register(app)

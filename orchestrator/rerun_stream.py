@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from orchestrator.observe import Batch, Observer
 from orchestrator.viewer import Viewer
-from topologies.errors import HedgerowError
+from topologies.describe import describe, window
 from topologies.schema import Topology
 
 # Rerun reads this once, on import, and else writes lines to the terminal when a viewer is closed: no error of a run.
@@ -26,11 +26,61 @@ os.environ.setdefault("RUST_LOG", "error,re_grpc_client=off,re_sdk=off")
 import rerun as rr
 
 from orchestrator.feeder import Feeder, Write
-from orchestrator.panels import Matrix, about, blueprint, quantities
+from orchestrator.heat import HeatMap
+from orchestrator.lanes import Changes, Lanes
+from orchestrator.panels import LARGE, Matrix, aggregates, blueprint, quantities
+from orchestrator.picture import Frames, Picture
+from orchestrator.rrd_file import RrdFile
+from orchestrator.words import Now, about
 
 APPLICATION = "hedgerow"
 CHUNK_ROWS, CHUNK_S = 200, 2.0
 """batches are joined in the file up to this many rows or this long: a write costs 20 kB, however few its rows"""
+PICTURES_HZ, PICTURES_HZ_LARGE, PICTURES_AT_ONCE = 20.0, 4.0, 200
+"""steps that are drawn and put into words a second, if there are more; and how many may be made up for"""
+HEAT_S = 2.0
+"""how often the heat map of a large network is sent"""
+
+
+class Pace:
+    """Picks which steps are drawn: all, as long as they are no more than `hz` a second; the last of a batch if any."""
+
+    def __init__(self, hz: float) -> None:
+        self._hz, self._credit, self._last = hz, float(PICTURES_AT_ONCE), time.monotonic()
+
+    def pick(self, rows: int) -> NDArray[np.int64]:
+        """Some of this many rows, evenly."""
+        now = time.monotonic()
+        self._credit = min(PICTURES_AT_ONCE, self._credit + self._hz * (now - self._last))
+        self._last = now
+        some = min(rows, int(self._credit))
+        self._credit -= some
+        return np.arange(1, some + 1) * rows // max(some, 1) - 1
+
+
+@dataclass(frozen=True)
+class Texts:
+    """What the panel `now` says at some steps."""
+
+    t: NDArray[np.int64]
+    wall: NDArray[np.float64]
+    text: list[str]
+
+    def write(self, stream: rr.RecordingStream) -> None:
+        """Send them."""
+        columns = rr.TextDocument.columns(text=self.text, media_type=[rr.MediaType.MARKDOWN] * len(self.text))
+        stream.send_columns("now", _index(self.t, self.wall), columns)
+
+    @property
+    def size(self) -> int:
+        """Bytes."""
+        return sum(map(len, self.text))
+
+    @staticmethod
+    def joined(parts: Sequence[Texts]) -> Texts:
+        """One after the other."""
+        t, wall = np.concatenate([part.t for part in parts]), np.concatenate([part.wall for part in parts])
+        return Texts(t, wall, [text for part in parts for text in part.text])
 
 
 @dataclass(frozen=True)
@@ -60,6 +110,61 @@ class Rows:
         return Rows(np.concatenate([part.t for part in parts]), np.concatenate([part.wall for part in parts]), columns)
 
 
+@dataclass(frozen=True)
+class Drawn:
+    """Some steps as a picture, and in words."""
+
+    frames: Frames
+    texts: Texts
+
+    def write(self, stream: rr.RecordingStream) -> None:
+        """Send them."""
+        self.frames.write(stream)
+        self.texts.write(stream)
+
+    @property
+    def size(self) -> int:
+        """Bytes."""
+        return self.frames.size + self.texts.size
+
+    @staticmethod
+    def joined(parts: Sequence[Drawn]) -> list[Drawn]:
+        """All in one, if there are any."""
+        if not parts:
+            return []
+        return [Drawn(Frames.joined([part.frames for part in parts]), Texts.joined([part.texts for part in parts]))]
+
+
+@dataclass(frozen=True)
+class Part:
+    """All that is shown of a batch."""
+
+    rows: Rows
+    drawn: list[Drawn]
+    changes: Changes
+
+    def write(self, stream: rr.RecordingStream) -> None:
+        """Send it."""
+        self.rows.write(stream)
+        for drawn in self.drawn:
+            drawn.write(stream)
+        self.changes.write(stream)
+
+    @property
+    def size(self) -> int:
+        """Bytes, roughly."""
+        return self.rows.size + sum(drawn.size for drawn in self.drawn) + self.changes.size
+
+    @staticmethod
+    def joined(parts: Sequence[Part]) -> Part:
+        """One after the other."""
+        return Part(
+            Rows.joined([part.rows for part in parts]),
+            Drawn.joined([drawn for part in parts for drawn in part.drawn]),
+            Changes.joined([part.changes for part in parts]),
+        )
+
+
 class RerunStream:
     """Streams batches to run.rrd at `path` (None: no file) and to `viewer` (None: nobody watches)."""
 
@@ -71,21 +176,24 @@ class RerunStream:
         path: Path | None,
         viewer: Viewer | None,
     ) -> None:
-        self._id, self._path = recording_id, path
-        self._quantities = quantities(topology, observer)
-        self._about = about(topology, observer)
-        self._blueprint = blueprint(len(topology.ids), len(topology.edges))
-        self._wall = self._written = time.time()
-        self._unwritten: list[Rows] = []
-        self._file = None
-        if path is not None:
-            try:
-                self._file = self._open(rr.FileSink(path))
-            except RuntimeError as error:
-                raise self._unwritable(error) from None
-        self._feeder = Feeder(viewer, self._open) if viewer is not None else None
+        self._id = recording_id
+        self._quantities = quantities(topology, observer) + aggregates(topology)
+        large = len(topology.ids) > LARGE
+        self._pace = Pace(PICTURES_HZ_LARGE if large else PICTURES_HZ)
+        self._about = about(topology, observer, large, PICTURES_HZ_LARGE if large else PICTURES_HZ)
+        self._picture = Picture(topology)
+        self._lanes = Lanes(topology, models=not large)
+        self._now = Now(topology, observer)
+        self._undrawn: tuple[Batch, NDArray[np.float64]] | None = None
+        self._heat, self._heat_due = HeatMap(len(topology.ids)) if large else None, False
+        self._plan = Plan(topology, observer)
+        self._blueprint = blueprint(topology, observer.gamma_star, self._picture.legend)
+        self._wall = self._written = self._heated = time.time()
+        self._unwritten: list[Part] = []
+        self._file = RrdFile(path, self.opened) if path is not None else None
+        self._feeder = Feeder(viewer, self.opened) if viewer is not None else None
 
-    def _open(self, sink: rr.FileSink | rr.GrpcSink) -> rr.RecordingStream:
+    def opened(self, sink: rr.FileSink | rr.GrpcSink) -> rr.RecordingStream:
         """A recording that leads to `sink`, and has told it all that does not change."""
         stream = rr.RecordingStream(APPLICATION, recording_id=self._id)
         stream.set_log_time_enabled(False)
@@ -94,6 +202,9 @@ class RerunStream:
         stream.log("about", rr.TextDocument(self._about, media_type=rr.MediaType.MARKDOWN), static=True)
         for quantity in self._quantities:
             stream.log(quantity.entity, quantity.style(), static=True)
+        self._picture.log_static(stream)
+        for lane in list(self._lanes.begun.values()):
+            lane.log_static(stream)
         return stream
 
     @property
@@ -106,23 +217,64 @@ class RerunStream:
         # No step has a clock of its own here: those of a batch share the time since the last one.
         before, self._wall = self._wall, time.time()
         wall = np.linspace(before, self._wall, len(batch.t) + 1)[1:]
+        for text, level, step in self._plan.due(batch):
+            self.event(text, level, step)
         rows = Rows(batch.t, wall, {q.entity: q.columns(batch) for q in self._quantities})
+        part = Part(rows, self._draw(batch, wall, self._pace.pick(len(batch.t))), self._lanes.changes(batch, wall))
         if self._feeder is not None:
-            self._feeder.put(rows.write, rows.size)
+            self._feeder.put(part.write, part.size)
         if self._file is not None:
-            self._unwritten.append(rows)
-            if sum(len(rows.t) for rows in self._unwritten) >= CHUNK_ROWS or self._wall - self._written > CHUNK_S:
+            self._unwritten.append(part)
+            waiting = sum(len(part.rows.t) for part in self._unwritten)
+            if waiting >= CHUNK_ROWS or self._wall - self._written > CHUNK_S:
                 self._write_batches(self._file)
+        if self._heat is not None:
+            self._heat.take(batch)
+            self._heat_due = True
+            if self._wall - self._heated > HEAT_S:
+                self._send_heat(self._heat.step)
 
-    def _write_batches(self, file: rr.RecordingStream) -> None:
+    def _draw(self, batch: Batch, wall: NDArray[np.float64], rows: NDArray[np.int64]) -> list[Drawn]:
+        """Some rows of a batch; one without any is kept, in case that it is the last."""
+        self._undrawn = None if len(rows) else (batch, wall)
+        if not len(rows):
+            return []
+        texts = Texts(batch.t[rows], wall[rows], self._now.texts(batch, rows))
+        return [Drawn(self._picture.frames(batch, rows, wall), texts)]
+
+    def _draw_last(self) -> None:
+        if self._undrawn is not None:
+            batch, wall = self._undrawn
+            for drawn in self._draw(batch, wall, np.array([len(batch.t) - 1])):
+                self._write(drawn.write, drawn.size)
+
+    def _send_heat(self, step: int) -> None:
+        """Send the heat map, of all steps so far."""
+        assert self._heat is not None
+        self._heated, self._heat_due = self._wall, False
+        image, axes, (t, wall) = self._heat.image, self._heat.axes, _now(step)
+        # The brightest hundredth looks the same: one large x(0) would leave all else dark.
+        most = max(float(np.quantile(image, 0.99)), 1e-6)
+
+        def write(stream: rr.RecordingStream) -> None:
+            stream.set_time("step", sequence=int(t[0]))
+            stream.set_time("wall", timestamp=float(wall[0]))
+            stream.log("heat", rr.Tensor(image, dim_names=axes, value_range=(0.0, most)))
+            stream.reset_time()
+
+        self._write(write, image.nbytes)
+
+    def _write_batches(self, file: RrdFile) -> None:
         if self._unwritten:
-            Rows.joined(self._unwritten).write(file)
+            file.write(Part.joined(self._unwritten).write)
         self._unwritten, self._written = [], self._wall
 
     def end(self, observer: Observer) -> None:
         """Show the states and the regret at step T, where no input acts; nothing if the run never got there."""
         if (end := observer.end) is None:
             return
+        if self._heat is not None:
+            self._send_heat(end.t)
         x, x_oracle, x_nominal = end.x, observer.x_oracle_end, observer.x_nominal_end
         last = {
             "x": x,
@@ -148,27 +300,45 @@ class RerunStream:
         leave with os._exit. Raises HedgerowError if the file is not complete.
         """
         by = time.monotonic() + deadline_s
+        self._draw_last()
+        if self._heat is not None and self._heat_due:
+            self._send_heat(self._heat.step)
         if self._feeder is not None:
             self._feeder.finish(by)
         if self._file is not None:
             self._write_batches(self._file)
-            try:
-                self._file.flush(timeout_sec=max(deadline_s, 1.0))
-            except RuntimeError as error:
-                raise self._unwritable(error) from None
-            self._file.disconnect()
+            self._file.close(deadline_s)
         return self._feeder is None or self._feeder.join(by)
-
-    def _unwritable(self, error: RuntimeError) -> HedgerowError:
-        return HedgerowError(
-            f"{self._path}: is not complete: {error}; see that the disk has room and the folder can be written"
-        )
 
     def _write(self, write: Write, size: int) -> None:
         if self._file is not None:
-            write(self._file)
+            self._file.write(write)
         if self._feeder is not None:
             self._feeder.put(write, size)
+
+
+class Plan:
+    """The faults of the file, which nobody else announces: when they begin and end."""
+
+    def __init__(self, topology: Topology, observer: Observer) -> None:
+        self._faults, self._observer = topology.faults, observer
+
+    def due(self, batch: Batch) -> list[tuple[str, str, int]]:
+        """The lines (text, level, step) of the steps of a batch, in their order."""
+        first, last = int(batch.t[0]), int(batch.t[-1])
+        lines = []
+        for number, fault in enumerate(self._faults):
+            start, stop = window(fault)
+            if first <= start <= last:
+                lines.append((f"fault {number + 1} begins: {_short(describe(fault))}", "WARN", start))
+            # Who healed it before has said so.
+            if first <= stop <= last and self._observer.topology.faults[number] == fault:
+                lines.append((f"fault {number + 1} ends: {_short(describe(fault))}", "INFO", stop))
+        return sorted(lines, key=lambda line: line[2])
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= 80 else f"{text[:50]} … {text[-27:]}"
 
 
 def _now(step: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import sys
 import time
 from pathlib import Path
 from typing import Protocol
 
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
 from orchestrator.observe import Batch
-from orchestrator.verdict import INVALID, VALID, Verdict
+from orchestrator.verdict import Verdict
+from topologies.schema import Topology
 
 LINE_EVERY_S = 2.0
 
@@ -33,12 +32,12 @@ class Screen(Protocol):
     def verdict(self, verdict: Verdict, folder: Path) -> None:
         """The run is over."""
 
+    def close(self) -> None:
+        """Leave the terminal as it was, whether there was a verdict or not."""
 
-def _rate(steps: int, seconds: float) -> str:
-    return f"{steps / seconds:.0f} steps/s" if seconds > 0 else ""
 
-
-def _left_behind(folder: Path) -> str:
+def left_behind(folder: Path) -> str:
+    """What a run leaves, and how it is looked at."""
     recording = folder / "run.rrd"
     if not recording.exists():
         return f"run folder {folder}"
@@ -47,11 +46,10 @@ def _left_behind(folder: Path) -> str:
 
 
 class Lines:
-    """Plain lines, for logs and pipes."""
+    """Plain lines, for logs and pipes, and for terminals with --plain."""
 
-    interactive = False
-
-    def __init__(self, steps: int) -> None:
+    def __init__(self, steps: int, interactive: bool = False) -> None:
+        self.interactive = interactive
         self._steps, self._said = steps, time.monotonic()
 
     def say(self, text: str) -> None:
@@ -67,39 +65,11 @@ class Lines:
             )
 
     def verdict(self, verdict: Verdict, folder: Path) -> None:
-        self.say(_left_behind(folder))
+        self.say(left_behind(folder))
         self.say(verdict.line())
 
-
-class Bar:
-    """A progress bar on a terminal."""
-
-    interactive = True
-
-    def __init__(self, steps: int) -> None:
-        self._console = Console(highlight=False, soft_wrap=True)
-        self._bar = Progress(
-            TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[rate]}"),
-            TimeRemainingColumn(), console=self._console, transient=True,
-        )  # fmt: skip
-        self._task = self._bar.add_task("steps", total=steps, rate="")
-        self._began: float | None = None
-
-    def say(self, text: str) -> None:
-        self._console.print(text, markup=False)
-
-    def progress(self, batch: Batch) -> None:
-        done = int(batch.t[-1]) + 1
-        if self._began is None:
-            self._began = time.monotonic()
-            self._bar.start()
-        self._bar.update(self._task, completed=done, rate=_rate(done, time.monotonic() - self._began))
-
-    def verdict(self, verdict: Verdict, folder: Path) -> None:
-        self._bar.stop()
-        self.say(_left_behind(folder))
-        colour = {VALID: "green", INVALID: "bold red"}.get(verdict.verdict, "yellow")
-        self._console.print(verdict.line(), style=colour, markup=False)
+    def close(self) -> None:
+        pass
 
 
 class Json:
@@ -116,6 +86,9 @@ class Json:
     def verdict(self, verdict: Verdict, folder: Path) -> None:
         print(json.dumps({"folder": str(folder), **verdict.content}), flush=True)
 
+    def close(self) -> None:
+        pass
+
 
 class Quiet:
     """Nothing at all."""
@@ -131,9 +104,17 @@ class Quiet:
     def verdict(self, verdict: Verdict, folder: Path) -> None:
         pass
 
+    def close(self) -> None:
+        pass
 
-def screen(steps: int, as_json: bool) -> Screen:
-    """The screen that fits where we run."""
+
+def screen(topology: Topology, as_json: bool, plain: bool = False, watched: bool = False) -> Screen:
+    """The screen that fits where we run: on a terminal a live table, or a bar where a viewer shows more (`watched`)."""
     if as_json:
         return Json()
-    return Bar(steps) if sys.stdout.isatty() else Lines(steps)
+    terminal = sys.stdout.isatty()
+    if not terminal or plain or os.environ.get("TERM", "").lower() in ("dumb", "unknown"):
+        return Lines(topology.steps, terminal)
+    from orchestrator.terminal import Bar, Table  # noqa: PLC0415 (rich takes a while to load, and pipes need none)
+
+    return Bar(topology.steps) if watched else Table(topology)

@@ -19,20 +19,24 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
 from urllib.parse import quote, urlsplit
 
 import psutil
 
-from topologies.errors import UserError
+from topologies.errors import HedgerowError, UserError
 
 LOOPBACK = "127.0.0.1"
 NATIVE_MEMORY = "1GB"
 """what the native viewer keeps of a run; it drops the oldest steps beyond"""
 SERVER_MEMORY = "256MiB"
 """what a server keeps for pages that are opened late"""
+START_DEADLINE_S = 20.0
+"""how long a viewer has to start where somebody waits for it"""
 
 
 @dataclass(frozen=True)
@@ -60,6 +64,29 @@ class Viewer:
         except OSError:
             return False
         return True
+
+    def wait_until_it_listens(self, deadline_s: float = START_DEADLINE_S) -> None:
+        """Return once it takes connections; HedgerowError, with what to do, if it never does."""
+        by = time.monotonic() + deadline_s
+        while not self.listens():
+            if self.gone:
+                raise HedgerowError(
+                    "the viewer ended at once: there may be no graphics driver here; --viewer web shows it in a browser"
+                )
+            if time.monotonic() > by:
+                raise HedgerowError(f"{self.url}: {self.unheard}")
+            time.sleep(0.05)
+
+    @property
+    def unheard(self) -> str:
+        """What to do when nobody listens."""
+        if self.process is not None:
+            return "the viewer does not start; try again, or --viewer web"
+        port = urlsplit(self.url).port
+        return (
+            f"nobody listens there; start a viewer of rerun-sdk {version('rerun-sdk')} with"
+            f" `rerun --port {port} --bind {LOOPBACK}`, or choose --viewer web"
+        )
 
     def end(self) -> None:
         """Stop the server behind a page; a native viewer lives on until its window is closed."""
@@ -92,15 +119,28 @@ def choose(asked: str) -> str:
             )
 
 
-def start(choice: str) -> Viewer | None:
+def choose_one(asked: str, instead: str) -> str:
+    """The same where something has to be seen; UserError for none, and where nobody can, which says what to do."""
+    choice = choose(asked) if asked != "native" or has_display() else "none"
+    if choice == "none":
+        raise UserError(
+            f"--viewer {asked}: there is no display (DISPLAY and WAYLAND_DISPLAY are not set): --viewer web serves a"
+            f" page; {instead}"
+            if asked != "none"
+            else "--viewer none: shows nothing; choose native, web or a viewer's address"
+        )
+    return choice
+
+
+def start(choice: str, memory: str = NATIVE_MEMORY, server_memory: str = SERVER_MEMORY) -> Viewer | None:
     """The viewer of a choice that `choose` returned, its process started if it is ours to start; None for none."""
     match choice:
         case "none":
             return None
         case "native":
-            return native()
+            return native(memory=memory)
         case "web":
-            return _web()
+            return _web(server_memory)
         case _:
             return Viewer(choice)
 
@@ -121,15 +161,16 @@ def _is_address(asked: str) -> bool:
         return False
 
 
-def native(*options: str, port: int | None = None) -> Viewer:
+def native(*options: str, port: int | None = None, memory: str = NATIVE_MEMORY) -> Viewer:
     """A viewer in a window of its own, at a free port; `options` are more of rerun's, such as --headless for none."""
     port = _free_port() if port is None else port
-    return Viewer(_url(port), process=_begin("--port", str(port), "--memory-limit", NATIVE_MEMORY, *options))
+    return Viewer(_url(port), process=_begin("--port", str(port), "--memory-limit", memory, *options))
 
 
-def _web() -> Viewer:
+def _web(memory: str) -> Viewer:
     port, page = _free_port(), _free_port()
-    process = _begin("--serve-web", "--port", str(port), "--web-viewer-port", str(page), until=_end_with_parent)
+    ports = ("--port", str(port), "--web-viewer-port", str(page))
+    process = _begin("--serve-web", *ports, server_memory=memory, until=_end_with_parent)
     link = f"http://{LOOPBACK}:{page}/?url={quote(_url(port), safe='')}"
     return Viewer(_url(port), link, process)
 
@@ -145,12 +186,14 @@ def _end_with_parent() -> None:
         ctypes.CDLL(None).prctl(pr_set_pdeathsig, signal.SIGKILL)
 
 
-def _begin(*options: str, until: Callable[[], None] | None = None) -> subprocess.Popen[bytes]:
+def _begin(
+    *options: str, server_memory: str = SERVER_MEMORY, until: Callable[[], None] | None = None
+) -> subprocess.Popen[bytes]:
     # A session of its own: neither Ctrl-C nor the end of the run's terminal reaches the viewer.
     return subprocess.Popen(
         [
             str(executable()),
-            *("--bind", LOOPBACK, "--server-memory-limit", SERVER_MEMORY, "--hide-welcome-screen"),
+            *("--bind", LOOPBACK, "--server-memory-limit", server_memory, "--hide-welcome-screen"),
             *options,
         ],
         stdin=subprocess.DEVNULL,

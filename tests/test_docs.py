@@ -47,7 +47,17 @@ from wire import codec, keys, session
 
 ROOT = Path(__file__).parents[1]
 DOCS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
-SLOW = {"README.md", "data.md", "faults.md", "laws.md", "run-folder.md", "theory.md", "topology.md"}
+SLOW = {
+    "README.md",
+    "data.md",
+    "faults.md",
+    "laws.md",
+    "report.md",
+    "run-folder.md",
+    "theory.md",
+    "topology.md",
+    "watching.md",
+}
 """Documents whose blocks take more than five seconds."""
 COMMAND_DEADLINE_S = 120.0
 

@@ -95,9 +95,9 @@ def stranger() -> Iterator[tuple[socket.socket, str]]:
         yield listening, f"rerun+http://127.0.0.1:{listening.getsockname()[1]}/proxy"
 
 
-def begin_headless(port: int | None = None) -> Viewer:
+def begin_headless(port: int | None = None, *options: str) -> Viewer:
     """A real viewer without a window, at `port` or any; skipped where there is no graphics driver."""
-    viewer = native("--headless", port=port)
+    viewer = native("--headless", *options, port=port)
     until(lambda: viewer.listens() or viewer.gone)
     try:
         until(lambda: viewer.gone or draws(viewer))

@@ -1,0 +1,58 @@
+"""The colours of the live view: one a node in every panel, one a thing that goes wrong, a scale for sizes."""
+
+from __future__ import annotations
+
+import colorsys
+
+import numpy as np
+from numpy.typing import NDArray
+
+Color = tuple[int, int, int, int]
+Packed = NDArray[np.uint32]
+
+BACKGROUND: Color = (17, 20, 26, 255)
+"""of the picture: what is painted so is not there"""
+TEXT: Color = (190, 196, 206, 255)
+GREY: Color = (170, 170, 170, 255)
+GREEN: Color = (90, 200, 120, 255)
+ORANGE: Color = (240, 150, 60, 255)
+
+RIGHT: Color = (66, 74, 90, 255)
+"""the ring of a node whose model is right"""
+WRONG: Color = (255, 64, 200, 255)
+NO_INPUT: Color = (64, 160, 255, 255)
+DEAD: Color = (255, 48, 48, 255)
+LOST: Color = (255, 150, 0, 255)
+CUT: Color = DEAD
+BOTH: Color = (255, 100, 30, 255)
+
+_STATES = np.array([[46, 62, 118], [40, 110, 142], [34, 160, 134], [122, 209, 81], [253, 231, 37]], dtype=float)
+_FLOWS = np.array([[58, 66, 80], [120, 134, 156], [226, 234, 246]], dtype=float)
+
+
+def hues(count: int, alpha: int = 255) -> list[Color]:
+    """A colour a node, by its place in the file: each a golden section of the circle from the last."""
+    rgb = (colorsys.hsv_to_rgb(0.55 + k * 0.6180339887 % 1, 0.6, 0.95) for k in range(count))
+    return [(int(255 * r), int(255 * g), int(255 * b), alpha) for r, g, b in rgb]
+
+
+def packed(color: Color) -> np.uint32:
+    """As Rerun has it: 0xRRGGBBAA."""
+    r, g, b, a = color
+    return np.uint32(r << 24 | g << 16 | b << 8 | a)
+
+
+def state_colors(part: NDArray[np.float64]) -> Packed:
+    """The fill of a node whose |x| is this part of the largest: from blue to yellow."""
+    return _between(_STATES, part)
+
+
+def flow_colors(part: NDArray[np.float64]) -> Packed:
+    """The colour of an edge whose |u_j - u_i| is this part of the largest: from grey to white."""
+    return _between(_FLOWS, part)
+
+
+def _between(stops: NDArray[np.float64], part: NDArray[np.float64]) -> Packed:
+    place = np.linspace(0, 1, len(stops))
+    r, g, b = (np.interp(part, place, stops[:, k]).astype(np.uint32) for k in range(3))
+    return np.asarray(r << 24 | g << 16 | b << 8 | 255, dtype=np.uint32)

@@ -1,0 +1,91 @@
+"""run.rrd, which may become too large for one file: it goes on in run-001.rrd, run-002.rrd, …, each whole by itself.
+
+Each part begins with all that does not change, so that any of them opens alone; together they are one recording,
+and `rerun rrd merge run*.rrd -o whole.rrd` makes one file of them.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable
+from pathlib import Path
+
+import rerun as rr
+
+from topologies.errors import HedgerowError
+
+Write = Callable[[rr.RecordingStream], None]
+
+PART_BYTES = 256 * 2**20
+"""Rerun keeps an index of what it has written in memory until the file is closed: 0.14 MB a MB of paper7"""
+
+
+def part_path(path: Path, number: int) -> Path:
+    """The file of a part: `path` itself for number 0, then run-001.rrd and so on."""
+    return path.with_stem(f"{path.stem}-{number:03}") if number else path
+
+
+def parts(path: Path) -> list[Path]:
+    """The parts that are there, the oldest first; some may have been deleted while the run went on."""
+    later = (one for one in path.parent.glob(f"{path.stem}-*{path.suffix}") if _number(path, one))
+    return [path] * path.exists() + sorted(later, key=lambda one: _number(path, one))
+
+
+def _number(path: Path, part: Path) -> int:
+    digits = part.stem.removeprefix(f"{path.stem}-")
+    return int(digits) if digits.isdecimal() and len(digits) >= 3 else 0
+
+
+class RrdFile:
+    """A recording on disk, in parts of about `part_bytes`, or in one file for 0.
+
+    `open_stream` opens a recording that leads to a sink, and has told it all that does not change. A part is over
+    at the first write after it has grown so large; what Rerun still holds by then, 0.2 s of rows, comes on top.
+    """
+
+    def __init__(
+        self, path: Path, open_stream: Callable[[rr.FileSink], rr.RecordingStream], part_bytes: int = PART_BYTES
+    ) -> None:
+        self._path, self._open, self._part_bytes = path, open_stream, part_bytes
+        self.number = 0
+        self._stream = self._begin()
+
+    @property
+    def part(self) -> Path:
+        """The file that is written now."""
+        return part_path(self._path, self.number)
+
+    def write(self, write: Write) -> None:
+        """Write to the part that is written now, or begin another first; HedgerowError where that cannot be."""
+        if self._part_bytes and self._size() >= self._part_bytes:
+            self._finish(timeout_s=5.0)
+            self.number += 1
+            self._stream = self._begin()
+        write(self._stream)
+
+    def close(self, deadline_s: float) -> None:
+        """Complete the last part; HedgerowError if it is not complete."""
+        self._finish(max(deadline_s, 1.0))
+
+    def _begin(self) -> rr.RecordingStream:
+        try:
+            return self._open(rr.FileSink(self.part))
+        except RuntimeError as error:
+            raise self._unwritable(error) from None
+
+    def _finish(self, timeout_s: float) -> None:
+        try:
+            self._stream.flush(timeout_sec=timeout_s)
+        except RuntimeError as error:
+            raise self._unwritable(error) from None
+        self._stream.disconnect()
+
+    def _size(self) -> int:
+        with contextlib.suppress(FileNotFoundError):
+            return self.part.stat().st_size
+        return self._part_bytes  # somebody has deleted it: what comes now belongs into another
+
+    def _unwritable(self, error: RuntimeError) -> HedgerowError:
+        return HedgerowError(
+            f"{self.part}: is not complete: {error}; see that the disk has room and the folder can be written"
+        )
