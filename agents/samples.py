@@ -117,7 +117,7 @@ class Samples:
         self._behind.update(incidences[wanted].tolist())
 
     def said(self, start: int, stop: int) -> tuple[Array, Array]:
-        """X and u of our own nodes at steps start .. stop - 1, as far as they are kept, (S, k) each."""
+        """The states and inputs of our own nodes at steps start .. stop - 1, as far as they are kept, (S, k) each."""
         return self._history.x(start, stop), self._history.u(start, stop)[:, : self.k]
 
     def _completed(self, came: Sequence[tuple[int, int, int]], t: int) -> tuple[int, set[int]]:
@@ -189,7 +189,7 @@ class Samples:
                 self._learn(x[step], flow, x[step + 1])
 
     def _flow(self, u: Array, bits: Flags) -> Array:
-        """F of one step, (k,), from inputs (width,) and Flag bits (m,); NaN where an input is missing."""
+        """The flow f of one step, (k,), from inputs (width,) and Flag bits (m,); NaN where an input is missing."""
         own, other = u.take(self._ends)
         difference = own - other
         difference[bits & _HEAR == 0] = np.nan

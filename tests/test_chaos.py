@@ -12,13 +12,6 @@ from topologies.load import load
 from topologies.resolve import resolve
 
 
-@pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    return tmp_path
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("seeds", [range(first, first + 25) for first in range(0, 200, 25)], ids=str)
 def test_whatever_is_drawn_runs_to_its_end_and_equals_the_reference(seeds: range, here: Path) -> None:

@@ -95,14 +95,6 @@ def paper7(here: Path) -> RecordedRun:
     return ran(NETWORKS["paper7"](), here / "paper7")
 
 
-@pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """An empty working directory, and a list of running networks of the test's own."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    return tmp_path
-
-
 def same(one: Any, other: Any) -> bool:
     """Every bit; a NaN is a NaN."""
     one, other = np.asarray(one), np.asarray(other)

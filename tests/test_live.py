@@ -150,14 +150,6 @@ def test_what_a_file_is_refused_for_is_refused_with_the_same_words(entry: dict[s
 
 
 @pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """An empty working directory, and a list of running networks of the test's own."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    return tmp_path
-
-
-@pytest.fixture
 def running(here: Path) -> Iterator[Orchestrator]:
     """paper7 running for ever, past its first step."""
     candidates = "nodes.4={a: 0.6, candidates: [0.3, 0.6]}"

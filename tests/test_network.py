@@ -27,14 +27,6 @@ LONG = ("up", "paper7", "--steps", "1000000", "--rate", "200", *QUIET)
 
 
 @pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """An empty working directory, and a list of running networks of the test's own."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    return tmp_path
-
-
-@pytest.fixture
 def paper7(here: Path) -> Iterator[Orchestrator]:
     """paper7 running for ever, past its first step."""
     with Orchestrator(*LONG) as network:
