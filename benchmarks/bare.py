@@ -98,7 +98,7 @@ def plant(endpoint: str, degrees: list[int], steps: int, edges: int) -> float:
             send()
         telemetry.put(_stamp(t, 8 * n * (3 + REPORT_WIDTH) + 3 * edges))
 
-    with open_client(endpoint, "bare") as session:
+    with open_router(endpoint, "bare") as session:
         telemetry = publisher(session, keys.TELEMETRY)
         states = [publisher(session, keys.state(i)) for i in range(n)]
         inputs = [subscriber(session, keys.input_(i), on_input) for i in range(n)]
@@ -120,16 +120,17 @@ def run(n: int, edges: Edges, steps: int) -> float:
     neighbours = [[b if a == i else a for a, b in edges if i in (a, b)] for i in range(n)]
     with tempfile.TemporaryDirectory(prefix="hedgerow-") as folder, contextlib.ExitStack() as stack:
         endpoint = f"unixsock-stream/{Path(folder) / 'router.sock'}"
-        stack.enter_context(open_router(endpoint))
-        observer = stack.enter_context(open_client(endpoint, "bare"))
-        stack.enter_context(subscriber(observer, keys.TELEMETRY, lambda _: None))
         environment = os.environ | runtime_environment()
         base = [sys.executable, "-m", "benchmarks.bare", endpoint]
         agents = [
             subprocess.Popen([*base, "agent", str(i), *map(str, neighbours[i])], env=environment) for i in range(n)
         ]
-        command = [*base, "plant", str(steps), str(len(edges)), *(str(len(each)) for each in neighbours)]
-        output = subprocess.run(command, env=environment, capture_output=True, text=True, check=True, timeout=60).stdout
+        numbers = [steps, len(edges), *map(len, neighbours)]
+        command = [*base, "plant", *map(str, numbers)]
+        plant = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True)
+        observer = stack.enter_context(open_client(endpoint, "bare"))
+        stack.enter_context(subscriber(observer, keys.TELEMETRY, lambda _: None))
+        output, _ = plant.communicate(timeout=60)
         for process in agents:
             process.wait(30)
         return float(output)

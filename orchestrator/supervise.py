@@ -80,7 +80,8 @@ class Processes:
 
     def __init__(self, nursery: Nursery, folder: RunFolder, namespace: str, endpoint: str) -> None:
         self._nursery, self._folder = nursery, folder
-        self._wire = ["--namespace", namespace, "--connect", endpoint]
+        self._namespace, self._endpoint = namespace, endpoint
+        self._connect = ["--connect", endpoint]
         self._names: list[str] = []
         self._agents: dict[str, _Agent] = {}
         self.restarts = 0
@@ -92,19 +93,24 @@ class Processes:
         name = f"agent-{view.nodes[0].id}" if len(view.nodes) == 1 else f"shard-{view.shard}"
         self._agents[name] = _Agent(view)
         (self._folder.processes / f"{name}.json").write_text(view.to_json(), encoding="utf-8")
-        self._start(name, "agents", [])
+        self._start(name, "agents", self._connect)
         self._names.append(name)
 
     def start_plant(self, truth: Truth, rate: float, deadline_s: float, socket: Path | None, listed: Path) -> None:
-        """Launch the plant; should we die, it removes our router's `socket` and our entry among running networks."""
+        """Launch the plant, the router of the run if it has a `socket` to listen on.
+
+        Should we die, it removes that socket, and our entry among running networks.
+        """
         options = ["--rate", str(rate), "--deadline", str(deadline_s), "--listed", str(listed)]
+        options += ["--listen", self._endpoint, "--socket", str(socket)] if socket else self._connect
         (self._folder.processes / f"{keys.PLANT}.json").write_text(truth.to_json(), encoding="utf-8")
-        self._start(keys.PLANT, "plant", [*options, *(["--socket", str(socket)] if socket else [])])
+        self._start(keys.PLANT, "plant", options)
         self._names.append(keys.PLANT)
 
     def _start(self, name: str, module: str, options: Sequence[str]) -> None:
         file = self._folder.processes / f"{name}.json"
-        self._nursery.fork(name, module, [str(file), *self._wire, *options], self._folder.logs / f"{name}.log")
+        arguments = [str(file), "--namespace", self._namespace, *options]
+        self._nursery.fork(name, module, arguments, self._folder.logs / f"{name}.log")
 
     def wait_until_started(self) -> dict[str, int]:
         """The process ids by name, once all run."""
@@ -148,7 +154,7 @@ class Processes:
                 agent.alive = agent.starting = True
                 agent.killed = agent.told = agent.again = False
                 self.restarts += 1
-                self._start(name, "agents", ["--life", str(agent.life)])
+                self._start(name, "agents", [*self._connect, "--life", str(agent.life)])
         return happened
 
     def _unasked(self, name: str, agent: _Agent, code: int) -> Dead:

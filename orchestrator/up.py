@@ -31,7 +31,7 @@ from topologies.errors import HedgerowError
 from topologies.schema import Topology
 from wire import keys
 from wire.codec import Kind, Telemetry, decode_end, decode_event, decode_telemetry, encode_seen, kind_of
-from wire.session import WireError, close, open_client, open_router, publisher, remove_socket, subscriber
+from wire.session import WireError, close, open_client, publisher, remove_socket, subscriber
 from wire.stream import Inbox
 
 TICK_S = 0.2
@@ -135,10 +135,9 @@ class Network:
         return registry.announced(self._folder.name, self._folder.path, self._endpoint, self._namespace)
 
     def _launch(self, stack: contextlib.ExitStack, listed: Path) -> tuple[Processes, zenoh.Session]:
-        """Router, processes, our own session; each is undone when `stack` closes, however that comes."""
+        """Processes and our own session; each is undone when `stack` closes, however that comes."""
         if self._socket is not None:
             stack.callback(_remove_socket, self._socket, self._folder)
-            stack.enter_context(open_router(self._endpoint))
         stack.callback(self._nursery.clear)
         processes = Processes(self._nursery, self._folder, self._namespace, self._endpoint)
         truth = truth_of(self._topology, self._shards)

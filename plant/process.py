@@ -42,7 +42,7 @@ from wire.codec import (
     encode_telemetry,
     gather,
 )
-from wire.session import close, open_client, publisher, remove_socket, subscriber, wait_for_listeners
+from wire.session import close, open_client, open_router, publisher, remove_socket, subscriber, wait_for_listeners
 from wire.stream import Outbox
 
 LOG = logging.getLogger("plant")
@@ -84,7 +84,7 @@ class _Shard:
 class Plant:
     """The plant's process, from the first state to the end."""
 
-    def __init__(self, truth: Truth, namespace: str, endpoint: str, rate: float, deadline_s: float) -> None:
+    def __init__(self, truth: Truth, session: zenoh.Session, rate: float, deadline_s: float) -> None:
         n, e = len(truth.ids), len(truth.edges)
         self.truth = truth
         self.world = World(truth)
@@ -108,7 +108,7 @@ class Plant:
         self.refused = 0
         self.changed = threading.Condition()
 
-        self._session = session = open_client(endpoint, namespace)
+        self._session = session
         self._telemetry = publisher(session, keys.TELEMETRY)
         self._outbox = Outbox(self._telemetry.put)
         degree = self.world.graph.degree
@@ -179,10 +179,9 @@ class Plant:
         for p, shard in enumerate(self.shards):
             if shard.fault is not None:
                 self._take_back(p, shard, shard.fault)
-            elif shard.gone:
-                shard.gone = False
-                if world.wanted(p, world.t):
-                    self._lose(p, "its process died")
+            elif (shard.gone or shard.life <= shard.died) and world.wanted(p, world.t):
+                self._lose(p, "its process died")
+            shard.gone = False
         self._deserted = self._is_deserted()
         if self._deserted:
             self._since = time.monotonic()
@@ -423,19 +422,25 @@ class Plant:
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
-    """`python -m plant TRUTH --namespace RUN --connect ENDPOINT`: run the world to its last step."""
+    """`python -m plant TRUTH --namespace RUN --listen ENDPOINT`: run the world to its last step."""
     parser = argparse.ArgumentParser(prog="python -m plant", description=main.__doc__)
     parser.add_argument("truth", type=Path, help="the true network, a JSON file")
     parser.add_argument("--namespace", required=True, help="the Zenoh namespace of the run")
-    parser.add_argument("--connect", required=True, help="the router, a Zenoh endpoint")
+    where = parser.add_mutually_exclusive_group(required=True)
+    where.add_argument("--listen", help="be the router of the run, on a Zenoh endpoint")
+    where.add_argument("--connect", help="the router, a Zenoh endpoint")
     parser.add_argument("--rate", type=float, default=0.0, help="steps per second; 0 for as fast as possible")
     parser.add_argument("--deadline", type=float, default=10.0, help="seconds to wait for an input before going on")
-    parser.add_argument("--socket", type=Path, help="the parent's router's Unix socket, removed should the parent die")
+    parser.add_argument("--socket", type=Path, help="the Unix socket listened on, removed should the parent die")
     parser.add_argument("--listed", type=Path, help="the parent's entry among running networks, likewise")
     known = parser.parse_args(arguments)
 
     def body() -> None:
-        plant = Plant(Truth.read(known.truth), known.namespace, known.connect, known.rate, known.deadline)
+        # First of all: the others wait for it.
+        session = (
+            open_router(known.listen, known.namespace) if known.listen else open_client(known.connect, known.namespace)
+        )
+        plant = Plant(Truth.read(known.truth), session, known.rate, known.deadline)
         try:
             plant.run()
         finally:

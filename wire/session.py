@@ -37,12 +37,15 @@ def _config(namespace: str | None, settings: dict[str, object]) -> zenoh.Config:
     return config
 
 
-def open_router(endpoint: str) -> zenoh.Session:
-    """A router that listens on `endpoint`, inside this process; raises WireError."""
+def open_router(endpoint: str, namespace: str | None = None) -> zenoh.Session:
+    """A router that listens on `endpoint`, inside this process, whose own keys stand under `namespace`.
+
+    Raises WireError.
+    """
     try:
         return zenoh.open(
             _config(
-                None,
+                namespace,
                 {
                     "mode": "router",
                     "listen/endpoints": [endpoint],
@@ -69,8 +72,8 @@ def open_client(endpoint: str, namespace: str, timeout_s: float = CONNECT_TIMEOU
         "connect/endpoints": [endpoint],
         "connect/timeout_ms": int(timeout_s * 1000),
         "connect/exit_on_failure": True,
-        # A router that comes back finds its clients back within half a second.
-        "connect/retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 2},
+        # A router that begins or comes back finds its clients there at once, or within half a second.
+        "connect/retry": {"period_init_ms": 10, "period_max_ms": 500, "period_increase_factor": 2},
     }
     try:
         return zenoh.open(_config(namespace, settings))
