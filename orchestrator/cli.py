@@ -45,6 +45,9 @@ Law = Annotated[str | None, typer.Option(help="replace `law:`")]
 RunDir = Annotated[Path | None, typer.Option(metavar="DIR", help="the run's folder, new or empty [runs/NAME-TIME]")]
 AsJson = Annotated[bool, typer.Option("--json", help="one JSON object on standard output")]
 Record = Annotated[bool, typer.Option("--record/--no-record", help="write run.rrd")]
+SplitRecording = Annotated[
+    float, typer.Option(metavar="MB", min=0, help="go on in run-001.rrd and so on past so many MB, 0 for never")
+]
 Plain = Annotated[bool, typer.Option("--plain", help="lines rather than a live table, on a terminal too")]
 RunName = Annotated[str | None, typer.Argument(metavar="[RUN]", help="a running network's name [the youngest]")]
 Viewer = Annotated[
@@ -116,6 +119,7 @@ def up(
     sets: Sets = None,
     viewer: Viewer = "auto",
     record: Record = True,
+    split_recording: SplitRecording = 256.0,
     router: Annotated[
         str | None, typer.Option(metavar="ENDPOINT", help="use this Zenoh router, e.g. tcp/host:7447")
     ] = None,
@@ -150,7 +154,7 @@ def up(
     display = screen(topology, as_json, plain, watched=viewer != "none")
     what = f"{count(len(topology.ids), 'node')} in {count(len(shards), 'process', 'es')}, {topology.steps} steps"
     display.say(f"{topology.name}: {what}, run {folder.name}")
-    options = Options(rate, deadline, router, Watching(record, viewer), verify)
+    options = Options(rate, deadline, router, Watching(record, viewer, split_recording), verify)
 
     def on_first_step(after_s: float) -> None:
         display.say(f"running: first step after {after_s:.2f} s")
@@ -218,6 +222,7 @@ def simulate(
     sets: Sets = None,
     viewer: Viewer = "none",
     record: Record = True,
+    split_recording: SplitRecording = 256.0,
     plain: Plain = False,
     as_json: AsJson = False,
 ) -> int:
@@ -232,7 +237,9 @@ def simulate(
     folder = folders.create(topology, run_dir)
     viewer = _viewer(viewer)
     with contextlib.closing(screen(topology, as_json, plain, watched=viewer != "none")) as display:
-        return run_here(topology, folder, layout(topology, 1), Watching(record, viewer), display).exit_code
+        return run_here(
+            topology, folder, layout(topology, 1), Watching(record, viewer, split_recording), display
+        ).exit_code
 
 
 @app.command()

@@ -6,6 +6,8 @@ from typing import Annotated
 
 import typer
 
+from topologies.errors import UserError
+
 Running = Annotated[str | None, typer.Argument(metavar="[RUN]", help="a running network's name [the youngest]")]
 Runs = Annotated[
     list[str] | None,
@@ -31,7 +33,10 @@ def watch(run: Running = None, viewer: Viewer = "auto") -> int:
     from orchestrator import registry  # noqa: PLC0415
     from orchestrator.viewer import choose_one  # noqa: PLC0415
 
-    entry = registry.find(run)
+    try:
+        entry = registry.find(run)
+    except UserError as error:
+        raise UserError(f"{error}; what `simulate` runs, or is over, `orchestrator open` shows") from None
     choice = choose_one(viewer, f"`orchestrator status {entry.run}` says how far it is")
     from orchestrator.watch import watch as follow  # noqa: PLC0415
 

@@ -24,7 +24,7 @@ FORMS = ("csv", "parquet", "npz", "mat")
 NAMES = (
     *("run", "law", "verdict", "T", "b", "gamma_star", "ids", "edges", "candidates", "nominal", "lost"),
     *("x", "x_oracle", "x_nominal", "regret", "nominal_gap", "regret_sum", "nominal_regret_sum"),
-    *("a", "u", "w", "ahat", "index", "a_ls", "right"),
+    *("a", "u", "w", "ahat", "index", "margin", "a_ls", "right"),
     *("cost", "cost_oracle", "cost_regret", "energy_sum", "gain", "gain_less_x0"),
     *("u_edge", "open", "i_hears", "j_hears"),
 )

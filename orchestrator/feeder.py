@@ -10,6 +10,7 @@ from collections.abc import Callable
 import rerun as rr
 
 from orchestrator.viewer import Viewer
+from orchestrator.viewer_version import compare
 
 Write = Callable[[rr.RecordingStream], None]
 
@@ -22,9 +23,12 @@ POLL_S = 0.1
 class Feeder:
     """A thread that brings writes to a viewer which may stall, go away, come late or never come."""
 
-    def __init__(self, viewer: Viewer, open_stream: Callable[[rr.GrpcSink], rr.RecordingStream]) -> None:
-        self._viewer, self._open = viewer, open_stream
-        self._waiting: deque[tuple[Write, int]] = deque()
+    def __init__(
+        self, viewer: Viewer, open_stream: Callable[[rr.GrpcSink], rr.RecordingStream], warn: Callable[[str], None]
+    ) -> None:
+        """`warn` is told, on any thread, what is wrong with the viewer."""
+        self._viewer, self._open, self._warn = viewer, open_stream, warn
+        self._writes: deque[tuple[Write, int]] = deque()
         self._bytes = 0
         self._changed = threading.Condition()
         self._by: float | None = None
@@ -33,13 +37,18 @@ class Feeder:
         self._thread = threading.Thread(target=self._run, name="viewer", daemon=True)
         self._thread.start()
 
+    @property
+    def waiting(self) -> int:
+        """Bytes that wait for the viewer."""
+        return self._bytes
+
     def put(self, write: Write, size: int) -> None:
         """Queue a write of about `size` bytes, and drop the oldest ones beyond WAITING_BYTES."""
         with self._changed:
-            self._waiting.append((write, size))
+            self._writes.append((write, size))
             self._bytes += size
-            while self._bytes > WAITING_BYTES and len(self._waiting) > 1:
-                self._bytes -= self._waiting.popleft()[1]
+            while self._bytes > WAITING_BYTES and len(self._writes) > 1:
+                self._bytes -= self._writes.popleft()[1]
                 self.dropped += 1
             self._changed.notify()
 
@@ -55,11 +64,13 @@ class Feeder:
         return not self._thread.is_alive() and self._stuck is None
 
     def _run(self) -> None:
-        while self._until_it_listens() and not self._feed():
-            pass
+        if self._until_it_listens():
+            compare(self._viewer, self._warn)
+            while not self._feed() and self._until_it_listens():
+                pass
         with self._changed:
-            self.dropped += len(self._waiting)
-            self._waiting.clear()
+            self.dropped += len(self._writes)
+            self._writes.clear()
 
     def _until_it_listens(self) -> bool:
         """Wait for the viewer; False when it will not come, or not in time."""
@@ -79,7 +90,7 @@ class Feeder:
             item[0](stream)
             if not self._taken(stream):
                 with self._changed:
-                    self._waiting.appendleft(item)
+                    self._writes.appendleft(item)
                     self._bytes += item[1]
                 self._stuck = None
                 return False
@@ -91,10 +102,10 @@ class Feeder:
 
     def _next(self) -> tuple[Write, int] | None:
         with self._changed:
-            self._changed.wait_for(lambda: self._waiting or self._by is not None)
-            if not self._waiting:
+            self._changed.wait_for(lambda: self._writes or self._by is not None)
+            if not self._writes:
                 return None
-            item = self._waiting.popleft()
+            item = self._writes.popleft()
             self._bytes -= item[1]
             return item
 

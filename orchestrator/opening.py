@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import colorsys
-import contextlib
 import threading
 import warnings
 from collections import Counter
@@ -25,6 +24,7 @@ from orchestrator.recorded import RecordedRun, find_run, load_run
 from orchestrator.rerun_stream import APPLICATION, RerunStream
 from orchestrator.rrd_file import parts
 from orchestrator.viewer import Viewer, start
+from orchestrator.viewer_version import VERSION_DEADLINE_S, compare
 from orchestrator.watch import CLOSE_DEADLINE_S, MEMORY, READ_STEPS, PatientStream, as_begun, keep_page, told
 from topologies.errors import HedgerowError, UserError
 from topologies.load import load
@@ -36,7 +36,6 @@ Columns = NDArray[np.float64]
 CHUNKS = 64
 """how many are sent between two looks at whether the viewer takes them"""
 FLUSH_DEADLINE_S = 30.0
-VERSION_DEADLINE_S = 2.0
 ROWS = 2**14
 """of a comparison, in a chunk"""
 
@@ -59,7 +58,7 @@ def open_runs(runs: Sequence[str], choice: str, say: Say) -> None:
         assert viewer is not None, "nothing opens in no viewer"
         try:
             viewer.wait_until_it_listens()
-            _warn_of_another_version(viewer, choice, say)
+            compare(viewer, say).join(VERSION_DEADLINE_S)
             if compared:
                 _compare(compared, viewer)
             else:
@@ -70,29 +69,10 @@ def open_runs(runs: Sequence[str], choice: str, say: Say) -> None:
             viewer.end()
 
 
-def _warn_of_another_version(viewer: Viewer, choice: str, say: Say) -> None:
-    """A viewer that somebody else started may be of another version, which seems to work and need not."""
-    if viewer.process is not None:
-        return
-    from rerun.experimental import ViewerClient  # noqa: PLC0415
-
-    def ask() -> None:
-        # What only passes on what it is sent, for pages say, never answers.
-        with contextlib.suppress(RuntimeError, OSError):
-            answers.append(ViewerClient.connect(viewer.url).get_state().viewer_version)
-
-    answers: list[str | None] = []
-    asking = threading.Thread(target=ask, name="version", daemon=True)
-    asking.start()
-    asking.join(VERSION_DEADLINE_S)
-    if answers and answers[0] != rr.__version__:
-        say(f"{choice}: is Rerun {answers[0]}, and this is {rr.__version__}: install rerun-sdk=={rr.__version__} there")
-
-
 def _open(folder: Path, viewer: Viewer, say: Say, go_on: Callable[[], bool]) -> None:
     files = parts(folder / "run.rrd")
     if why := _unreadable(files):
-        say(f"{folder.name}: {why}: shown from its tables, without margins")
+        say(f"{folder.name}: {why}: shown from its tables")
         _replay(load_run(folder), viewer, say, go_on)
         return
     topology = load(str(folder))
@@ -159,7 +139,7 @@ def _replay(run: RecordedRun, viewer: Viewer, say: Say, go_on: Callable[[], bool
     took = np.full(ends.size, TAKEN, np.uint8)
     heard = np.ones((run.T, ends.size), np.uint8)
     heard[:, ends[:, 0]], heard[:, ends[:, 1]] = run.i_hears, run.j_hears
-    report = np.stack([run.ahat, run.index, np.full(run.ahat.shape, np.nan)], axis=2)
+    report = np.stack([run.ahat, run.index, run.margin], axis=2)
     steps = np.setdiff1d(np.arange(run.T), run.lost)
     for some in np.array_split(steps, -(-len(steps) // READ_STEPS)):
         if not go_on():

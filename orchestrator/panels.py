@@ -74,10 +74,12 @@ def quantities(topology: Topology, observer: Observer) -> list[Quantity]:
     listed = [
         Quantity("x", lambda batch: batch.x, ids, node),
         Quantity("x_oracle", lambda batch: batch.x_oracle, _each(ids, "oracle"), pale, 1.0),
+        Quantity("x_nominal", lambda batch: batch.x_nominal, _each(ids, "nominal"), pale, 1.0),
         Quantity("u", lambda batch: batch.u, ids, node, steps=True),
         Quantity("u_edge", lambda batch: batch.u_edge, edges, hues(len(edges)), steps=True),
         Quantity("w", lambda batch: batch.w, ids, node, steps=True),
         Quantity("ahat", lambda batch: batch.ahat, ids, node, 2.0, steps=True),
+        Quantity("index", _named, ids, node, steps=True),
         Quantity("truth", lambda batch: batch.a, _each(ids, "truth"), pale, 1.0, steps=True),
         Quantity("a_ls", lambda batch: batch.a_ls, ids, node),
         Quantity("margin", lambda batch: batch.margin, ids, node),
@@ -90,6 +92,11 @@ def quantities(topology: Topology, observer: Observer) -> list[Quantity]:
         Quantity("gain", gains, ["gain", "gain less x(0)", "γ* (oracle's)"], [ORANGE, GREEN, GREY], 2.0),
     ]
     return [quantity for quantity in listed if quantity.names]
+
+
+def _named(batch: Batch) -> Matrix:
+    """Which candidates the estimates are, from 0; -1 for none of them, and a gap where there is no estimate."""
+    return np.where(np.isnan(batch.ahat), np.nan, batch.index)
 
 
 def aggregates(topology: Topology) -> list[Quantity]:

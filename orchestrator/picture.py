@@ -26,6 +26,8 @@ from topologies.schema import Topology
 NAMED = 40
 """larger networks are drawn without names, but for those of the WORST nodes"""
 WORST = 5
+SPARSE = 300
+"""of so many nodes every distance is looked at"""
 FADE = 0.85
 """a scale reaches to the largest value of late: each step counts this much less than the next"""
 _DASHES = np.array([[0.0, 0.26], [0.4, 0.62], [0.76, 0.96]])
@@ -243,9 +245,13 @@ def _radius(places: Places) -> float:
     """As large as nodes can be that do not touch their nearest, but for the closest few."""
     if len(places) == 1:
         return 0.2
-    from scipy.spatial import cKDTree  # noqa: PLC0415
+    if len(places) <= SPARSE:
+        apart = np.hypot(*(places[:, None] - places).T)
+        nearest = np.partition(apart, 1, axis=1)[:, 1]
+    else:
+        from scipy.spatial import cKDTree  # noqa: PLC0415 (a third of a second, which a few nodes need not cost)
 
-    nearest = cKDTree(places).query(places, k=2)[0][:, 1]
+        nearest = cKDTree(places).query(places, k=2)[0][:, 1]
     return float(np.clip(0.33 * np.quantile(nearest, 0.05), 1e-3 * max(np.ptp(places, axis=0).max(), 1e-3), 0.2))
 
 

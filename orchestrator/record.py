@@ -121,6 +121,7 @@ class Recorder:
                     ("node", node),
                     *floats,
                     ("index", pa.int32()),
+                    ("margin", f8),
                     ("x_oracle", f8),
                     ("x_nominal", f8),
                 ]
@@ -153,6 +154,7 @@ class Recorder:
                 "u": _null(batch.u, np.isnan(batch.u)),
                 "ahat": _null(batch.ahat, unknown),
                 "index": _null(batch.index, unknown),
+                "margin": _null(batch.margin, ~np.isfinite(batch.margin)),
             }
         )
         if e:
@@ -171,7 +173,7 @@ class Recorder:
     def write_end(self, observer: Observer, end: End) -> None:
         """Append the last states: at step T nothing acts, so all but the states is null."""
         n = self._n
-        nothing = {name: pa.nulls(n, pa.float64()) for name in ("u", "w", "ahat")}
+        nothing = {name: pa.nulls(n, pa.float64()) for name in ("u", "w", "ahat", "margin")}
         self._telemetry.append(
             {
                 "step": np.full(n, end.t),

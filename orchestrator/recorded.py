@@ -264,6 +264,9 @@ class RecordedRun:
     ahat = _actions("ahat")
     """estimates, NaN where nobody was there, (T, n)"""
 
+    margin = _actions("margin")
+    """J_(2) - J_(1), by which ahat fits better than the next, NaN where there is none, (T, n)"""
+
     @cached_property
     def index(self) -> NDArray[np.int32]:
         """Which candidate ahat is, from 0; -1 where none is named, (T, n)."""
@@ -373,11 +376,10 @@ class RecordedRun:
         """What the observer makes of this telemetry."""
         observer = Observer(self.topology)
         steps = self._steps[self._steps < self.T]
-        # Who heard whom, and what the margins were, decides none of the numbers that are asked for here.
+        # Who heard whom decides none of the numbers that are asked for here.
         links = 2 * len(self.edges)
         heard, took = np.ones(links, dtype=np.uint8), np.full(links, TAKEN, dtype=np.uint8)
-        report = np.full((*self.u.shape, 3), np.nan)
-        report[..., 0], report[..., 1] = self.ahat, self.index
+        report = np.stack([self.ahat, self.index, self.margin], axis=2)
         batches = [
             observer.take(
                 [Telemetry(int(t), self.x[t], self.u[t], self.w[t], report[t], self.open[t], heard, took) for t in part]

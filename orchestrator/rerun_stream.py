@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -175,7 +175,10 @@ class RerunStream:
         recording_id: str,
         path: Path | None,
         viewer: Viewer | None,
+        part_bytes: int = 0,
+        warn: Callable[[str], None] = lambda _: None,
     ) -> None:
+        """A file holds about `part_bytes` before the next begins, 0 for all; `warn` is told what ails the viewer."""
         self._id = recording_id
         self._quantities = quantities(topology, observer) + aggregates(topology)
         large = len(topology.ids) > LARGE
@@ -190,8 +193,8 @@ class RerunStream:
         self._blueprint = blueprint(topology, observer.gamma_star, self._picture.legend)
         self._wall = self._written = self._heated = time.time()
         self._unwritten: list[Part] = []
-        self._file = RrdFile(path, self.opened) if path is not None else None
-        self._feeder = Feeder(viewer, self.opened) if viewer is not None else None
+        self._file = RrdFile(path, self.opened, part_bytes) if path is not None else None
+        self._feeder = Feeder(viewer, self.opened, warn) if viewer is not None else None
 
     def opened(self, sink: rr.FileSink | rr.GrpcSink) -> rr.RecordingStream:
         """A recording that leads to `sink`, and has told it all that does not change."""
@@ -212,10 +215,10 @@ class RerunStream:
         """Batches and events that the viewer had no time for; run.rrd has them all."""
         return self._feeder.dropped if self._feeder is not None else 0
 
-    def log(self, batch: Batch) -> None:
-        """Show the rows of a batch; never waits for a viewer."""
+    def log(self, batch: Batch, at: float | None = None) -> None:
+        """Show the rows of a batch, which came at the time `at` [s since 1970, now]; never waits for a viewer."""
         # No step has a clock of its own here: those of a batch share the time since the last one.
-        before, self._wall = self._wall, time.time()
+        before, self._wall = self._wall, time.time() if at is None else at
         wall = np.linspace(before, self._wall, len(batch.t) + 1)[1:]
         for text, level, step in self._plan.due(batch):
             self.event(text, level, step)
@@ -279,6 +282,7 @@ class RerunStream:
         last = {
             "x": x,
             "x_oracle": x_oracle,
+            "x_nominal": x_nominal,
             "regret": np.abs(x - x_oracle),
             "nominal_gap": np.abs(x_oracle - x_nominal),
             "regret_sum": np.array([observer.regret_sum, observer.nominal_regret_sum]),

@@ -1,7 +1,8 @@
 """run.rrd, which may become too large for one file: it goes on in run-001.rrd, run-002.rrd, …, each whole by itself.
 
 Each part begins with all that does not change, so that any of them opens alone; together they are one recording,
-and `rerun rrd merge run*.rrd -o whole.rrd` makes one file of them.
+and `rerun rrd merge run*.rrd -o whole.rrd` makes one file of them. Rerun keeps an index of what it has written in
+memory until a file is closed, 0.14 MB a MB of paper7: with parts, it does not grow with the run.
 """
 
 from __future__ import annotations
@@ -15,9 +16,6 @@ import rerun as rr
 from topologies.errors import HedgerowError
 
 Write = Callable[[rr.RecordingStream], None]
-
-PART_BYTES = 256 * 2**20
-"""Rerun keeps an index of what it has written in memory until the file is closed: 0.14 MB a MB of paper7"""
 
 
 def part_path(path: Path, number: int) -> Path:
@@ -44,7 +42,7 @@ class RrdFile:
     """
 
     def __init__(
-        self, path: Path, open_stream: Callable[[rr.FileSink], rr.RecordingStream], part_bytes: int = PART_BYTES
+        self, path: Path, open_stream: Callable[[rr.FileSink], rr.RecordingStream], part_bytes: int = 0
     ) -> None:
         self._path, self._open, self._part_bytes = path, open_stream, part_bytes
         self.number = 0

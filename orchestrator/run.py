@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Sequence
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from orchestrator.aside import Aside
 from orchestrator.folder import RunFolder, write_json
 from orchestrator.observe import Batch, Observer
 from orchestrator.verdict import Ending, Verdict, judge
@@ -31,6 +34,8 @@ class Watching:
 
     record: bool = True
     viewer: str = "none"
+    split_mb: float = 256.0
+    """past so many MB run.rrd goes on in another file; 0 for never"""
 
 
 class Run:
@@ -40,10 +45,14 @@ class Run:
         self.topology, self.folder, self.ending = topology, folder, ending
         self.observer = Observer(topology)
         self._watching = watching
+        self._aside: Aside | None = None
+        """who feeds the stream: Rerun takes a second to load, and nobody waits for it"""
         self._stream: RerunStream | None = None
         self._notes: list[tuple[str, str, int]] = []
         """what was noted before there was a stream"""
         self.viewer: Viewer | None = None
+        self.warnings: deque[str] = deque()
+        """what is wrong with the viewer, for whoever started the run; grows on other threads"""
         self._watched = False
 
     @cached_property
@@ -60,16 +69,15 @@ class Run:
         if not self._watched:
             self._watched = True
             self._open_stream()
-        if self._stream is not None:
-            self._stream.log(batch)
+        at = time.time()
+        self._show(lambda stream: stream.log(batch, at))
         return batch
 
     def finish(self, end: End) -> None:
         """Take in the final state."""
         self.observer.finish(end)
         self._recorder.write_end(self.observer, end)
-        if self._stream is not None:
-            self._stream.end(self.observer)
+        self._show(lambda stream: stream.end(self.observer))
         self.note(f"the run ended after {end.t} steps", "INFO", end.t)
 
     def change(self, topology: Topology) -> None:
@@ -88,9 +96,9 @@ class Run:
 
     def note(self, text: str, level: str, step: int) -> None:
         """Show a line among the viewer's events; `level` is INFO, WARN or ERROR."""
-        if self._stream is not None:
-            self._stream.event(text, level, step)
-        elif not self._watched:
+        if self._watched:
+            self._show(lambda stream: stream.event(text, level, step))
+        else:
             self._notes.append((text, level, step))
 
     def tell_faults(self) -> None:
@@ -101,17 +109,31 @@ class Run:
     def _open_stream(self) -> None:
         if not self._watching.record and self._watching.viewer == "none":
             return
-        # Rerun takes a second to load: not before the first step is done.
-        from orchestrator.rerun_stream import RerunStream  # noqa: PLC0415
-
         path = self.folder.recording if self._watching.record else None
         self.viewer = start(self._watching.viewer)
-        self._stream = RerunStream(self.topology, self.observer, self.folder.name, path, self.viewer)
+        self._aside = Aside("rerun")
+        self._aside.do(lambda: self._load(path))
         for note in self._notes:
-            self._stream.event(*note)
+            self.note(*note)
         self.folder.event(
             "recording", path=str(path) if path else None, viewer=self.viewer.url if self.viewer else None
         )
+
+    def _load(self, path: Path | None) -> None:
+        from orchestrator.rerun_stream import RerunStream  # noqa: PLC0415
+
+        part_bytes = int(self._watching.split_mb * 1e6)
+        self._stream = RerunStream(
+            self.topology, self.observer, self.folder.name, path, self.viewer, part_bytes, self.warnings.append
+        )
+
+    def _show(self, show: Callable[[RerunStream], object]) -> None:
+        def job() -> None:
+            assert self._stream is not None, "it is loaded first"
+            show(self._stream)
+
+        if self._aside is not None:
+            self._aside.do(job)
 
     def close_tables(self) -> None:
         """Bring the tables into their final form; nothing can be taken in afterwards."""
@@ -120,6 +142,8 @@ class Run:
     def close(self) -> Verdict:
         """Close the tables and the recording, judge the run and write the verdict."""
         try:
+            if self._aside is not None:
+                self._aside.close()
             if self._stream is not None and not self._stream.close(CLOSE_DEADLINE_S):
                 self.folder.event("viewer_stalled", deadline_s=CLOSE_DEADLINE_S)
             self.close_tables()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import shutil
 import sys
 import time
 from pathlib import Path
@@ -38,11 +39,9 @@ class Screen(Protocol):
 
 def left_behind(folder: Path) -> str:
     """What a run leaves, and how it is looked at."""
-    recording = folder / "run.rrd"
-    if not recording.exists():
-        return f"run folder {folder}"
-    # The viewer ships with rerun-sdk, beside our own interpreter, which need not be on the PATH.
-    return f"run folder {folder}\nopen its recording with: {Path(sys.executable).with_name('rerun')} {recording}"
+    # The command stands beside our own interpreter, which need not be on the PATH.
+    command = "orchestrator" if shutil.which("orchestrator") else Path(sys.executable).with_name("orchestrator")
+    return f"run folder {folder}\nsee it again with: {command} open {folder}"
 
 
 class Lines:

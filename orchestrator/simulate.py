@@ -43,6 +43,8 @@ def simulate(topology: Topology, folder: RunFolder, shards: Layout, watching: Wa
         except (EndNowError, LawError, OSError) as error:
             ending.stopped = f"stopped at step {run.observer.next_step}: {error}"
         verdict = run.close()
+        for warning in run.warnings:
+            screen.say(warning)
         screen.verdict(verdict, folder.path)
         if run.viewer is not None:
             run.viewer.end()

@@ -117,6 +117,7 @@ class Network:
                 run.close_tables()
                 self._ending.reference_equal = equals_reference(run.topology, self._folder)
             verdict = run.close()
+            self._warn(run)
             self._screen.verdict(verdict, self._folder.path)
             if run.viewer is not None:
                 self._serve(run.viewer, interrupts)
@@ -223,6 +224,7 @@ class Network:
         self._screen.progress(run.take(rows))
         if unseen and run.viewer is not None:
             self._screen.say(f"watch it at {run.viewer.link or run.viewer.url}")
+        self._warn(run)
 
     def _take_event(self, run: Run, processes: Processes, event: dict[str, Any]) -> None:
         """Act on what the plant says between two steps, write it down, and keep the resolved file true."""
@@ -249,6 +251,11 @@ class Network:
             case "heal":
                 run.change(with_end(topology, event["fault"], event["at"]))
                 self._say(run, f"step {event['at']}: fault {event['fault'] + 1} ends", "INFO", step)
+
+    def _warn(self, run: Run) -> None:
+        """Say what is wrong with the viewer."""
+        while run.warnings:
+            self._screen.say(run.warnings.popleft())
 
     def _say(self, run: Run, text: str, level: str, step: int) -> None:
         self._screen.say(text)

@@ -35,6 +35,8 @@ NATIVE_MEMORY = "1GB"
 """what the native viewer keeps of a run; it drops the oldest steps beyond"""
 SERVER_MEMORY = "256MiB"
 """what a server keeps for pages that are opened late"""
+NICE = 5
+"""how much more a run's processes get of the processor than a viewer"""
 START_DEADLINE_S = 20.0
 """how long a viewer has to start where somebody waits for it"""
 
@@ -170,7 +172,7 @@ def native(*options: str, port: int | None = None, memory: str = NATIVE_MEMORY) 
 def _web(memory: str) -> Viewer:
     port, page = _free_port(), _free_port()
     ports = ("--port", str(port), "--web-viewer-port", str(page))
-    process = _begin("--serve-web", *ports, server_memory=memory, until=_end_with_parent)
+    process = _begin("--serve-web", *ports, server_memory=memory, first=_end_with_parent)
     link = f"http://{LOOPBACK}:{page}/?url={quote(_url(port), safe='')}"
     return Viewer(_url(port), link, process)
 
@@ -179,15 +181,21 @@ def _url(port: int) -> str:
     return f"rerun+http://{LOOPBACK}:{port}/proxy"
 
 
+def _step_back() -> None:
+    """What draws leaves the processor to the run: it may stutter, a step may not."""
+    os.nice(NICE)
+
+
 def _end_with_parent() -> None:
     """A page's server does not outlive the run, even if that is killed (where the kernel can see to it: Linux)."""
+    _step_back()
     if sys.platform == "linux":
         pr_set_pdeathsig = 1
         ctypes.CDLL(None).prctl(pr_set_pdeathsig, signal.SIGKILL)
 
 
 def _begin(
-    *options: str, server_memory: str = SERVER_MEMORY, until: Callable[[], None] | None = None
+    *options: str, server_memory: str = SERVER_MEMORY, first: Callable[[], None] = _step_back
 ) -> subprocess.Popen[bytes]:
     # A session of its own: neither Ctrl-C nor the end of the run's terminal reaches the viewer.
     return subprocess.Popen(
@@ -200,7 +208,7 @@ def _begin(
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
         start_new_session=True,
-        preexec_fn=until,  # noqa: PLW1509 (one system call, no lock)
+        preexec_fn=first,  # noqa: PLW1509 (system calls, no lock)
         env={**os.environ, "RERUN_APP_ONLY": "true"},
     )
 

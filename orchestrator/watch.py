@@ -28,6 +28,7 @@ from orchestrator.registry import Entry
 from orchestrator.rerun_stream import RerunStream
 from orchestrator.verdict import Verdict
 from orchestrator.viewer import Viewer, start
+from orchestrator.viewer_version import VERSION_DEADLINE_S, compare
 from topologies.errors import HedgerowError, UserError
 from topologies.graph import Graph
 from topologies.load import load
@@ -79,8 +80,8 @@ class ArrowTail:
 class Trail:
     """The telemetry that a run has left in its folder so far, and leaves while it is read.
 
-    The tables hold all of it but the margins of the estimates, which come out as NaN, and what nodes say that they
-    took in, which is set to all that there was.
+    The tables hold all of it but what nodes say that they took in, which is set to all that there was, and margins
+    that are infinite for want of a rival, which come out as NaN.
     """
 
     def __init__(self, folder: Path, graph: Graph) -> None:
@@ -118,8 +119,8 @@ class Trail:
             return None
         self._waiting = None
         t = nodes["step"].to_numpy()[::n]
-        x, u, w, ahat, index = (_numbers(nodes, name).reshape(-1, n) for name in ("x", "u", "w", "ahat", "index"))
-        report = np.stack([ahat, index, np.full_like(ahat, np.nan)], axis=2)
+        x, u, w = (_numbers(nodes, name).reshape(-1, n) for name in ("x", "u", "w"))
+        report = np.stack([_numbers(nodes, name).reshape(-1, n) for name in ("ahat", "index", "margin")], axis=2)
         is_open, link_up = np.ones((len(t), e), np.uint8), np.ones((len(t), 2 * e), np.uint8)
         if edges is not None:
             is_open[:] = _numbers(edges, "open").reshape(-1, e)
@@ -190,7 +191,7 @@ class PatientStream(RerunStream):
     @property
     def waiting(self) -> int:
         """Bytes of numbers that wait for the viewer."""
-        return self._feeder._bytes if self._feeder is not None else 0
+        return self._feeder.waiting if self._feeder is not None else 0
 
     def wait(self, go_on: Callable[[], bool], below: int = WAITING_BYTES) -> None:
         """Return when less than so much waits, or `go_on` says no; HedgerowError when the viewer was closed."""
@@ -231,6 +232,7 @@ def watch(entry: Entry, choice: str, say: Say) -> None:
         assert viewer is not None, "there is nothing to watch without"
         try:
             viewer.wait_until_it_listens()
+            compare(viewer, say).join(VERSION_DEADLINE_S)
             say(f"{entry.run}: watch it at {viewer.link or viewer.url}; Ctrl-C stops watching, not the run")
             _Watch(entry, folder, topology, trail, viewer, say, interrupts, wake).follow()
             keep_page(viewer, interrupts, wake, say)

@@ -35,11 +35,13 @@ from orchestrator.opening import common_nodes, labels, open_runs
 from orchestrator.panels import quantities
 from orchestrator.record import Recorder, to_parquet
 from orchestrator.recorded import load_run
+from orchestrator.rerun_stream import RerunStream
 from orchestrator.rrd_file import RrdFile, part_path, parts
 from orchestrator.run import Watching
 from orchestrator.screen import Quiet
 from orchestrator.simulate import simulate as run_here
-from orchestrator.viewer import Viewer, executable
+from orchestrator.viewer import Viewer, executable, start
+from orchestrator.viewer_version import compare
 from orchestrator.watch import ArrowTail, Trail
 from tests.networks import simulate
 from tests.processes import Orchestrator, orchestrator
@@ -54,7 +56,7 @@ Array = NDArray[np.float64]
 LOST_S = 2.5
 """how much of a killed run may be missing from run.rrd; docs/watching.md says it"""
 LONG = ("--processes", "1", "--steps", "100000", "--rate", "100", "--viewer", "none", "--no-record")
-COLUMNS = ("x", "u", "w", "ahat", "x_oracle")
+SPLIT = ("--split-recording", "0.1")
 
 
 @pytest.fixture(autouse=True)
@@ -133,18 +135,37 @@ def recorded(folder: Path, column: str, nodes: int = 7) -> Array:
 
 
 def assert_shows(files: list[Path] | Path, folder: Path, done: int | None = None) -> None:
-    """Each number of each step and node is the one in the table, to the bit; up to `done` steps, or all."""
+    """Every column of telemetry.parquet is there, each step and node of it to the bit; up to `done` steps, or all."""
     x, x_oracle, x_nominal = (recorded(folder, name)[:done] for name in ("x", "x_oracle", "x_nominal"))
     for entity, expected in {"regret": np.abs(x - x_oracle), "nominal_gap": np.abs(x_oracle - x_nominal)}.items():
         np.testing.assert_array_equal(shown(files, entity)[1], expected, err_msg=entity)
-    for column in COLUMNS:
+    step, node, *columns = pq.read_schema(folder / "telemetry.parquet").names
+    assert (step, node) == ("step", "node")
+    assert {"x", "u", "w", "ahat", "index", "margin", "x_oracle", "x_nominal"} == {*columns}
+    np.testing.assert_array_equal(recorded(folder, step)[:, 0], np.arange(len(recorded(folder, step))))
+    assert series(files, "x") == [[f"{k:.0f}" for k in recorded(folder, node)[0]]] * len(series(files, "x"))
+    for column in columns:
         table = recorded(folder, column)
-        if column in ("u", "w", "ahat"):
+        if not column.startswith("x"):
             table = table[:-1] if done is None else table  # at the last step nothing acts
         steps, values = shown(files, column)
         expected = table[:done]
         np.testing.assert_array_equal(steps, np.arange(len(expected)), err_msg=column)
-        np.testing.assert_array_equal(values, expected, err_msg=column)
+        assert bits(values) == bits(expected), column
+
+
+def bits(values: Array) -> bytes:
+    """What they are, -0 and 0 told apart; one NaN is as good as another."""
+    return np.where(np.isnan(values), np.nan, values).tobytes()
+
+
+def series(files: list[Path] | Path, entity: str) -> list[list[str]]:
+    """The names of the series of an entity, in each recording."""
+    return [
+        chunk.to_record_batch().column("SeriesLines:names").to_pylist()[0]
+        for file in ([files] if isinstance(files, Path) else files)
+        for chunk in RrdReader(file).stream().filter(content=f"/{entity}", is_static=True)
+    ]
 
 
 # ---- the trail of a run, while it is written
@@ -259,8 +280,76 @@ def test_a_watcher_whose_viewer_is_closed_says_so_and_the_run_goes_on() -> None:
         kill(viewer)
 
 
+@pytest.mark.slow
+def test_a_frozen_viewer_holds_up_nobody() -> None:
+    """`up` and `watch` feed a viewer, which freezes: steps go on, Ctrl-C works, run.rrd has every step."""
+    viewer = begin_headless()
+    assert viewer.process is not None
+    try:
+        with Orchestrator(
+            "up", "paper7", "--processes", "1", "--steps", "100000", "--rate", "200", "--viewer", viewer.url
+        ) as up:
+            up.wait_for("running")
+            with Orchestrator("watch", "--viewer", viewer.url) as watching:
+                watching.wait_for("watch it at")
+                until(lambda: last_step(viewer.url) > 0)
+                viewer.process.send_signal(signal.SIGSTOP)
+                before = json.loads(orchestrator("status", "--json").stdout)["step"]
+                up.wait_for_step(before + 400)
+                watching.send(signal.SIGINT)
+                assert watching.wait() == 0, watching.output
+            up.wait_for_step(json.loads(orchestrator("status", "--json").stdout)["step"] + 50)
+            up.send(signal.SIGINT)
+            assert up.wait() == 3, up.output
+            assert "Traceback" not in up.output + watching.output
+    finally:
+        kill(viewer)
+    folder = Path("runs/latest")
+    assert len(recorded(folder, "x")) > 450
+    assert_shows(folder / "run.rrd", folder)
+
+
+def test_a_viewer_of_another_version_is_told_with_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whoever feeds it names both versions, and goes on; of a viewer too old to answer, that it does not."""
+    ours = rr.__version__
+    monkeypatch.setattr(rr, "__version__", "0.99.0")
+    viewer, said = begin_headless(), list[str]()
+    stranger = Viewer(viewer.url)
+    expected = f"the viewer at {viewer.url} is Rerun {ours}, and this is 0.99.0: what it shows may be wrong;"
+    expected += " install rerun-sdk==0.99.0 there"
+    topology = resolve(load("paper7"))
+    observer, run = Observer(topology), simulate(topology)
+    try:
+        stream = RerunStream(topology, observer, "story", None, stranger, warn=said.append)
+        stream.log(observer.take(run.rows))
+        until(lambda: said == [expected])
+        assert stream.close(5.0)
+        until(lambda: last_step(viewer.url) == 29)
+        ran("run")
+        open_runs(["run"], viewer.url, said.append)
+        assert said[1] == expected
+    finally:
+        kill(viewer)
+
+
+def test_a_viewer_that_does_not_say_its_version_is_told() -> None:
+    """As one before 0.41 does not, nor a page's server."""
+    server, said = start("web"), list[str]()
+    assert server is not None
+    try:
+        server.wait_until_it_listens()
+        compare(Viewer(server.url), said.append).join()
+        assert said[0].startswith(f"the viewer at {server.url} does not say its version: it is old")
+        assert f"install rerun-sdk=={rr.__version__} there" in said[0]
+        compare(server, said.append).join()
+        assert len(said) == 1, "we know what we have started"
+    finally:
+        server.end()
+
+
 def test_watch_needs_a_running_network_and_a_display() -> None:
-    assert "no network is running" in orchestrator("watch").stderr
+    alone = orchestrator("watch").stderr
+    assert "no network is running; what `simulate` runs, or is over, `orchestrator open` shows" in alone
     with Orchestrator("up", "line5", *LONG) as up:
         up.wait_for("running")
         refused = orchestrator("watch")
@@ -273,12 +362,14 @@ def test_watch_needs_a_running_network_and_a_display() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("ending", ["end", "Ctrl-C", "SIGKILL"])
-def test_run_rrd_equals_the_tables(ending: str) -> None:
-    """To the bit, all steps and nodes; of a killed run up to the last LOST_S."""
+@pytest.mark.parametrize(
+    ("ending", "split"), [("end", ()), ("Ctrl-C", SPLIT), ("SIGKILL", ()), ("SIGKILL", SPLIT)], ids=str
+)
+def test_run_rrd_equals_the_tables(ending: str, split: tuple[str, ...]) -> None:
+    """To the bit, all columns, steps and nodes, in one file or in parts; of a killed run up to the last LOST_S."""
     rate, steps = 200, 500 if ending == "end" else 1_000_000
     with Orchestrator(
-        "up", "paper7", "--processes", "1", "--steps", str(steps), "--rate", str(rate), "--viewer", "none"
+        "up", "paper7", "--processes", "1", "--steps", str(steps), "--rate", str(rate), "--viewer", "none", *split
     ) as up:
         up.wait_for("running")
         if ending != "end":
@@ -286,14 +377,16 @@ def test_run_rrd_equals_the_tables(ending: str) -> None:
             up.send(signal.SIGINT if ending == "Ctrl-C" else signal.SIGKILL)
         up.wait()
     folder = Path("runs/latest").resolve()
+    files = parts(folder / "run.rrd")
+    assert (len(files) > 1) == bool(split)
     if ending != "SIGKILL":
-        assert_shows(folder / "run.rrd", folder)
+        assert_shows(files, folder)
         return
     for name in ("telemetry", "edges"):
         to_parquet(folder / f"{name}.arrows", folder / f"{name}.parquet")
-    kept, done = len(recorded(folder, "x")), len(shown(folder / "run.rrd", "x")[0])
+    kept, done = len(recorded(folder, "x")), len(shown(files, "x")[0])
     assert kept - done <= LOST_S * rate, (kept, done)
-    assert_shows(folder / "run.rrd", folder, min(kept, done))
+    assert_shows(files, folder, min(kept, done))
 
 
 # ---- parts
@@ -373,9 +466,8 @@ def test_a_run_opens_from_its_recording_or_its_tables_alike(saver: Saver) -> Non
         open_runs([str(folder)], saver.url, said.append)
     saver.close()
     assert [line for line in said if "tables" in line] == [
-        "without: there is no run.rrd: shown from its tables, without margins",
-        f"newer: run.rrd was written by Rerun 0.99, newer than {rr.__version__} here: shown from its tables,"
-        " without margins",
+        "without: there is no run.rrd: shown from its tables",
+        f"newer: run.rrd was written by Rerun 0.99, newer than {rr.__version__} here: shown from its tables",
     ]
     stores = saver.stores()
     assert stores.keys() == {"with", "without", "newer"}
