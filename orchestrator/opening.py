@@ -131,7 +131,7 @@ def _replay(run: RecordedRun, viewer: Viewer, say: Say, go_on: Callable[[], bool
     """Show a run from its tables, each metric computed again."""
     begun = as_begun(run.topology, run.folder)
     observer = Observer(begun)
-    stream = PatientStream(begun, observer, run.run, viewer, say)
+    stream = PatientStream(begun, observer, run.run, viewer, say, run.T)
     observer.change(run.topology)
     for line in filter(None, map(told, run.events)):
         stream.event(*line)

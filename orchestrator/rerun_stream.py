@@ -38,18 +38,28 @@ CHUNK_ROWS, CHUNK_S = 200, 2.0
 """batches are joined in the file up to this many rows or this long: a write costs 20 kB, however few its rows"""
 PICTURES_HZ, PICTURES_HZ_LARGE, PICTURES_AT_ONCE = 20.0, 4.0, 200
 """steps that are drawn and put into words a second, if there are more; and how many may be made up for"""
+DRAWN_NODES = 200_000
+"""of a past that is played back, in all its pictures: every step of 28 000 of paper7, else every so many"""
 HEAT_S = 2.0
 """how often the heat map of a large network is sent"""
 
 
 class Pace:
-    """Picks which steps are drawn: all, as long as they are no more than `hz` a second; the last of a batch if any."""
+    """Picks which steps are drawn: all, as long as they are no more than `hz` a second; the last of a batch if any.
 
-    def __init__(self, hz: float) -> None:
+    Of about `past` steps, which come first and all at once, every `stride`-th is.
+    """
+
+    def __init__(self, hz: float, past: int = 0, stride: int = 1) -> None:
+        self._past, self._stride, self._seen = past, stride, 0
         self._hz, self._credit, self._last = hz, float(PICTURES_AT_ONCE), time.monotonic()
 
     def pick(self, rows: int) -> NDArray[np.int64]:
         """Some of this many rows, evenly."""
+        if self._seen < self._past:
+            first = -self._seen % self._stride
+            self._seen += rows
+            return np.arange(first, rows, self._stride)
         now = time.monotonic()
         self._credit = min(PICTURES_AT_ONCE, self._credit + self._hz * (now - self._last))
         self._last = now
@@ -177,12 +187,17 @@ class RerunStream:
         viewer: Viewer | None,
         part_bytes: int = 0,
         warn: Callable[[str], None] = lambda _: None,
+        past: int = 0,
     ) -> None:
-        """A file holds about `part_bytes` before the next begins, 0 for all; `warn` is told what ails the viewer."""
+        """A file holds about `part_bytes` before the next begins, 0 for all; `warn` is told what ails the viewer.
+
+        The first `past` steps are over already: no clock says how many of them are drawn.
+        """
         self._id = recording_id
         self._quantities = quantities(topology, observer) + aggregates(topology)
         large = len(topology.ids) > LARGE
-        self._pace = Pace(PICTURES_HZ_LARGE if large else PICTURES_HZ)
+        stride = -(-past * len(topology.ids) // DRAWN_NODES)
+        self._pace = Pace(PICTURES_HZ_LARGE if large else PICTURES_HZ, past, max(1, stride))
         self._about = about(topology, observer, large, PICTURES_HZ_LARGE if large else PICTURES_HZ)
         self._picture = Picture(topology)
         self._lanes = Lanes(topology, models=not large)

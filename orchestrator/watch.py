@@ -41,6 +41,8 @@ POLL_S = 0.2
 ALIVE_EVERY_S = 1.0
 """how often it is asked whether the run, and the viewer, are still there"""
 READ_STEPS = 2048
+ROW_BYTES = 76
+"""of a step and node in telemetry.arrows, where ids are numbers"""
 WAITING_BYTES = 8 * 2**20
 """numbers that may wait for the viewer before more are read: of a past, nothing is dropped"""
 FROZEN_S = 10.0
@@ -58,6 +60,11 @@ class ArrowTail:
         self._schema: pa.Schema | None = None
         self.over = False
         """its writer has closed it, and all was read"""
+
+    @property
+    def bytes(self) -> int:
+        """What is written so far."""
+        return int(self._file.size())
 
     def next(self) -> pa.RecordBatch | None:
         """The next whole batch; None if there is none yet."""
@@ -91,6 +98,11 @@ class Trail:
         self._graph, self._ends = graph, at_ends(graph)
         self._waiting: pa.RecordBatch | None = None
         self.end: End | None = None
+
+    @property
+    def past(self) -> int:
+        """About how many steps are there now."""
+        return self._telemetry.bytes // (ROW_BYTES * self._graph.n)
 
     @property
     def over(self) -> bool:
@@ -183,8 +195,8 @@ class PatientStream(RerunStream):
     Whoever plays a run back has the time that a loop has not.
     """
 
-    def __init__(self, topology: Topology, observer: Observer, name: str, viewer: Viewer, say: Say) -> None:
-        super().__init__(topology, observer, name, None, viewer)
+    def __init__(self, topology: Topology, observer: Observer, name: str, viewer: Viewer, say: Say, past: int) -> None:
+        super().__init__(topology, observer, name, None, viewer, past=past)
         self._viewer, self._say = viewer, say
         self._complained = False
 
@@ -280,7 +292,7 @@ class _Watch:
         self._observer = Observer(topology)
         # Not the run's own name: two that show it in one viewer would be taken for one recording, its rows twice.
         name = f"{entry.run} watched at {time.strftime('%H:%M:%S')}-{time.monotonic_ns() % 1000:03}"
-        self._stream = PatientStream(topology, self._observer, name, viewer, say)
+        self._stream = PatientStream(topology, self._observer, name, viewer, say, trail.past)
         self._happenings = Happenings(folder.events)
         self._file: tuple[int, int] | None = None
         """which topology.yaml was read"""

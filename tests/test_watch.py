@@ -35,7 +35,7 @@ from orchestrator.opening import common_nodes, labels, open_runs
 from orchestrator.panels import quantities
 from orchestrator.record import Recorder, to_parquet
 from orchestrator.recorded import load_run
-from orchestrator.rerun_stream import RerunStream
+from orchestrator.rerun_stream import DRAWN_NODES, Pace, RerunStream
 from orchestrator.rrd_file import RrdFile, part_path, parts
 from orchestrator.run import Watching
 from orchestrator.screen import Quiet
@@ -490,6 +490,15 @@ def test_two_runs_share_their_axes(saver: Saver) -> None:
             "nodes_right": run.right[:, None],
         }.items():
             np.testing.assert_array_equal(shown(saver.path, f"{law}/{entity}")[1], values)
+
+
+@pytest.mark.parametrize(("steps", "drawn"), [(300, 300), (60_000, 20_000)])
+def test_a_past_is_drawn_evenly_however_fast_it_is_read(steps: int, drawn: int) -> None:
+    """A loop draws some steps a second; whoever plays back has all of them, or every third of very many."""
+    pace = Pace(20.0, steps, -(-steps * 7 // DRAWN_NODES))
+    picked = np.concatenate([first + pace.pick(2000) for first in range(0, max(steps, 2000), 2000)])[:drawn]
+    np.testing.assert_array_equal(picked, np.arange(drawn) * (steps // drawn))
+    assert len(pace.pick(2000)) <= 200
 
 
 def test_runs_without_a_node_in_common_are_refused() -> None:
