@@ -1,0 +1,102 @@
+"""dora: a node a process, messages through its daemon, which `dora run` has; one more process than the others.
+
+The plant is a node as well. An output is one for all who listen: (x, u) goes to neighbours and plant at once, and
+every agent has an output of the plant's of its own.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+from dora import Node
+
+from benchmarks.peers.network import MESSAGE, PLANT, Agent, Done, Lockstep, Network, Plant
+
+SAID = "said"
+"""the output of an agent, and the input that it is, with the agent's number behind"""
+STATE = "x"
+"""the output of the plant, with the agent's number behind, and the input that it is"""
+QUEUE = 16
+"""messages of one input that may wait: more than there ever are, so that none is dropped"""
+
+
+def _send(node: Node, output: str, *message: float) -> None:
+    node.send_output(output, pa.array(np.frombuffer(MESSAGE.pack(*message), np.uint8)))
+
+
+def _message(event: dict[str, pa.Array]) -> tuple[int, int, float, float]:
+    return MESSAGE.unpack(event["value"].to_numpy().tobytes())
+
+
+def _agent(network: Network, me: int) -> None:
+    node = Node()
+    lockstep = Lockstep(Agent(network, me))
+    while (event := node.next()) is not None:
+        if event["type"] == "STOP" or (event["type"], event["id"]) == ("INPUT_CLOSED", STATE):  # the plant has ended
+            return
+        if event["type"] == "INPUT" and (said := lockstep.take(*_message(event))) is not None:
+            _send(node, SAID, me, *said)
+
+
+def _plant(network: Network, steps: int, folder: Path) -> None:
+    node = Node()
+    plant, n = Plant(network, steps), len(network)
+    u, going = [0.0] * n, True
+    while going:
+        for i, x in enumerate(plant.x.tolist()):
+            _send(node, f"{STATE}{i}", PLANT, plant.t, x, 0.0)
+        for _ in range(n):
+            while (event := node.next())["type"] != "INPUT":
+                pass
+            sender, _, _, value = _message(event)
+            u[sender] = value
+        going = plant.step(u)
+    done = plant.done(root=int(os.environ["HEDGEROW_BENCHMARK_ROOT"]))
+    np.savez(folder / "done.npz", rate=done.steps_per_s, first=done.first_step_s, pss=done.pss_mb, x=done.x, u=done.u)
+
+
+def _dataflow(network: Network, steps: int, folder: str) -> dict[str, object]:
+    def hears(source: str) -> dict[str, object]:
+        return {"source": source, "queue_size": QUEUE}
+
+    def node(name: str, outputs: list[str], inputs: Mapping[str, object], arguments: str) -> dict[str, object]:
+        path = {"path": sys.executable, "args": f"-m {__spec__.name} {arguments}"}
+        return {"id": name, **path, "outputs": outputs, "inputs": inputs}
+
+    everybody = range(len(network))
+    listening = {f"{SAID}{i}": hears(f"agent{i}/{SAID}") for i in everybody}
+    nodes = [node("plant", [f"{STATE}{i}" for i in everybody], listening, f"plant {network.saved} {steps} {folder}")]
+    for i in everybody:
+        inputs = {STATE: hears(f"plant/{STATE}{i}")}
+        inputs |= {f"{SAID}{j}": hears(f"agent{j}/{SAID}") for j in network.neighbours(i)}
+        nodes.append(node(f"agent{i}", [SAID], inputs, f"agent {network.saved} {i}"))
+    return {"nodes": nodes}
+
+
+def run(network: Network, steps: int) -> Done:
+    """Run a dataflow with the daemon of its own."""
+    with tempfile.TemporaryDirectory(prefix="hedgerow-") as folder:
+        file = Path(folder) / "dataflow.yml"
+        file.write_text(json.dumps(_dataflow(network, steps, folder)), encoding="utf-8")
+        environment = os.environ | {"HEDGEROW_BENCHMARK_ROOT": str(os.getpid()), "RUST_LOG": "error"}
+        dora = Path(sys.executable).parent / "dora"
+        subprocess.run([dora, "run", file], cwd=folder, env=environment, check=True)
+        with np.load(Path(folder) / "done.npz") as left:
+            rate, first, pss = (float(left[name]) for name in ("rate", "first", "pss"))
+            return Done(rate, first, pss, left["x"], left["u"])
+
+
+if __name__ == "__main__":
+    role, saved, *rest = sys.argv[1:]
+    if role == "agent":
+        _agent(Network.read(saved), int(rest[0]))
+    else:
+        _plant(Network.read(saved), int(rest[0]), Path(rest[1]))

@@ -1,0 +1,22 @@
+"""The floor: the law of all nodes at once as arrays in one process, no message, nothing kept beside the trajectory."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from agents.law import Minimax
+from benchmarks.peers.network import Done, Network, Plant
+from topologies.graph import Graph
+
+
+def run(network: Network, steps: int) -> Done:
+    """Run in this process."""
+    plant = Plant(network, steps)
+    graph = Graph(len(network), np.array(network.edges, dtype=np.int64).reshape(-1, 2))
+    law = Minimax(network.b, network.candidates)
+    going = True
+    while going:
+        x, u = plant.x, law.act(plant.x)
+        going = plant.step(u)
+        law.learn(x, graph.flow(u), plant.x)
+    return plant.done()

@@ -1,0 +1,112 @@
+"""mango: a TCP container with one agent a process, messages straight from container to container.
+
+Messages are pickled, which is quicker than mango's JSON. Processes are forked from the plant's.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import multiprocessing
+import pickle
+import socket
+from collections.abc import Sequence
+from threading import Barrier
+from typing import Any
+
+import mango
+from mango.messages.codecs import Codec
+
+from benchmarks.peers.network import PLANT, STOP, Agent, Done, Lockstep, Network, Plant
+
+NAME = "node"
+"""of the one agent of a container"""
+Message = tuple[int, int, float, float]
+
+
+class Pickle(Codec):
+    """Messages as Python pickles them."""
+
+    def encode(self, data: Any) -> bytes:
+        """Bytes of a message."""
+        return pickle.dumps(data, protocol=pickle.HIGHEST_PROTOCOL)
+
+    def decode(self, data: bytes) -> Any:
+        """A message of bytes."""
+        return pickle.loads(data)
+
+
+class Inbox(mango.Agent):
+    """What comes in, until it is asked for."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.messages: asyncio.Queue[Message] = asyncio.Queue()
+
+    def handle_message(self, content: Message, _: dict[str, Any]) -> None:
+        """Keep a message."""
+        self.messages.put_nowait(content)
+
+
+def _free_ports(count: int) -> list[int]:
+    with contextlib.ExitStack() as stack:
+        ends = [stack.enter_context(socket.socket()) for _ in range(count)]
+        for end in ends:
+            end.bind(("127.0.0.1", 0))
+        return [int(end.getsockname()[1]) for end in ends]
+
+
+def _address(port: int) -> Any:
+    return mango.AgentAddress(("127.0.0.1", port), NAME)
+
+
+async def _agent(network: Network, me: int, ports: Sequence[int], here: Barrier) -> None:
+    agent = Agent(network, me)
+    lockstep = Lockstep(agent)
+    container = mango.create_tcp_container(("127.0.0.1", ports[me]), codec=Pickle())
+    inbox = container.register(Inbox(), suggested_aid=NAME)
+    others = [_address(ports[other]) for other in (*agent.neighbours, PLANT)]
+    async with mango.activate(container):
+        here.wait()
+        while True:
+            sender, t, x, u = await inbox.messages.get()
+            if t == STOP:
+                return
+            if (said := lockstep.take(sender, t, x, u)) is not None:
+                for other in others:
+                    await inbox.send_message((me, *said), other)
+
+
+async def _plant(network: Network, steps: int, ports: Sequence[int], here: Barrier) -> Done:
+    plant, n = Plant(network, steps), len(network)
+    container = mango.create_tcp_container(("127.0.0.1", ports[PLANT]), codec=Pickle())
+    inbox = container.register(Inbox(), suggested_aid=NAME)
+    agents = [_address(port) for port in ports[:n]]
+    u, going = [0.0] * n, True
+    async with mango.activate(container):
+        here.wait()
+        while going:
+            for agent, x in zip(agents, plant.x.tolist(), strict=True):
+                await inbox.send_message((PLANT, plant.t, x, 0.0), agent)
+            for _ in range(n):
+                sender, _, _, value = await inbox.messages.get()
+                u[sender] = value
+            going = plant.step(u)
+        done = plant.done()
+        for agent in agents:
+            await inbox.send_message((PLANT, STOP, 0.0, 0.0), agent)
+    return done
+
+
+def _run_agent(network: Network, me: int, ports: Sequence[int], here: Barrier) -> None:
+    asyncio.run(_agent(network, me, ports, here))
+
+
+def run(network: Network, steps: int) -> Done:
+    """Run with the plant in this process."""
+    n = len(network)
+    fork = multiprocessing.get_context("fork")
+    ports, here = _free_ports(n + 1), fork.Barrier(n + 1)
+    for i in range(n):
+        fork.Process(target=_run_agent, args=(network, i, ports, here), daemon=True).start()
+    return asyncio.run(_plant(network, steps, ports, here))

@@ -1,0 +1,100 @@
+"""mosaik: a simulator a process, values through its scheduler, which has the plant in its own process.
+
+At time t the plant takes u(t - 1) and gives x(t); an agent takes x(t) and what its neighbours gave at t - 1, and
+gives (x, u). All are time-based simulators with a step of 1; what is of the step before travels over time-shifted
+connections. Messages are JSON over TCP, which brings a float back to the bit.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from typing import Any
+
+import mosaik
+import mosaik_api_v3
+
+from benchmarks.peers.network import Agent, Done, Network, Plant
+
+NETWORK = "HEDGEROW_BENCHMARK_NETWORK"
+"""the variable with the file of the network"""
+
+
+def _meta(model: str, parameters: list[str], attributes: list[str]) -> dict[str, Any]:
+    models = {model: {"public": True, "params": parameters, "attrs": attributes}}
+    return {"api_version": "3.0", "type": "time-based", "models": models}
+
+
+class AgentSimulator(mosaik_api_v3.Simulator):
+    """One agent."""
+
+    def __init__(self) -> None:
+        super().__init__(_meta("Agent", ["me"], ["x", "heard", "said"]))
+
+    def create(self, num: int, model: str, me: int) -> list[dict[str, Any]]:
+        """The one entity of the process."""
+        assert num == 1
+        self._agent = Agent(Network.read(os.environ[NETWORK]), me)
+        return [{"eid": str(me), "type": model}]
+
+    def step(self, time: int, inputs: dict[str, Any], *_: int) -> int:
+        """One step of the agent."""
+        ((self._me, own),) = inputs.items()
+        (x,) = own["x"].values()
+        heard = {int(sender.split(".")[1]): said for sender, said in own["heard"].items()} if time else {}
+        self._said = x, self._agent.step(x, [heard[j][1] for j in self._agent.neighbours] if time else [])
+        return time + 1
+
+    def get_data(self, _: dict[str, list[str]]) -> dict[str, Any]:
+        """What it says to plant and neighbours."""
+        return {self._me: {"said": self._said}}
+
+
+class PlantSimulator(mosaik_api_v3.Simulator):
+    """The plant, with an entity for every node."""
+
+    def __init__(self) -> None:
+        super().__init__(_meta("Node", ["plant", "left"], ["x", "said"]))
+
+    def create(self, num: int, model: str, plant: Plant, left: list[Done]) -> list[dict[str, Any]]:
+        """All nodes; `left` is given what is left of the run."""
+        self._plant, self._left, self._names = plant, left, [str(i) for i in range(num)]
+        return [{"eid": name, "type": model} for name in self._names]
+
+    def step(self, time: int, inputs: dict[str, Any], *_: int) -> int:
+        """One step of all nodes; at the first, nobody has said anything yet."""
+        if time:
+            said = [next(iter(inputs[name]["said"].values())) for name in self._names]
+            if not self._plant.step([u for _, u in said]):
+                self._left.append(self._plant.done())
+        self._x = dict(zip(self._names, self._plant.x.tolist(), strict=True))
+        return time + 1
+
+    def get_data(self, outputs: dict[str, list[str]]) -> dict[str, Any]:
+        """The states of the nodes that are asked for."""
+        return {name: {"x": self._x[name]} for name in outputs}
+
+
+def run(network: Network, steps: int) -> Done:
+    """Run with the scheduler and the plant in this process."""
+    os.environ[NETWORK] = network.saved
+    config = {
+        "Plant": {"python": f"{__name__}:PlantSimulator"},
+        "Agent": {"cmd": f"{sys.executable} -m {__name__} %(addr)s"},
+    }
+    world = mosaik.World(config, cache=False, skip_greetings=True)
+    plant_simulator = world.start("Plant", sim_id="plant")
+    left: list[Done] = []
+    nodes = plant_simulator.Node.create(len(network), plant=Plant(network, steps), left=left)
+    agents = [world.start("Agent", sim_id=f"agent{i}").Agent(me=i) for i in range(len(network))]
+    for i, (node, agent) in enumerate(zip(nodes, agents, strict=True)):
+        world.connect(node, agent, "x")
+        world.connect(agent, node, "said", time_shifted=True, initial_data={"said": None})
+        for j in network.neighbours(i):
+            world.connect(agent, agents[j], ("said", "heard"), time_shifted=True, initial_data={"said": None})
+    world.run(until=steps + 1, print_progress=False)
+    return left[0]
+
+
+if __name__ == "__main__":
+    mosaik_api_v3.start_simulation(AgentSimulator())
