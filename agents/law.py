@@ -16,6 +16,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from topologies.graph import all_finite
+
 Array = NDArray[np.float64]
 
 
@@ -83,23 +85,23 @@ class Minimax:
 
     def learn(self, x: Array, flow: Array, x_next: Array) -> None:
         """Equation (7), one sample further; a node whose flow is unknown (NaN) skips it."""
-        if not (whole := bool(np.isfinite(np.add.reduce(flow)))) and not (known := np.isfinite(flow)).any():
-            return
-        y = x_next - self.b * flow
-        residual = self.candidates * x - y
+        residual = self.candidates * x
+        residual -= x_next - self.b * flow
         residual *= residual
-        if whole:
+        if all_finite(flow):
             self.J += residual
-        else:
+        elif (known := np.isfinite(flow)).any():
             self.J[:, known] += residual[:, known]
+        else:
+            return
         self._choose()
 
     def report(self) -> Array:
         """The estimate ahat, its index, and the margin J_(2) - J_(1), infinite without a rival."""
-        report = self._report
-        report[:, 0] = self.ahat
-        report[:, 1] = self.index
+        ahat, index, margin = self._report.T
+        ahat[:], index[:] = self.ahat, self.index
         if len(self.J) > 1:
-            least, second = np.partition(self.J, 1, axis=0)[:2]
-            np.subtract(second, least, out=report[:, 2])
-        return report
+            ordered = self.J.copy()
+            ordered.partition(1, axis=0)
+            np.subtract(ordered[1], ordered[0], out=margin)
+        return self._report

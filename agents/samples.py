@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.law import Array, Law
+from topologies.graph import all_finite
 from wire.codec import TAKEN, Flag, Flags, Mask, Record
 from wire.history import History
 
@@ -39,6 +40,8 @@ class Samples:
         """incidences with a row that is wanted and has not come"""
         self._marks: list[tuple[int, Array]] = []
         """(t, the law's memory before the sample of t), while any is behind"""
+        self._read: Array | None = None
+        """the last readings in a row of samples, if none of them is missing"""
 
     @property
     def complete(self) -> bool:
@@ -48,8 +51,13 @@ class Samples:
     def take(self, x: Array, u: Array, x_next: Array) -> None:
         """Learn the sample of the next step, of which all is known but, maybe, a reading of x, as of all before it."""
         self._history.append(x, u, self._all)
-        own, other = u.take(self._ends)
-        self._learn(x, self._sums(own - other), x_next)
+        own, other = u[self._ends]
+        flow = self._sums(own - other)
+        before, self._read = self._read, x_next if all_finite(x_next) else None
+        if before is x and self._read is x_next:
+            self._law.learn(x, flow, x_next)
+        else:
+            self._learn(x, flow, x_next)
 
     def take_late(
         self,

@@ -16,6 +16,7 @@ from agents.law import Array, Law, Minimax
 from agents.samples import Samples
 from agents.view import View
 from topologies.errors import UserError
+from topologies.graph import all_finite
 from wire.codec import ALL_UP, REPORT_WIDTH, TAKEN, Flag, Link, Mask, Record, State, gather
 
 Index = NDArray[np.int64]
@@ -113,8 +114,6 @@ class Shard:
         """The last step answered."""
         self.x: Array = np.zeros(self.k)
         self.u: Array = np.zeros(self.k)
-        self._own = b""
-        """u as bytes"""
         self.report: Array = np.full((self.k, REPORT_WIDTH), np.nan)
         """What the nodes say of themselves at the last step."""
         self.took = self._took_all
@@ -175,7 +174,6 @@ class Shard:
             self.x[back], self.u[back] = record.x[-1], record.u[-1]
         else:
             self.x[back] = self.u[back] = np.nan
-        self._own = self.u.tobytes()
 
     def _close(self, state: State, back: Mask | None) -> None:
         """Learn the sample of t - 1, and first those before it whose inputs have come by now."""
@@ -183,7 +181,7 @@ class Shard:
         links = [mail.pop(past, None) for mail in self._mail]
         if state.flags == self._up and not state.spans and self._samples.complete and back is None:
             self.took = self._took_all
-            inputs = gather((self._own, *(link.u for link in links if link is not None)))
+            inputs = gather([self.u, *[link.u for link in links if link is not None]])
             self._samples.take(self.x, inputs, state.x)
             return
         # The newest row of a link message is that of t - 1, unless the link is late.
@@ -202,7 +200,7 @@ class Shard:
                 if late:
                     took[c] -= Flag.HEAR
         self.took = bytes(took)
-        inputs = gather((self._own, *newest))
+        inputs = gather((self.u, *newest))
         self._samples.take_late(past, self.x, inputs, self.took, state.x, old, came, back)
 
     def _act(self, t: int, x: Array) -> Array:
@@ -211,12 +209,11 @@ class Shard:
             self.report = np.asarray(self._law.report(), dtype=float)
         except Exception as error:
             raise self._failed("act", f"raised {type(error).__name__}: {error}") from error
-        if u.shape != (self.k,) or not math.isfinite(np.add.reduce(u)):
+        if u.shape != (self.k,) or not all_finite(u):
             u = self._without_blind(x, u)
         if self.report.shape != (self.k, REPORT_WIDTH):
             raise self._failed("report", f"has the shape {self.report.shape}, and not {(self.k, REPORT_WIDTH)}")
         self.t, self.x, self.u = t, x, u
-        self._own = u.tobytes()
         return u
 
     def _without_blind(self, x: Array, u: Array) -> Array:
@@ -241,7 +238,7 @@ class Shard:
     def say(self, state: State) -> list[tuple[int, Link]]:
         """The link messages of the step just answered, by peer."""
         if state.flags == self._up and not state.spans:
-            return [(p, self._rows(p, self.t, self.t)) for p in self._everybody]
+            return self._say_now() if self._say else []
         first, last = {}, {}
         for c, _, _, late, count in state.spans:
             first[c], last[c] = self.t - late - count, self.t - late
@@ -251,6 +248,15 @@ class Shard:
                 begin, end = min(first.get(c, self.t) for c in told), max(last.get(c, self.t) for c in told)
                 said.append((p, self._rows(p, begin, end)))
         return said
+
+    def _say_now(self) -> list[tuple[int, Link]]:
+        """To every peer the row of this step alone; one message serves all who hear all of us."""
+        t, x, u = self.t, self.x, self.u
+        whole = Link(t, t, x.tobytes(), u.tobytes())
+        return [
+            (p, whole if nodes is None else Link(t, t, x[nodes].tobytes(), u[nodes].tobytes()))
+            for p, nodes in enumerate(self._say)
+        ]
 
     def _rows(self, peer: int, first: int, last: int) -> Link:
         """A link message with the rows of steps first .. last, as far as they are kept."""

@@ -44,7 +44,10 @@ class Disturbance:
         """w(t), (n,)."""
         w = np.zeros(self._n)
         for nodes, component in self._groups:
-            w[nodes] += component(t)
+            if len(nodes) == self._n:  # in order, so that they are all of them
+                w += component(t)
+            else:
+                w[nodes] += component(t)
         return w
 
     def _component(

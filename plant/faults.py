@@ -96,6 +96,10 @@ class Faults:
             self._from = max((step for step in edges if step <= t), default=0)
         return self._active
 
+    def none_at(self, t: int) -> bool:
+        """Whether no effect is at work at step t."""
+        return not self._look(t)
+
     def at(self, t: int) -> Wrong:
         """What goes wrong at step t, but for crashes and jumps."""
         if not self._look(t):
@@ -128,6 +132,8 @@ class Faults:
 
     def absent(self, t: int) -> Mask | None:
         """Nodes whose agent is dead at step t, (n,); None when none is."""
+        if not self._look(t):
+            return None
         dead = [one.targets for one in self._look(t) if one.kind == "crash"]
         if not dead:
             return None

@@ -8,6 +8,7 @@ node at that step, at both ends: no old value is held, and no flow is one-sided 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from plant.faults import NOTHING, Faults
 from plant.links import Crossing, Links
 from plant.truth import Truth
 from topologies.effects import Effect
-from topologies.graph import Array, Graph, Index, Mask
+from topologies.graph import Array, Graph, Index, Mask, all_finite
 from wire.codec import ALL_UP, TAKEN, Flag, Flags, Record, Span, State, Telemetry
 from wire.history import History
 
@@ -37,7 +38,7 @@ class _Part:
     incidences: Index
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True)
 class _Step:
     """What holds at one step."""
 
@@ -98,16 +99,17 @@ class World:
     def begin(self) -> None:
         """Decide what holds at t."""
         t, faults, links, graph = self.t, self.faults, self.links, self.graph
-        for node, a in faults.jumps(t):
-            self.a[node] = a
-        wrong = faults.at(t)
-        gone, soon = faults.absent(t), faults.absent(t + 1)
         before = self._now.absent
+        wrong, gone, soon = NOTHING, None, None
+        if not (faults.none_at(t) and faults.none_at(t + 1)):
+            for node, a in faults.jumps(t):
+                self.a[node] = a
+            wrong, gone, soon = faults.at(t), faults.absent(t), faults.absent(t + 1)
         if wrong is NOTHING and gone is None and soon is None and before is self._nobody and links.complete:
             crossing = links.whole
-            quiet = self._open is self._all_open and self._heard is links.whole
+            quiet = self._open is self._all_open and self._heard is crossing
             flags = None if quiet else self._flags(crossing)
-            self._now = _Step(self.x, self.x, self._nobody, self._nobody, crossing, None, None, flags)
+            self._now = _Step(self.x, self.x, before, before, crossing, None, None, flags)
             return
         absent = self._nobody if gone is None else gone
         down = absent[graph.neighbour]
@@ -145,23 +147,27 @@ class World:
     def states(self) -> list[tuple[State | None, Record | None]]:
         """By shard: its state of t, None if nobody is there, and the record of its nodes that come back."""
         now, t = self._now, self.t
-        x = now.told.take(self.order)
+        x = now.told if self._in_order else now.told.take(self.order)
         told: list[tuple[State | None, Record | None]] = []
         spans = self._spans() if now.flags is not None else {}
         anybody_back = now.back is not self._nobody and bool(now.back.any())
-        first = 0
+        if now.flags is None:
+            return [(State(t, x[own], up), None) for own, up in zip(self._places, self._up_bytes, strict=True)]
         for p, part in enumerate(self._parts):
-            own = x[first : first + len(part.nodes)]
-            first += len(part.nodes)
-            if now.flags is None:
-                told.append((State(t, own, self._up_bytes[p]), None))
-            elif not self.present(p):
+            own = x[self._places[p]]
+            if not self.present(p):
                 told.append((None, None))
             else:
                 flags = now.flags[part.incidences].tobytes()
                 record = self._record_of(part) if anybody_back else None
                 told.append((State(t, own, flags, spans.get(p, ())), record))
         return told
+
+    @cached_property
+    def _places(self) -> list[slice]:
+        """By shard: where its nodes stand in the order of the shards."""
+        stops = np.cumsum([len(part.nodes) for part in self._parts]).tolist()
+        return [slice(stop - len(part.nodes), stop) for stop, part in zip(stops, self._parts, strict=True)]
 
     def _spans(self) -> dict[int, list[Span]]:
         """By shard: where other rows cross than that of the step alone."""
@@ -190,12 +196,29 @@ class World:
         u (n,), report (n, REPORT_WIDTH) and the Flag bits taken in are in the order of the shards.
         """
         now, graph, x, t = self._now, self.graph, self.x, self.t
-        u, report = u.take(self._place), report.take(self._place, axis=0)
+        if not self._in_order:
+            u, report = u.take(self._place), report.take(self._place, axis=0)
         taken = self._taken(took)
-        edge_open: Flags = self._all_open
-        crossing = now.crossing
-        missing = ~np.isfinite(u)
         gone = self.faults.absent(t)
+        edge_open, crossing, up = self._all_open, now.crossing, self._all_up
+        if now.flags is not None or gone is not None or not all_finite(u):
+            u, report, taken, edge_open, crossing, up = self._what_acts(u, report, taken, gone)
+        self.links.commit(t, crossing)
+        w = self._disturbance.at(t)
+        closed = None if edge_open is self._all_open else edge_open.view(np.bool_)
+        self.x = dynamics(self.a, self.b, graph, x, u, w, closed)
+        self._record.append(now.read, u, edge_open)
+        self._open, self._heard = edge_open, crossing
+        self.t += 1
+        return Telemetry(t, x, u, w, report, edge_open, up, taken)
+
+    def _what_acts(
+        self, u: Array, report: Array, taken: Flags, gone: Mask | None
+    ) -> tuple[Array, Array, Flags, Flags, Crossing, Flags]:
+        """Inputs, reports, what was taken in, open edges, what crosses, links up: where something is missing."""
+        now, graph = self._now, self.graph
+        edge_open, crossing = self._all_open, now.crossing
+        missing = ~np.isfinite(u)
         absent = self._nobody if gone is None else gone
         died = absent & ~now.absent  # since the step began
         if now.mute is not None:
@@ -213,20 +236,22 @@ class World:
             taken = np.where(absent[graph.node], np.uint8(0), taken)
             some = crossing.some & ~absent[graph.neighbour] & ~died[graph.node]
             crossing = Crossing(some, np.where(some, crossing.late, 0), np.where(some, crossing.back, 0))
-        self.links.commit(t, crossing)
-        w = self._disturbance.at(t)
-        self.x = dynamics(
-            self.a, self.b, graph, x, u, w, None if edge_open is self._all_open else edge_open.view(np.bool_)
-        )
-        self._record.append(now.read, u, edge_open)
-        self._open, self._heard = edge_open, crossing
-        self.t += 1
         up = self._all_up if crossing is self.links.whole else (crossing.fresh & ~absent[graph.node]).view(np.uint8)
         if now.back.any():  # what was said to them before they were there is made up for, and not heard in time
             taken = np.where(now.back[graph.node], taken & np.uint8(~Flag.HEAR & 0xFF), taken)
-        return Telemetry(t, x, u, w, report, edge_open, up, taken)
+        return u, report, taken, edge_open, crossing, up
+
+    @cached_property
+    def _in_order(self) -> bool:
+        """Whether the shards, one after the other, hold the nodes in network order."""
+        return bool((self.order[1:] > self.order[:-1]).all())
+
+    @cached_property
+    def _took_all(self) -> bytes:
+        return self._all_taken.tobytes()
 
     def _taken(self, took: bytes) -> Flags:
-        if took == self._all_taken.data:
+        if took == self._took_all:
             return self._all_taken
-        return np.frombuffer(took, np.uint8).take(self._incidence_place)
+        taken = np.frombuffer(took, np.uint8)
+        return taken if self._in_order else taken.take(self._incidence_place)

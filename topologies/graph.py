@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import cached_property
 
 import numpy as np
@@ -10,6 +11,14 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Index = NDArray[np.int64]
+
+FEW = 32
+"""so many numbers are summed faster without numpy"""
+
+
+def all_finite(values: Array) -> bool:
+    """Whether all of them are finite; where even their sum is not, it may say no."""
+    return math.isfinite(sum(values.tolist()) if values.size <= FEW else np.add.reduce(values))
 
 
 class Graph:

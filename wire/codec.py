@@ -29,6 +29,8 @@ _F8 = np.dtype("<f8")
 _U1 = np.dtype("u1")
 _STEP = struct.Struct("<q")
 _SPAN = struct.Struct("<IIIII")
+_LINK_HEADER = struct.Struct(_HEADER.format + "q")
+"""the same, and the first step"""
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.uint8]
@@ -62,6 +64,11 @@ class Flag(IntEnum):
 
 ALL_UP = Flag.OPEN | Flag.HEAR | Flag.TELL
 TAKEN = Flag.OPEN | Flag.HEAR
+
+# To look up a member of an enumeration costs as much as to unpack a header, and to call a named tuple's class three
+# times that: the messages of every step do neither.
+_STATE, _INPUT, _LINK, _TELEMETRY = map(int, (Kind.STATE, Kind.INPUT, Kind.LINK, Kind.TELEMETRY))
+_new = tuple.__new__
 
 
 class MessageError(HedgerowError):
@@ -169,12 +176,12 @@ def _count(doubles: Buffer) -> int:
     return (len(doubles) if isinstance(doubles, bytes) else doubles.nbytes) // 8
 
 
-def gather(parts: Iterable[bytes]) -> Array:
+def gather(parts: Iterable[Buffer]) -> Array:
     """The doubles of several messages as one array.
 
     They stay bytes until all of a step are here: one look at many costs what a look at each would.
     """
-    return np.frombuffer(b"".join(parts), _F8)
+    return np.frombuffer(b"".join(parts), _F8)  # type: ignore[arg-type]  # arrays are buffers
 
 
 def kind_of(message: bytes) -> int:
@@ -209,17 +216,20 @@ def _floats(message: bytes, count: int, skip: int = 0) -> Array:
 
 def encode_state(t: int, x: Buffer, flags: Buffer, spans: Sequence[Span] = ()) -> bytes:
     """A State message."""
-    return _pack(Kind.STATE, _count(x), t, x, flags, *(_SPAN.pack(*span) for span in spans))
+    if spans:
+        flags = bytes(flags) + b"".join([_SPAN.pack(*span) for span in spans])
+    return _pack(_STATE, _count(x), t, x, flags)
 
 
 def decode_state(message: bytes, k: int, m: int) -> State:
     """A State of k nodes and m incidences."""
     end = _SIZE + 8 * k + m
+    if len(message) == end:
+        t = _open(message, _STATE, k, end - _SIZE)
+        return _new(State, (t, np.frombuffer(message, _F8, k, _SIZE), message[end - m :], ()))
     count = max(0, len(message) - end) // _SPAN.size
-    t = _open(message, Kind.STATE, k, 8 * k + m + count * _SPAN.size)
-    x, flags = _floats(message, k), message[_SIZE + 8 * k : end]
-    if not count:
-        return State(t, x, flags)
+    t = _open(message, _STATE, k, 8 * k + m + count * _SPAN.size)
+    x, flags = _floats(message, k), message[end - m : end]
     spans = [Span(*numbers) for numbers in _SPAN.iter_unpack(message[end:])]
     if any(span.incidence >= m for span in spans):
         raise MessageError(f"a span of incidence {max(span.incidence for span in spans)}, and there are {m}")
@@ -252,29 +262,30 @@ def decode_record(message: bytes, degrees: Sequence[int]) -> Record:
 
 def encode_input(t: int, u: Buffer, report: Buffer, took: Buffer) -> bytes:
     """An Input message."""
-    return _pack(Kind.INPUT, _count(u), t, u, report, took)
+    return _pack(_INPUT, _count(u), t, u, report, took)
 
 
 def decode_input(message: bytes, k: int, m: int) -> Input:
     """An Input of k nodes with m incidences."""
     reported = 8 * k * (1 + REPORT_WIDTH)
-    t = _open(message, Kind.INPUT, k, reported + m)
+    t = _open(message, _INPUT, k, reported + m)
     at = _SIZE + reported
-    return Input(t, message[_SIZE : _SIZE + 8 * k], message[_SIZE + 8 * k : at], message[at:])
+    return _new(Input, (t, message[_SIZE : _SIZE + 8 * k], message[_SIZE + 8 * k : at], message[at:]))
 
 
 def encode_link(link: Link, n: int) -> bytes:
     """A Link message of n nodes."""
-    return _pack(Kind.LINK, n, link.t, _STEP.pack(link.first), link.x, link.u)
+    t, first, x, u = link
+    return _LINK_HEADER.pack(VERSION, _LINK, 0, n, t, first) + x + u
 
 
 def decode_link(message: bytes, n: int) -> Link:
     """A Link of n boundary nodes, with one row or more."""
-    size = max(1, (len(message) - _SIZE - 8) // (16 * n)) * 16 * n
-    t = _open(message, Kind.LINK, n, 8 + size)
+    size = max(1, (len(message) - _LINK_HEADER.size) // (16 * n)) * 16 * n
+    t = _open(message, _LINK, n, 8 + size)
     (first,) = _STEP.unpack_from(message, _SIZE)
     at, middle = _SIZE + 8, _SIZE + 8 + size // 2
-    return Link(t, first, message[at:middle], message[middle:])
+    return _new(Link, (t, first, message[at:middle], message[middle:]))
 
 
 def encode_telemetry(row: Telemetry) -> bytes:
