@@ -10,7 +10,6 @@ the truth as its only candidate, the nominal one with the nominal value.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
@@ -24,10 +23,11 @@ Array = NDArray[np.float64]
 class Law(Protocol):
     """What a control law is to a shard; `Class(b, candidates)` makes one.
 
-    `b` is the gain of (1), `candidates` one sequence of models a node.
+    `b` is the gain of (1); `candidates` (M, k) holds the models of each node in a column, in list order, NaN behind the
+    end of a shorter list.
     """
 
-    def __init__(self, b: float, candidates: Sequence[Sequence[float]]) -> None: ...
+    def __init__(self, b: float, candidates: Array) -> None: ...
 
     def act(self, x: Array) -> Array:
         """The inputs u(t) from the states x(t), both (k,)."""
@@ -51,15 +51,12 @@ def control(b: float, x: Array, ahat: Array) -> Array:
 class Minimax:
     """The distributed minimax adaptive controller: memory of M numbers a node, no history."""
 
-    def __init__(self, b: float, candidates: Sequence[Sequence[float]]) -> None:
+    def __init__(self, b: float, candidates: Array) -> None:
         self.b = b
-        k, longest = len(candidates), max(map(len, candidates))
-        self.candidates = np.full((longest, k), 0.5)
-        self.J = np.full((longest, k), np.inf)
+        none, k = np.isnan(candidates), candidates.shape[1]
+        self.candidates = np.where(none, 0.5, candidates)
+        self.J = np.where(none, np.inf, 0.0)
         """J_m,i(t), (M, k); infinite where a node has fewer candidates than the longest list, so that it never wins."""
-        for i, listed in enumerate(candidates):
-            self.candidates[: len(listed), i] = listed
-            self.J[: len(listed), i] = 0.0
         self._nodes = np.arange(k)
         self._report = np.full((k, 3), np.inf)
         self._choose()

@@ -147,7 +147,7 @@ class Agent:
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """`python -m agents VIEW --namespace RUN --connect ENDPOINT`: run one shard until the plant says END."""
     parser = argparse.ArgumentParser(prog="python -m agents", description=main.__doc__)
-    parser.add_argument("view", type=Path, help="the local view, a JSON file")
+    parser.add_argument("view", type=Path, help="the local view, a .npz file")
     parser.add_argument("--namespace", required=True, help="the Zenoh namespace of the run")
     parser.add_argument("--connect", required=True, help="the router, a Zenoh endpoint")
     parser.add_argument("--life", type=int, default=0, help="how often this shard was started before")
@@ -156,7 +156,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     def body() -> None:
         view = View.read(known.view)
         agent = Agent(view, known.namespace, known.connect, known.life)
-        LOG.info("ready: shard %d of nodes %s", view.shard, [node.id for node in view.nodes][:20])
+        LOG.info("ready: shard %d of nodes %s", view.shard, view.ids[:20].tolist())
         try:
             agent.run()
         finally:

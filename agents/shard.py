@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import itertools
 import math
 import struct
 import sys
@@ -33,14 +34,12 @@ def new_law(view: View) -> Law:
     """The law of a view, with no sample seen yet; UserError when there is none such, LawError when it cannot begin."""
     law = law_class(view.law)
     try:
-        begun = law(view.b, [node.candidates for node in view.nodes])
+        begun = law(view.b, view.candidates)
         shape = np.shape(begun.memory)
     except Exception as error:
         raise LawError(f"law {view.law}: cannot begin: {type(error).__name__}: {error}; mend it") from error
-    if shape[-1:] != (len(view.nodes),):
-        raise LawError(
-            f"law {view.law}: its memory has the shape {shape}; its last axis is the {len(view.nodes)} nodes"
-        )
+    if shape[-1:] != (view.k,):
+        raise LawError(f"law {view.law}: its memory has the shape {shape}; its last axis is the {view.k} nodes")
     return begun
 
 
@@ -63,8 +62,8 @@ def law_class(name: str) -> type[Law]:
     return law
 
 
-def _all_or(k: int, nodes: list[int]) -> Index | None:
-    return None if nodes == list(range(k)) else np.array(nodes, dtype=np.int64)
+def _all_or(k: int, nodes: Index) -> Index | None:
+    return None if np.array_equal(nodes, np.arange(k)) else nodes
 
 
 class Shard:
@@ -79,34 +78,26 @@ class Shard:
     def __init__(self, view: View) -> None:
         self._view = view
         self._law = new_law(view)
-        self.k = len(view.nodes)
-        own = {node.id: i for i, node in enumerate(view.nodes)}
-        heard = [node for peer in view.peers for node in peer.hear]
-        column = own | {node: self.k + i for i, node in enumerate(heard)}
-        home = {node: p for p, peer in enumerate(view.peers) for node in peer.hear}
-        incidences = [(i, j) for i, node in enumerate(view.nodes) for j in node.neighbours]
-        self.m = len(incidences)
-        self.degrees = [len(node.neighbours) for node in view.nodes]
-        self._row: Index = np.array([i for i, _ in incidences], dtype=np.int64)
-        ends: Index = np.array([self._row, [column[j] for _, j in incidences]], dtype=np.int64)
+        self.k, self.m = view.k, len(view.row)
+        self.degrees: Index = np.bincount(view.row, minlength=self.k)
+        self._row = view.row
+        ends: Index = np.stack([view.row, view.column])
         """Per incidence: where the inputs of its two ends stand among our own and the heard ones, (2, m)."""
-        self._peer: Index = np.array([home.get(j, -1) for _, j in incidences], dtype=np.int64)
-        self._say = [_all_or(self.k, [own[node] for node in peer.say]) for peer in view.peers]
+        self._say = [_all_or(self.k, peer.say) for peer in view.peers]
         """Per peer: which of our nodes stand in a link message to it; None for all of them, in order."""
-        self.hears = [len(peer.hear) for peer in view.peers]
+        self.hears = [peer.hear for peer in view.peers]
         self.says = [len(peer.say) for peer in view.peers]
-        first = self.k
-        self._over: list[list[int]] = [np.flatnonzero(self._peer == p).tolist() for p in range(len(view.peers))]
-        """Per peer: the incidences that lead to it."""
-        self._columns: list[slice] = []
+        stops = [self.k, *(self.k + np.cumsum(self.hears, dtype=np.int64)).tolist()]
+        self._columns = [slice(first, stop) for first, stop in itertools.pairwise(stops)]
         """Per peer: where its inputs stand among our own and the heard ones."""
-        for n in self.hears:
-            self._columns.append(slice(first, first + n))
-            first += n
+        outside = np.flatnonzero(view.column >= self.k)
+        peer_of = np.searchsorted(stops, view.column[outside], side="right") - 1
+        self._over: list[list[int]] = [outside[peer_of == p].tolist() for p in range(len(view.peers))]
+        """Per peer: the incidences that lead to it."""
         self._everybody: Sequence[int] = range(len(view.peers))
         self._up = bytes([ALL_UP]) * self.m
         self._took_all = bytes([TAKEN]) * self.m
-        self._samples = Samples(self._law, view.history, self._row, ends, first)
+        self._samples = Samples(self._law, view.history, self._row, ends, stops[-1])
         self._mail: list[dict[int, Link]] = [{} for _ in view.peers]
         """Per peer: link messages by step, of the steps that no sample has used yet."""
         self._record: Record | None = None
@@ -224,7 +215,7 @@ class Shard:
         return np.where(blind, np.nan, u)
 
     def _failed(self, method: str, what: str) -> LawError:
-        nodes = ", ".join(str(node.id) for node in self._view.nodes[:8])
+        nodes = ", ".join(map(str, self._view.ids[:8]))
         return LawError(f"law {self._view.law}: {method}() of node {nodes} {what}")
 
     # What goes out.

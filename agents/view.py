@@ -4,58 +4,102 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-NodeId = int | str
+import numpy as np
+from numpy.typing import NDArray
+
+from topologies import archive
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Ids = NDArray[Any]
+"""Node ids: int64, or objects where some are names."""
 
 
-@dataclass(frozen=True)
-class NodeView:
-    """One node of the shard: its id, its candidate models in list order, its neighbours in network order."""
-
-    id: NodeId
-    candidates: Sequence[float]
-    neighbours: Sequence[NodeId]
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Peer:
-    """Another shard with neighbours of ours: `say`, our nodes in a message to it; `hear`, its nodes in one to us."""
+    """Another shard with neighbours of ours."""
 
     shard: int
-    say: Sequence[NodeId]
-    hear: Sequence[NodeId]
+    say: Index
+    """which of our nodes stand in a message to it, in that order"""
+    hear: int
+    """how many of its nodes stand in a message to us"""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class View:
     """What a shard of k >= 1 nodes knows: the gain b of (1), its law, its own nodes, and where its neighbours are.
 
-    `law` is `minimax`, or `package.module:Class` for another; hinf and nominal are minimax with one candidate.
+    An incidence is a node and one of its edges; they are ordered by node and then by neighbour, in network order.
     """
 
     shard: int
     b: float
     law: str
-    nodes: Sequence[NodeView]
+    """`minimax`, or `package.module:Class` for another; hinf and nominal are minimax with one candidate"""
+    ids: Ids
+    """of its own nodes, (k,)"""
+    candidates: Array
+    """the models of each node in list order, NaN behind the end of a shorter list, (M, k)"""
+    row: Index
+    """per incidence: the node that it is seen from, (m,)"""
+    column: Index
+    """per incidence: its neighbour, by its place among our own nodes, and behind them the heard ones, (m,)"""
     peers: Sequence[Peer]
+    heard: Ids
+    """ids of the neighbours in other shards, peer by peer"""
     history: int
     """how many past steps are kept for back-filling, 0 for none: then what was missed stays missed"""
 
-    def to_json(self) -> str:
-        """The view as JSON text."""
-        return json.dumps(asdict(self))
+    @property
+    def k(self) -> int:
+        """How many nodes it has."""
+        return len(self.ids)
 
-    @classmethod
-    def from_json(cls, text: str) -> View:
-        """The view that `to_json` wrote."""
-        raw = json.loads(text)
-        raw["nodes"] = [NodeView(**node) for node in raw["nodes"]]
-        raw["peers"] = [Peer(**peer) for peer in raw["peers"]]
-        return cls(**raw)
+    def write(self, path: Path) -> None:
+        """Write the view as the .npz file that `read` reads."""
+        settings = {"shard": self.shard, "b": self.b, "law": self.law, "history": self.history}
+        peers = [(peer.shard, len(peer.say), peer.hear) for peer in self.peers]
+        say = [peer.say for peer in self.peers]
+        arrays = {
+            "ids": self.ids,
+            "candidates": self.candidates,
+            "row": self.row,
+            "column": self.column,
+            "peers": np.array(peers, dtype=np.int64).reshape(-1, 3),
+            "say": np.concatenate(say) if say else np.empty(0, dtype=np.int64),
+            "heard": self.heard,
+        }
+        archive.write(path, settings, arrays)
 
     @classmethod
     def read(cls, path: Path) -> View:
         """The view in a file."""
-        return cls.from_json(path.read_text(encoding="utf-8"))
+        settings, arrays = archive.read(path)
+        shards, says, hears = arrays.pop("peers").T
+        say = np.split(arrays.pop("say"), np.cumsum(says)[:-1])
+        peers = [Peer(int(q), own, int(n)) for q, own, n in zip(shards, say, hears, strict=False)]
+        return cls(**settings, **arrays, peers=peers)
+
+    def to_json(self) -> str:
+        """The same for people to read: every node with its candidates and the ids of its neighbours."""
+        own, heard = self.ids.tolist(), self.heard.tolist()
+        known = own + heard
+        neighbours: list[list[Any]] = [[] for _ in own]
+        for i, j in zip(self.row.tolist(), self.column.tolist(), strict=True):
+            neighbours[i].append(known[j])
+        nodes = [
+            {"id": node, "candidates": column[~np.isnan(column)].tolist(), "neighbours": beside}
+            for node, column, beside in zip(own, self.candidates.T, neighbours, strict=True)
+        ]
+        ends = np.cumsum([peer.hear for peer in self.peers], dtype=np.int64)
+        peers = [
+            {"shard": peer.shard, "say": [own[i] for i in peer.say], "hear": heard[end - peer.hear : end]}
+            for peer, end in zip(self.peers, ends.tolist(), strict=True)
+        ]
+        told = {"shard": self.shard, "b": self.b, "law": self.law, "nodes": nodes, "peers": peers}
+        return json.dumps({**told, "history": self.history})

@@ -6,13 +6,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from agents.view import NodeView, Peer, View
+from agents.view import Peer, View
 from plant.truth import Truth
+from topologies.archive import id_array
 from topologies.errors import UserError
 from topologies.faults import effects
-from topologies.schema import Nothing, Topology
+from topologies.graph import Array, Index
+from topologies.schema import Topology
 
-Layout = Sequence[Sequence[int]]
+Layout = Sequence[Sequence[int] | Index]
 """Per agent process: the positions of its nodes, ascending."""
 
 HISTORY_BYTES = 2**28
@@ -24,22 +26,22 @@ def layout(topology: Topology, processes: int | None) -> Layout:
     n = len(topology.ids)
     if processes is not None and not 1 <= processes <= n:
         raise UserError(f"--processes {processes}: {n} nodes run in 1 to {n} processes")
-    return [[int(k) for k in part] for part in np.array_split(np.arange(n), processes or n)]
+    return np.array_split(np.arange(n), processes or n)
 
 
 def truth_of(topology: Topology, shards: Layout) -> Truth:
     """What the plant is told of a resolved topology."""
-    own = list(topology.nodes.values())
+    network = topology.network
     return Truth(
-        ids=topology.ids,
-        b=topology.b,
-        a=[node.a for node in own],  # type: ignore[misc]  # resolved: every a is a number
-        x0=[node.x0 for node in own],  # type: ignore[misc]
-        edges=[(int(i), int(j)) for i, j in topology.graph.edges],
-        disturbance=[_components(node.disturbance) for node in own],
+        ids=id_array(network.ids),
+        b=network.b,
+        a=network.a,
+        x0=network.x0,
+        edges=network.graph.edges,
+        disturbance=network.disturbance,
         steps=topology.steps,
         seed=topology.seed,
-        shards=shards,
+        shards=[np.asarray(nodes, dtype=np.int64) for nodes in shards],
         effects=[effect.to_dict() for effect in effects(topology.faults, topology)],
         faults=len(topology.faults),
         history=history_of(topology),
@@ -48,25 +50,24 @@ def truth_of(topology: Topology, shards: Layout) -> Truth:
 
 def history_of(topology: Topology) -> int:
     """How many past steps every process keeps for back-filling: as many as the file says and memory has room for."""
-    row = 8 * (3 * len(topology.ids) + 2 * len(topology.edges))
+    graph = topology.network.graph
+    row = 8 * (3 * graph.n + 2 * len(graph.edges))
     return min(topology.history, max(1, HISTORY_BYTES // row)) if topology.backfill else 0
 
 
-def _components(disturbance: object) -> list[dict[str, object]]:
-    parts = disturbance if isinstance(disturbance, tuple) else (disturbance,)
-    return [part.model_dump() for part in parts if part is not None and not isinstance(part, Nothing)]
+def candidates_of(topology: Topology) -> Array:
+    """The models that each node chooses among under the topology's law, a column a node, NaN-padded, (M, n).
 
-
-def candidates_of(topology: Topology) -> list[tuple[float, ...]]:
-    """The models that each node chooses among under the topology's law: hinf has the truth only, nominal its value."""
-    own = topology.nodes.values()
+    hinf has the truth only, nominal its nominal value.
+    """
+    network = topology.network
     match topology.law:
         case "hinf":
-            return [(float(node.a),) for node in own]  # type: ignore[arg-type]
+            return network.a[None]
         case "nominal":
-            return [(float(node.nominal),) for node in own]  # type: ignore[arg-type]
+            return network.nominal[None]
         case _:
-            return [tuple(node.candidates) for node in own]  # type: ignore[arg-type]
+            return network.candidates
 
 
 def law_of(topology: Topology) -> str:
@@ -76,31 +77,46 @@ def law_of(topology: Topology) -> str:
 
 def views_of(topology: Topology, shards: Layout) -> list[View]:
     """What each agent process is told: its own nodes and who their neighbours are, never the truth or the graph."""
-    ids, graph = topology.ids, topology.graph
-    home = {k: p for p, nodes in enumerate(shards) for k in nodes}
-    neighbours: list[list[int]] = [[] for _ in ids]
-    for i, j in zip(graph.node, graph.neighbour, strict=True):
-        neighbours[i].append(int(j))
-    candidates = candidates_of(topology)
-    views = []
+    graph, ids, candidates = topology.network.graph, id_array(topology.ids), candidates_of(topology)
+    law, history = law_of(topology), history_of(topology)
+    home = np.empty(graph.n, dtype=np.int64)
     for p, nodes in enumerate(shards):
-        say: dict[int, set[int]] = {}
-        hear: dict[int, set[int]] = {}
-        for i in nodes:
-            for j in neighbours[i]:
-                if (q := home[j]) != p:
-                    say.setdefault(q, set()).add(i)
-                    hear.setdefault(q, set()).add(j)
+        home[nodes] = p
+    incidences = home[graph.node].argsort(kind="stable")
+    stops = np.bincount(home[graph.node], minlength=len(shards)).cumsum()
+    views = []
+    for p, (nodes, own) in enumerate(zip(shards, np.split(incidences, stops[:-1]), strict=True)):
+        nodes = np.asarray(nodes, dtype=np.int64)  # noqa: PLW2901
+        row, neighbour = np.searchsorted(nodes, graph.node[own]), graph.neighbour[own]
+        column = np.searchsorted(nodes, neighbour)
+        outside = home[neighbour] != p
+        # By shard and then by node: the order in which both ends list what is in a link message.
+        shard, beside = home[neighbour[outside]] * graph.n, neighbour[outside]
+        heard, place = np.unique(shard + beside, return_inverse=True)
+        column[outside] = len(nodes) + place
+        said = np.unique(shard + row[outside])
+        hears, says = heard // graph.n, said // graph.n
+        peers = [
+            Peer(q, said[says == q] % graph.n, int(count))
+            for q, count in zip(*(found.tolist() for found in np.unique(hears, return_counts=True)), strict=True)
+        ]
         views.append(
             View(
                 shard=p,
                 b=topology.b,
-                law=law_of(topology),
-                nodes=[NodeView(ids[i], candidates[i], [ids[j] for j in neighbours[i]]) for i in nodes],
-                history=history_of(topology),
-                peers=[
-                    Peer(q, [ids[i] for i in sorted(say[q])], [ids[j] for j in sorted(hear[q])]) for q in sorted(say)
-                ],
+                law=law,
+                ids=ids[nodes],
+                candidates=_without_padding(candidates[:, nodes]),
+                row=row,
+                column=column,
+                peers=peers,
+                heard=ids[heard % graph.n],
+                history=history,
             )
         )
     return views
+
+
+def _without_padding(candidates: Array) -> Array:
+    """Less the rows that no node of the shard has a candidate in: it is not told how many others have."""
+    return np.ascontiguousarray(candidates[~np.isnan(candidates).all(axis=1)])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 from rich.console import Console
 from rich.table import Table
 
@@ -37,9 +36,8 @@ def table(topology: Topology) -> str:
         console.print(rows)
         if graph.n > MAX_ROWS:
             console.print(f"… and {graph.n - MAX_ROWS} nodes more")
-        models = [np.array(listed) for listed in candidates_of(topology)]
         size = f"{count(graph.n, 'node')}, {count(len(graph.edges), 'edge')}, b = {topology.b:g}"
-        gamma, rho = gamma_star(a, topology.b, graph), contraction(a, models)
+        gamma, rho = gamma_star(a, topology.b, graph), contraction(a, candidates_of(topology))
         console.print(
             f"\n{topology.name}: {size}, {topology.steps} steps, seed {topology.seed}, law {topology.law}\n"
             f"gamma* = {gamma:.6g}, the optimal gain when every a is known; "

@@ -19,7 +19,6 @@ from orchestrator.twins import Twins
 from plant.world import dynamics
 from topologies.graph import Array, Graph
 from topologies.hinf import gamma_star
-from topologies.resolve import truth
 from topologies.schema import Topology
 from wire.codec import End, Telemetry
 
@@ -100,23 +99,21 @@ class Observer:
     """Takes telemetry in the order of its steps and computes all that is shown, recorded and judged."""
 
     def __init__(self, topology: Topology) -> None:
-        own = list(topology.nodes.values())
+        network = topology.network
         self.topology = topology
-        self.graph: Graph = topology.graph
-        self.b, self._a0 = topology.b, truth(topology)
+        self.graph: Graph = network.graph
+        self.b, self._a0 = network.b, network.a
         self._a = self._a0
         """the truth at the last step taken in"""
-        self.x0 = np.array([node.x0 for node in own], dtype=float)
-        self.nominal = np.array([node.nominal for node in own], dtype=float)
+        self.x0, self.nominal = network.x0, network.nominal
         self.gamma_star = gamma_star(self._a0, self.b, self.graph)
         """of the truth at t = 0"""
-        models = [np.array(listed) for listed in candidates_of(topology)]
-        self._largest = np.array([listed.max() for listed in models])
+        models = candidates_of(topology)
+        self._largest = np.nanmax(models, axis=0)
         self.rho = float(self._contraction(self._a0))
         """the largest that held so far"""
-        self._rivals = [np.array(node.candidates, dtype=float) for node in own]
-        longest = max(map(len, models))
-        self._padded = np.array([np.pad(listed, (0, longest - len(listed)), mode="edge") for listed in models])
+        self._rivals = [listed[~np.isnan(listed)] for listed in network.candidates.T]
+        self._padded = models.T
         self._twins = Twins(self.b, self.graph, self.x0, self._a0, self.nominal)
         self._certificate = Certificate(self._a0, self.b, self.graph, self.x0)
         self.v0 = self._certificate.v0

@@ -232,14 +232,12 @@ class RecordedRun:
     @cached_property
     def candidates(self) -> Array:
         """The list of each node, NaN behind its end, (n, M)."""
-        lists = [np.array(node.candidates) for node in self.topology.nodes.values()]
-        longest = max(map(len, lists))
-        return _frozen(np.array([np.pad(a, (0, longest - len(a)), constant_values=np.nan) for a in lists]))
+        return _frozen(self.topology.network.candidates.T.copy())
 
     @cached_property
     def nominal(self) -> Array:
         """What the nominal controller takes each a for, (n,)."""
-        return _frozen(np.array([node.nominal for node in self.topology.nodes.values()], dtype=float))
+        return _frozen(self.topology.network.nominal.copy())
 
     @cached_property
     def gamma_star(self) -> float:

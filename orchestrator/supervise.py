@@ -58,7 +58,7 @@ BACKOFF_S = 0.1
 class _Agent:
     """One agent process over all its lives."""
 
-    view: View
+    shard: int
     life: int = 0
     alive: bool = True
     starting: bool = False
@@ -90,9 +90,9 @@ class Processes:
 
     def start_agent(self, view: View) -> None:
         """Launch one shard with its local view and nothing else."""
-        name = f"agent-{view.nodes[0].id}" if len(view.nodes) == 1 else f"shard-{view.shard}"
-        self._agents[name] = _Agent(view)
-        (self._folder.processes / f"{name}.json").write_text(view.to_json(), encoding="utf-8")
+        name = f"agent-{view.ids[0]}" if view.k == 1 else f"shard-{view.shard}"
+        self._agents[name] = _Agent(view.shard)
+        view.write(self._folder.processes / f"{name}.npz")
         self._start(name, "agents", self._connect)
         self._names.append(name)
 
@@ -103,12 +103,12 @@ class Processes:
         """
         options = ["--rate", str(rate), "--deadline", str(deadline_s), "--listed", str(listed)]
         options += ["--listen", self._endpoint, "--socket", str(socket)] if socket else self._connect
-        (self._folder.processes / f"{keys.PLANT}.json").write_text(truth.to_json(), encoding="utf-8")
+        truth.write(self._folder.processes / f"{keys.PLANT}.npz")
         self._start(keys.PLANT, "plant", options)
         self._names.append(keys.PLANT)
 
     def _start(self, name: str, module: str, options: Sequence[str]) -> None:
-        file = self._folder.processes / f"{name}.json"
+        file = self._folder.processes / f"{name}.npz"
         arguments = [str(file), "--namespace", self._namespace, *options]
         self._nursery.fork(name, module, arguments, self._folder.logs / f"{name}.log")
 
@@ -130,7 +130,7 @@ class Processes:
         agent.again = agent.again or agent.killed
 
     def _agent(self, shard: int) -> tuple[str, _Agent]:
-        return next((name, agent) for name, agent in self._agents.items() if agent.view.shard == shard)
+        return next((name, agent) for name, agent in self._agents.items() if agent.shard == shard)
 
     def tend(self, tell_died: Callable[[int, int], bool]) -> list[dict[str, Any]]:
         """See who has died, and start again who is due; returns what happened since the last time, as events.
@@ -148,7 +148,7 @@ class Processes:
                 if not agent.killed:
                     happened.append({"kind": "died", "process": name, "how": str(self._unasked(name, agent, code))})
             if not agent.alive and not agent.told:
-                agent.told = tell_died(agent.view.shard, agent.life)
+                agent.told = tell_died(agent.shard, agent.life)
             if agent.told and agent.again and time.monotonic() >= agent.due:
                 agent.life += 1
                 agent.alive = agent.starting = True

@@ -2,43 +2,23 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Iterable
 
 import numpy as np
 
 from topologies.graph import Array, Index
+from topologies.network import Group
 
 Component = Callable[[int], Array]
 """The values at step t of the nodes that have this component."""
 
-_KEYS = {
-    "sinusoid": ("amplitude", "omega", "phase"),
-    "constant": ("value",),
-    "white": ("std",),
-    "impulse": ("at", "value"),
-}
-
 
 class Disturbance:
-    """The sum of every node's components; `components[i]` are those of node i, as a topology file spells them."""
+    """The sum of all groups, over n nodes; they are ordered, so that a node's are added in the order of its list."""
 
-    def __init__(self, components: Sequence[Sequence[Mapping[str, Any]]], seed: int) -> None:
-        self._n = len(components)
-        groups: dict[tuple[int, str], list[tuple[int, Mapping[str, Any]]]] = defaultdict(list)
-        for node, parts in enumerate(components):
-            for number, part in enumerate(parts):
-                groups[number, part["kind"]].append((node, part))
-        # Sorted by number: a node's components are added in the order of its list.
-        self._groups: list[tuple[Index, Component]] = [
-            (
-                np.array([node for node, _ in members], dtype=np.int64),
-                self._component(kind, number, members, seed),
-            )
-            for (number, kind), members in sorted(groups.items(), key=lambda item: item[0])
-            if kind != "none"
-        ]
+    def __init__(self, groups: Iterable[Group], n: int, seed: int) -> None:
+        self._n = n
+        self._groups: list[tuple[Index, Component]] = [(group.nodes, self._component(group, seed)) for group in groups]
 
     def at(self, t: int) -> Array:
         """w(t), (n,)."""
@@ -50,14 +30,12 @@ class Disturbance:
                 w[nodes] += component(t)
         return w
 
-    def _component(
-        self, kind: str, number: int, members: Sequence[tuple[int, Mapping[str, Any]]], seed: int
-    ) -> Component:
-        if kind == "samples":
-            values = np.array([part["values"] for _, part in members], dtype=float)
-            return lambda t: np.asarray(values[:, t])
-        columns = {key: np.array([part[key] for _, part in members]) for key in _KEYS[kind]}
-        match kind:
+    def _component(self, group: Group, seed: int) -> Component:
+        columns = group.values
+        match group.kind:
+            case "samples":
+                values = columns["values"]
+                return lambda t: np.asarray(values[:, t])
             case "sinusoid":
                 amplitude, omega, phase = columns["amplitude"], columns["omega"], columns["phase"]
                 return lambda t: amplitude * np.sin(omega * t + phase)
@@ -66,8 +44,7 @@ class Disturbance:
             case "impulse":
                 return lambda t: np.where(columns["at"] == t, columns["value"], 0.0)
             case _:
-                nodes = np.array([node for node, _ in members], dtype=np.int64)
-                return lambda t: columns["std"] * _gaussian(seed, number, t, self._n)[nodes]
+                return lambda t: columns["std"] * _gaussian(seed, group.number, t, self._n)[group.nodes]
 
 
 def _gaussian(seed: int, number: int, t: int, n: int) -> Array:

@@ -113,7 +113,7 @@ class Plant:
         self._outbox = Outbox(self._telemetry.put)
         degree = self.world.graph.degree
         self.shards = [
-            _Shard(nodes, int(degree[list(nodes)].sum()), publisher(session, keys.state(p)))
+            _Shard(nodes.tolist(), int(degree[nodes].sum()), publisher(session, keys.state(p)))
             for p, nodes in enumerate(truth.shards)
         ]
         silence = (np.full(len(one.nodes) * (1 + REPORT_WIDTH), np.nan).tobytes() for one in self.shards)
@@ -424,7 +424,7 @@ class Plant:
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """`python -m plant TRUTH --namespace RUN --listen ENDPOINT`: run the world to its last step."""
     parser = argparse.ArgumentParser(prog="python -m plant", description=main.__doc__)
-    parser.add_argument("truth", type=Path, help="the true network, a JSON file")
+    parser.add_argument("truth", type=Path, help="the true network, a .npz file")
     parser.add_argument("--namespace", required=True, help="the Zenoh namespace of the run")
     where = parser.add_mutually_exclusive_group(required=True)
     where.add_argument("--listen", help="be the router of the run, on a Zenoh endpoint")

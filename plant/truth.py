@@ -2,31 +2,34 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-NodeId = int | str
+import numpy as np
+from numpy.typing import NDArray
+
+from topologies import archive
+from topologies.graph import Array, Index
+from topologies.network import Group
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Truth:
-    """The true network, in plain numbers; every sequence is over nodes in network order unless it says otherwise."""
+    """The true network, in plain numbers; every array is over nodes in network order unless it says otherwise."""
 
-    ids: Sequence[NodeId]
+    ids: NDArray[Any]
     b: float
-    a: Sequence[float]
-    x0: Sequence[float]
-    edges: Sequence[tuple[int, int]]
-    """Pairs of positions in `ids`."""
-    disturbance: Sequence[Sequence[Mapping[str, Any]]]
-    """Per node: the components that are summed, as a topology file spells them."""
+    a: Array
+    x0: Array
+    edges: Index
+    """Pairs of positions in `ids`, (E, 2)."""
+    disturbance: Sequence[Group]
     steps: int
     seed: int
-    shards: Sequence[Sequence[int]]
-    """Per agent process: the positions of its nodes."""
+    shards: Sequence[Index]
+    """Per agent process: the positions of its nodes, ascending."""
     effects: Sequence[Mapping[str, Any]]
     """What goes wrong: topologies.effects.Effect as its `to_dict` writes it."""
     faults: int
@@ -34,11 +37,30 @@ class Truth:
     history: int
     """How many past steps are kept for back-filling, 0 for none."""
 
-    def to_json(self) -> str:
-        """The truth as JSON text."""
-        return json.dumps(asdict(self))
+    def write(self, path: Path) -> None:
+        """Write the truth as the .npz file that `read` reads."""
+        settings = {name: getattr(self, name) for name in ("b", "steps", "seed", "effects", "faults", "history")}
+        arrays = {
+            "ids": self.ids,
+            "a": self.a,
+            "x0": self.x0,
+            "edges": self.edges,
+            "nodes": np.concatenate(self.shards),
+            "sizes": np.array([len(nodes) for nodes in self.shards]),
+        }
+        for g, group in enumerate(self.disturbance):
+            arrays[f"w{g}"] = group.nodes
+            arrays |= {f"w{g} {key}": value for key, value in group.values.items()}
+        groups = [(group.number, group.kind, list(group.values)) for group in self.disturbance]
+        archive.write(path, settings | {"groups": groups}, arrays)
 
     @classmethod
     def read(cls, path: Path) -> Truth:
-        """The truth in a file that holds `to_json`'s text."""
-        return cls(**json.loads(path.read_text(encoding="utf-8")))
+        """The truth in a file."""
+        settings, arrays = archive.read(path)
+        groups = [
+            Group(number, kind, arrays.pop(f"w{g}"), {key: arrays.pop(f"w{g} {key}") for key in keys})
+            for g, (number, kind, keys) in enumerate(settings.pop("groups"))
+        ]
+        shards = np.split(arrays.pop("nodes"), np.cumsum(arrays.pop("sizes"))[:-1])
+        return cls(**settings, **arrays, disturbance=groups, shards=shards)

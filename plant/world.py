@@ -60,28 +60,32 @@ class World:
     """The true network in motion: its state x(t), what goes wrong, and the step to the next."""
 
     def __init__(self, truth: Truth) -> None:
-        self.graph = graph = Graph(len(truth.ids), np.array(truth.edges, dtype=np.int64).reshape(-1, 2))
-        self.a = np.array(truth.a)
+        self.graph = graph = Graph(len(truth.ids), truth.edges)
+        self.a = truth.a.copy()
         self.b = truth.b
         self.t = 0
-        self.x = np.array(truth.x0, dtype=float)
+        self.x = truth.x0
         self._steps = truth.steps
-        self._disturbance = Disturbance(truth.disturbance, truth.seed)
+        self._disturbance = Disturbance(truth.disturbance, graph.n, truth.seed)
         self.faults = Faults((Effect.from_dict(one) for one in truth.effects), graph, truth.seed)
         self.links = Links(graph, truth.history)
         self._record = History(truth.history, graph.n, graph.n, len(graph.edges))
-        self._parts = [
-            _Part(np.array(nodes, dtype=np.int64), np.flatnonzero(np.isin(graph.node, list(nodes))))
-            for nodes in truth.shards
-        ]
-        incidences = [part.incidences for part in self._parts]
-        self.order: Index = np.concatenate([part.nodes for part in self._parts])
+        self.order: Index = np.concatenate(truth.shards)
         """Nodes in the order of the shards."""
-        self._incidence_order: Index = np.concatenate(incidences) if incidences else np.empty(0, dtype=np.int64)
-        self._home = {c: p for p, part in enumerate(self._parts) for c in part.incidences.tolist()}
-        self._local = {c: k for part in self._parts for k, c in enumerate(part.incidences.tolist())}
-        """Per incidence: its shard, and which of the shard's it is."""
-        self._place, self._incidence_place = self.order.argsort(), self._incidence_order.argsort()
+        of_node = np.empty(graph.n, dtype=np.int64)
+        of_node[self.order] = np.repeat(np.arange(len(truth.shards)), [len(nodes) for nodes in truth.shards])
+        self._home: Index = of_node[graph.node]
+        """Per incidence: its shard."""
+        incidence_order = self._home.argsort(kind="stable")
+        stops = np.bincount(self._home, minlength=len(truth.shards)).cumsum()
+        self._parts = [
+            _Part(nodes, incidences)
+            for nodes, incidences in zip(truth.shards, np.split(incidence_order, stops[:-1]), strict=True)
+        ]
+        self._place, self._incidence_place = self.order.argsort(), incidence_order.argsort()
+        first = np.concatenate([[0], stops[:-1]])
+        self._local: Index = self._incidence_place - first[self._home]
+        """Per incidence: which of its shard's it is."""
         e = len(graph.edges)
         self._nobody: Mask = np.zeros(graph.n, dtype=bool)
         self._all_open: Flags = np.ones(e, dtype=np.uint8)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 from hypothesis import strategies as st
 
-from orchestrator.assign import Layout, layout, truth_of, views_of
+from orchestrator.assign import Layout, candidates_of, layout, truth_of, views_of
 from orchestrator.in_process import run
 from orchestrator.observe import Batch, Observer
 from topologies.graph import Array
@@ -49,6 +50,11 @@ def from_vector(path: Path) -> tuple[Topology, dict[str, Any]]:
     """The network of a vector, by way of a topology file, and the numbers it should give."""
     text, expected = vector_file(path)
     return read(text), expected
+
+
+def listed(topology: Topology) -> list[list[float]]:
+    """The models that each node chooses among."""
+    return [column[~np.isnan(column)].tolist() for column in candidates_of(topology).T]
 
 
 @dataclass(frozen=True)
@@ -89,7 +95,12 @@ class Trajectory:
 def simulate(topology: Topology, shards: Layout | None = None) -> Trajectory:
     """A run in one process; without `shards`, one agent a node."""
     shards = layout(topology, None) if shards is None else shards
-    *rows, end = run(truth_of(topology, shards), views_of(topology, shards))
+    return gathered(run(truth_of(topology, shards), views_of(topology, shards)))
+
+
+def gathered(telemetry: Iterable[Telemetry | End]) -> Trajectory:
+    """All that a run tells, to its end."""
+    *rows, end = telemetry
     assert isinstance(end, End)
     return Trajectory([row for row in rows if isinstance(row, Telemetry)], end)
 

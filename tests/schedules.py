@@ -9,11 +9,11 @@ import numpy as np
 from hypothesis import strategies as st
 
 from agents.law import Minimax
-from orchestrator.assign import candidates_of
 from plant.faults import strikes
-from tests.networks import Trajectory
+from tests.networks import Trajectory, listed
 from topologies.effects import Effect
 from topologies.faults import effects
+from topologies.network import padded
 from topologies.schema import Topology
 
 
@@ -42,7 +42,7 @@ def _fault(draw: st.DrawFn, kind: str, topology: Topology, ids: list[Any], steps
     edge = list(draw(st.sampled_from(topology.edges))) if topology.edges else []
     if draw(st.booleans()):
         edge.reverse()
-    at, models = draw(st.integers(0, steps)), candidates_of(topology)
+    at, models = draw(st.integers(0, steps)), listed(topology)
     table = st.dictionaries(st.integers(0, steps), st.just([edge]), min_size=1, max_size=4)
     again = draw(st.sampled_from([{}, *({"restart_after": r} for r in (1, 2, 5))]))
     groups = draw(st.integers(1, max(1, len(ids) - 1)).map(lambda split: [ids[:split], ids[split:]]))
@@ -139,7 +139,7 @@ class Plain:
 
     def _estimate(self, i: int, t: int, known: list[set[int]], blind: Any, x: Any, since: int) -> float:
         topology, rows = self.topology, self.ran.rows
-        law = Minimax(topology.b, [candidates_of(topology)[i]])
+        law = Minimax(topology.b, padded([listed(topology)[i]]))
         incidences = np.flatnonzero(self.graph.node == i)
         for tau in range(since, t):
             if i in blind[tau] or i in blind[tau + 1]:

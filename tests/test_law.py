@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -11,9 +12,13 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from agents.law import Array, Minimax
-from orchestrator.assign import candidates_of, layout, truth_of, views_of
-from tests.networks import floats, networks, partitions, read, simulate
+from agents.view import View
+from orchestrator import in_process
+from orchestrator.assign import layout, truth_of, views_of
+from plant.truth import Truth
+from tests.networks import floats, gathered, listed, networks, partitions, read, simulate
 from topologies.errors import UserError
+from topologies.network import padded
 from topologies.schema import Topology
 
 B = 0.1
@@ -41,7 +46,7 @@ def histories(draw: st.DrawFn, number: st.SearchStrategy[float] | None = None) -
 
 def taught(history: History) -> Minimax:
     """The law after all samples of a history."""
-    law = Minimax(B, history.candidates)
+    law = Minimax(B, padded(history.candidates))
     for x, flow, x_next in zip(history.x[:-1], history.flow, history.x[1:], strict=True):
         law.learn(x, flow, x_next)
     return law
@@ -91,7 +96,7 @@ def test_the_estimate_is_the_candidate_nearest_least_squares(history: History) -
 @given(st.permutations([0.25, 0.5, 0.75]), st.sampled_from([0.375, 0.625]), st.integers(1, 8))
 def test_a_tie_goes_to_the_first_in_list_order(models: list[float], halfway: float, samples: int) -> None:
     """Dyadic numbers, so that J ties exactly: a_LS lies halfway between two candidates."""
-    law = Minimax(0.5, [models])
+    law = Minimax(0.5, padded([models]))
     assert law.ahat == [models[0]], "before any sample all tie at J = 0"
     for _ in range(samples):
         law.learn(np.array([1.0]), np.array([0.25]), np.array([halfway + 0.125]))
@@ -177,18 +182,49 @@ def test_an_agent_is_told_of_its_own_nodes_and_neighbours_alone(topology: Topolo
     """Its view holds no truth, no x(0), no disturbance, no edge that is not its own."""
     shards = data.draw(partitions(len(topology.ids)))
     views = views_of(topology, shards)
-    assert truth_of(topology, shards).shards == shards
+    assert [nodes.tolist() for nodes in truth_of(topology, shards).shards] == shards
     for view, nodes in zip(views, shards, strict=True):
         told = json.loads(view.to_json())
         assert set(told) == {"shard", "b", "law", "nodes", "peers", "history"}
         assert [set(node) for node in told["nodes"]] == [{"id", "candidates", "neighbours"}] * len(nodes)
         own = {topology.ids[k] for k in nodes}
         beside = {end for edge in topology.edges if own & set(edge) for end in edge} - own
-        assert {node for peer in view.peers for node in peer.hear} == beside
+        assert {node for peer in told["peers"] for node in peer["hear"]} == {*view.heard.tolist()} == beside
         assert all(
-            {*node.neighbours} == {e for edge in topology.edges if node.id in edge for e in edge} - {node.id}
-            for node in view.nodes
+            {*node["neighbours"]} == {e for edge in topology.edges if node["id"] in edge for e in edge} - {node["id"]}
+            for node in told["nodes"]
         )
+        assert [node["candidates"] for node in told["nodes"]] == [listed(topology)[k] for k in nodes]
+
+
+@given(topology=networks(), data=st.data())
+@settings(max_examples=30)
+def test_what_a_process_is_told_goes_through_its_file(
+    topology: Topology, data: st.DataObject, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """To the bit; and the file of an agent holds nothing that its view does not."""
+    folder = tmp_path_factory.mktemp("told")
+    shards = data.draw(partitions(len(topology.ids)))
+    truth, views = truth_of(topology, shards), views_of(topology, shards)
+    truth.write(folder / "plant.npz")
+    for view in views:
+        view.write(folder / f"{view.shard}.npz")
+        with np.load(folder / f"{view.shard}.npz") as file:
+            settings_of, arrays = json.loads(file["settings"].tobytes()), {*file.files} - {"settings"}
+        assert settings_of.keys() == {"shard", "b", "law", "history"}
+        assert arrays == {"ids", "candidates", "row", "column", "peers", "say", "heard"}
+    back = [View.read(folder / f"{view.shard}.npz") for view in views]
+    assert [view.to_json() for view in back] == [view.to_json() for view in views]
+    again = gathered(in_process.run(Truth.read(folder / "plant.npz"), back))
+    assert again.same_bits(gathered(in_process.run(truth, views)))
+
+
+def test_ids_of_both_kinds_go_through_a_file(tmp_path: Path) -> None:
+    """A whole number beyond those that read as one is told from the name that is spelled like it."""
+    topology = read("{name: n, b: 0.1, steps: 1, nodes: [dam, 9223372036854775807, '9223372036854775807']}")
+    (view,) = views_of(topology, layout(topology, 1))
+    view.write(tmp_path / "v.npz")
+    assert View.read(tmp_path / "v.npz").ids.tolist() == ["dam", 9223372036854775807, "9223372036854775807"]
 
 
 def test_what_one_says_is_what_the_other_hears() -> None:
@@ -199,8 +235,10 @@ def test_what_one_says_is_what_the_other_hears() -> None:
     )
     views = views_of(topology, [[0, 2, 4], [1, 3, 5]])
     (to_second,), (to_first,) = (view.peers for view in views)
-    assert to_second.say == to_first.hear == ["f", "d", "b"]
-    assert to_first.say == to_second.hear == ["e", "c", "a"]
+    first, second = views
+    assert first.ids[to_second.say].tolist() == second.heard.tolist() == ["f", "d", "b"]
+    assert second.ids[to_first.say].tolist() == first.heard.tolist() == ["e", "c", "a"]
+    assert to_second.hear == to_first.hear == 3
 
 
 def test_candidates_of_different_lengths_run_together() -> None:
@@ -214,8 +252,8 @@ def test_candidates_of_different_lengths_run_together() -> None:
     assert ran.report[-1, :, 0].tolist() == [0.5, 0.8, 0.7], "without noise all are found"
     assert ran.report[-1, :, 1].tolist() == [0, 2, 4]
     assert ran.report[0, :, 0].tolist() == [0.5, 0.2, 0.9], "at t = 0 the first of each list"
-    listed = candidates_of(topology)
-    assert all(ahat in listed[i] for row in ran.report for i, ahat in enumerate(row[:, 0]))
+    own = listed(topology)
+    assert all(ahat in own[i] for row in ran.report for i, ahat in enumerate(row[:, 0]))
 
 
 @pytest.mark.parametrize(

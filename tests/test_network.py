@@ -16,6 +16,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from agents.view import View
 from orchestrator.supervise import RESTARTS
 from tests.networks import VECTORS, vector_file
 from tests.processes import Orchestrator, gone, orchestrator, parquet_bytes
@@ -96,7 +97,7 @@ def test_an_agent_is_a_process_that_knows_its_own_view_only(here: Path, paper7: 
     pids = set(start["pids"].values())
     assert len(pids) == 8
     assert all(Path(f"/proc/{pid}").exists() for pid in pids)
-    view = json.loads((here / "runs/latest/processes/agent-3.json").read_text())
+    view = json.loads(View.read(here / "runs/latest/processes/agent-3.npz").to_json())
     assert set(view) == {"shard", "b", "law", "nodes", "peers", "history"}
     assert [set(node) for node in view["nodes"]] == [{"id", "candidates", "neighbours"}]
     assert view["nodes"][0]["neighbours"] == [2, 5]

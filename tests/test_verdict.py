@@ -14,12 +14,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from agents.law import Array, Minimax, control
-from orchestrator.assign import candidates_of, layout, truth_of, views_of
+from orchestrator.assign import layout, truth_of, views_of
 from orchestrator.in_process import run
 from orchestrator.observe import Batch, Observer
 from orchestrator.verdict import Ending, Verdict, judge
 from plant.world import dynamics
-from tests.networks import Trajectory, networks, observe, read, simulate
+from tests.networks import Trajectory, listed, networks, observe, read, simulate
 from topologies.load import bundled, load
 from topologies.resolve import resolve, truth
 from topologies.schema import Topology
@@ -296,7 +296,7 @@ def test_the_metrics_are_their_formulas(topology: Topology) -> None:
     undefined = energy == 0
     assert (np.isnan(batch.gain()) == undefined).all()
     np.testing.assert_allclose(batch.gain()[~undefined], np.sqrt(c[~undefined] / energy[~undefined]), rtol=1e-9)
-    listed = candidates_of(topology)
+    models = listed(topology)
     for k, a in enumerate(truth(topology)):
         x = ran.x[:-1, k]
         sxx = np.concatenate([[0.0], np.cumsum(x * x)[:-1]])
@@ -307,4 +307,4 @@ def test_the_metrics_are_their_formulas(topology: Topology) -> None:
         assert (np.abs(batch.a_ls[some, k] - a_ls) < 1e-6 * scale).all(), "a_LS = a + beta"
         clear = some & (batch.margin[:, k] > 1e-9 * (1 + c[-1]))
         right = batch.ahat[:, k] == a
-        assert (batch.identifiable[clear, k] == right[clear]).all() or len(listed[k]) == 1
+        assert (batch.identifiable[clear, k] == right[clear]).all() or len(models[k]) == 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from plant.world import World, dynamics
 from tests.networks import disturbances, networks, observe, read, simulate
 from topologies.graph import Array, Graph
 from topologies.hinf import contraction, gamma_star, q_solver
+from topologies.network import groups_of, padded
 from topologies.resolve import truth
 from topologies.schema import Topology
 from wire.codec import REPORT_WIDTH, TAKEN
@@ -24,9 +26,14 @@ from wire.codec import REPORT_WIDTH, TAKEN
 SEED = 2**63 - 1
 
 
+def disturbance(components: Sequence[Sequence[dict[str, Any]]], seed: int) -> Disturbance:
+    """That of these nodes, each with its list."""
+    return Disturbance(groups_of(components, 50), len(components), seed)
+
+
 def samples(*components: dict[str, Any], steps: int = 50, seed: int = SEED) -> Array:
     """w(0 .. steps-1) of one node with these components, (steps,)."""
-    source = Disturbance([components], seed)
+    source = disturbance([components], seed)
     return np.array([source.at(t)[0] for t in range(steps)])
 
 
@@ -52,9 +59,9 @@ def test_a_list_is_the_sum_of_its_members(written: list[Any], seed: int) -> None
         for parts in (own if isinstance(own, list) else [own] for own in written)
     ]
     nothing: dict[str, Any] = {"kind": "none"}
-    whole = Disturbance(nodes, seed)
+    whole = disturbance(nodes, seed)
     alone = [
-        Disturbance([[part if k == m else nothing for k, part in enumerate(parts)] for parts in nodes], seed)
+        disturbance([[part if k == m else nothing for k, part in enumerate(parts)] for parts in nodes], seed)
         for m in range(max(map(len, nodes)))
     ]
     for t in range(12):
@@ -67,13 +74,13 @@ def test_a_list_is_the_sum_of_its_members(written: list[Any], seed: int) -> None
 def test_white_noise_is_a_function_of_seed_node_and_step() -> None:
     """Asked out of order, or beside other kinds, it is the same; another seed is another."""
     white = {"kind": "white", "std": 1.0}
-    noise = Disturbance([[white]] * 4, SEED)
+    noise = disturbance([[white]] * 4, SEED)
     forwards = np.array([noise.at(t) for t in range(20)])
-    backwards = np.array([Disturbance([[white]] * 4, SEED).at(t) for t in reversed(range(20))])
+    backwards = np.array([disturbance([[white]] * 4, SEED).at(t) for t in reversed(range(20))])
     assert (forwards == backwards[::-1]).all()
-    mixed = Disturbance([[], [white], [{"kind": "constant", "value": 9.0}], [white]], SEED)
+    mixed = disturbance([[], [white], [{"kind": "constant", "value": 9.0}], [white]], SEED)
     assert all((mixed.at(t)[[1, 3]] == forwards[t, [1, 3]]).all() for t in range(20))
-    other = Disturbance([[white]] * 4, SEED - 1)
+    other = disturbance([[white]] * 4, SEED - 1)
     assert not any((other.at(t) == forwards[t]).any() for t in range(20))
     assert len(np.unique(forwards)) == forwards.size, "nodes and steps share no number"
     twice = samples({"kind": "none"}, white) - samples(white)
@@ -82,7 +89,7 @@ def test_white_noise_is_a_function_of_seed_node_and_step() -> None:
 
 def test_white_noise_has_the_standard_deviation_asked_for() -> None:
     """20000 samples: moments within five standard errors, no correlation of nodes or steps."""
-    noise = Disturbance([[{"kind": "white", "std": 2.0}], [{"kind": "white", "std": 0.5}]], 3)
+    noise = disturbance([[{"kind": "white", "std": 2.0}], [{"kind": "white", "std": 0.5}]], 3)
     w = np.array([noise.at(t) for t in range(20_000)])
     error = 1 / math.sqrt(len(w))
     z = w / [2.0, 0.5]
@@ -137,7 +144,7 @@ def test_stability_never_depends_on_the_estimates(topology: Topology, data: st.D
     lists = [own.candidates for own in topology.nodes.values()]
     listed = [np.array(one, dtype=float) for one in lists]
     a, n, edges = truth(topology), len(lists), len(topology.edges)
-    rho = contraction(a, listed)
+    rho = contraction(a, padded([one.tolist() for one in listed]))
     assert rho < 1
     unit = st.integers(-100, 100).map(lambda k: k / 10)
     vectors = st.lists(unit, min_size=n, max_size=n).map(np.array)
@@ -159,7 +166,7 @@ def test_rho_is_attained() -> None:
         " 2: {a: 0.6, candidates: [0.6]}}, edges: [[1, 2]]}"
     )
     a = truth(topology)
-    assert contraction(a, [np.array([0.6])] * 2) == 0.6
+    assert contraction(a, np.array([[0.6, 0.6]])) == 0.6
     x = np.array([3.0, 1.0])
     u = control(topology.b, x, a)
     x_next = dynamics(a, topology.b, topology.graph, x, u, np.zeros(2), np.ones(1, np.bool_))

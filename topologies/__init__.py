@@ -2,5 +2,6 @@
 
 `topologies.load` reads a file, `topologies.schema` says what may stand in one, `topologies.faults` what may go
 wrong, `topologies.graph` and `topologies.hinf` are the mathematics. Nothing is imported here: an agent needs
-`topologies.errors` alone, and the plant `topologies.effects` beside it.
+`topologies.errors` and `topologies.archive` alone, and the plant `topologies.effects` and `topologies.network`
+beside them.
 """

@@ -6,7 +6,7 @@ With S = I - A and the graph Laplacian L, Q = S^2 + b^2 L. See docs/theory.md fo
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
@@ -34,9 +34,12 @@ def satisfies_condition(a: float, b: float, degree: int) -> bool:
     return 0 < a < 1 and a * a + 2 * b * b * degree < a
 
 
-def contraction(a: Array, candidates: Sequence[Array]) -> float:
-    """The rho = max_j max(a_j, max_m a_jm - a_j) of |x(t+1)|_1 <= rho |x(t)|_1 + |w(t)|_1, whatever is estimated."""
-    return max(max(float(a_j), float(np.max(a_jm)) - float(a_j)) for a_j, a_jm in zip(a, candidates, strict=True))
+def contraction(a: Array, candidates: Array) -> float:
+    """The rho = max_j max(a_j, max_m a_jm - a_j) of |x(t+1)|_1 <= rho |x(t)|_1 + |w(t)|_1, whatever is estimated.
+
+    a: (n,); candidates: (M, n), NaN where a list has fewer.
+    """
+    return float(np.maximum(a, np.nanmax(candidates, axis=0) - a).max())
 
 
 def _q(a: Array, b: float, graph: Graph) -> scipy.sparse.csc_array:

@@ -85,7 +85,6 @@ def resolve(topology: Topology, folder: Path = Path()) -> Topology:
             disturbance=resolved[0] if len(resolved) == 1 else tuple(resolved),
         )
     drawn = topology.model_copy(update={"nodes": nodes, "defaults": Defaults()})
-    drawn.__dict__.pop("ids", None)
     if problems := broken_faults(drawn):
         raise TopologyError(topology.name, problems)
     if any(isinstance(fault, Jump) and fault.a == "random" for fault in drawn.faults):
@@ -150,7 +149,7 @@ def _worst_case(topology: Topology) -> Topology:
 
 def truth(topology: Topology) -> Array:
     """The true a of a resolved topology, (n,)."""
-    return np.array([own.a for own in topology.nodes.values()], dtype=float)
+    return topology.network.a
 
 
 def to_yaml(topology: Topology) -> str:

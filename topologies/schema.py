@@ -8,8 +8,9 @@ All models are frozen and refuse unknown keys. The JSON Schema and docs/topology
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from functools import cached_property
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self, cast
 
 import numpy as np
 from pydantic import (
@@ -28,6 +29,7 @@ from pydantic_core import PydanticCustomError
 from topologies.base import Model, Name, NodeId, NonNegative, Number, Truth, kind_of, number
 from topologies.faults import Fault
 from topologies.graph import Graph
+from topologies.network import Network, groups_of, padded
 
 LAWS = ("minimax", "hinf", "nominal")
 
@@ -212,6 +214,10 @@ def _nodes(value: Any) -> Any:
     raise PydanticCustomError("nodes", "expects a list of node ids, or a mapping from ids to what they override")
 
 
+_ASIDE = {"name", "law", "faults", "backfill", "history", "processes"}
+"""What of a topology its columns do not depend on."""
+
+
 class Topology(Model):
     """A network: its nodes, edges, law and disturbances, and how long it runs."""
 
@@ -256,6 +262,30 @@ class Topology(Model):
         pairs = [(position[i], position[j]) for i, j in self.edges]
         return Graph(len(self.ids), np.array(pairs, dtype=np.int64).reshape(-1, 2))
 
+    @cached_property
+    def network(self) -> Network:
+        """The same in columns; of a resolved topology."""
+        own = self.nodes.values()
+        a, x0, nominal = np.array([(node.a, node.x0, node.nominal) for node in own], dtype=float).T.copy()
+        return Network(
+            ids=self.ids,
+            graph=self.graph,
+            b=self.b,
+            a=a,
+            x0=x0,
+            nominal=nominal,
+            candidates=padded([cast("tuple[float, ...]", node.candidates) for node in own]),
+            disturbance=groups_of((_components(node.disturbance) for node in own), self.steps),
+        )
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
+        """A copy with other values, which are not validated; what was computed of the old ones is forgotten."""
+        copy = super().model_copy(update=update, deep=deep)
+        if not set(update or ()) <= _ASIDE:
+            for name in ("ids", "graph", "network"):
+                copy.__dict__.pop(name, None)
+        return copy
+
     def settings(self, node: int | str) -> Node:
         """What holds for `node`: its own settings, else the defaults, else the built-in ones."""
         layers = (self.nodes[node], self.defaults, Defaults.FALLBACK)
@@ -264,3 +294,9 @@ class Topology(Model):
             for key in Node.model_fields
         }
         return Node.model_construct(**merged)
+
+
+def _components(disturbance: Disturbance | None) -> list[dict[str, Any]]:
+    """The disturbances of a node that are summed, as a file spells them."""
+    parts = disturbance if isinstance(disturbance, tuple) else (disturbance,)
+    return [part.model_dump() for part in parts if part is not None]

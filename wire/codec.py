@@ -242,7 +242,7 @@ def encode_record(record: Record) -> bytes:
     return _pack(Kind.RECORD, len(record.back), record.t, *arrays)
 
 
-def decode_record(message: bytes, degrees: Sequence[int]) -> Record:
+def decode_record(message: bytes, degrees: Sequence[int] | NDArray[np.int64]) -> Record:
     """A Record for a shard whose nodes have so many neighbours each."""
     k = len(degrees)
     fixed = 8 + k

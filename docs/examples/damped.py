@@ -1,16 +1,14 @@
 """Acts half as hard as equation (6) would on the smallest candidate, and learns nothing."""
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from agents.law import Array
 
 
 class Damped:
-    def __init__(self, b: float, candidates: Sequence[Sequence[float]]) -> None:
-        self.gain = np.array([0.5 * b / (1.0 - min(listed)) for listed in candidates])
-        self.memory = np.empty((0, len(candidates)))
+    def __init__(self, b: float, candidates: Array) -> None:
+        self.gain = 0.5 * b / (1.0 - np.nanmin(candidates, axis=0))
+        self.memory = np.empty((0, candidates.shape[1]))
 
     def act(self, x: Array) -> Array:
         return -self.gain * x

@@ -1,18 +1,15 @@
 """Acts by equation (6) on the least-squares a itself, as far as the candidates reach."""
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from agents.law import Array, control
 
 
 class LeastSquares:
-    def __init__(self, b: float, candidates: Sequence[Sequence[float]]) -> None:
+    def __init__(self, b: float, candidates: Array) -> None:
         self.b = b
-        self.low = np.array([min(listed) for listed in candidates])
-        self.high = np.array([max(listed) for listed in candidates])
-        self.memory = np.zeros((2, len(candidates)))  # Sxx and Sxy
+        self.low, self.high = np.nanmin(candidates, axis=0), np.nanmax(candidates, axis=0)
+        self.memory = np.zeros((2, candidates.shape[1]))  # Sxx and Sxy
 
     @property
     def a(self) -> Array:

@@ -1,0 +1,54 @@
+"""Arrays and a few settings in one .npz file, which any NumPy reads; nothing in it is code."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topologies.errors import UserError
+
+NodeId = int | str
+Arrays = dict[str, Any]
+_SETTINGS = "settings"
+
+
+def id_array(ids: Sequence[NodeId]) -> NDArray[Any]:
+    """Node ids as an array: of int64 where all are whole numbers, else of objects."""
+    if isinstance(ids, range):
+        return np.arange(ids.start, ids.stop, ids.step)
+    whole = all(isinstance(node, int) for node in ids)
+    found: NDArray[Any] = np.empty(len(ids), dtype=np.int64 if whole else object)
+    found[:] = ids
+    return found
+
+
+def write(path: Path, settings: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Write `arrays`, ids among them, and `settings`, which are what JSON can hold."""
+    # Objects would be pickled, and a pickle is code: ids of both kinds become JSON texts.
+    plain = {
+        name: np.array([json.dumps(one) for one in array]) if array.dtype == object else array
+        for name, array in arrays.items()
+    }
+    text = np.frombuffer(json.dumps(settings).encode(), dtype=np.uint8)
+    with path.open("wb") as file:
+        np.savez(file, allow_pickle=False, **{_SETTINGS: text, **plain})
+
+
+def read(path: Path) -> tuple[dict[str, Any], Arrays]:
+    """The settings and the arrays that `write` wrote; UserError for a file that cannot be read as such."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays: Arrays = {name: file[name] for name in file.files}
+    except (OSError, ValueError, EOFError, AttributeError, zipfile.BadZipFile) as error:
+        raise UserError(f"{path}: cannot be read as a .npz file: {error}; write it with numpy.savez") from None
+    settings: dict[str, Any] = json.loads(arrays.pop(_SETTINGS, np.array([], dtype=np.uint8)).tobytes() or "{}")
+    for name, array in arrays.items():
+        if array.dtype.kind == "U":
+            arrays[name] = id_array([json.loads(text) for text in array.tolist()])
+    return settings, arrays

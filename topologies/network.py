@@ -1,0 +1,85 @@
+"""A resolved network as columns: what 10^6 nodes are, without an object for each of them."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topologies.graph import Array, Graph, Index
+
+PARAMETERS: dict[str, tuple[str, ...]] = {
+    "sinusoid": ("amplitude", "omega", "phase"),
+    "constant": ("value",),
+    "white": ("std",),
+    "impulse": ("at", "value"),
+    "samples": ("values",),
+}
+"""By kind of disturbance: its numbers, as a file names them."""
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """Disturbances of one kind, each of which stands at the same place of its node's list."""
+
+    number: int
+    """that place, from 0"""
+    kind: str
+    nodes: Index
+    """positions of the nodes, ascending, (k,)"""
+    values: Mapping[str, NDArray[Any]]
+    """by parameter, (k,); of samples (k, T)"""
+
+
+@dataclass(frozen=True, eq=False)
+class Network:
+    """n nodes, each array over them in network order."""
+
+    ids: Sequence[int | str]
+    graph: Graph
+    b: float
+    a: Array
+    """the truth at t = 0, (n,)"""
+    x0: Array
+    nominal: Array
+    candidates: Array
+    """a column a node, NaN behind the end of a list that is shorter than the longest, (M, n)"""
+    disturbance: Sequence[Group]
+    """ordered by place and then by kind, the order in which they are added up"""
+
+
+def padded(lists: Sequence[Sequence[float]]) -> Array:
+    """Lists of candidates as an array, a column a list, NaN behind the end of the shorter ones, (M, k)."""
+    lengths = np.fromiter(map(len, lists), dtype=np.int64, count=len(lists))
+    columns = np.full((len(lists), int(lengths.max())), np.nan)
+    columns[np.arange(columns.shape[1]) < lengths[:, None]] = [value for listed in lists for value in listed]
+    return np.ascontiguousarray(columns.T)
+
+
+def groups_of(components: Iterable[Sequence[Mapping[str, Any]]], steps: int) -> list[Group]:
+    """Disturbances by kind and place; `components` are those of each node, as a topology file spells them.
+
+    Of samples the first `steps` are taken.
+    """
+    members: dict[tuple[int, str], list[tuple[int, Mapping[str, Any]]]] = defaultdict(list)
+    for node, parts in enumerate(components):
+        for number, part in enumerate(parts):
+            if part["kind"] != "none":
+                members[number, part["kind"]].append((node, part))
+    return [
+        Group(
+            number,
+            kind,
+            np.array([node for node, _ in found], dtype=np.int64),
+            {key: np.array([_cut(part[key], steps) for _, part in found]) for key in PARAMETERS[kind]},
+        )
+        for (number, kind), found in sorted(members.items(), key=lambda item: item[0])
+    ]
+
+
+def _cut(value: Any, steps: int) -> Any:
+    return value[:steps] if isinstance(value, Sequence) else value
