@@ -52,7 +52,7 @@ OURS = ("ours", "ours-2", "simulate")
 QUICK_STEPS = 20
 FASTER = {"numpy": 10, "datagrams": 2, "simulate": 2}
 """who takes so many times the steps, to last as long as the others"""
-DEADLINE_S = 180.0
+DEADLINE_S = 300.0
 
 
 @dataclass(frozen=True)

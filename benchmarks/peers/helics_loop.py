@@ -9,12 +9,16 @@ from __future__ import annotations
 import multiprocessing
 import os
 import socket
+from multiprocessing.synchronize import Event
 
 import helics as h
 
 from benchmarks.peers.network import Agent, Done, Network, Plant
 
-CORE = os.environ.get("HELICS_CORE", "zmq")
+CORE = os.environ.get("HEDGEROW_BENCHMARK_HELICS", "zmq")
+"""the core type: HELICS's own default, the one that ended in time with 20 nodes on a busy machine (tcp, tcp_ss did not)"""
+PATIENT = "--networktimeout=60s --timeout=120s"
+"""many processes start at once, on few cores"""
 LATER = 0.5
 """when agents act, in steps"""
 
@@ -28,7 +32,7 @@ def _free_port() -> int:
 def _federate(name: str, port: int, offset: float) -> h.HelicsValueFederate:
     info = h.helicsCreateFederateInfo()
     h.helicsFederateInfoSetCoreTypeFromString(info, CORE)
-    h.helicsFederateInfoSetCoreInitString(info, f"--federates=1 --broker_address=tcp://127.0.0.1 --brokerport={port}")
+    h.helicsFederateInfoSetCoreInitString(info, f"--federates=1 --brokerport={port} {PATIENT}")
     h.helicsFederateInfoSetTimeProperty(info, h.HELICS_PROPERTY_TIME_PERIOD, 1.0)
     h.helicsFederateInfoSetTimeProperty(info, h.HELICS_PROPERTY_TIME_OFFSET, offset)
     h.helicsFederateInfoSetFlagOption(info, h.HELICS_FLAG_UNINTERRUPTIBLE, True)
@@ -36,7 +40,8 @@ def _federate(name: str, port: int, offset: float) -> h.HelicsValueFederate:
     return h.helicsCreateValueFederate(name, info)
 
 
-def _agent(network: Network, me: int, steps: int, port: int) -> None:
+def _agent(network: Network, me: int, steps: int, port: int, broker_up: Event) -> None:
+    broker_up.wait()
     agent = Agent(network, me)
     federate = _federate(f"agent{me}", port, LATER)
     said = h.helicsFederateRegisterGlobalPublication(federate, f"said/{me}", h.HELICS_DATA_TYPE_COMPLEX, "")
@@ -56,10 +61,12 @@ def run(network: Network, steps: int) -> Done:
     """Run with the plant and the broker in this process."""
     plant, n, port = Plant(network, steps), len(network), _free_port()
     fork = multiprocessing.get_context("fork")
-    agents = [fork.Process(target=_agent, args=(network, i, steps, port), daemon=True) for i in range(n)]
+    broker_up = fork.Event()
+    agents = [fork.Process(target=_agent, args=(network, i, steps, port, broker_up), daemon=True) for i in range(n)]
     for agent in agents:
         agent.start()
-    broker = h.helicsCreateBroker(CORE, "", f"-f {n + 1} --port={port} --loglevel=error")
+    broker = h.helicsCreateBroker(CORE, "", f"-f {n + 1} --port={port} --loglevel=error {PATIENT}")
+    broker_up.set()
     federate = _federate("plant", port, 0.0)
     states = [
         h.helicsFederateRegisterGlobalPublication(federate, f"state/{i}", h.HELICS_DATA_TYPE_DOUBLE, "")

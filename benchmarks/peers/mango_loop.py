@@ -43,7 +43,7 @@ class Inbox(mango.Agent):
         super().__init__()
         self.messages: asyncio.Queue[Message] = asyncio.Queue()
 
-    def handle_message(self, content: Message, _: dict[str, Any]) -> None:
+    def handle_message(self, content: Message, meta: dict[str, Any]) -> None:  # noqa: ARG002  (mango asks for the name)
         """Keep a message."""
         self.messages.put_nowait(content)
 

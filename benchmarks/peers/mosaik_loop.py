@@ -37,7 +37,7 @@ class AgentSimulator(mosaik_api_v3.Simulator):
         self._agent = Agent(Network.read(os.environ[NETWORK]), me)
         return [{"eid": str(me), "type": model}]
 
-    def step(self, time: int, inputs: dict[str, Any], *_: int) -> int:
+    def step(self, time: int, inputs: dict[str, Any], max_advance: int) -> int:  # noqa: ARG002  (mosaik asks for the name)
         """One step of the agent."""
         ((self._me, own),) = inputs.items()
         (x,) = own["x"].values()
@@ -61,7 +61,7 @@ class PlantSimulator(mosaik_api_v3.Simulator):
         self._plant, self._left, self._names = plant, left, [str(i) for i in range(num)]
         return [{"eid": name, "type": model} for name in self._names]
 
-    def step(self, time: int, inputs: dict[str, Any], *_: int) -> int:
+    def step(self, time: int, inputs: dict[str, Any], max_advance: int) -> int:  # noqa: ARG002  (mosaik asks for the name)
         """One step of all nodes; at the first, nobody has said anything yet."""
         if time:
             said = [next(iter(inputs[name]["said"].values())) for name in self._names]
