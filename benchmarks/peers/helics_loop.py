@@ -16,7 +16,7 @@ import helics as h
 from benchmarks.peers.network import Agent, Done, Network, Plant
 
 CORE = os.environ.get("HEDGEROW_BENCHMARK_HELICS", "zmq")
-"""the core type: HELICS's own default, the one that ended in time with 20 nodes on a busy machine (tcp, tcp_ss did not)"""
+"""the core type: HELICS's default; tcp and tcp_ss did not end in time with 20 nodes on a busy machine"""
 PATIENT = "--networktimeout=60s --timeout=120s"
 """many processes start at once, on few cores"""
 LATER = 0.5
