@@ -326,7 +326,7 @@ def _draw(rows: Sequence[Row], file: Path) -> None:
         for peer, kind in PEERS.items()
     }
     ours = [PEERS[peer].title for peer in OURS]
-    draw({title: own for title, own in ratios.items() if own}, ours, PEERS[BESIDE].title, file)
+    draw({title: own for title, own in ratios.items() if own}, ours, BESIDE, file)
 
 
 if __name__ == "__main__":

@@ -39,7 +39,7 @@ def draw(ratios: Mapping[str, Mapping[int, float]], ours: Sequence[str], beside:
         axes.set_yticks(list(places), list(ratios))
         axes.set_ylim(0.4, len(ratios) + 0.6)
         axes.grid(axis="x")
-        axes.set_xlabel(f"steps per second, to those of {beside}")
+        axes.set_xlabel(f"steps/s, to those of {beside}")
         figure.legend(loc="outside upper center", ncols=len(sizes))
         metadata = dict.fromkeys(("Date", "Creator")) if file.suffix == ".svg" else {"Software": None}
         figure.savefig(file, metadata=metadata)
