@@ -78,17 +78,22 @@ def network_of(nodes: int, folder: Path) -> Network:
     """paper7 for seven nodes, else a ring."""
     file = "paper7" if nodes == 7 else ring(nodes, folder)
     topology = resolve(load(file))
-    truth = truth_of(topology, [range(nodes)])
+    own = topology.nodes.values()
+    whole = topology.network
     return Network(
         file=file,
-        b=truth.b,
-        a=truth.a,
-        x0=truth.x0,
-        candidates=[node.candidates for node in views_of(topology, [range(nodes)])[0].nodes],
-        edges=truth.edges,
-        disturbance=[[dict(part) for part in parts] for parts in truth.disturbance],
-        seed=truth.seed,
+        b=whole.b,
+        a=whole.a.tolist(),
+        x0=whole.x0.tolist(),
+        candidates=[column[~np.isnan(column)].tolist() for column in whole.candidates.T],
+        edges=whole.graph.edges.tolist(),
+        disturbance=[_components(node.disturbance) for node in own],
+        seed=topology.seed,
     )
+
+
+def _components(disturbance: Any) -> list[dict[str, Any]]:
+    return [part.model_dump() for part in (disturbance if isinstance(disturbance, tuple) else (disturbance,))]
 
 
 def reference(network: Network, steps: int) -> tuple[Array, Array]:

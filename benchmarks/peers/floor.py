@@ -7,13 +7,14 @@ import numpy as np
 from agents.law import Minimax
 from benchmarks.peers.network import Done, Network, Plant
 from topologies.graph import Graph
+from topologies.network import padded
 
 
 def run(network: Network, steps: int) -> Done:
     """Run in this process."""
     plant = Plant(network, steps)
     graph = Graph(len(network), np.array(network.edges, dtype=np.int64).reshape(-1, 2))
-    law = Minimax(network.b, network.candidates)
+    law = Minimax(network.b, padded(network.candidates))
     going = True
     while going:
         x, u = plant.x, law.act(plant.x)

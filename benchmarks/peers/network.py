@@ -23,6 +23,7 @@ from benchmarks.peers.memory import pss_of
 from plant.disturbance import Disturbance
 from plant.world import dynamics
 from topologies.graph import Graph
+from topologies.network import groups_of, padded
 
 Array = NDArray[np.float64]
 
@@ -92,7 +93,7 @@ class Agent:
         self.neighbours = network.neighbours(i)
         self.u = 0.0
         self._x: Array | None = None
-        self._law = Minimax(network.b, [network.candidates[i]])
+        self._law = Minimax(network.b, padded([network.candidates[i]]))
 
     def step(self, x: float, heard: Iterable[float]) -> float:
         """u(t) from x(t) and the neighbours' u(t - 1), in the order of `neighbours`; at t = 0 nothing is heard."""
@@ -137,7 +138,7 @@ class Plant:
         self.x = np.array(network.x0, dtype=float)
         self._a, self._b = np.array(network.a), network.b
         self._graph = Graph(len(network), np.array(network.edges, dtype=np.int64).reshape(-1, 2))
-        self._disturbance = Disturbance(network.disturbance, network.seed)
+        self._disturbance = Disturbance(groups_of(network.disturbance, steps), len(network), network.seed)
         self._xs, self._us = [self.x], np.zeros((steps, len(network)))
         self._first = self._last = 0.0
 
