@@ -26,6 +26,8 @@ from topologies.schema import Topology
 NAMED = 40
 """larger networks are drawn without names, but for those of the WORST nodes"""
 WORST = 5
+DOT = 0.006
+"""of the picture: the least radius of a node whose colour can be seen; where many are close, they hide their edges"""
 SPARSE = 300
 """of so many nodes every distance is looked at"""
 FADE = 0.85
@@ -144,7 +146,9 @@ class Picture:
         halves = np.stack([self._starts, self._middles], axis=1)
         if len(halves):
             stream.log("network/edges", rr.LineStrips2D(halves.astype(np.float32), draw_order=1.0), static=True)
-        stream.log("network/broken", rr.LineStrips2D.from_fields(draw_order=2.0), static=True)
+        # Among many nodes, what is broken is short, and must not hide behind them.
+        broken = rr.LineStrips2D.from_fields(draw_order=4.5 if self._large else 2.0)
+        stream.log("network/broken", broken, static=True)
         points("rings", (1.35 if self._large else 1.45) * self._radius, 3.0)
         points("nodes", self._radius, 4.0)
         cross = rr.LineStrips2D.from_fields(colors=[palette.DEAD], radii=[-2.5], draw_order=5.0)
@@ -242,7 +246,7 @@ def _by_row(
 
 
 def _radius(places: Places) -> float:
-    """As large as nodes can be that do not touch their nearest, but for the closest few."""
+    """As large as nodes can be that do not touch their nearest, but for the closest few; a dot at least."""
     if len(places) == 1:
         return 0.2
     if len(places) <= SPARSE:
@@ -252,7 +256,7 @@ def _radius(places: Places) -> float:
         from scipy.spatial import cKDTree  # noqa: PLC0415 (a third of a second, which a few nodes need not cost)
 
         nearest = cKDTree(places).query(places, k=2)[0][:, 1]
-    return float(np.clip(0.33 * np.quantile(nearest, 0.05), 1e-3 * max(np.ptp(places, axis=0).max(), 1e-3), 0.2))
+    return float(max(min(0.33 * np.quantile(nearest, 0.05), 0.2), DOT * np.ptp(places, axis=0).max(), 1e-6))
 
 
 class Legend:

@@ -173,7 +173,8 @@ def _web(memory: str) -> Viewer:
     port, page = _free_port(), _free_port()
     ports = ("--port", str(port), "--web-viewer-port", str(page))
     process = _begin("--serve-web", *ports, server_memory=memory, first=_end_with_parent)
-    link = f"http://{LOOPBACK}:{page}/?url={quote(_url(port), safe='')}"
+    # The colours of the network's picture are those of the dark theme; a browser would choose by its own.
+    link = f"http://{LOOPBACK}:{page}/?url={quote(_url(port), safe='')}&theme=dark"
     return Viewer(_url(port), link, process)
 
 

@@ -296,12 +296,36 @@ def watched() -> Iterator[Viewer]:
 
 
 class Seen:
-    """A picture of the viewer's window, and where the network stands in it."""
+    """A picture of the viewer's window, and where paper7 stands in it."""
 
-    def __init__(self, viewer: Viewer, picture: Picture, path: Path) -> None:
-        ViewerClient.connect(viewer.url).save_screenshot(str(path))
-        window = np.asarray(Image.open(path).convert("RGB")).astype(int)
-        self._pixels, self._picture = window[:, : window.shape[1] // 3], picture
+    def __init__(self, screenshot: Path) -> None:
+        window = np.asarray(Image.open(screenshot).convert("RGB")).astype(int)
+        topology = resolve(load("paper7"))
+        self._pixels, self._picture = window[:, : window.shape[1] // 3], Picture(topology)
+        self._place = dict(zip(topology.ids, self._picture.places, strict=True))
+
+    def between(self, i: int, j: int, part: float) -> NDArray[np.float64]:
+        """A place on the edge (i, j)."""
+        return np.asarray(self._place[i] + part * (self._place[j] - self._place[i]))
+
+    @property
+    def broken(self) -> bool:
+        """Whether 2-4 is lost and 3-5 cut: its middle is a gap; node 2 learns nothing and is wrong."""
+        return (
+            self.at(palette.LOST, self.between(2, 4, 0.4))
+            and self.at(palette.LOST, self.between(2, 4, 0.6))
+            and self.at(palette.CUT, self.between(3, 5, 0.36))
+            and not self.at(palette.LOST, self.between(4, 7, 0.5))
+            and not self.at(palette.CUT, self.between(2, 3, 0.36))
+            and self.at(palette.WRONG, self._place[2], reach=40)
+        )
+
+    @property
+    def whole(self) -> bool:
+        """Whether neither is; a network that is not drawn has no broken line either, but no legend."""
+        lines = [self.between(2, 4, part) for part in (0.4, 0.6)] + [self.between(3, 5, part) for part in (0.36, 0.64)]
+        drawn = self.of(palette.NO_INPUT).any() and self.of(palette.LOST).any()
+        return bool(drawn) and not any(self.at(color, p) for p in lines for color in (palette.LOST, palette.CUT))
 
     def of(self, color: palette.Color) -> NDArray[np.bool_]:
         """Where the left third, which is the network's, has a colour."""
@@ -337,33 +361,16 @@ def test_a_link_is_seen_broken_while_it_is_and_whole_afterwards(
         {"kind": "drop", "link": [2, 4], "steps": [0, 1500]},
         {"kind": "cut", "edge": [3, 5], "steps": [0, 1500]},
     ]
-    picture = Picture(resolve(load("paper7")))
-    place = dict(zip(resolve(load("paper7")).ids, picture.places, strict=True))
-
-    def between(i: int, j: int, part: float) -> NDArray[np.float64]:
-        return np.asarray(place[i] + part * (place[j] - place[i]))
 
     def look() -> Seen:
-        return Seen(watched, picture, tmp_path / "seen.png")
+        ViewerClient.connect(watched.url).save_screenshot(str(tmp_path / "seen.png"))
+        return Seen(tmp_path / "seen.png")
 
     def broken() -> bool:
-        seen = look()
-        # The middle of 3-5 is a gap; of 2-4 both halves are dashed; node 2 learns nothing and is wrong.
-        return (
-            seen.at(palette.LOST, between(2, 4, 0.4))
-            and seen.at(palette.LOST, between(2, 4, 0.6))
-            and seen.at(palette.CUT, between(3, 5, 0.36))
-            and not seen.at(palette.LOST, between(4, 7, 0.5))
-            and not seen.at(palette.CUT, between(2, 3, 0.36))
-            and seen.at(palette.WRONG, place[2], reach=40)
-        )
+        return look().broken
 
     def whole() -> bool:
-        seen = look()
-        lines = [between(2, 4, part) for part in (0.4, 0.6)] + [between(3, 5, part) for part in (0.36, 0.64)]
-        # A network that is not drawn has no broken line either: its legend must be there.
-        drawn = seen.of(palette.NO_INPUT).any() and seen.of(palette.LOST).any()
-        return bool(drawn) and not any(seen.at(color, p) for p in lines for color in (palette.LOST, palette.CUT))
+        return look().whole
 
     options = [f"--set=faults={json.dumps(faults)}", "--rate=150", "--steps=100000", "--no-record"]
     with Orchestrator("up", "paper7", "--viewer", watched.url, *options) as up:
