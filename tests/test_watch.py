@@ -7,7 +7,6 @@ up ---> run folder ---> watch ---> viewer      what the viewer was sent equals t
 from __future__ import annotations
 
 import contextlib
-import io
 import json
 import re
 import signal
@@ -15,7 +14,7 @@ import socket
 import struct
 import subprocess
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -46,6 +45,7 @@ from orchestrator.watch import ArrowTail, Trail
 from tests.networks import simulate
 from tests.processes import Orchestrator, orchestrator
 from tests.test_rerun_stream import begin_headless, draws, kill, last_step, until
+from tests.test_view import Seen
 from topologies.errors import HedgerowError, UserError
 from topologies.load import load
 from topologies.resolve import resolve
@@ -533,9 +533,9 @@ FLAGS = (
 )
 
 
-def drawn(picture: bytes) -> list[int]:
+def drawn(screenshot: Path) -> list[int]:
     """How many pixels have the colour of each node of paper7: none on a page without a run."""
-    pixels = np.asarray(Image.open(io.BytesIO(picture)).convert("RGB")).astype(int)
+    pixels = np.asarray(Image.open(screenshot).convert("RGB")).astype(int)
     topology = resolve(load("paper7"))
     (x,) = (quantity for quantity in quantities(topology, Observer(topology)) if quantity.entity == "x")
     return [int((np.abs(pixels - color[:3]).max(axis=2) <= 24).sum()) for color in x.colors]
@@ -543,12 +543,12 @@ def drawn(picture: bytes) -> list[int]:
 
 @pytest.mark.slow
 @pytest.mark.skipif(not CHROMIUM.exists(), reason="there is no Chromium here")
-def test_a_page_shows_the_run_while_it_runs() -> None:
-    """The link that `up` prints opens in Chromium: each node's line is drawn, and they move on with the run."""
+def test_a_page_shows_the_run_while_it_runs(tmp_path: Path) -> None:
+    """The link that `up` prints opens in Chromium: each node's line is drawn, what is lost and cut is broken."""
     api: Any = pytest.importorskip("playwright.sync_api", reason="pip install playwright")
-    with Orchestrator(
-        "up", "paper7", "--processes", "1", "--steps", "1000000", "--rate", "50", "--viewer", "web", "--no-record"
-    ) as up:
+    faults = "--set=faults=[{kind: drop, link: [2, 4]}, {kind: cut, edge: [3, 5]}]"
+    options = ["--processes", "1", "--steps", "1000000", "--rate", "50", "--viewer", "web", "--no-record", faults]
+    with Orchestrator("up", "paper7", *options) as up:
         up.wait_for("watch it at http")
         found = re.search(r"http://\S+", up.output)
         assert found is not None
@@ -556,15 +556,24 @@ def test_a_page_shows_the_run_while_it_runs() -> None:
             playwright = stack.enter_context(api.sync_playwright())
             browser = playwright.chromium.launch(executable_path=str(CHROMIUM), args=FLAGS.split())
             stack.callback(browser.close)
-            page = browser.new_page(viewport={"width": 1000, "height": 640})
+            page = browser.new_page(viewport={"width": 1280, "height": 720})
+            screenshot = tmp_path / "page.png"
+
+            def look() -> Seen:
+                page.screenshot(path=screenshot)
+                return Seen(screenshot)
+
+            def until_seen(condition: Callable[[], bool]) -> None:
+                by = time.monotonic() + 90.0
+                while not condition():
+                    assert time.monotonic() < by, drawn(screenshot)
+                    page.wait_for_timeout(200)
+
             page.goto(f"{found[0]}&renderer=webgl")
             assert page.title() == "Rerun Viewer"
-            by, picture = time.monotonic() + 60.0, b""
-            while min(found_of := drawn(picture := page.screenshot())) < 60:
-                assert time.monotonic() < by, found_of
-                page.wait_for_timeout(500)
+            until_seen(lambda: look().broken)
+            assert min(drawn(screenshot)) > 60
             assert page.locator("canvas").count() == 1
             assert "error" not in page.inner_text("body").lower()
-            until(lambda: page.screenshot() != picture)
         up.send(signal.SIGINT)
         assert up.wait() == 3
