@@ -143,7 +143,7 @@ def blueprint(topology: Topology, gamma_star: float, legend: Legend) -> rrb.Blue
     )
     words = rrb.Tabs(
         rrb.TextDocumentView(origin="/now", name="Now"),
-        rrb.TextDocumentView(origin="/about", name="About: what the panels show, and what may not be concluded"),
+        rrb.TextDocumentView(origin="/about", name="About this run"),
         active_tab=0,
     )
     told = rrb.Vertical(network, words, row_shares=[5, 2])
