@@ -29,6 +29,8 @@ def _config(namespace: str | None, settings: dict[str, object]) -> zenoh.Config:
         "scouting/gossip/enabled": False,
         "timestamping/enabled": False,
         "transport/shared_memory/enabled": False,
+        # All messages are of one priority: a queue for each of eight costs time and memory.
+        "transport/unicast/qos/enabled": False,
     }
     if namespace is not None:
         quiet |= {"namespace": namespace}
