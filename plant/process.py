@@ -74,6 +74,8 @@ class _Shard:
     """since it was lost: the number of the crash which that is, in the list of faults"""
     back: bool = False
     """it was heard of since then"""
+    returning: bool = False
+    """it was lost, and has not acted since it was taken back"""
 
     @property
     def ready(self) -> bool:
@@ -208,7 +210,7 @@ class Plant:
     def _await_crash(self, p: int, shard: _Shard) -> None:
         """Nobody of this shard is there at t: hold the step until its process is gone, or there again if it must."""
         t, life = self.world.t, shard.life
-        if self.world.wanted(p, t - 1) and shard.died < life:
+        if self.world.wanted(p, t - 1) and shard.died < life and not shard.returning:
             self.tell("kill", shard=p, life=life, restart=self.world.comes_back(p))
             self._until.append((p, lambda: shard.died >= life))
         if self.world.wanted(p, t + 1):
@@ -302,7 +304,7 @@ class Plant:
         if shard.back and shard.life > shard.died:
             self.world.faults.end(fault, self.world.t + 1)
             self.tell("back", shard=p, fault=fault, who=self.name(p), at=self.world.t + 1)
-            shard.fault = None
+            shard.fault, shard.returning = None, True
 
     def _call_the_lost(self) -> None:
         """Who was lost by the deadline may be there again: it answers a state of a step that never comes."""
@@ -379,7 +381,7 @@ class Plant:
                 shard.back = True
                 self.changed.notify_all()
             elif arrived.t == self.world.t and p in self._missing and self.running:
-                self._inputs[p] = arrived
+                self._inputs[p], shard.returning = arrived, False
                 self._missing.discard(p)
                 if not self._missing:
                     self._go_on()
