@@ -12,6 +12,7 @@ from topologies.archive import id_array
 from topologies.errors import UserError
 from topologies.faults import effects
 from topologies.graph import Array, Index
+from topologies.partition import partition
 from topologies.schema import Topology
 
 Layout = Sequence[Sequence[int] | Index]
@@ -22,11 +23,11 @@ HISTORY_BYTES = 2**28
 
 
 def layout(topology: Topology, processes: int | None) -> Layout:
-    """Nodes over `processes` agent processes, in network order; None is one process a node."""
+    """Nodes over `processes` agent processes, cut where few edges cross; None is one process a node."""
     n = len(topology.ids)
     if processes is not None and not 1 <= processes <= n:
         raise UserError(f"--processes {processes}: {n} nodes run in 1 to {n} processes")
-    return np.array_split(np.arange(n), processes or n)
+    return partition(topology.graph, processes or n)
 
 
 def truth_of(topology: Topology, shards: Layout) -> Truth:

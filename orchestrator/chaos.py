@@ -113,7 +113,7 @@ def _json(raw: Raw) -> bytes:
 def trial(topology: Topology, folder: Path, nursery: Nursery) -> str:
     """Run a network over Zenoh; what is wrong with the run, or nothing."""
     options = Options(watching=Watching(record=False), verify=True)
-    shards = layout(topology, topology.processes)
+    shards = layout(topology, topology.process_count)
     network = Network(topology, create(topology, folder), shards, options, Quiet(), nursery, time.monotonic())
     content = network.run().content
     if network.interrupted:

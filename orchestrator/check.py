@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 from rich.console import Console
 from rich.table import Table
 
@@ -19,7 +21,7 @@ def table(topology: Topology) -> str:
     rows = Table(box=None, pad_edge=False, header_style="bold")
     for heading in ("node", "degree", "allowed interval", "candidates", "truth", "x0", "disturbance"):
         rows.add_column(heading, overflow="fold")
-    for (node, own), degree in list(zip(topology.nodes.items(), graph.degree, strict=True))[:MAX_ROWS]:
+    for (node, own), degree in itertools.islice(zip(topology.nodes.items(), graph.degree, strict=True), MAX_ROWS):
         interval = allowed_interval(topology.b, int(degree))
         parts = own.disturbance if isinstance(own.disturbance, tuple) else (own.disturbance,)
         rows.add_row(

@@ -110,7 +110,9 @@ def _read(file: str, sets: list[str] | None, **replace: object) -> Topology:
 @app.command()
 def up(
     file: File,
-    processes: Annotated[int | None, typer.Option(metavar="P", help="agent processes [one a node]")] = None,
+    processes: Annotated[
+        str | None, typer.Option(metavar="P", help="agent processes, or auto, or per-node [per-node up to 64 nodes]")
+    ] = None,
     steps: Steps = None,
     seed: Seed = None,
     law: Law = None,
@@ -145,8 +147,9 @@ def up(
 
     if rate < 0 or deadline <= 0:
         raise UserError("--rate must not be negative, and --deadline must be above 0")
-    topology = _importable(_read(file, sets, steps=steps, seed=seed, law=law, processes=processes))
-    shards = layout(topology, topology.processes)
+    count_of: object = int(processes) if processes and processes.lstrip("-").isdecimal() else processes
+    topology = _importable(_read(file, sets, steps=steps, seed=seed, law=law, processes=count_of))
+    shards = layout(topology, topology.process_count)
     viewer = _viewer(viewer)
     if detach:
         return _start_detached()

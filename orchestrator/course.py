@@ -24,7 +24,7 @@ _LEAST = {"name": "one", "b": 0.1, "steps": 1, "nodes": [0]}
 
 def with_loss(topology: Topology, shard: int, nodes: list[int | str], at: int) -> Topology:
     """The topology with the crash that losing an agent process at a step amounts to."""
-    who = {"process": shard} if topology.processes is not None else {"node": nodes[0]}
+    who = {"process": shard} if isinstance(topology.processes, int) else {"node": nodes[0]}
     return with_fault(topology, {"kind": "crash", **who, "at": at})
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from topologies.errors import UserError
-from topologies.resolve import to_yaml
+from topologies.resolve import save
 from topologies.schema import Topology
 
 PACKAGES = ("hedgerow", "eclipse-zenoh", "numpy", "rerun-sdk", "pydantic", "pyarrow", "scipy")
@@ -61,7 +61,7 @@ def create(topology: Topology, directory: Path | None) -> RunFolder:
             folder = RunFolder(_new_in(Path("runs"), topology.name))
         folder.logs.mkdir()
         folder.processes.mkdir()
-        folder.topology.write_text(to_yaml(topology), encoding="utf-8")
+        save(topology, folder.topology)
     except OSError as error:
         raise UserError(
             f"no run folder: {error.filename or directory}: {error.strerror}; choose another with --run-dir"

@@ -222,7 +222,7 @@ class RecordedRun:
     @property
     def ids(self) -> tuple[int | str, ...]:
         """Node ids in the order of the columns."""
-        return self.topology.ids
+        return tuple(self.topology.ids)
 
     @cached_property
     def edges(self) -> Index:

@@ -36,6 +36,7 @@ from pydantic_core import PydanticCustomError
 
 from topologies.base import Model, NodeId, Truth, kind_of, number
 from topologies.effects import FOREVER, Effect
+from topologies.partition import partition
 
 if TYPE_CHECKING:
     from topologies.graph import Index, Mask
@@ -287,9 +288,9 @@ Fault = Annotated[
 ]
 
 
-def known_keys(model: type[FaultModel]) -> list[str]:
-    """The keys of a kind of fault, as a file spells them."""
-    return [field.serialization_alias or name for name, field in model.model_fields.items()]
+def known_keys(model: type[Model]) -> list[str]:
+    """The keys of a model, as a file spells them."""
+    return [field.serialization_alias or field.alias or name for name, field in model.model_fields.items()]
 
 
 def effects(faults: Sequence[Fault], topology: Topology) -> list[Effect]:
@@ -306,17 +307,17 @@ class Places:
 
     def __init__(self, topology: Topology) -> None:
         self.graph = topology.graph
-        self._shards = np.array_split(np.arange(self.graph.n), topology.processes or self.graph.n)
-        self._position = {node: k for k, node in enumerate(topology.ids)}
+        self._processes = topology.process_count
+        self._position = topology.position
         self._incidence = self.graph.node * self.graph.n + self.graph.neighbour  # ascending, as they are ordered
 
     def nodes(self, ids: Iterable[int | str]) -> tuple[int, ...]:
         """Positions, in the order of `ids`."""
-        return tuple(self._position[node] for node in ids)
+        return tuple(self._position(node) for node in ids)
 
     def links(self, pairs: Iterable[tuple[int | str, int | str]]) -> tuple[int, ...]:
         """Per pair (from, to) the incidence on which `to` hears `from`; each once, ascending."""
-        keys = np.unique([self._position[to] * self.graph.n + self._position[sender] for sender, to in pairs])
+        keys = np.unique([self._position(to) * self.graph.n + self._position(sender) for sender, to in pairs])
         found = np.searchsorted(self._incidence, keys)
         assert (self._incidence[found] == keys).all(), "rules.py refuses a link that does not exist"
         return _plain(found)
@@ -335,8 +336,8 @@ class Places:
         return apart
 
     def shard(self, process: int) -> tuple[int, ...]:
-        """The nodes of a process; processes share them evenly, in their order."""
-        return _plain(self._shards[process])
+        """The nodes of a process."""
+        return _plain(partition(self.graph, self._processes)[process])
 
 
 def _directed(

@@ -6,18 +6,26 @@ With S = I - A and the graph Laplacian L, Q = S^2 + b^2 L. See docs/theory.md fo
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from topologies.graph import Array, Graph
+from topologies.errors import HedgerowError
+from topologies.graph import Array, Graph, Index, Mask
 
 if TYPE_CHECKING:
     import scipy.sparse
 
 _DENSE = 400
 """Up to this many nodes dense linear algebra is quicker than loading the sparse one."""
+FACTORED = 5_000
+"""Up to this many nodes Q is factored, which is exact; beyond, its factors may not fit into memory."""
+EIGENVALUE_RTOL = 1e-6
+"""Beyond: how near the residual says that lambda_min(Q) is, relative to it; gamma* is twice as near."""
+SOLVE_RTOL = 1e-10
+"""Beyond: |Q y - w| / |w| of a solution y."""
 
 
 def allowed_interval(b: float, degree: int) -> tuple[float, float] | None:
@@ -32,6 +40,19 @@ def allowed_interval(b: float, degree: int) -> tuple[float, float] | None:
 def satisfies_condition(a: float, b: float, degree: int) -> bool:
     """Condition (3) itself: a^2 + 2 b^2 d_i < a."""
     return 0 < a < 1 and a * a + 2 * b * b * degree < a
+
+
+def allowed_intervals(b: float, degree: Index) -> tuple[Array, Array]:
+    """The same of many nodes, low and high ends; NaN where there is none."""
+    with np.errstate(invalid="ignore"):
+        s = np.sqrt(1 - 8 * b * b * degree)
+    s[s <= 0] = np.nan
+    return (1 - s) / 2, (1 + s) / 2
+
+
+def condition_holds(a: Array, b: float, degree: Index) -> Mask:
+    """Condition (3) of many nodes; a: (n,) or (M, n)."""
+    return np.asarray((a > 0) & (a < 1) & (a * a + 2 * b * b * degree < a))
 
 
 def contraction(a: Array, candidates: Array) -> float:
@@ -62,12 +83,32 @@ def smallest_eigenpair(a: Array, b: float, graph: Graph) -> tuple[float, Array]:
     if graph.n <= _DENSE:
         values, vectors = np.linalg.eigh(_q_dense(a, b, graph))
         value, vector = float(values[0]), vectors[:, 0]
+    elif graph.n > FACTORED:
+        value, vector = _lobpcg(a, b, graph)
     else:
         from scipy.sparse.linalg import eigsh  # noqa: PLC0415
 
         values, vectors = eigsh(_q(a, b, graph), k=1, sigma=0, v0=np.ones(graph.n))
         value, vector = float(values[0]), vectors[:, 0]
     return value, -vector if vector.sum() < 0 else vector
+
+
+def _lobpcg(a: Array, b: float, graph: Graph) -> tuple[float, Array]:
+    """By products with Q alone, from a positive vector: of a matrix like Q, the one that is sought has one sign."""
+    from scipy.sparse.linalg import LinearOperator, lobpcg  # noqa: PLC0415
+
+    q = _q(a, b, graph).tocsr()
+    diagonal = q.diagonal()
+    divided = LinearOperator(q.shape, matvec=lambda x: x.ravel() / diagonal, matmat=lambda x: x / diagonal[:, None])
+    # Q - (1 - a)^2 is positive semidefinite: no eigenvalue is below this one.
+    residual = EIGENVALUE_RTOL * float(((1 - a) ** 2).min())
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # that it did not come so near, which is looked at below
+        values, vectors = lobpcg(q, (1 / diagonal)[:, None], M=divided, tol=residual, maxiter=2000, largest=False)
+    value, vector = float(values[0]), vectors[:, 0] / np.linalg.norm(vectors[:, 0])
+    if (found := float(np.linalg.norm(q @ vector - value * vector))) > 10 * residual:
+        raise HedgerowError(f"gamma*: lambda_min(Q) = {value:g} is known to {found:.1g} only; report this network")
+    return value, vector
 
 
 def gamma_star(a: Array, b: float, graph: Graph) -> float:
@@ -80,6 +121,21 @@ def q_solver(a: Array, b: float, graph: Graph) -> Callable[[Array], Array]:
     if graph.n <= _DENSE:
         inverse = np.linalg.inv(_q_dense(a, b, graph))
         return lambda w: inverse @ w
+    if graph.n > FACTORED:
+        return _conjugate_gradients(a, b, graph)
     from scipy.sparse.linalg import splu  # noqa: PLC0415
 
     return cast("Callable[[Array], Array]", splu(_q(a, b, graph)).solve)
+
+
+def _conjugate_gradients(a: Array, b: float, graph: Graph) -> Callable[[Array], Array]:
+    from scipy.sparse.linalg import LinearOperator, cg  # noqa: PLC0415
+
+    q = _q(a, b, graph).tocsr()
+    divided = LinearOperator(q.shape, matvec=lambda x: x / q.diagonal())
+
+    def solve(w: Array) -> Array:
+        columns = [cg(q, column, rtol=SOLVE_RTOL, maxiter=10_000, M=divided)[0] for column in np.atleast_2d(w.T)]
+        return np.asarray(columns[0] if w.ndim == 1 else np.stack(columns, axis=1))
+
+    return solve

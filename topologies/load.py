@@ -13,9 +13,12 @@ from typing import Any
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
+from topologies import table
 from topologies.base import kind_of, node_id
 from topologies.errors import Problem, TopologyError, UserError
 from topologies.faults import KINDS, known_keys
+from topologies.generators import GENERATORS
+from topologies.nodes import Edges, Nodes
 from topologies.rules import broken_rules
 from topologies.schema import Defaults, Node, Topology
 from topologies.source import MAX_BYTES, Path, Source, place_of, read_source
@@ -92,11 +95,27 @@ def parse(text: bytes, name: str, folder: FilePath, overrides: Sequence[str] = (
     _nodes_as_mapping(source)
     topology, problems = _validate(source)
     problems = [*source.problems, *problems]
+    if topology is not None and topology.table is not None:
+        try:
+            topology = _with_table(topology, topology.table, folder)
+        except ValueError as error:
+            problems.append(Problem(source.line(("table",)), "table", str(error), ""))
+            topology = None
     if topology is not None:
         problems += broken_rules(topology, source, folder)
     if topology is None or problems:
         raise TopologyError(name, problems)
     return topology
+
+
+def _with_table(topology: Topology, file: str, folder: FilePath) -> Topology:
+    """The topology with what its table holds; if that is all of it, nothing is left to be drawn."""
+    found = table.read(file, folder)
+    whole = found.network(topology.b) if not topology.nodes and topology.disturbance is None else None
+    topology = topology.with_table(found)
+    if whole is None:
+        return topology
+    return topology.model_copy(update={"nodes": Nodes(whole), "edges": Edges(whole)}).of_network(whole)
 
 
 def _override(source: Source, override: str) -> None:
@@ -160,7 +179,7 @@ def _validate(source: Source) -> tuple[Topology | None, list[Problem]]:
     except ValidationError as error:
         found = error.errors(include_url=False)
     problems = [(_no_fault if details["type"] == "fault" else _problem)(source, details) for details in found]
-    if not isinstance(source.value.get("nodes"), dict):
+    if not isinstance(source.value.get("nodes", {}), dict):
         return None, problems
     try:
         return Topology.model_validate(_without(source.value, found)), problems
@@ -177,7 +196,8 @@ _NO_FAULT = {"kind": "crash", "process": 0, "at": 0}
 
 def _without(value: dict[str, Any], found: Iterable[ErrorDetails]) -> dict[str, Any]:
     kept = dict(value)
-    kept["nodes"] = {node: dict(own) if isinstance(own, dict) else {} for node, own in value["nodes"].items()}
+    if "nodes" in value:
+        kept["nodes"] = {node: dict(own) if isinstance(own, dict) else {} for node, own in value["nodes"].items()}
     if isinstance(value.get("defaults"), dict):
         kept["defaults"] = dict(value["defaults"])
     for details in found:
@@ -313,7 +333,10 @@ def _near(source: Source, path: Path) -> str:
 
 def _known_keys(source: Source, path: Path) -> list[str]:
     if not path:
-        return list(Topology.model_fields)
+        return known_keys(Topology)
+    if path == ("graph",):
+        kind = kind_of(source.value["graph"])
+        return known_keys(GENERATORS[kind]) if kind in GENERATORS else []
     if path[0] == "faults" and len(path) == 2:
         kind = kind_of(source.value["faults"][path[1]])
         return known_keys(KINDS[kind]) if kind in KINDS else []

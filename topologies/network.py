@@ -50,6 +50,8 @@ class Network:
     """a column a node, NaN behind the end of a list that is shorter than the longest, (M, n)"""
     disturbance: Sequence[Group]
     """ordered by place and then by kind, the order in which they are added up"""
+    parts: Index
+    """how many disturbances each node lists, those of the kind `none` among them, (n,)"""
 
 
 def padded(lists: Sequence[Sequence[float]]) -> Array:

@@ -7,49 +7,49 @@ order whether the node needs it or not: to pin one node's number changes no othe
 from __future__ import annotations
 
 import zlib
-from dataclasses import dataclass
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, cast
 
 import numpy as np
 import yaml
+from numpy.typing import NDArray
 
-from topologies.base import Model
+from topologies import table
 from topologies.errors import TopologyError
 from topologies.faults import Fault, Jump
-from topologies.graph import Array
-from topologies.hinf import allowed_interval, smallest_eigenpair
+from topologies.graph import Array, Index
+from topologies.hinf import allowed_intervals, smallest_eigenpair
+from topologies.network import PARAMETERS, Group, Network
+from topologies.nodes import SPELLED_OUT, Edges, Nodes
 from topologies.rules import broken_faults
 from topologies.samples import columns
-from topologies.schema import (
-    Component,
-    Constant,
-    Defaults,
-    Drawn,
-    Node,
-    Nothing,
-    Samples,
-    Topology,
-    Uniform,
-)
+from topologies.schema import PER_NODE, Defaults, Disturbance, Drawn, Node, Nothing, Samples, Topology, Uniform
 from topologies.source import FLOAT
-
-M = TypeVar("M", bound=Model)
+from topologies.table import Table
 
 
 class _Draws:
-    """Uniform numbers in [0, 1), one per node, by the name of what is drawn."""
+    """Uniform numbers in [0, 1), some a node, by the name of what is drawn."""
 
     def __init__(self, seed: int, n: int) -> None:
         self._seed, self._n = seed, n
         self._drawn: dict[str, Array] = {}
 
-    def of(self, what: str, node: int, width: int = 1) -> Array:
+    def of(self, what: str, nodes: Index, width: int = 1) -> Array:
+        """For these nodes, (k, width)."""
         if what not in self._drawn:
             stream = np.random.default_rng([self._seed, zlib.crc32(what.encode())])
             self._drawn[what] = stream.random((self._n, width))
-        drawn: Array = self._drawn[what][node]
-        return drawn
+        return self._drawn[what][nodes]
+
+    def value(self, value: float | Uniform, what: str, nodes: Index) -> Array:
+        """A number that may be left to chance, for these nodes, (k,)."""
+        if not isinstance(value, Uniform):
+            return np.full(len(nodes), value, dtype=float)
+        return value.low + (value.high - value.low) * self.of(what, nodes)[:, 0]
 
 
 def resolve(topology: Topology, folder: Path = Path()) -> Topology:
@@ -59,92 +59,175 @@ def resolve(topology: Topology, folder: Path = Path()) -> Topology:
     Raises TopologyError for a fault that breaks them; that of a jump may show only now, with the candidates drawn.
     """
     draws = _Draws(topology.seed, len(topology.ids))
-    degree = topology.graph.degree
-    tables: dict[str, dict[int | str, list[float]]] = {}
-    nodes: dict[int | str, Node] = {}
-    for k, node in enumerate(topology.ids):
-        settings = topology.settings(node)
-        interval = allowed_interval(topology.b, int(degree[k]))
-        assert interval is not None, "rules.py refuses a node with no interval"
-        candidates, a = _model(settings, interval, draws, k)
-        parts = settings.disturbance if isinstance(settings.disturbance, tuple) else (settings.disturbance,)
-        resolved: list[Component] = []
-        for number, part in enumerate(parts):
-            if isinstance(part, Samples) and part.file is not None:
-                if part.file not in tables:
-                    tables[part.file] = columns(part.file, folder, topology.ids)
-                resolved.append(Samples(values=tuple(tables[part.file][node][: topology.steps])))
-            elif part is not None:
-                resolved.append(_numbers(part, f"disturbance {number}", draws, k))
-        x0 = settings.x0
-        nodes[node] = Node(
-            a=a,
-            candidates=candidates,
-            x0=_value(x0, "x0", draws, k) if isinstance(x0, Uniform) else x0,
-            nominal=settings.nominal,
-            disturbance=resolved[0] if len(resolved) == 1 else tuple(resolved),
-        )
-    drawn = topology.model_copy(update={"nodes": nodes, "defaults": Defaults()})
+    network = topology.network if isinstance(topology.nodes, Nodes) else _Drawing(topology, draws, folder).network()
+    if topology.disturbance is not None:
+        network = _worst_case(network, topology.disturbance.energy)
+    if len(network.ids) <= SPELLED_OUT:
+        network = replace(network, ids=tuple(network.ids))
+        whole: dict[str, Any] = {"nodes": dict(Nodes(network)), "edges": tuple(Edges(network))}
+    else:
+        whole = {"nodes": Nodes(network), "edges": Edges(network)}
+    whole |= {"generator": None, "table": None, "defaults": Defaults(), "disturbance": None}
+    if topology.processes == "auto" or (topology.processes is None and len(network.ids) > PER_NODE):
+        whole["processes"] = topology.process_count
+    drawn = topology.model_copy(update=whole).of_network(network)
     if problems := broken_faults(drawn):
         raise TopologyError(topology.name, problems)
     if any(isinstance(fault, Jump) and fault.a == "random" for fault in drawn.faults):
         drawn = drawn.model_copy(update={"faults": _jumps(drawn, draws)})
-    return _worst_case(drawn) if topology.disturbance is not None else drawn
+    return drawn
 
 
-def _value(uniform: Uniform, what: str, draws: _Draws, k: int) -> float:
-    return uniform.low + (uniform.high - uniform.low) * float(draws.of(what, k)[0])
+class _Drawing:
+    """The columns of a network, filled for all nodes of equal settings at once."""
+
+    def __init__(self, topology: Topology, draws: _Draws, folder: Path) -> None:
+        self._topology, self._draws, self._folder = topology, draws, folder
+        n = len(topology.ids)
+        self._a, self._x0, self._nominal = np.empty(n), np.empty(n), np.empty(n)
+        self._parts = np.empty(n, dtype=np.int64)
+        self._lists: list[tuple[Index, Array]] = []
+        """(nodes, candidates (M, k)), NaN-padded"""
+        self._groups: dict[tuple[int, str], list[Group]] = defaultdict(list)
+        self._files: dict[str, dict[int | str, list[float]]] = {}
+
+    def network(self) -> Network:
+        """All of it."""
+        topology, table = self._topology, self._topology.given
+        written = [(node, own) for node, own in topology.nodes.items() if own != Node()]
+        own_nodes = np.array([topology.position(node) for node, _ in written], dtype=np.int64)
+        others = np.ones(len(topology.ids), dtype=bool)
+        others[own_nodes] = False
+        self._fill(Node(), np.flatnonzero(others), table)
+        for (_, own), k in zip(written, own_nodes, strict=True):
+            self._fill(own, np.array([k]), table)
+        candidates = np.full((max(len(listed) for _, listed in self._lists), len(others)), np.nan)
+        for nodes, listed in self._lists:
+            candidates[: len(listed), nodes] = listed
+        return Network(
+            ids=topology.ids,
+            graph=topology.graph,
+            b=topology.b,
+            a=self._a,
+            x0=self._x0,
+            nominal=self._nominal,
+            candidates=candidates,
+            disturbance=[_joined(found) for _, found in sorted(self._groups.items(), key=lambda item: item[0])],
+            parts=self._parts,
+        )
+
+    def _fill(self, own: Node, nodes: Index, table: Table | None) -> None:
+        """For nodes with these settings of their own; the table comes behind those, and then the defaults."""
+        if not len(nodes):
+            return
+        settings: Any = self._topology.behind(own)  # of which the built-in ones leave nothing open
+
+        def column(key: str) -> Array | None:
+            found: Array | None = getattr(table, key) if table is not None and getattr(own, key) is None else None
+            return None if found is None else found[..., nodes]
+
+        x0, nominal, listed, a = (column(key) for key in ("x0", "nominal", "candidates", "a"))
+        self._x0[nodes] = self._draws.value(settings.x0, "x0", nodes) if x0 is None else x0
+        self._nominal[nodes] = settings.nominal if nominal is None else nominal
+        if a is None and isinstance(settings.a, float):
+            a = np.full(len(nodes), settings.a)
+        self._model(nodes, settings.candidates, listed, a)
+        if table is not None and table.disturbance is not None and own.disturbance is None:
+            assert table.parts is not None
+            self._parts[nodes] = table.parts[nodes]
+            for group in table.disturbance:
+                here = np.isin(group.nodes, nodes)
+                steps = self._topology.steps
+                values = {
+                    key: array[here, :steps] if key == "values" else array[here] for key, array in group.values.items()
+                }
+                self._add(group.number, group.kind, group.nodes[here], values)
+        else:
+            self._disturb(nodes, settings.disturbance)
+
+    def _model(self, nodes: Index, asked: Drawn | Sequence[float], listed: Array | None, a: Array | None) -> None:
+        """The candidates and the truth; a truth that is given takes the place of one of the drawn candidates."""
+        k = np.arange(len(nodes))
+        pick = self._draws.of("a", nodes)[:, 0]
+        if listed is not None:
+            lengths: Any = (~np.isnan(listed)).sum(axis=0)
+        elif isinstance(asked, Drawn):
+            lengths = asked.random
+            low, high = allowed_intervals(self._topology.b, self._topology.graph.degree[nodes])
+            listed = low + (high - low) * self._draws.of(f"candidates {lengths}", nodes, lengths).T
+            if a is not None:
+                apart = np.flatnonzero(~(listed == a).any(axis=0))
+                listed[(pick[apart] * lengths).astype(np.int64), apart] = a[apart]
+        else:
+            lengths = len(asked)
+            listed = np.repeat(np.array(asked, dtype=float)[:, None], len(nodes), axis=1)
+        self._lists.append((nodes, listed))
+        self._a[nodes] = listed[(pick * lengths).astype(np.int64), k] if a is None else a
+
+    def _disturb(self, nodes: Index, disturbance: Disturbance) -> None:
+        parts = disturbance if isinstance(disturbance, tuple) else (disturbance,)
+        self._parts[nodes] = len(parts)
+        for number, part in enumerate(parts):
+            if isinstance(part, Samples):
+                values = {"values": self._samples(part, nodes)}
+            else:
+                what = f"disturbance {number}"
+                values = {
+                    key: np.full(len(nodes), value)
+                    if isinstance(value := getattr(part, key), int)
+                    else self._draws.value(value, f"{what} {key}", nodes)
+                    for key in PARAMETERS.get(part.kind, ())
+                }
+            if not isinstance(part, Nothing):
+                self._add(number, part.kind, nodes, values)
+
+    def _samples(self, part: Samples, nodes: Index) -> Array:
+        steps = self._topology.steps
+        if part.values is not None:
+            return np.repeat(np.array(part.values[:steps])[None], len(nodes), axis=0)
+        assert part.file is not None
+        if part.file not in self._files:
+            self._files[part.file] = columns(part.file, self._folder, self._topology.ids)
+        table = self._files[part.file]
+        return np.array([table[self._topology.ids[k]][:steps] for k in nodes.tolist()])
+
+    def _add(self, number: int, kind: str, nodes: Index, values: Mapping[str, NDArray[Any]]) -> None:
+        if len(nodes):
+            self._groups[number, kind].append(Group(number, kind, nodes, values))
 
 
-def _numbers(part: M, what: str, draws: _Draws, k: int) -> M:
-    drawn = {
-        key: _value(value, f"{what} {key}", draws, k)
-        for key in type(part).model_fields
-        if isinstance(value := getattr(part, key), Uniform)
-    }
-    return part.model_copy(update=drawn) if drawn else part
-
-
-def _model(settings: Node, interval: tuple[float, float], draws: _Draws, k: int) -> tuple[tuple[float, ...], float]:
-    """The candidates and the truth; a truth that is given takes the place of one of the drawn candidates."""
-    low, high = interval
-    pick = float(draws.of("a", k)[0])
-    candidates, a = settings.candidates, settings.a
-    if isinstance(candidates, Drawn):
-        drawn = low + (high - low) * draws.of(f"candidates {candidates.random}", k, candidates.random)
-        candidates = tuple(float(value) for value in drawn)
-        if isinstance(a, float) and a not in candidates:
-            place = int(pick * len(candidates))
-            candidates = (*candidates[:place], a, *candidates[place + 1 :])
-    assert candidates, "the schema refuses an empty list"
-    return candidates, a if isinstance(a, float) else candidates[int(pick * len(candidates))]
+def _joined(groups: Sequence[Group]) -> Group:
+    """One group of several of a kind."""
+    if len(groups) == 1:
+        return groups[0]
+    nodes = np.concatenate([group.nodes for group in groups])
+    order = nodes.argsort()
+    values = {key: np.concatenate([group.values[key] for group in groups])[order] for key in groups[0].values}
+    return Group(groups[0].number, groups[0].kind, nodes[order], values)
 
 
 def _jumps(topology: Topology, draws: _Draws) -> tuple[Fault, ...]:
     """The faults, with jumps that lead away from the truth until then, where there is another candidate."""
     faults = list(topology.faults)
-    position = {node: k for k, node in enumerate(topology.ids)}
-    now = {node: own.a for node, own in topology.nodes.items()}
+    now: dict[int | str, Any] = {}
     for at, k in sorted((fault.at, k) for k, fault in enumerate(faults) if isinstance(fault, Jump)):
         jump = cast("Jump", faults[k])
-        candidates = cast("tuple[float, ...]", topology.nodes[jump.node].candidates)
+        own = topology.nodes[jump.node]
+        candidates = cast("tuple[float, ...]", own.candidates)
         if jump.a == "random":
-            others = [a for a in candidates if a != now[jump.node]] or candidates
-            pick = float(draws.of(f"jump {at}", position[jump.node])[0])
+            others = [a for a in candidates if a != now.get(jump.node, own.a)] or candidates
+            pick = float(draws.of(f"jump {at}", np.array([topology.position(jump.node)]))[0, 0])
             faults[k] = jump = jump.model_copy(update={"a": others[int(pick * len(others))]})
         now[jump.node] = jump.a
     return tuple(faults)
 
 
-def _worst_case(topology: Topology) -> Topology:
-    assert topology.disturbance is not None
-    _, direction = smallest_eigenpair(truth(topology), topology.b, topology.graph)
-    values = np.sqrt(topology.disturbance.energy) * direction
-    nodes = {
-        node: own.model_copy(update={"disturbance": Constant(value=float(value)) if value else Nothing()})
-        for (node, own), value in zip(topology.nodes.items(), values, strict=True)
-    }
-    return topology.model_copy(update={"nodes": nodes, "disturbance": None})
+def _worst_case(network: Network, energy: float) -> Network:
+    _, direction = smallest_eigenpair(network.a, network.b, network.graph)
+    values = np.sqrt(energy) * direction
+    nodes = np.flatnonzero(values)
+    constant = [Group(0, "constant", nodes, {"value": values[nodes]})] if len(nodes) else []
+    return replace(network, disturbance=constant, parts=np.ones(len(values), dtype=np.int64))
 
 
 def truth(topology: Topology) -> Array:
@@ -153,13 +236,27 @@ def truth(topology: Topology) -> Array:
 
 
 def to_yaml(topology: Topology) -> str:
-    """A topology as YAML text that `topologies.load` reads back to the same bits."""
-    whole = topology.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
-    whole["nodes"] = {node: own.model_dump(mode="json", exclude_none=True) for node, own in topology.nodes.items()}
-    whole["edges"] = [list(edge) for edge in topology.edges]
+    """A topology as YAML text that `topologies.load` reads back to the same bits.
+
+    That of many nodes refers to the table that `save` writes beside it.
+    """
+    written = topology.model_dump(mode="json", exclude_none=True, exclude_defaults=True, exclude={"nodes", "edges"})
+    if isinstance(topology.nodes, Nodes):
+        written["table"] = table.NAME
+    else:
+        nodes = {node: own.model_dump(mode="json", exclude_none=True) for node, own in topology.nodes.items()}
+        written |= {"nodes": nodes, "edges": [list(edge) for edge in topology.edges]}
+    whole = {key: written[key] for key in type(topology).model_fields if key in written}
     if topology.faults:
         whole["faults"] = [_lines(fault.written()) for fault in topology.faults]
     return yaml.dump(whole, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=10**6)
+
+
+def save(topology: Topology, path: Path) -> None:
+    """Write a resolved topology to the file `path`, and where it has many nodes the table beside it."""
+    if isinstance(topology.nodes, Nodes):
+        table.write(topology.network, path.with_name(table.NAME))
+    path.write_text(to_yaml(topology), encoding="utf-8")
 
 
 @dataclass(frozen=True)

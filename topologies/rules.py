@@ -3,24 +3,34 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path as FilePath
 from typing import Any
+
+import numpy as np
 
 from topologies.base import node_id
 from topologies.errors import Problem
 from topologies.faults import Crash, Cut, Delay, Drop, Fault, Jump, Partition
 from topologies.hinf import allowed_interval, satisfies_condition
+from topologies.nodes import Edges, Nodes
 from topologies.samples import columns
 from topologies.schema import Samples, Topology
 from topologies.source import Path, Source, place_of
+from topologies.table import broken
 
 
 def broken_rules(topology: Topology, source: Source, folder: FilePath) -> list[Problem]:
     """Every rule that `topology` breaks, each where the file says it."""
+    if not topology.ids:
+        if "nodes" in source.value:  # the schema says what is wrong with them
+            return []
+        return [Problem(0, "", "`nodes:` is missing", "add `nodes: …`, or `graph: {kind: …, nodes: …}`")]
     return [
+        *_sources(topology, source),
         *_edges(topology, source),
         *_nodes(topology, source),
         *_disturbances(topology, source, folder),
@@ -29,14 +39,34 @@ def broken_rules(topology: Topology, source: Source, folder: FilePath) -> list[P
     ]
 
 
+def _sources(topology: Topology, source: Source) -> Iterator[Problem]:
+    """Whether the file says once where edges come from, and overrides nodes that there are."""
+    written = [key for key in ("graph", "table", "edges") if key in source.value]
+    for key in written[1:] if len(written) > 1 else ():
+        what = f"stands beside `{written[0]}:`, which gives all edges"
+        yield Problem(source.line((key,)), key, what, "keep one of the two")
+    if topology.given is not None:
+        for what, cure in broken(topology.given, topology.b, topology.steps):
+            yield Problem(source.line(("table",)), "table", what, cure)
+        if topology.disturbance is not None and topology.given.disturbance:
+            what = "stands beside the disturbances of `table:`, which it replaces"
+            yield Problem(source.line(("disturbance",)), "disturbance", what, "remove one of the two")
+    for node in topology.nodes if isinstance(topology.ids, range) and written[:1] != ["edges"] else ():
+        if not topology.has(node):
+            what, cure = f"{node!r} is none of its nodes", f"they are 0 to {len(topology.ids) - 1}"
+            yield Problem(source.line(("nodes", node)), f"node {node}", what, cure)
+
+
 def _edges(topology: Topology, source: Source) -> Iterator[Problem]:
+    if _made(topology):
+        return
     seen: dict[frozenset[int | str], int] = {}
     # Edges that the schema refused are not in the topology: find the others' lines by their ends.
     rows = _rows(topology, source) if topology.edges else []
     for (i, j), k in zip(topology.edges, rows, strict=True):
         line, place = source.line(("edges", k)), place_of(("edges", k))
         for end in dict.fromkeys((i, j)):
-            if end not in topology.nodes:
+            if not topology.has(end):
                 yield Problem(
                     line,
                     place,
@@ -61,6 +91,11 @@ def _rows(topology: Topology, source: Source) -> list[int]:
     return [next(k for k, pair in pairs if [*map(node_id, pair)] == list(edge)) for edge in topology.edges]
 
 
+def _made(topology: Topology) -> bool:
+    """Whether the edges were made by a rule, or come in columns: they are right then."""
+    return topology.generator is not None or topology.given is not None or isinstance(topology.edges, Edges)
+
+
 def _degrees(topology: Topology) -> Counter[int | str]:
     good = {frozenset(edge) for edge in topology.edges if edge[0] != edge[1]}
     return Counter(end for edge in good for end in edge)
@@ -75,17 +110,31 @@ class _Named:
     source: Source
 
     def problem(self, key: str, what: str, cure: str, *inside: int) -> Problem:
-        own = getattr(self.topology.nodes[self.id], key) is not None
+        own = getattr(self.topology.nodes.get(self.id), key, None) is not None
         inherited = not own and getattr(self.topology.defaults, key) is not None
         path = ("defaults",) if inherited else ("nodes", self.id)
         return Problem(self.source.line((*path, key, *inside)), f"node {self.id}: {key}", what, cure)
 
 
 def _nodes(topology: Topology, source: Source) -> Iterator[Problem]:
-    degrees = _degrees(topology)
-    for node in topology.ids:
-        yield from _condition_3(_Named(node, topology, source), topology.b, degrees[node])
+    degrees = _degrees(topology) if not _made(topology) else {}
+    for node in _judged(topology):
+        degree = int(topology.graph.degree[topology.position(node)]) if _made(topology) else degrees.get(node, 0)
+        yield from _condition_3(_Named(node, topology, source), topology.b, degree)
         yield from _truth(_Named(node, topology, source))
+
+
+def _judged(topology: Topology) -> Iterator[int | str]:
+    """All nodes but those that are right if others are: condition (3) is hardest on the most neighbours."""
+    if not _made(topology):
+        yield from topology.ids
+    elif not isinstance(topology.nodes, Nodes):
+        own = [node for node in topology.nodes if topology.has(node)]
+        yield from own
+        degree = topology.graph.degree.copy()
+        degree[[topology.position(node) for node in own]] = -1
+        if len(own) < len(degree):
+            yield topology.ids[int(degree.argmax())]
 
 
 def _condition_3(node: _Named, b: float, degree: int) -> Iterator[Problem]:
@@ -122,6 +171,8 @@ def _truth(node: _Named) -> Iterator[Problem]:
 
 
 def _disturbances(topology: Topology, source: Source, folder: FilePath) -> Iterator[Problem]:
+    if isinstance(topology.nodes, Nodes):
+        return
     own = [
         (node, settings.disturbance) for node, settings in topology.nodes.items() if settings.disturbance is not None
     ]
@@ -130,9 +181,10 @@ def _disturbances(topology: Topology, source: Source, folder: FilePath) -> Itera
             line = source.line(("nodes", node, "disturbance"))
             what = "stands beside the network's own `disturbance:`, which replaces every node's"
             yield Problem(line, f"node {node}: disturbance", what, "remove one of the two")
-    inherits = [node for node, settings in topology.nodes.items() if settings.disturbance is None]
     places: list[tuple[Path, Any, list[int | str]]] = [(("nodes", node), given, [node]) for node, given in own]
-    places.append((("defaults",), topology.defaults.disturbance, inherits))
+    if topology.defaults.disturbance is not None:
+        inherits = [node for node in topology.ids if node not in dict(own)]
+        places.append((("defaults",), topology.defaults.disturbance, inherits))
     for path, given, nodes in places:
         for part in given if isinstance(given, tuple) else (given,):
             if isinstance(part, Samples):
@@ -164,9 +216,9 @@ def _long_enough(lengths: set[int], steps: int) -> Iterator[tuple[str, str]]:
 
 
 def _processes(topology: Topology, source: Source) -> Iterator[Problem]:
-    if topology.processes is not None and topology.processes > len(topology.nodes):
-        what = f"{topology.processes} are too many for {len(topology.nodes)} nodes"
-        yield Problem(source.line(("processes",)), "processes", what, f"give at most {len(topology.nodes)}")
+    if (n := len(topology.ids)) < topology.process_count:
+        what = f"{topology.processes} are too many for {n} nodes"
+        yield Problem(source.line(("processes",)), "processes", what, f"give at most {n}")
 
 
 def broken_faults(topology: Topology, source: Source | None = None) -> list[Problem]:
@@ -174,8 +226,8 @@ def broken_faults(topology: Topology, source: Source | None = None) -> list[Prob
     if not topology.faults:
         return []
     struck = _Struck(topology)
-    if source is not None and len(source.value.get("edges") or ()) != len(topology.edges):
-        struck.neighbours = None
+    if source is not None and not _made(topology) and len(source.value.get("edges") or ()) != len(topology.edges):
+        struck.certain = False
     return [
         Problem(source.line(path) if source else 0, place_of(path), what, cure)
         for k, fault in enumerate(topology.faults)
@@ -189,29 +241,44 @@ class _Struck:
 
     def __init__(self, topology: Topology) -> None:
         self.topology = topology
-        self.neighbours: dict[int | str, dict[int | str, None]] | None = {node: {} for node in topology.ids}
-        """In the order of the edges; None where the schema refused some: nobody knows what they were to be."""
-        for i, j in topology.edges:
-            self.neighbours.setdefault(i, {})[j] = None
-            self.neighbours.setdefault(j, {})[i] = None
+        self.certain = True
+        """False where the schema refused some edges: nobody knows what they were to be."""
+
+    @cached_property
+    def _written(self) -> dict[int | str, dict[int | str, None]]:
+        """The neighbours of each node, in the order of the edges."""
+        beside: dict[int | str, dict[int | str, None]] = defaultdict(dict)
+        for i, j in self.topology.edges:
+            beside[i][j] = None
+            beside[j][i] = None
+        return beside
+
+    def neighbours(self, node: int | str) -> list[int | str]:
+        """Those of one node."""
+        if not _made(self.topology):
+            return [*self._written[node]]
+        graph, k = self.topology.graph, self.topology.position(node)
+        first, stop = np.searchsorted(graph.node, [k, k + 1])
+        return [self.topology.ids[j] for j in graph.neighbour[first:stop].tolist()]
 
     def missing(self, fault: Fault) -> Iterator[tuple[Path, str, str]]:
         """What the fault strikes that is not there: where it says so, what is wrong, and the cure."""
+        has = self.topology.has
         for path, node in _named_nodes(fault):
-            if node not in self.topology.nodes:
+            if not has(node):
                 yield path, f"{node!r} is no node", f"the nodes are {_listed(self.topology.ids)}"
         for path, (i, j) in _named_pairs(fault):
-            if self.neighbours is None or not {i, j} <= self.topology.nodes.keys():
+            if not (self.certain and has(i) and has(j)):
                 continue
-            near = self.neighbours[i]
+            near = self.neighbours(i)
             if j not in near:
-                cure = f"the neighbours of {i} are {_listed([*near])}" if near else f"{i} has no neighbours"
+                cure = f"the neighbours of {i} are {_listed(near)}" if near else f"{i} has no neighbours"
                 yield path, f"{i} and {j} are not neighbours", cure
         if isinstance(fault, Crash) and fault.process is not None:
-            processes = self.topology.processes or len(self.topology.nodes)
+            processes = self.topology.process_count
             if fault.process >= processes:
                 yield ("process",), f"there is no process {fault.process}", f"they are 0 to {processes - 1}"
-        if isinstance(fault, Jump) and fault.node in self.topology.nodes:
+        if isinstance(fault, Jump) and has(fault.node):
             candidates = self.topology.settings(fault.node).candidates
             if isinstance(candidates, tuple) and fault.a != "random" and fault.a not in candidates:
                 shown = _listed(candidates)

@@ -10,17 +10,23 @@ from pathlib import Path
 MAX_BYTES = 512 * 2**20
 
 
+def beside(folder: Path, file: str) -> Path:
+    """A file in `folder` or below it; ValueError, in words for the user, for one that lies elsewhere."""
+    path = folder / file
+    if not path.resolve().is_relative_to(folder.resolve()):
+        raise ValueError(f"{file} lies outside the topology's own folder")
+    if not path.is_file():
+        raise ValueError(f"{file}: no such file in {folder}")
+    return path
+
+
 def columns(file: str, folder: Path, ids: Sequence[int | str]) -> dict[int | str, list[float]]:
     """The columns of `file` by node id; a header names them, without one they are in the order of `ids`.
 
     Raises ValueError, in words for the user, for a file that lies outside `folder` or is no such table.
     """
-    path = folder / file
-    if not path.resolve().is_relative_to(folder.resolve()):
-        raise ValueError(f"{file} lies outside the topology's own folder")
     try:
-        if not path.is_file():
-            raise ValueError(f"{file}: no such file in {folder}")
+        path = beside(folder, file)
         if path.stat().st_size > MAX_BYTES:
             raise ValueError(f"{file}: larger than {MAX_BYTES // 2**20} MB")
         with path.open(newline="", encoding="utf-8-sig") as lines:

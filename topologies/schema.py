@@ -7,17 +7,21 @@ All models are frozen and refuse unknown keys. The JSON Schema and docs/topology
 
 from __future__ import annotations
 
+import os
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Annotated, Any, ClassVar, Literal, Self, cast
 
 import numpy as np
 from pydantic import (
     AfterValidator,
+    AliasChoices,
     BeforeValidator,
+    ConfigDict,
     Discriminator,
     Field,
+    PrivateAttr,
     StrictBool,
     StrictInt,
     Tag,
@@ -28,8 +32,10 @@ from pydantic_core import PydanticCustomError
 
 from topologies.base import Model, Name, NodeId, NonNegative, Number, Truth, kind_of, number
 from topologies.faults import Fault
+from topologies.generators import GraphRule
 from topologies.graph import Graph
 from topologies.network import Network, groups_of, padded
+from topologies.table import Table
 
 LAWS = ("minimax", "hinf", "nominal")
 
@@ -170,6 +176,9 @@ Component = Annotated[
         _bare_kind, json_schema_input_type=Sinusoid | Constant | White | Impulse | Samples | Nothing | Literal["none"]
     ),
 ]
+COMPONENTS: dict[str, type[Sinusoid | Constant | White | Impulse | Samples | Nothing]] = {
+    model.model_fields["kind"].default: model for model in (Sinusoid, Constant, White, Impulse, Samples, Nothing)
+}
 Disturbance = Annotated[
     Annotated[Component, Tag("one")] | Annotated[tuple[Component, ...], Tag("sum")],
     Discriminator(lambda value: "sum" if isinstance(value, list | tuple) else "one"),
@@ -214,12 +223,30 @@ def _nodes(value: Any) -> Any:
     raise PydanticCustomError("nodes", "expects a list of node ids, or a mapping from ids to what they override")
 
 
+def _process_count(value: Any) -> Any:
+    if isinstance(value, str) and value not in PROCESSES:
+        raise PydanticCustomError(
+            "processes", "is neither a number nor one of {words}", {"words": " and ".join(PROCESSES)}
+        )
+    return value
+
+
+PROCESSES = ("auto", "per-node")
+PER_NODE = 64
+"""Up to so many nodes each has a process of its own, unless the file says otherwise."""
+Processes = Annotated[
+    Annotated[Annotated[StrictInt, Field(ge=1)], Tag("number")] | Annotated[Literal["auto", "per-node"], Tag("word")],
+    Discriminator(lambda value: "word" if isinstance(value, str) else "number"),
+    BeforeValidator(_process_count),
+]
 _ASIDE = {"name", "law", "faults", "backfill", "history", "processes"}
 """What of a topology its columns do not depend on."""
 
 
 class Topology(Model):
     """A network: its nodes, edges, law and disturbances, and how long it runs."""
+
+    model_config = ConfigDict(json_schema_extra={"anyOf": [{"required": [key]} for key in ("nodes", "graph", "table")]})
 
     name: Name = Field(description="names the run")
     b: Annotated[float, Field(gt=0, lt=1e100), BeforeValidator(number)] = Field(description="the gain b of (1)")
@@ -234,8 +261,17 @@ class Topology(Model):
         Field(min_length=1),
         # Keys in JSON are text, also those that are whole numbers.
         BeforeValidator(_nodes, json_schema_input_type=list[NodeId] | dict[str, Node | None]),
-    ] = Field(description="ids, or a mapping from ids to what they override")
+    ] = Field({}, description="ids, or a mapping from ids to what they override")
     edges: tuple[tuple[NodeId, NodeId], ...] = Field((), description="undirected pairs of node ids, each once")
+    generator: GraphRule | None = Field(
+        None,
+        validation_alias=AliasChoices("graph", "generator"),
+        serialization_alias="graph",
+        description="a rule that makes nodes and edges, in place of `edges:`; `nodes:` may then override some",
+    )
+    table: str | None = Field(
+        None, description="a .npz file beside the topology with edges and more, in place of `edges:`"
+    )
     disturbance: (
         Annotated[WorstCase, BeforeValidator(_bare_kind, json_schema_input_type=WorstCase | Literal["worst_case"])]
         | None
@@ -246,21 +282,58 @@ class Topology(Model):
     faults: tuple[Fault, ...] = Field((), description="what goes wrong, and when")
     backfill: StrictBool = Field(True, description="missing neighbour inputs are fetched when the link is up again")
     history: Steps = Field(100_000, description="how many past steps are kept for back-filling")
-    processes: Annotated[StrictInt, Field(ge=1)] | None = Field(
-        None, description="agent processes that share the nodes, in their order; one a node if absent"
+    processes: Processes | None = Field(
+        None,
+        description="agent processes that share the nodes; or `per-node`; or `auto`, one a core. "
+        "If absent, `per-node` up to 64 nodes and `auto` beyond",
     )
+    _table: Table | None = PrivateAttr(None)
+    """what stands in the file of `table:`"""
 
     @cached_property
-    def ids(self) -> tuple[int | str, ...]:
+    def ids(self) -> Sequence[int | str]:
         """Node ids in the order of the file, which is the order of every array."""
-        return tuple(self.nodes)
+        if self.generator is not None:
+            return range(self.generator.nodes)
+        return tuple(self.nodes) if self._table is None else self._table.ids
 
     @cached_property
     def graph(self) -> Graph:
         """The graph over positions in `ids`; an edge that leads nowhere raises KeyError (checked on loading)."""
-        position = {node: k for k, node in enumerate(self.ids)}
-        pairs = [(position[i], position[j]) for i, j in self.edges]
+        if self.generator is not None:
+            return Graph(self.generator.nodes, self.generator.edges(self.seed))
+        if self._table is not None:
+            return Graph(len(self._table.ids), self._table.edges)
+        pairs = [(self.position(i), self.position(j)) for i, j in self.edges]
         return Graph(len(self.ids), np.array(pairs, dtype=np.int64).reshape(-1, 2))
+
+    @cached_property
+    def _places(self) -> dict[int | str, int]:
+        return {node: k for k, node in enumerate(self.ids)}
+
+    def position(self, node: int | str) -> int:
+        """Where a node stands in `ids`; KeyError where there is none."""
+        if not isinstance(self.ids, range):
+            return self._places[node]
+        if not isinstance(node, int) or node not in self.ids:
+            raise KeyError(node)
+        return self.ids.index(node)
+
+    def has(self, node: object) -> bool:
+        """Whether there is such a node."""
+        if isinstance(self.ids, range):
+            return isinstance(node, int) and node in self.ids
+        return node in self._places
+
+    @property
+    def process_count(self) -> int:
+        """How many agent processes there are."""
+        n = len(self.ids)
+        if isinstance(self.processes, int):
+            return self.processes
+        if self.processes == "per-node" or (self.processes is None and n <= PER_NODE):
+            return n
+        return min(n, os.cpu_count() or 1)
 
     @cached_property
     def network(self) -> Network:
@@ -276,19 +349,42 @@ class Topology(Model):
             nominal=nominal,
             candidates=padded([cast("tuple[float, ...]", node.candidates) for node in own]),
             disturbance=groups_of((_components(node.disturbance) for node in own), self.steps),
+            parts=np.array([len(_components(node.disturbance)) for node in own], dtype=np.int64),
         )
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
         """A copy with other values, which are not validated; what was computed of the old ones is forgotten."""
         copy = super().model_copy(update=update, deep=deep)
         if not set(update or ()) <= _ASIDE:
-            for name in ("ids", "graph", "network"):
+            for name in ("ids", "graph", "network", "_places"):
                 copy.__dict__.pop(name, None)
         return copy
 
+    @property
+    def given(self) -> Table | None:
+        """What stands in the file of `table:`."""
+        return self._table
+
+    def with_table(self, table: Table) -> Self:
+        """The same with what the file of `table:` holds."""
+        copy = self.model_copy(update={"table": self.table})
+        copy._table = table
+        return copy
+
+    def of_network(self, network: Network) -> Self:
+        """The same, which is known to be this network."""
+        copy = self.model_copy()
+        copy._table = None
+        copy.__dict__.update(ids=network.ids, graph=network.graph, network=network)
+        return copy
+
     def settings(self, node: int | str) -> Node:
-        """What holds for `node`: its own settings, else the defaults, else the built-in ones."""
-        layers = (self.nodes[node], self.defaults, Defaults.FALLBACK)
+        """What holds for `node` by the file itself: its own settings, else the defaults, else the built-in ones."""
+        return self.behind(self.nodes.get(node, Node()))
+
+    def behind(self, own: Node) -> Node:
+        """These settings, and behind them the defaults."""
+        layers = (own, self.defaults, Defaults.FALLBACK)
         merged = {
             key: next(value for layer in layers if (value := getattr(layer, key)) is not None)
             for key in Node.model_fields

@@ -112,7 +112,7 @@ class Result:
     @property
     def ids(self) -> tuple[NodeId, ...]:
         """Node ids in the order of the columns."""
-        return self.topology.ids
+        return tuple(self.topology.ids)
 
     @property
     def steps(self) -> int:

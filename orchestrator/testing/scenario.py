@@ -123,7 +123,7 @@ def _run_here(topology: Topology, path: Path) -> Result:
     run = Run(topology, folder, Watching(record=False), ending)
     folder.event("start", engine=ending.engine)
     run.tell_faults()
-    shards = layout(topology, topology.processes or 1)
+    shards = layout(topology, topology.processes if isinstance(topology.processes, int) else 1)
     rows = in_process.run(truth_of(topology, shards), views_of(topology, shards))
     for batch in _batches(rows):
         if steps := [row for row in batch if isinstance(row, Telemetry)]:

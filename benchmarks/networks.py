@@ -1,0 +1,98 @@
+"""What big networks cost from file to processes: `python -m benchmarks.networks`, a row a graph and size.
+
+Each row is a process of its own: seconds of CPU for each stage, and the most memory that it ever had.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from orchestrator.assign import truth_of, views_of
+from topologies.hinf import gamma_star
+from topologies.load import load
+from topologies.partition import cut, partition
+from topologies.resolve import resolve, save
+
+GRAPHS = {
+    "ring": "kind: ring",
+    "random_regular": "kind: random_regular, degree: 3",
+    "grid": "kind: grid",
+    "scale_free": "kind: scale_free, attach: 2, max_degree: 10",
+}
+STAGES = ("load", "resolve", "partition", "gamma*", "write", "read back")
+
+
+def measure(graph: str, nodes: int, processes: int) -> dict[str, float]:
+    """Seconds of CPU by stage, MB at most, and the part of the edges that cross between processes."""
+    spent: dict[str, float] = {}
+
+    @contextmanager
+    def stage(name: str) -> Iterator[None]:
+        began = time.process_time()
+        yield
+        spent[name] = time.process_time() - began
+
+    with tempfile.TemporaryDirectory(prefix="hedgerow-") as scratch:
+        folder = Path(scratch)
+        file = folder / "big.yaml"
+        file.write_text(
+            f"{{name: big, b: 0.1, steps: 100, seed: 1, graph: {{{graph}, nodes: {nodes}}}, "
+            "defaults: {x0: {random: [5, 15]}, disturbance: {kind: white, std: 0.1}}}\n"
+        )
+        with stage("load"):
+            written = load(str(file))
+        with stage("resolve"):
+            network = resolve(written, folder)
+        with stage("partition"):
+            shards = partition(network.graph, processes)
+        with stage("gamma*"):
+            gamma_star(network.network.a, network.b, network.graph)
+        with stage("write"):
+            save(network, folder / "topology.yaml")
+            truth_of(network, shards).write(folder / "plant.npz")
+            for view in views_of(network, shards):
+                view.write(folder / f"{view.shard}.npz")
+        with stage("read back"):
+            load(str(folder))
+        crossing = cut(network.graph, shards) / max(1, len(network.edges))
+    return spent | {"MB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, "cut": crossing}
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=main.__doc__)
+    parser.add_argument("--sizes", type=int, nargs="+", default=[10**4, 10**5, 10**6])
+    parser.add_argument("--graphs", nargs="+", choices=GRAPHS, default=[*GRAPHS])
+    parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument("--one", action="store_true", help="measure the first graph and size here, as JSON")
+    known = parser.parse_args()
+    if known.one:
+        print(json.dumps(measure(GRAPHS[known.graphs[0]], known.sizes[0], known.processes)))
+        return
+    print(f"| graph | nodes | {' | '.join(f'{stage} [s]' for stage in STAGES)} | all [s] | memory [MB] | edges cut |")
+    print("|---|" + "---|" * (len(STAGES) + 4))
+    for graph in known.graphs:
+        for nodes in known.sizes:
+            command = [sys.executable, "-m", "benchmarks.networks", "--one", "--graphs", graph, "--sizes", str(nodes)]
+            # One thread, so that seconds of CPU are those that a machine with nothing else to do would need.
+            environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+            command += ["--processes", str(known.processes)]
+            output = subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
+            row = json.loads(output)
+            seconds = [row[stage] for stage in STAGES]
+            shown = " | ".join(f"{value:.2f}" for value in [*seconds, sum(seconds)])
+            print(f"| {graph} | {nodes:,} | {shown} | {row['MB']:.0f} | {row['cut']:.2%} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,336 @@
+"""Graphs by a rule: one model a kind, each of which makes the edges of as many nodes as wanted.
+
+    line, ring, star    what their names say
+    grid                rows of nodes, each with up to four neighbours
+    tree                every node has as many branches as the next
+    random_tree         every node hangs on an earlier one, drawn evenly
+    random_regular      every node has as many neighbours as the next, drawn
+    small_world         a ring with neighbours further off, some edges of which lead anywhere (Watts and Strogatz)
+    scale_free          every node takes earlier neighbours by how many those have (Barabási and Albert)
+    geometric           nodes in a square, and an edge where two are near
+
+Nodes are 0 .. n-1. The edges of 10^6 nodes are made by a few NumPy calls; that is why no graph library makes them.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable
+from typing import Annotated, Any, ClassVar, Literal, Self, cast
+
+import numpy as np
+from pydantic import BeforeValidator, ConfigDict, Discriminator, Field, StrictInt, Tag, model_validator
+from pydantic_core import PydanticCustomError
+
+from topologies.base import Model, kind_of, number
+from topologies.graph import Index
+
+Count = Annotated[StrictInt, Field(ge=1)]
+Few = Annotated[StrictInt, Field(ge=1, le=1000)]
+
+
+def _kind_required(schema: dict[str, Any]) -> None:
+    schema["required"] = ["kind", *schema.get("required", ())]
+
+
+class Generator(Model):
+    """A rule that makes a graph."""
+
+    model_config = ConfigDict(json_schema_extra=cast("Callable[[dict[str, Any]], None]", _kind_required))
+
+    LEAST: ClassVar[int] = 1
+    """how many nodes it needs"""
+
+    nodes: Annotated[StrictInt, Field(ge=1, le=10**8)] = Field(description="how many; their ids are 0, 1, 2, …")
+    seed: Annotated[StrictInt, Field(ge=0, lt=2**63)] | None = Field(
+        None, description="what is random in it is drawn from this; from the `seed:` of the file if absent"
+    )
+    max_degree: Count | None = Field(None, description="the most neighbours that a node may have")
+
+    @model_validator(mode="after")
+    def _possible(self) -> Self:
+        if self.nodes < self.LEAST:
+            raise PydanticCustomError("graph", "needs {least} nodes or more", {"least": self.LEAST})
+        if self.max_degree is not None and self.degree > self.max_degree:
+            raise PydanticCustomError(
+                "graph",
+                "has nodes of {degree} neighbours, more than its `max_degree:`",
+                {"degree": self.degree},
+            )
+        return self
+
+    @property
+    def degree(self) -> int:
+        """The most neighbours of a node where the rule alone decides it, else 0: then `max_degree` is kept."""
+        return 0
+
+    def edges(self, seed: int) -> Index:
+        """The edges (i, j), i < j, each once, in ascending order, (E, 2); `seed` is that of the file."""
+        own = seed if self.seed is None else self.seed
+        stream = np.random.default_rng([own, zlib.crc32(kind_of(self).encode())])  # type: ignore[union-attr]
+        pairs = self._make(stream)
+        low, high = pairs.min(axis=1), pairs.max(axis=1)
+        key = np.unique(low[low < high] * self.nodes + high[low < high])
+        return np.stack([key // self.nodes, key % self.nodes], axis=1)
+
+    def _make(self, stream: np.random.Generator) -> Index:
+        """Edges in any order, with either end first; of loops and repeated ones nothing is kept."""
+        raise NotImplementedError
+
+    def _kept(self, pairs: Index) -> Index:
+        """Those edges that are among the first `max_degree` of both their ends."""
+        if self.max_degree is None:
+            return pairs
+        ends = pairs.ravel()
+        order = ends.argsort(kind="stable")
+        first = np.searchsorted(ends[order], np.arange(self.nodes))
+        rank = np.empty_like(ends)
+        rank[order] = np.arange(len(ends)) - first[ends[order]]
+        kept: Index = pairs[(rank < self.max_degree).reshape(-1, 2).all(axis=1)]
+        return kept
+
+
+def _first_of_each(pairs: Index, n: int) -> Index:
+    """Without loops, and of repeated edges the first, in the order given."""
+    low, high = pairs.min(axis=1), pairs.max(axis=1)
+    first = np.sort(np.unique(low * n + high, return_index=True)[1])
+    kept: Index = pairs[first[(low < high)[first]]]
+    return kept
+
+
+class Line(Generator):
+    """0 - 1 - 2 - …"""
+
+    kind: Literal["line"] = "line"
+
+    @property
+    def degree(self) -> int:
+        return min(2, self.nodes - 1)
+
+    def _make(self, _: np.random.Generator) -> Index:
+        i = np.arange(self.nodes - 1)
+        return np.stack([i, i + 1], axis=1)
+
+
+class Ring(Generator):
+    """A line whose ends meet."""
+
+    LEAST = 3
+    kind: Literal["ring"] = "ring"
+
+    @property
+    def degree(self) -> int:
+        return 2
+
+    def _make(self, _: np.random.Generator) -> Index:
+        i = np.arange(self.nodes)
+        return np.stack([i, (i + 1) % self.nodes], axis=1)
+
+
+class Star(Generator):
+    """Node 0 in the middle, and all others around it."""
+
+    kind: Literal["star"] = "star"
+
+    @property
+    def degree(self) -> int:
+        return self.nodes - 1
+
+    def _make(self, _: np.random.Generator) -> Index:
+        i = np.arange(1, self.nodes)
+        return np.stack([np.zeros_like(i), i], axis=1)
+
+
+class Grid(Generator):
+    """Rows of nodes, numbered row by row; each node is joined to the next and to the one below."""
+
+    kind: Literal["grid"] = "grid"
+    columns: Count | None = Field(None, description="nodes in a row; as near a square as can be if absent")
+
+    @property
+    def width(self) -> int:
+        """Nodes in a row; the last row may have fewer."""
+        return self.columns or int(np.ceil(np.sqrt(self.nodes)))
+
+    @property
+    def degree(self) -> int:
+        rows = -(-self.nodes // self.width)
+        return min(2, min(self.width, self.nodes) - 1) + min(2, rows - 1)
+
+    def _make(self, _: np.random.Generator) -> Index:
+        i, width = np.arange(self.nodes), self.width
+        across, down = i[(i % width < width - 1) & (i + 1 < self.nodes)], i[i + width < self.nodes]
+        return np.concatenate([np.stack([across, across + 1], axis=1), np.stack([down, down + width], axis=1)])
+
+
+class Tree(Generator):
+    """Node 0 on top, and below every node so many branches, filled level by level."""
+
+    kind: Literal["tree"] = "tree"
+    branches: Count = Field(2, description="nodes below each")
+
+    @property
+    def degree(self) -> int:
+        return min(self.nodes - 1, self.branches + (self.nodes > self.branches + 1))
+
+    def _make(self, _: np.random.Generator) -> Index:
+        i = np.arange(1, self.nodes)
+        return np.stack([(i - 1) // self.branches, i], axis=1)
+
+
+class RandomTree(Generator):
+    """Every node hangs on one before it, drawn evenly among those that have fewer than `max_degree` neighbours."""
+
+    kind: Literal["random_tree"] = "random_tree"
+
+    @model_validator(mode="after")
+    def _room(self) -> Self:
+        if self.max_degree == 1 and self.nodes > 2:
+            raise PydanticCustomError("graph", "is no tree with at most one neighbour a node; allow 2 or more")
+        return self
+
+    def _make(self, stream: np.random.Generator) -> Index:
+        i = np.arange(1, self.nodes)
+        lots = stream.random(len(i))
+        if self.max_degree is None:
+            return np.stack([(lots * i).astype(np.int64), i], axis=1)
+        room, left, above = [0], [self.max_degree] + [self.max_degree - 1] * len(i), []
+        for node, lot in enumerate(lots.tolist(), 1):
+            place = int(lot * len(room))
+            chosen = room[place]
+            above.append(chosen)
+            left[chosen] -= 1
+            if left[chosen]:
+                room.append(node)
+            else:  # its place is taken by the new one, which has room for one at least
+                room[place] = node
+        return np.stack([np.array(above, dtype=np.int64), i], axis=1)
+
+
+class RandomRegular(Generator):
+    """Every node has `degree` neighbours, by a random pairing whose loops and repetitions are drawn again."""
+
+    kind: Literal["random_regular"] = "random_regular"
+    neighbours: Few = Field(3, alias="degree", description="of every node; nodes times degree must be even")
+
+    @property
+    def degree(self) -> int:
+        return self.neighbours
+
+    @model_validator(mode="after")
+    def _even(self) -> Self:
+        if self.neighbours >= self.nodes:
+            raise PydanticCustomError("graph", "has fewer nodes than neighbours for each; lower `degree:`")
+        if self.nodes * self.neighbours % 2:
+            raise PydanticCustomError("graph", "has an odd number of ends of edges; make nodes or degree even")
+        return self
+
+    def _make(self, stream: np.random.Generator) -> Index:
+        n, d = self.nodes, self.neighbours
+        if 2 * d >= n:  # few pairings of a dense graph have no repetition; its complement is sparse
+            rest = n - 1 - d
+            others = self.model_copy(update={"neighbours": rest}).edges(int(stream.integers(2**62))) if rest else None
+            apart = np.triu(np.ones((n, n), dtype=bool), 1)
+            if others is not None:
+                apart[others[:, 0], others[:, 1]] = False
+            return np.argwhere(apart)
+        pairs = stream.permutation(np.repeat(np.arange(n), d)).reshape(-1, 2)
+        while len(bad := self._bad(pairs)):
+            # The ends of bad edges are mixed with those of as many others, drawn.
+            again = np.unique(np.concatenate([bad, stream.integers(len(pairs), size=len(bad))]))
+            pairs[again] = stream.permutation(pairs[again].ravel()).reshape(-1, 2)
+        return pairs
+
+    def _bad(self, pairs: Index) -> Index:
+        """Edges that are loops, or stand there already."""
+        good = np.zeros(len(pairs), dtype=bool)
+        low, high = pairs.min(axis=1), pairs.max(axis=1)
+        good[np.unique(low * self.nodes + high, return_index=True)[1]] = True
+        return np.flatnonzero(~good | (low == high))
+
+
+class SmallWorld(Generator):
+    """A ring where each node is joined to its `degree` nearest; by chance the far end of an edge is drawn anew."""
+
+    LEAST = 3
+    kind: Literal["small_world"] = "small_world"
+    nearest: Annotated[StrictInt, Field(ge=2, le=1000, multiple_of=2)] = Field(
+        4, alias="degree", description="neighbours of each node on the ring, an even number"
+    )
+    rewire: Annotated[float, Field(ge=0, le=1), BeforeValidator(number)] = Field(
+        0.1, description="the probability that an edge leads to a node drawn anew"
+    )
+
+    @model_validator(mode="after")
+    def _sparse(self) -> Self:
+        if self.nearest >= self.nodes:
+            raise PydanticCustomError("graph", "has fewer nodes than neighbours for each; lower `degree:`")
+        return self
+
+    def _make(self, stream: np.random.Generator) -> Index:
+        i = np.tile(np.arange(self.nodes), self.nearest // 2)
+        far = (i + np.repeat(np.arange(1, self.nearest // 2 + 1), self.nodes)) % self.nodes
+        moved = stream.random(len(i)) < self.rewire
+        anywhere = stream.integers(self.nodes, size=len(i))
+        pairs = np.stack([i, np.where(moved, anywhere, far)], axis=1)
+        # The ring comes first: what is drawn may not take its place.
+        return self._kept(_first_of_each(pairs[moved.argsort(kind="stable")], self.nodes))
+
+
+class ScaleFree(Generator):
+    """Every node takes `attach` earlier neighbours, drawn in proportion to how many each has."""
+
+    LEAST = 2
+    kind: Literal["scale_free"] = "scale_free"
+    attach: Few = Field(2, description="edges that come with each node")
+
+    def _make(self, stream: np.random.Generator) -> Index:
+        m = self.attach
+        new = np.repeat(np.arange(1, self.nodes), m)
+        # Place 2k holds the node that edge k came with, place 2k + 1 its other end, which is what stands at a place
+        # drawn among the earlier ones: so a node is drawn as often as it has edges (Batagelj and Brandes).
+        drawn = (stream.random(len(new)) * (2 * m) * (new - 1)).astype(np.int64)
+        drawn[:m] = -2  # those of node 1 have no choice
+        while len(open_ := np.flatnonzero(drawn % 2)):
+            drawn[open_] = drawn[drawn[open_] // 2]
+        other = np.where(drawn >= 0, new[drawn // 2], 0)
+        return self._kept(_first_of_each(np.stack([other, new], axis=1), self.nodes))
+
+
+class Geometric(Generator):
+    """Nodes at random places of a square, and an edge where two are nearer than makes `mean_degree` on average."""
+
+    kind: Literal["geometric"] = "geometric"
+    mean_degree: Annotated[float, Field(gt=0, le=1000), BeforeValidator(number)] = Field(
+        6.0, description="neighbours of a node in the middle of the square, on average"
+    )
+
+    def _make(self, stream: np.random.Generator) -> Index:
+        from scipy.spatial import cKDTree  # noqa: PLC0415 (it takes a while to load)
+
+        places = stream.random((self.nodes, 2))
+        radius = float(np.sqrt(self.mean_degree / (np.pi * self.nodes)))
+        pairs = cKDTree(places).query_pairs(radius, output_type="ndarray").astype(np.int64).reshape(-1, 2)
+        squared = ((places[pairs[:, 0]] - places[pairs[:, 1]]) ** 2).sum(axis=1)
+        return self._kept(pairs[np.lexsort((pairs[:, 1], pairs[:, 0], squared))])
+
+
+GENERATORS: dict[str, type[Generator]] = {
+    model.model_fields["kind"].default: model
+    for model in (Line, Ring, Star, Grid, Tree, RandomTree, RandomRegular, SmallWorld, ScaleFree, Geometric)
+}
+GraphRule = Annotated[
+    Annotated[Line, Tag("line")]
+    | Annotated[Ring, Tag("ring")]
+    | Annotated[Star, Tag("star")]
+    | Annotated[Grid, Tag("grid")]
+    | Annotated[Tree, Tag("tree")]
+    | Annotated[RandomTree, Tag("random_tree")]
+    | Annotated[RandomRegular, Tag("random_regular")]
+    | Annotated[SmallWorld, Tag("small_world")]
+    | Annotated[ScaleFree, Tag("scale_free")]
+    | Annotated[Geometric, Tag("geometric")],
+    Discriminator(
+        kind_of, custom_error_type="kind", custom_error_message=f"a graph has `kind:` {', '.join(GENERATORS)}"
+    ),
+]

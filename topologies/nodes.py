@@ -1,0 +1,90 @@
+"""The nodes and edges of a network in columns, looked at one by one as if a file had spelled them out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, overload
+
+import numpy as np
+
+from topologies.network import Group, Network
+from topologies.schema import COMPONENTS, Component, Node, Nothing
+
+SPELLED_OUT = 10_000
+"""Up to this many nodes a resolved file spells out each of them; the numbers of more stand in a table beside it."""
+
+NodeId = int | str
+
+
+class Nodes(Mapping[NodeId, Node]):
+    """From ids to settings; each node is made when it is asked for."""
+
+    def __init__(self, network: Network) -> None:
+        self._network = network
+        ids = network.ids
+        self._position = ids if isinstance(ids, range) else {node: k for k, node in enumerate(ids)}
+
+    def __len__(self) -> int:
+        return len(self._network.ids)
+
+    def __iter__(self) -> Iterator[NodeId]:
+        return iter(self._network.ids)
+
+    def __contains__(self, node: object) -> bool:
+        if isinstance(self._position, range):
+            return isinstance(node, int) and node in self._position
+        return node in self._position
+
+    def __getitem__(self, node: NodeId) -> Node:
+        if node not in self:
+            raise KeyError(node)
+        k = int(node) if isinstance(self._position, range) else self._position[node]
+        network = self._network
+        listed = network.candidates[:, k]
+        parts: list[Component] = [Nothing() for _ in range(int(network.parts[k]))]
+        for group in network.disturbance:
+            row = int(np.searchsorted(group.nodes, k))
+            if row < len(group.nodes) and group.nodes[row] == k:
+                parts[group.number] = _component(group, row)
+        return Node(
+            a=float(network.a[k]),
+            candidates=tuple(listed[~np.isnan(listed)].tolist()),
+            x0=float(network.x0[k]),
+            nominal=float(network.nominal[k]),
+            disturbance=parts[0] if len(parts) == 1 else tuple(parts),
+        )
+
+
+def _component(group: Group, row: int) -> Component:
+    values: dict[str, Any] = {key: column[row].tolist() for key, column in group.values.items()}
+    return COMPONENTS[group.kind](**values)
+
+
+class Edges(Sequence[tuple[NodeId, NodeId]]):
+    """Pairs of ids, in the order of `Graph.edges`."""
+
+    def __init__(self, network: Network) -> None:
+        self._network = network
+
+    def __len__(self) -> int:
+        return len(self._network.graph.edges)
+
+    @overload
+    def __getitem__(self, k: int) -> tuple[NodeId, NodeId]: ...
+
+    @overload
+    def __getitem__(self, k: slice) -> list[tuple[NodeId, NodeId]]: ...
+
+    def __getitem__(self, k: int | slice) -> tuple[NodeId, NodeId] | list[tuple[NodeId, NodeId]]:
+        ids = self._network.ids
+        pairs = self._network.graph.edges[k].tolist()
+        return [(ids[i], ids[j]) for i, j in pairs] if isinstance(k, slice) else (ids[pairs[0]], ids[pairs[1]])
+
+    def __iter__(self) -> Iterator[tuple[NodeId, NodeId]]:
+        ids = self._network.ids
+        return ((ids[i], ids[j]) for i, j in self._network.graph.edges.tolist())
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Sequence) and tuple(self) == tuple(other)
+
+    __hash__ = None  # type: ignore[assignment]  # as of a list

@@ -1,0 +1,227 @@
+"""Columns of a network in a .npz file: what a resolved file of many nodes leaves to it, or what users bring.
+
+    edges        (E, 2) pairs of positions of nodes, or of ids where there are `ids`: the only one that must be there
+    ids          (n,) whole numbers or texts; 0 .. n-1 if absent
+    a, x0, nominal    (n,)
+    candidates   (n, M), NaN behind the end of a shorter list
+    w PLACE KIND PARAMETER    of a disturbance, for the nodes at the positions in `w PLACE KIND nodes`, or for all of
+                              them if that is absent: (k,), the values of samples (k, T)
+
+What it has holds for every node that `nodes:` does not change; what it lacks is drawn, or taken from `defaults:`.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from topologies import archive
+from topologies.errors import UserError
+from topologies.graph import Array, Graph, Index
+from topologies.hinf import condition_holds
+from topologies.network import PARAMETERS, Group, Network
+from topologies.samples import beside
+
+NAME = "network.npz"
+"""how a run's folder calls it"""
+_NUMBERS = ("a", "x0", "nominal")
+_GROUP = re.compile(r"w ([0-9]{1,3}) (\w+) (\w+)")
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """What a table says; None where it says nothing."""
+
+    ids: Sequence[int | str]
+    edges: Index
+    a: Array | None
+    x0: Array | None
+    nominal: Array | None
+    candidates: Array | None
+    """(M, n)"""
+    disturbance: Sequence[Group] | None
+    parts: Index | None
+
+    def network(self, b: float) -> Network | None:
+        """The network, if the table says all of it."""
+        if self.a is None or self.x0 is None or self.nominal is None or self.candidates is None:
+            return None
+        if self.disturbance is None or self.parts is None:
+            return None
+        return Network(
+            ids=self.ids,
+            graph=Graph(len(self.ids), self.edges),
+            b=b,
+            a=self.a,
+            x0=self.x0,
+            nominal=self.nominal,
+            candidates=self.candidates,
+            disturbance=self.disturbance,
+            parts=self.parts,
+        )
+
+
+def write(network: Network, path: Path) -> None:
+    """Write all of a network, for `read` to read back to the same bits."""
+    arrays: dict[str, Any] = {} if isinstance(network.ids, range) else {"ids": archive.id_array(network.ids)}
+    arrays |= {name: getattr(network, name) for name in _NUMBERS}
+    arrays |= {"edges": network.graph.edges, "candidates": network.candidates.T, "parts": network.parts}
+    for group in network.disturbance:
+        name = f"w {group.number} {group.kind}"
+        arrays |= {f"{name} nodes": group.nodes} | {f"{name} {key}": column for key, column in group.values.items()}
+    archive.write(path, {}, arrays)
+
+
+def read(file: str, folder: Path) -> Table:
+    """The table in a file; ValueError, in words for the user, for what is none."""
+    path = beside(folder, file)
+    try:
+        _, arrays = archive.read(path)
+    except UserError as error:
+        raise ValueError(str(error)) from None
+    try:
+        return _table(arrays)
+    except ValueError as error:
+        raise ValueError(f"{file}: {error}") from None
+
+
+def _table(arrays: archive.Arrays) -> Table:
+    n = _size(arrays)
+    ids = _ids(arrays.pop("ids", None), n)
+    edges = _edges(arrays.pop("edges"), n)
+    columns = {name: _floats(name, arrays.pop(name), (n,)) if name in arrays else None for name in _NUMBERS}
+    candidates = _candidates(arrays.pop("candidates"), n) if "candidates" in arrays else None
+    parts = arrays.pop("parts", None)
+    groups = list(_groups(arrays, n))
+    if parts is None and groups:
+        parts = np.ones(n, dtype=np.int64)
+        for group in groups:
+            parts[group.nodes] = np.maximum(parts[group.nodes], group.number + 1)
+    if parts is not None:
+        parts = _whole("parts", parts, (n,))
+        least = np.zeros(n, dtype=np.int64)
+        for group in groups:
+            least[group.nodes] = np.maximum(least[group.nodes], group.number + 1)
+        if (parts < least).any() or parts.max() > 1000:
+            raise ValueError("`parts` are fewer than the disturbances of a node; leave it out")
+    return Table(
+        ids, edges, **columns, candidates=candidates, disturbance=None if parts is None else groups, parts=parts
+    )
+
+
+def _size(arrays: archive.Arrays) -> int:
+    if "edges" not in arrays:
+        raise ValueError("has no `edges`, pairs of nodes of the shape (E, 2)")
+    for name in ("ids", *_NUMBERS, "candidates"):
+        if name in arrays and arrays[name].ndim:
+            return len(arrays[name])
+    edges = arrays["edges"]
+    if edges.dtype.kind not in "iu" or not edges.size:
+        raise ValueError("does not say how many nodes there are; give it `ids`")
+    return int(edges.max()) + 1
+
+
+def _ids(found: NDArray[Any] | None, n: int) -> Sequence[int | str]:
+    if found is None:
+        return range(n)
+    from pydantic import TypeAdapter, ValidationError  # noqa: PLC0415
+
+    from topologies.base import NodeId  # noqa: PLC0415
+
+    if found.dtype.kind in "iu" and found.ndim == 1 and np.array_equal(found, np.arange(n)):
+        return range(n)
+    try:
+        ids: list[int | str] = TypeAdapter(list[NodeId]).validate_python(found.tolist())
+    except ValidationError:
+        raise ValueError("`ids` are not a list of names or whole numbers") from None
+    if len(set(ids)) < n:
+        raise ValueError("`ids` has one of them twice")
+    return tuple(ids)
+
+
+def _edges(found: NDArray[Any], n: int) -> Index:
+    edges = _whole("edges", found, (len(found) if found.ndim else 0, 2))
+    if edges.size and (edges.min() < 0 or edges.max() >= n):
+        raise ValueError(f"`edges` leads to a node that is none of the {n}; give positions, from 0")
+    low, high = edges.min(axis=1), edges.max(axis=1)
+    if (low == high).any():
+        raise ValueError(f"`edges` has a self-loop, in row {int((low == high).argmax())}")
+    if len(np.unique(low * n + high)) < len(edges):
+        raise ValueError("`edges` has one of them twice; they are undirected: keep one")
+    return edges
+
+
+def _whole(name: str, found: NDArray[Any], shape: tuple[int, ...]) -> Index:
+    if found.shape != shape or found.dtype.kind not in "iu":
+        raise ValueError(f"`{name}` has the shape {found.shape} of {found.dtype}, not {shape} of whole numbers")
+    return found.astype(np.int64)
+
+
+def _floats(name: str, found: NDArray[Any], shape: tuple[int, ...]) -> Array:
+    if found.shape != shape or found.dtype.kind not in "fiu":
+        raise ValueError(f"`{name}` has the shape {found.shape} of {found.dtype}, not {shape} of numbers")
+    numbers = found.astype(np.float64)
+    if not np.isfinite(numbers).all():
+        raise ValueError(f"`{name}` holds a number that is not finite, in row {int((~np.isfinite(numbers)).argmax())}")
+    return numbers
+
+
+def _candidates(found: NDArray[Any], n: int) -> Array:
+    if found.ndim != 2 or len(found) != n or not found.size or found.dtype.kind not in "fiu":
+        raise ValueError(f"`candidates` has the shape {found.shape} of {found.dtype}, not ({n}, M) of numbers")
+    numbers = np.ascontiguousarray(found.T, dtype=np.float64)
+    none = np.isnan(numbers)
+    if np.isinf(numbers).any() or none[0].any() or (none[:-1] & ~none[1:]).any():
+        raise ValueError("`candidates` has a list that is empty, infinite, or goes on behind a NaN")
+    return numbers
+
+
+def _groups(arrays: archive.Arrays, n: int) -> Iterator[Group]:
+    found: dict[tuple[int, str], dict[str, NDArray[Any]]] = {}
+    for name, array in arrays.items():
+        match = _GROUP.fullmatch(name)
+        if match is None or (kind := match[2]) not in PARAMETERS or match[3] not in ("nodes", *PARAMETERS[kind]):
+            raise ValueError(f"has a column `{name}`, which means nothing; docs/topology.md lists what does")
+        found.setdefault((int(match[1]), kind), {})[match[3]] = array
+    for (number, kind), columns in sorted(found.items(), key=lambda item: item[0]):
+        name = f"w {number} {kind}"
+        nodes = columns.pop("nodes", np.arange(n))
+        nodes = _whole(f"{name} nodes", nodes, (nodes.size,))
+        if nodes.size and (nodes[0] < 0 or nodes[-1] >= n or (np.diff(nodes) <= 0).any()):
+            raise ValueError(f"`{name} nodes` are not ascending positions of nodes")
+        if missing := [key for key in PARAMETERS[kind] if key not in columns]:
+            raise ValueError(f"has no `{name} {missing[0]}`")
+        yield Group(number, kind, nodes, {key: _value(name, key, columns[key], len(nodes)) for key in PARAMETERS[kind]})
+
+
+def _value(name: str, key: str, found: NDArray[Any], k: int) -> NDArray[Any]:
+    if key == "at":
+        return _whole(f"{name} {key}", found, (k,))
+    return _floats(f"{name} {key}", found, (k, *found.shape[1:2]) if key == "values" else (k,))
+
+
+def broken(table: Table, b: float, steps: int) -> Iterator[tuple[str, str]]:
+    """What of a table breaks condition (3) or another rule: what is wrong, and the cure."""
+    degree = Graph(len(table.ids), table.edges).degree
+    for name in ("a", "nominal", "candidates"):
+        values = getattr(table, name)
+        if values is not None and not (good := condition_holds(values, b, degree) | np.isnan(values)).all():
+            k = int((~np.atleast_2d(good)).any(axis=0).argmax())
+            where = f"node {table.ids[k]}, of degree {degree[k]}"
+            yield f"`{name}` breaks condition (3) at {where}", "choose values inside its interval, or a smaller b"
+    if table.a is not None and table.candidates is not None:
+        among = (table.candidates == table.a).any(axis=0)
+        if not among.all():
+            yield f"the truth of node {table.ids[int((~among).argmax())]} is not among its candidates", "add it to them"
+    for group in table.disturbance or ():
+        if group.kind == "samples" and group.values["values"].shape[1] < steps:
+            yield (
+                f"{group.values['values'].shape[1]} samples are too few for {steps} steps",
+                "add some, or lower `steps:`",
+            )
