@@ -9,6 +9,7 @@ from rich.table import Table
 
 from orchestrator.assign import candidates_of
 from topologies.hinf import allowed_interval, contraction, gamma_star
+from topologies.partition import cut, partition
 from topologies.resolve import truth
 from topologies.schema import Component, Topology
 
@@ -40,10 +41,13 @@ def table(topology: Topology) -> str:
             console.print(f"… and {graph.n - MAX_ROWS} nodes more")
         size = f"{count(graph.n, 'node')}, {count(len(graph.edges), 'edge')}, b = {topology.b:g}"
         gamma, rho = gamma_star(a, topology.b, graph), contraction(a, candidates_of(topology))
+        processes = topology.process_count
+        crossing = cut(graph, partition(graph, processes))
         console.print(
             f"\n{topology.name}: {size}, {topology.steps} steps, seed {topology.seed}, law {topology.law}\n"
             f"gamma* = {gamma:.6g}, the optimal gain when every a is known; "
-            f"rho = {rho:.6g}, the contraction whatever is estimated"
+            f"rho = {rho:.6g}, the contraction whatever is estimated\n"
+            f"{count(processes, 'process', 'es')}, between which {crossing} of {count(len(graph.edges), 'edge')} cross"
         )
     return capture.get().rstrip()
 

@@ -10,6 +10,7 @@ from orchestrator.checks import Worst
 from orchestrator.folder import versions
 from orchestrator.observe import Observer
 from topologies.describe import describe
+from topologies.partition import cut, partition
 from topologies.schema import LAWS, Topology
 
 VALID, INVALID, UNKNOWN = "valid", "INVALID", "unknown"
@@ -129,6 +130,7 @@ def judge(topology: Topology, observer: Observer, ending: Ending) -> Verdict:
         "seed": topology.seed,
         "engine": ending.engine,
         "processes": ending.processes,
+        "cut_edges": cut(observer.graph, partition(observer.graph, ending.processes or 1)),
         "nodes": observer.graph.n,
         "edges": len(observer.graph.edges),
         "steps": topology.steps,

@@ -211,7 +211,7 @@ def test_what_a_process_is_told_goes_through_its_file(
         view.write(folder / f"{view.shard}.npz")
         with np.load(folder / f"{view.shard}.npz") as file:
             settings_of, arrays = json.loads(file["settings"].tobytes()), {*file.files} - {"settings"}
-        assert settings_of.keys() == {"shard", "b", "law", "history"}
+        assert settings_of.keys() == {"shard", "b", "law", "history", "ids"}
         assert arrays == {"ids", "candidates", "row", "column", "peers", "say", "heard"}
     back = [View.read(folder / f"{view.shard}.npz") for view in views]
     assert [view.to_json() for view in back] == [view.to_json() for view in views]

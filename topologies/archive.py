@@ -16,6 +16,8 @@ from topologies.errors import UserError
 NodeId = int | str
 Arrays = dict[str, Any]
 _SETTINGS = "settings"
+_MIXED = "ids"
+"""among the settings: arrays of ids some of which are names"""
 
 
 def id_array(ids: Sequence[NodeId]) -> NDArray[Any]:
@@ -30,12 +32,10 @@ def id_array(ids: Sequence[NodeId]) -> NDArray[Any]:
 
 def write(path: Path, settings: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
     """Write `arrays`, ids among them, and `settings`, which are what JSON can hold."""
-    # Objects would be pickled, and a pickle is code: ids of both kinds become JSON texts.
-    plain = {
-        name: np.array([json.dumps(one) for one in array]) if array.dtype == object else array
-        for name, array in arrays.items()
-    }
-    text = np.frombuffer(json.dumps(settings).encode(), dtype=np.uint8)
+    # Objects would be pickled, and a pickle is code: ids of both kinds become JSON.
+    mixed = {name: array.tolist() for name, array in arrays.items() if array.dtype == object}
+    plain = {name: array for name, array in arrays.items() if name not in mixed}
+    text = np.frombuffer(json.dumps({**settings, _MIXED: mixed}).encode(), dtype=np.uint8)
     with path.open("wb") as file:
         np.savez(file, allow_pickle=False, **{_SETTINGS: text, **plain})
 
@@ -48,7 +48,4 @@ def read(path: Path) -> tuple[dict[str, Any], Arrays]:
     except (OSError, ValueError, EOFError, AttributeError, zipfile.BadZipFile) as error:
         raise UserError(f"{path}: cannot be read as a .npz file: {error}; write it with numpy.savez") from None
     settings: dict[str, Any] = json.loads(arrays.pop(_SETTINGS, np.array([], dtype=np.uint8)).tobytes() or "{}")
-    for name, array in arrays.items():
-        if array.dtype.kind == "U":
-            arrays[name] = id_array([json.loads(text) for text in array.tolist()])
-    return settings, arrays
+    return settings, arrays | {name: id_array(ids) for name, ids in settings.pop(_MIXED, {}).items()}

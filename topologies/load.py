@@ -179,7 +179,9 @@ def _validate(source: Source) -> tuple[Topology | None, list[Problem]]:
     except ValidationError as error:
         found = error.errors(include_url=False)
     problems = [(_no_fault if details["type"] == "fault" else _problem)(source, details) for details in found]
-    if not isinstance(source.value.get("nodes", {}), dict):
+    if not isinstance(source.value.get("nodes", {}), dict) or any(
+        details["loc"][:1] == ("graph",) for details in found
+    ):
         return None, problems
     try:
         return Topology.model_validate(_without(source.value, found)), problems

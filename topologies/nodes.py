@@ -10,7 +10,7 @@ import numpy as np
 from topologies.network import Group, Network
 from topologies.schema import COMPONENTS, Component, Node, Nothing
 
-SPELLED_OUT = 10_000
+SPELLED_OUT = 1_000
 """Up to this many nodes a resolved file spells out each of them; the numbers of more stand in a table beside it."""
 
 NodeId = int | str
