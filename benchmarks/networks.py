@@ -17,7 +17,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from agents.shard import Shard
+from agents.view import View
 from orchestrator.assign import truth_of, views_of
+from plant.truth import Truth
+from plant.world import World
 from topologies.hinf import gamma_star
 from topologies.load import load
 from topologies.partition import cut, partition
@@ -29,7 +33,7 @@ GRAPHS = {
     "grid": "kind: grid",
     "scale_free": "kind: scale_free, attach: 2, max_degree: 10",
 }
-STAGES = ("load", "resolve", "partition", "gamma*", "write", "read back")
+STAGES = ("load", "resolve", "partition", "gamma*", "write", "read", "load again")
 
 
 def measure(graph: str, nodes: int, processes: int) -> dict[str, float]:
@@ -62,7 +66,11 @@ def measure(graph: str, nodes: int, processes: int) -> dict[str, float]:
             truth_of(network, shards).write(folder / "plant.npz")
             for view in views_of(network, shards):
                 view.write(folder / f"{view.shard}.npz")
-        with stage("read back"):
+        with stage("read"):
+            worlds = World(Truth.read(folder / "plant.npz"))
+            agents = [Shard(View.read(folder / f"{p}.npz")) for p in range(processes)]
+        del worlds, agents
+        with stage("load again"):
             load(str(folder))
         crossing = cut(network.graph, shards) / max(1, len(network.edges))
     return spent | {"MB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, "cut": crossing}

@@ -25,7 +25,7 @@ import yaml
 from pydantic import AfterValidator
 from pydantic.fields import FieldInfo
 
-from topologies import faults, schema
+from topologies import faults, generators, schema
 from topologies.base import Model
 from topologies.load import bundled, find, load, parse
 from topologies.resolve import resolve
@@ -37,6 +37,9 @@ WRITTEN = {
     "nodes": "list of node ids, or mapping from node ids to [what they override](#a-node)",
     "defaults": "mapping, [as of a node](#a-node)",
     "edges": "list of pairs of node ids",
+    "graph": "[a rule](#graphs-by-a-rule)",
+    "table": "[a file](#tables)",
+    "processes": "whole number (at least 1), `auto` or `per-node`",
     "law": "`minimax`, `hinf`, `nominal` or `package.module:Class`",
     "disturbance": "[`worst_case`](#worst_case)",
     "faults": "list of [faults](#faults)",
@@ -95,6 +98,16 @@ FAULT_EXAMPLES: dict[str, list[dict[str, Any]]] = {
 """Faults of each kind, in the tree of `paper7`; the generator fails when a kind has none, or when one is refused."""
 
 
+GRAPH_EXAMPLES: dict[str, dict[str, Any]] = {
+    "grid": {"columns": 4},
+    "tree": {"branches": 3},
+    "random_tree": {"max_degree": 3},
+    "small_world": {"rewire": 0.2},
+    "scale_free": {"attach": 1},
+    "geometric": {"mean_degree": 4},
+}
+
+
 def words(hint: Any, where: Sequence[Any] = ()) -> str:
     """A type in plain words; `where` are the limits that surround it."""
     origin, inside = get_origin(hint), get_args(hint)
@@ -150,7 +163,7 @@ def keys(model: type[Model], hide: Sequence[str] = (), default: Callable[[str], 
             continue
         if not field.description:
             raise SystemExit(f"{model.__name__}.{name} has no description: give it one in {model.__module__}")
-        key = field.serialization_alias or name
+        key = field.serialization_alias or field.alias or name
         written = OF_FAULTS if issubclass(model, faults.FaultModel) else WRITTEN if model is schema.Topology else {}
         kind = written.get(key) or words(hints[name])
         if default is not None:
@@ -172,7 +185,9 @@ def topology() -> str:
 def _default_of_file(field: FieldInfo) -> str:
     if field.is_required():
         return "required"
-    return "—" if isinstance(field.default, schema.Node) or field.default in (None, ()) else f"`{flow(field.default)}`"
+    return (
+        "—" if isinstance(field.default, schema.Node) or field.default in (None, (), {}) else f"`{flow(field.default)}`"
+    )
 
 
 def node() -> str:
@@ -206,6 +221,23 @@ def disturbances() -> str:
         if len(model.model_fields) > 1:
             parts.append(keys(model, hide=["kind"]))
     return "\n\n".join(parts)
+
+
+def graphs() -> str:
+    """Each kind of graph: what it makes, an example that was read, its keys."""
+    common = [*generators.Generator.model_fields]
+    rows = [keys(generators.Generator)]
+    for kind, model in generators.GENERATORS.items():
+        example = {"kind": kind, "nodes": 8} | GRAPH_EXAMPLES.get(kind, {})
+        network = {"name": "one", "b": 0.1, "steps": 3, "graph": example}
+        made = resolve(parse(yaml.safe_dump(network).encode(), kind, DOCS))
+        listed = ", ".join(f"{i}–{j}" for i, j in made.edges)
+        rows.append(
+            f"### {kind}\n\n{(model.__doc__ or '').strip()}\n\n```yaml\ngraph: {flow(example)}\n```\n\nmakes {listed}."
+        )
+        if len(model.model_fields) > len(common) + 1:
+            rows.append(keys(model, hide=["kind", *common]))
+    return "\n\n".join(rows)
 
 
 def of_faults() -> str:
@@ -318,6 +350,7 @@ def generate() -> str:
             "node": node,
             "disturbances": disturbances,
             "faults": of_faults,
+            "graphs": graphs,
             "random": random,
             "bundled": bundled_files,
             "file": scratch.file,

@@ -47,7 +47,7 @@ def table(topology: Topology) -> str:
             f"\n{topology.name}: {size}, {topology.steps} steps, seed {topology.seed}, law {topology.law}\n"
             f"gamma* = {gamma:.6g}, the optimal gain when every a is known; "
             f"rho = {rho:.6g}, the contraction whatever is estimated\n"
-            f"{count(processes, 'process', 'es')}, between which {crossing} of {count(len(graph.edges), 'edge')} cross"
+            f"{count(processes, 'process', 'es')}; {crossing} of {count(len(graph.edges), 'edge')} from one to another"
         )
     return capture.get().rstrip()
 
