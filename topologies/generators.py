@@ -41,7 +41,7 @@ class Generator(Model):
     LEAST: ClassVar[int] = 1
     """how many nodes it needs"""
 
-    nodes: Annotated[StrictInt, Field(ge=1, le=10**8)] = Field(description="how many; their ids are 0, 1, 2, …")
+    nodes: Annotated[StrictInt, Field(ge=1, le=10**7)] = Field(description="how many; their ids are 0, 1, 2, …")
     seed: Annotated[StrictInt, Field(ge=0, lt=2**63)] | None = Field(
         None, description="what is random in it is drawn from this; from the `seed:` of the file if absent"
     )
