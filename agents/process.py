@@ -3,13 +3,18 @@
 The work is done where messages arrive, on the network thread; the main thread only watches the clock, so
 that a step costs no change of threads. A step begins with the state message of t and needs the link messages of
 t - 1 from every peer whose link was up; whichever comes last sets it off.
+
+To say something long takes until it is read. So where messages are long, the network thread only takes them in, and the
+main thread does the work: or two processes that say something long would wait to be heard, and neither would hear.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import functools
 import logging
+import queue
 import threading
 import time
 from collections import deque
@@ -24,6 +29,7 @@ from agents.view import View
 from wire import keys
 from wire.child import run_child
 from wire.codec import (
+    REPORT_WIDTH,
     Kind,
     MessageError,
     State,
@@ -41,6 +47,10 @@ NO_STEP = 2**62
 """The step of an input that is none."""
 PATIENCE_S = 1.0
 """How long a step may take before the log says what it waits for."""
+LONG_BYTES = 2**14
+"""A message that Zenoh may not take at once: what waits to be sent has room for a few of 64 kB."""
+
+Take = Callable[[bytes], None]
 
 
 class Agent:
@@ -54,6 +64,10 @@ class Agent:
         self._said: deque[list[tuple[zenoh.Publisher, bytes]]] = deque(maxlen=2)
         """What went out in the last two steps: a neighbour may still need the one before the last."""
         self._lock = threading.Lock()
+        self._mail: queue.SimpleQueue[tuple[str, Take, bytes]] | None = None
+        """messages for the main thread, where they are long"""
+        if 8 * (1 + REPORT_WIDTH) * self.shard.k + self.shard.m > LONG_BYTES:
+            self._mail = queue.SimpleQueue()
         self._ended = threading.Event()
         self._failure: Exception | None = None
         self.refused = 0
@@ -73,7 +87,7 @@ class Agent:
     def run(self) -> None:
         """Wait for the end, saying in the log what a slow step waits for; raises what a message provoked."""
         said = -1
-        while not self._ended.wait(PATIENCE_S):
+        while not self._wait(PATIENCE_S):
             with self._lock:
                 late = self._pending is not None and time.monotonic() - self._since > PATIENCE_S
                 if late and self._pending is not None and self._pending.t != said:
@@ -83,26 +97,36 @@ class Agent:
         if self._failure is not None:
             raise self._failure
 
+    def _wait(self, timeout_s: float) -> bool:
+        """Whether the end has come; a message that is the main thread's to take is taken meanwhile."""
+        if self._mail is None:
+            return self._ended.wait(timeout_s)
+        with contextlib.suppress(queue.Empty):
+            self._take_message(*self._mail.get(timeout=timeout_s))
+        return self._ended.is_set()
+
     def close(self) -> None:
         """Leave the network."""
         close(self._session)
 
-    def _hear(self, key: str, take: Callable[[bytes], None]) -> zenoh.Subscriber[None]:
-        """Take what comes on `key`, one message at a time; what is no message is refused, and the law may raise."""
+    def _hear(self, key: str, take: Take) -> zenoh.Subscriber[None]:
+        """Take what comes on `key`, here or on the main thread."""
+        if (mail := self._mail) is not None:
+            return subscriber(self._session, key, lambda message: mail.put((key, take, message)))
+        return subscriber(self._session, key, lambda message: self._take_message(key, take, message))
 
-        def on_message(message: bytes) -> None:
-            with self._lock:
-                try:
-                    take(message)
-                except MessageError as error:
-                    self.refused += 1
-                    if self.refused == 1:
-                        LOG.warning("%s: refused: %s", key, error)
-                except Exception as error:  # it must reach the main thread, not Zenoh's log
-                    self._failure = error
-                    self._ended.set()
-
-        return subscriber(self._session, key, on_message)
+    def _take_message(self, key: str, take: Take, message: bytes) -> None:
+        """One message at a time; what is no message is refused, and the law may raise."""
+        with self._lock:
+            try:
+                take(message)
+            except MessageError as error:
+                self.refused += 1
+                if self.refused == 1:
+                    LOG.warning("%s: refused: %s", key, error)
+            except Exception as error:  # it must reach the main thread, not Zenoh's log
+                self._failure = error
+                self._ended.set()
 
     def _take_state(self, message: bytes) -> None:
         kind = kind_of(message)
