@@ -15,6 +15,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from topologies.fast import kernels_for
 from topologies.graph import all_finite
 
 Array = NDArray[np.float64]
@@ -75,6 +76,11 @@ class Minimax:
         # argmin takes the first of equals: ties go to the candidate that is listed first.
         self.index = self.J.argmin(axis=0)
         self.ahat = self.candidates[self.index, self._nodes]
+        if len(self.J) > 1:
+            ordered = self.J.copy()
+            ordered.partition(1, axis=0)
+            np.subtract(ordered[1], ordered[0], out=self._report[:, 2])
+        self._report[:, 0], self._report[:, 1] = self.ahat, self.index
 
     def act(self, x: Array) -> Array:
         """Equation (6)."""
@@ -82,10 +88,14 @@ class Minimax:
 
     def learn(self, x: Array, flow: Array, x_next: Array) -> None:
         """Equation (7), one sample further; a node whose flow is unknown (NaN) skips it."""
+        whole = all_finite(flow)
+        if whole and (kernels := kernels_for(len(flow))) is not None:
+            kernels.learn(self.J, self.candidates, self.b, x, flow, x_next, self.index, self.ahat, self._report)
+            return
         residual = self.candidates * x
         residual -= x_next - self.b * flow
         residual *= residual
-        if all_finite(flow):
+        if whole:
             self.J += residual
         elif (known := np.isfinite(flow)).any():
             self.J[:, known] += residual[:, known]
@@ -95,10 +105,4 @@ class Minimax:
 
     def report(self) -> Array:
         """The estimate ahat, its index, and the margin J_(2) - J_(1), infinite without a rival."""
-        ahat, index, margin = self._report.T
-        ahat[:], index[:] = self.ahat, self.index
-        if len(self.J) > 1:
-            ordered = self.J.copy()
-            ordered.partition(1, axis=0)
-            np.subtract(ordered[1], ordered[0], out=margin)
         return self._report

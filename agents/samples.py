@@ -8,12 +8,14 @@ the order of the steps: what the law then knows is, bit for bit, what it would h
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from agents.law import Array, Law
-from topologies.graph import all_finite
+from topologies.fast import kernels_for
+from topologies.graph import all_finite, starts
 from wire.codec import TAKEN, Flag, Flags, Mask, Record
 from wire.history import History
 
@@ -51,8 +53,7 @@ class Samples:
     def take(self, x: Array, u: Array, x_next: Array) -> None:
         """Learn the sample of the next step, of which all is known but, maybe, a reading of x, as of all before it."""
         self._history.append(x, u, self._all)
-        own, other = u[self._ends]
-        flow = self._sums(own - other)
+        flow = self._whole_flow(u)
         before, self._read = self._read, x_next if all_finite(x_next) else None
         if before is x and self._read is x_next:
             self._law.learn(x, flow, x_next)
@@ -196,13 +197,24 @@ class Samples:
                     flow = partly
                 self._learn(x[step], flow, x[step + 1])
 
+    def _whole_flow(self, u: Array) -> Array:
+        """The flow f of one step, (k,), from inputs (width,) of which none is missing, over edges that are all open."""
+        if (kernels := kernels_for(self.k)) is not None:
+            return kernels.flow(self._first, self._ends[1], u)  # type: ignore[no-any-return]
+        own, other = u[self._ends]
+        return self._sums(own - other)
+
+    @cached_property
+    def _first(self) -> Index:
+        return starts(self._row, self.k)
+
     def _flow(self, u: Array, bits: Flags) -> Array:
         """The flow f of one step, (k,), from inputs (width,) and Flag bits (m,); NaN where an input is missing."""
         own, other = u.take(self._ends)
         difference = own - other
         difference[bits & _HEAR == 0] = np.nan
         difference[bits & _OPEN == 0] = 0.0
-        return self._sums(difference)
+        return self._sums(difference).astype(float, copy=False)  # of no incidences at all they are integers
 
     def _sums(self, difference: Array) -> Array:
         flow: Array = np.bincount(self._row, difference, self.k)  # type: ignore[assignment]  # weighted: floats

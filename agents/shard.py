@@ -172,7 +172,7 @@ class Shard:
         links = [mail.pop(past, None) for mail in self._mail]
         if state.flags == self._up and not state.spans and self._samples.complete and back is None:
             self.took = self._took_all
-            inputs = gather([self.u, *[link.u for link in links if link is not None]])
+            inputs = gather([self.u, *[link.u for link in links if link is not None]]) if links else self.u
             self._samples.take(self.x, inputs, state.x)
             return
         # The newest row of a link message is that of t - 1, unless the link is late.
@@ -196,7 +196,7 @@ class Shard:
 
     def _act(self, t: int, x: Array) -> Array:
         try:
-            u = np.asarray(self._law.act(x), dtype=float)
+            u = np.array(self._law.act(x), dtype=float)  # a copy: it is kept, and the law may use its own again
             self.report = np.asarray(self._law.report(), dtype=float)
         except Exception as error:
             raise self._failed("act", f"raised {type(error).__name__}: {error}") from error

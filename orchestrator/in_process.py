@@ -5,10 +5,13 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 
+import numpy as np
+
 from agents.shard import Shard
 from agents.view import View
 from plant.truth import Truth
 from plant.world import World
+from topologies.graph import Array
 from wire.codec import REPORT_WIDTH, End, Telemetry, gather
 
 
@@ -22,23 +25,25 @@ def run(truth: Truth, views: Sequence[View]) -> Iterator[Telemetry | End]:
     while world.t < truth.steps:
         world.begin()
         told = world.states()
-        inputs: list[bytes] = []
-        reports: list[bytes] = []
+        inputs: list[Array] = []
+        reports: list[Array] = []
         took: list[bytes] = []
         said = []
         for view, shard, (state, record) in zip(views, shards, told, strict=True):
             if state is None:
-                parts = shard.silence
+                u, report, taken = shard.silence
+                inputs.append(gather([u]))
+                reports.append(gather([report]).reshape(-1, REPORT_WIDTH))
+                took.append(taken)
             else:
                 if record is not None:
                     shard.recall(record)
-                u = shard.answer(state)
-                parts = u.tobytes(), shard.report.tobytes(), shard.took
+                inputs.append(shard.answer(state))
+                reports.append(shard.report)
+                took.append(shard.took)
                 said += [(view, peer, link) for peer, link in shard.say(state)]
-            for heap, part in zip((inputs, reports, took), parts, strict=True):
-                heap.append(part)
         for view, peer, link in said:
             receiver = view.peers[peer].shard
             shards[receiver].hear(ends[receiver, view.shard], link)
-        yield world.step(gather(inputs), gather(reports).reshape(-1, REPORT_WIDTH), b"".join(took))
+        yield world.step(np.concatenate(inputs), np.concatenate(reports), b"".join(took))
     yield End(world.t, world.x, time.monotonic() - began, world.links.forgotten)

@@ -38,13 +38,22 @@ class Disturbance:
                 return lambda t: np.asarray(values[:, t])
             case "sinusoid":
                 amplitude, omega, phase = columns["amplitude"], columns["omega"], columns["phase"]
-                return lambda t: amplitude * np.sin(omega * t + phase)
+                return lambda t: _sinusoid(amplitude, omega, phase, t)
             case "constant":
                 return lambda _: columns["value"]
             case "impulse":
                 return lambda t: np.where(columns["at"] == t, columns["value"], 0.0)
             case _:
                 return lambda t: columns["std"] * _gaussian(seed, group.number, t, self._n)[group.nodes]
+
+
+def _sinusoid(amplitude: Array, omega: Array, phase: Array, t: int) -> Array:
+    """A sinusoid at step t, amplitude * sin(omega * t + phase), in place: new memory costs more than the arithmetic."""
+    w = omega * t
+    w += phase
+    np.sin(w, out=w)
+    w *= amplitude
+    return w
 
 
 def _gaussian(seed: int, number: int, t: int, n: int) -> Array:

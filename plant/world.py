@@ -17,6 +17,7 @@ from plant.faults import NOTHING, Faults
 from plant.links import Crossing, Links
 from plant.truth import Truth
 from topologies.effects import Effect
+from topologies.fast import kernels_for
 from topologies.graph import Array, Graph, Index, Mask, all_finite
 from wire.codec import ALL_UP, TAKEN, Flag, Flags, Record, Span, State, Telemetry
 from wire.history import History
@@ -27,6 +28,8 @@ def dynamics(a: Array, b: float, graph: Graph, x: Array, u: Array, w: Array, edg
 
     Shapes: (n,) and (E,); or (B, n) and (B, E) for B networks at once.
     """
+    if edge_open is None and x.ndim == 1 and (kernels := kernels_for(graph.n)) is not None:
+        return kernels.dynamics(graph.first, graph.neighbour, a, b, x, u, w)  # type: ignore[no-any-return]
     return a * x + b * graph.flow(u, edge_open) + w
 
 

@@ -8,6 +8,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from topologies.fast import kernels_for
+
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Index = NDArray[np.int64]
@@ -19,6 +21,11 @@ FEW = 32
 def all_finite(values: Array) -> bool:
     """Whether all of them are finite; where even their sum is not, it may say no."""
     return math.isfinite(sum(values.tolist()) if values.size <= FEW else np.add.reduce(values))
+
+
+def starts(node: Index, n: int) -> Index:
+    """Where the incidences of each of n nodes begin in a list that is ordered by node, and its length, (n + 1,)."""
+    return np.concatenate([[0], np.cumsum(np.bincount(node, minlength=n))])
 
 
 class Graph:
@@ -47,6 +54,11 @@ class Graph:
         return np.bincount(self.node, minlength=self.n)
 
     @cached_property
+    def first(self) -> Index:
+        """Where the incidences of each node begin, and behind them their number, (n + 1,)."""
+        return starts(self.node, self.n)
+
+    @cached_property
     def reverse(self) -> Index:
         """Per incidence: the same edge seen from its other end, (2E,)."""
         order = np.lexsort((self.node, self.neighbour))
@@ -59,6 +71,10 @@ class Graph:
 
         u: (n,), or (B, n) for B networks at once; edge_open: (E,), or (B, E), None where all are open; f: as u.
         """
+        if edge_open is None and (kernels := kernels_for(self.n)) is not None:
+            if u.ndim == 1:
+                return kernels.flow(self.first, self.neighbour, u)  # type: ignore[no-any-return]
+            return np.array([kernels.flow(self.first, self.neighbour, row) for row in u])
         difference = u.take(self.node, axis=-1) - u.take(self.neighbour, axis=-1)
         if edge_open is not None:
             difference = np.where(edge_open.take(self.edge, axis=-1), difference, 0.0)

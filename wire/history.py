@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+from collections import deque
+
 import numpy as np
 from numpy.typing import NDArray
 
 from wire.codec import Array, Flags
 
-ASIDE, ASIDE_NUMBERS = 64, 4096
-"""how many rows are laid aside, and of how many numbers together, at most"""
+ASIDE = 64
+"""how many short rows are laid aside at most"""
+LONG = 4096
+"""numbers in a row that is long: to lay it aside is to keep what is there anyway"""
 
 
 class History:
     """Rows of consecutive steps, `first` .. `next` - 1, of which the oldest fall off past `most`.
 
     Room is made by doubling up to twice `most`, then by moving the last rows to the front: an append costs the same
-    at any length, and any span of steps is one slice. A short row is laid aside until there are some, or somebody
-    looks: most runs never do. So what is appended must not change afterwards.
+    at any length, and any span of steps is one slice. But first a row is laid aside, until there are some or, if it is
+    long, until somebody looks: most runs never do. So what is appended must not change afterwards.
     """
 
     def __init__(self, most: int, states: int, inputs: int, bits: int) -> None:
@@ -26,9 +30,9 @@ class History:
         """where `first` stands"""
         self._x, self._u = np.empty((0, states)), np.empty((0, inputs))
         self._bits = np.empty((0, bits), dtype=np.uint8)
-        self._aside: list[tuple[Array, Array, Flags]] = []
+        self._aside: deque[tuple[Array, Array, Flags]] = deque()
         """the last rows, which do not stand in the arrays yet"""
-        self._patience = max(1, min(ASIDE, most, ASIDE_NUMBERS // (states + inputs + 1)))
+        self._patience = min(ASIDE, most) if states + inputs < LONG else most + 1
 
     def append(self, x: Array, u: Array, bits: Flags) -> None:
         """The row of step `next`; nothing is kept where `most` is 0."""
@@ -39,8 +43,11 @@ class History:
         if len(self._aside) == self._patience:
             self._settle()
         if self.next - self.first > self.most:
+            if len(self._aside) == self.next - self.first:
+                self._aside.popleft()
+            else:
+                self._at += 1
             self.first += 1
-            self._at += 1
 
     def _settle(self) -> None:
         """Put what was laid aside where it belongs."""
@@ -54,7 +61,7 @@ class History:
         self._aside.clear()
 
     def _make_room(self, rows: int, new: int) -> None:
-        size = max(64, min(2 * self.most, 2 * (rows + new)))
+        size = min(2 * self.most, max(64, 2 * (rows + new)))
         for name in ("_x", "_u", "_bits"):
             old: NDArray[np.float64] = getattr(self, name)
             larger = np.empty((size, old.shape[1]), dtype=old.dtype)
