@@ -24,6 +24,10 @@ from wire.codec import End, Telemetry
 
 Matrix = NDArray[np.float64]
 
+ROWS = 512
+BATCH_BYTES, ROW_BYTES = 2**28, 256
+"""what a batch may take, and what a row of it takes a node, about"""
+
 
 @dataclass(frozen=True)
 class Batch:
@@ -95,6 +99,11 @@ class Batch:
         return np.where(self.energy_sum > 0, gain, np.nan)
 
 
+def rows_at_once(n: int) -> int:
+    """How many rows of n nodes are best taken in at once: what they bring must fit into memory."""
+    return max(1, min(ROWS, BATCH_BYTES // (ROW_BYTES * n)))
+
+
 class Observer:
     """Takes telemetry in the order of its steps and computes all that is shown, recorded and judged."""
 
@@ -112,8 +121,8 @@ class Observer:
         self._largest = np.nanmax(models, axis=0)
         self.rho = float(self._contraction(self._a0))
         """the largest that held so far"""
-        self._rivals = [listed[~np.isnan(listed)] for listed in network.candidates.T]
-        self._padded = models.T
+        self._rivals, self._models = network.candidates, models
+        """what each node chooses among, in the file and under the law of the run, (M, n), NaN where there are fewer"""
         self._twins = Twins(self.b, self.graph, self.x0, self._a0, self.nominal)
         self._certificate = Certificate(self._a0, self.b, self.graph, self.x0)
         self.v0 = self._certificate.v0
@@ -245,15 +254,20 @@ class Observer:
         return self._a0 + excess, excess - moved
 
     def _identifiable(self, a_ls: Matrix, a: Matrix) -> NDArray[np.bool_]:
-        found = np.zeros(a.shape, dtype=np.bool_)
-        for i, rivals in enumerate(self._rivals):
-            nearest = rivals[np.abs(a_ls[:, i, None] - rivals).argmin(axis=1)]
-            found[:, i] = (nearest == a[:, i]) & np.isfinite(a_ls[:, i])
-        return found
+        """Of equally near candidates the first counts."""
+        nearest = np.broadcast_to(self._rivals[0], a_ls.shape)
+        gap = np.abs(a_ls - nearest)
+        for rival in self._rivals[1:]:
+            further = np.abs(a_ls - rival)
+            nearest = np.where(further < gap, rival, nearest)
+            np.fmin(gap, further, out=gap)
+        return np.asarray((nearest == a) & np.isfinite(a_ls))
 
     def _check_estimates(self, t: NDArray[np.int64], x: Matrix, u: Matrix, ahat: Matrix) -> None:
         """Of those who are there, every ahat is a candidate, and every u that came is equation (6) of it."""
-        listed = (self._padded == ahat[:, :, None]).any(axis=2)
+        listed = ahat == self._models[0]
+        for models in self._models[1:]:
+            listed |= ahat == models
         good = listed & (control(self.b, x, ahat) == u)
         if not good.all():
             good |= (listed & np.isnan(u)) | self.schedule.absent(t)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from orchestrator.aside import Aside
 from orchestrator.folder import RunFolder, write_json
-from orchestrator.observe import Batch, Observer
+from orchestrator.observe import Batch, Observer, rows_at_once
 from orchestrator.verdict import Ending, Verdict, judge
 from orchestrator.viewer import Viewer, start
 from topologies.errors import HedgerowError
@@ -44,6 +44,7 @@ class Run:
     def __init__(self, topology: Topology, folder: RunFolder, watching: Watching, ending: Ending) -> None:
         self.topology, self.folder, self.ending = topology, folder, ending
         self.observer = Observer(topology)
+        self.rows_at_once = rows_at_once(self.observer.graph.n)
         self._watching = watching
         self._aside: Aside | None = None
         """who feeds the stream: Rerun takes a second to load, and nobody waits for it"""
@@ -63,7 +64,7 @@ class Run:
         return Recorder(self.topology, self.folder.path)
 
     def take(self, rows: Sequence[Telemetry]) -> Batch:
-        """Observe and record some steps; OSError when the disk is full."""
+        """Observe and record some steps, `rows_at_once` at most; OSError when the disk is full."""
         batch = self.observer.take(rows)
         self._recorder.write(batch)
         if not self._watched:

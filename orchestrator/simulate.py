@@ -18,8 +18,6 @@ from orchestrator.verdict import Ending, Verdict
 from topologies.schema import Topology
 from wire.codec import End, Telemetry
 
-BATCH_STEPS = 256
-
 
 def simulate(topology: Topology, folder: RunFolder, shards: Layout, watching: Watching, screen: Screen) -> Verdict:
     """Run a resolved topology in this process; Ctrl-C ends it cleanly with the verdict unknown."""
@@ -31,7 +29,7 @@ def simulate(topology: Topology, folder: RunFolder, shards: Layout, watching: Wa
     telemetry = in_process.run(truth_of(topology, shards), views_of(topology, shards))
     with Interrupts() as interrupts:
         try:
-            while rows := list(itertools.islice(telemetry, BATCH_STEPS)):
+            while rows := list(itertools.islice(telemetry, run.rows_at_once)):
                 if steps := [row for row in rows if isinstance(row, Telemetry)]:
                     screen.progress(run.take(steps))
                     ending.first_step_s = ending.first_step_s or time.monotonic() - began

@@ -221,7 +221,8 @@ class Network:
 
     def _take_rows(self, run: Run, rows: list[Telemetry]) -> None:
         unseen = run.viewer is None
-        self._screen.progress(run.take(rows))
+        for some in range(0, len(rows), run.rows_at_once):
+            self._screen.progress(run.take(rows[some : some + run.rows_at_once]))
         if unseen and run.viewer is not None:
             self._screen.say(f"watch it at {run.viewer.link or run.viewer.url}")
         self._warn(run)

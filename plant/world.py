@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import repeat
 
 import numpy as np
 
@@ -28,8 +29,11 @@ def dynamics(a: Array, b: float, graph: Graph, x: Array, u: Array, w: Array, edg
 
     Shapes: (n,) and (E,); or (B, n) and (B, E) for B networks at once.
     """
-    if edge_open is None and x.ndim == 1 and (kernels := kernels_for(graph.n)) is not None:
-        return kernels.dynamics(graph.first, graph.neighbour, a, b, x, u, w)  # type: ignore[no-any-return]
+    if edge_open is None and (kernels := kernels_for(graph.n)) is not None:
+        if x.ndim == 1:
+            return kernels.dynamics(graph.first, graph.neighbour, a, b, x, u, w)  # type: ignore[no-any-return]
+        a, w = np.broadcast_to(a, x.shape), np.broadcast_to(w, x.shape)
+        return np.array([dynamics(*one) for one in zip(a, repeat(b), repeat(graph), x, u, w, strict=False)])
     return a * x + b * graph.flow(u, edge_open) + w
 
 
