@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topologies.fast import kernels_for
-from topologies.graph import all_finite
+from topologies.graph import FEW, all_finite
 
 Array = NDArray[np.float64]
 
@@ -46,7 +46,22 @@ class Law(Protocol):
 
 def control(b: float, x: Array, ahat: Array) -> Array:
     """The inputs u = b x / (ahat - 1), all (k,); equations (6) and (8)."""
+    if x.ndim == 1 and (kernels := kernels_for(len(x))) is not None:
+        return kernels.control(b, x, ahat)  # type: ignore[no-any-return]
     return b * x / (ahat - 1.0)
+
+
+def two_smallest(rows: Array) -> tuple[Array, Array]:
+    """The smallest and the second smallest number of each column of two rows or more."""
+    if rows.size <= FEW:
+        ordered = rows.copy()
+        ordered.partition(1, axis=0)
+        return ordered[0], ordered[1]
+    least, second = np.minimum(rows[0], rows[1]), np.maximum(rows[0], rows[1])
+    for row in rows[2:]:
+        np.minimum(second, np.maximum(least, row), out=second)
+        np.minimum(least, row, out=least)
+    return least, second
 
 
 class Minimax:
@@ -77,9 +92,8 @@ class Minimax:
         self.index = self.J.argmin(axis=0)
         self.ahat = self.candidates[self.index, self._nodes]
         if len(self.J) > 1:
-            ordered = self.J.copy()
-            ordered.partition(1, axis=0)
-            np.subtract(ordered[1], ordered[0], out=self._report[:, 2])
+            least, second = two_smallest(self.J)
+            np.subtract(second, least, out=self._report[:, 2])
         self._report[:, 0], self._report[:, 1] = self.ahat, self.index
 
     def act(self, x: Array) -> Array:

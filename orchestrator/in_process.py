@@ -31,9 +31,9 @@ def run(truth: Truth, views: Sequence[View]) -> Iterator[Telemetry | End]:
         said = []
         for view, shard, (state, record) in zip(views, shards, told, strict=True):
             if state is None:
-                u, report, taken = shard.silence
-                inputs.append(gather([u]))
-                reports.append(gather([report]).reshape(-1, REPORT_WIDTH))
+                nothing, no_report, taken = shard.silence
+                inputs.append(gather([nothing]))
+                reports.append(gather([no_report]).reshape(-1, REPORT_WIDTH))
                 took.append(taken)
             else:
                 if record is not None:
@@ -45,5 +45,6 @@ def run(truth: Truth, views: Sequence[View]) -> Iterator[Telemetry | End]:
         for view, peer, link in said:
             receiver = view.peers[peer].shard
             shards[receiver].hear(ends[receiver, view.shard], link)
-        yield world.step(np.concatenate(inputs), np.concatenate(reports), b"".join(took))
+        u = inputs[0] if len(inputs) == 1 else np.concatenate(inputs)
+        yield world.step(u, np.concatenate(reports), b"".join(took))
     yield End(world.t, world.x, time.monotonic() - began, world.links.forgotten)

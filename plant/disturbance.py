@@ -9,6 +9,9 @@ import numpy as np
 from topologies.graph import Array, Index
 from topologies.network import Group
 
+BLOCK = 2**14
+"""nodes whose values stay in the cache while they are computed"""
+
 Component = Callable[[int], Array]
 """The values at step t of the nodes that have this component."""
 
@@ -22,13 +25,14 @@ class Disturbance:
 
     def at(self, t: int) -> Array:
         """w(t), (n,)."""
-        w = np.zeros(self._n)
+        w = None
         for nodes, component in self._groups:
             if len(nodes) == self._n:  # in order, so that they are all of them
-                w += component(t)
+                w = component(t) + (0.0 if w is None else w)
             else:
+                w = np.zeros(self._n) if w is None else w
                 w[nodes] += component(t)
-        return w
+        return np.zeros(self._n) if w is None else w
 
     def _component(self, group: Group, seed: int) -> Component:
         columns = group.values
@@ -48,11 +52,14 @@ class Disturbance:
 
 
 def _sinusoid(amplitude: Array, omega: Array, phase: Array, t: int) -> Array:
-    """A sinusoid at step t, amplitude * sin(omega * t + phase), in place: new memory costs more than the arithmetic."""
-    w = omega * t
-    w += phase
-    np.sin(w, out=w)
-    w *= amplitude
+    """A sinusoid at step t, amplitude * sin(omega * t + phase), in place and while it is in the cache."""
+    w = np.empty_like(omega)
+    for start in range(0, len(w), BLOCK):
+        some = slice(start, start + BLOCK)
+        part = np.multiply(omega[some], t, out=w[some])
+        part += phase[some]
+        np.sin(part, out=part)
+        part *= amplitude[some]
     return w
 
 

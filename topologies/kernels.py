@@ -45,6 +45,15 @@ def dynamics(first: Index, other: Index, a: Array, b: float, x: Array, u: Array,
     return x_next
 
 
+@njit(_WRITE(float64, _READ, _READ), cache=True, error_model="numpy")
+def control(b: float, x: Array, ahat: Array) -> Array:
+    """The inputs b * x / (ahat - 1); equation (6)."""
+    u = np.empty(len(x))
+    for i in range(len(x)):
+        u[i] = b * x[i] / (ahat[i] - 1.0)
+    return u
+
+
 @njit(void(_WRITE_ROWS, _READ_ROWS, float64, _READ, _READ, _READ, _WRITE_INDEX, _WRITE, _WRITE_ROWS), cache=True)
 def learn(
     J: Array,

@@ -40,14 +40,14 @@ class History:
             return
         self._aside.append((x, u, bits))
         self.next += 1
-        if len(self._aside) == self._patience:
-            self._settle()
         if self.next - self.first > self.most:
             if len(self._aside) == self.next - self.first:
                 self._aside.popleft()
             else:
                 self._at += 1
             self.first += 1
+        if len(self._aside) == self._patience:
+            self._settle()
 
     def _settle(self) -> None:
         """Put what was laid aside where it belongs."""

@@ -1,0 +1,205 @@
+"""`python -m benchmarks.engine`: a step in one process, from 10^2 to 10^6 nodes, beside a plain step in numpy.
+
+A ring, three candidates a node, a sinusoid at each. The plain step does what a careful person would write: the state,
+the input, the flow (by bincount or as a sparse product, the faster counts), J of all candidates, and the best of them.
+Ours does that twice over, as plant and as agents, with telemetry, margins, histories for what may be lost, and room for
+faults. Both give the same trajectory, bit for bit, which is checked.
+
+Every round runs each in turn; the table gives medians over the rounds, of CPU time, and of the ratios within a round.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import platform
+import statistics
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import scipy.sparse
+
+from agents.view import View
+from orchestrator import in_process
+from orchestrator.assign import HISTORY_BYTES
+from plant.truth import Truth
+from topologies.fast import LARGE, kernels_for
+from topologies.graph import Array, Graph
+from topologies.network import Group
+from wire.codec import Telemetry
+
+B = 0.1
+CANDIDATES = 3
+SIZES = [10**2, 10**3, 10**4, 10**5, 10**6]
+NODE_STEPS = 4_000_000
+"""how many nodes times steps a measurement lasts"""
+WARM_UP = 3
+"""steps that are not counted: memory is found for the first time, and loops are loaded"""
+
+
+class Ring(NamedTuple):
+    """The network of the benchmark."""
+
+    truth: Truth
+    view: View
+    graph: Graph
+
+    @property
+    def wave(self) -> dict[str, Array]:
+        """amplitude, omega and phase of each node's sinusoid."""
+        return dict(self.truth.disturbance[0].values)
+
+
+def ring(n: int, steps: int) -> Ring:
+    """A ring of n nodes, in one shard."""
+    random = np.random.default_rng(1)
+    candidates = random.uniform(0.1, 0.9, (CANDIDATES, n))
+    nodes = np.arange(n)
+    wave = {"amplitude": np.ones(n), "omega": random.uniform(0, np.pi, n), "phase": np.zeros(n)}
+    edges = np.stack([nodes, (nodes + 1) % n], axis=1)
+    graph = Graph(n, edges)
+    history = min(100_000, max(1, HISTORY_BYTES // (8 * (3 * n + 2 * n))))
+    truth = Truth(
+        ids=nodes,
+        b=B,
+        a=candidates[random.integers(0, CANDIDATES, n), nodes],
+        x0=np.full(n, 10.0),
+        edges=edges,
+        disturbance=[Group(0, "sinusoid", nodes, wave)],
+        steps=steps,
+        seed=1,
+        shards=[nodes],
+        effects=[],
+        faults=0,
+        history=history,
+    )
+    view = View(
+        shard=0,
+        b=B,
+        law="minimax",
+        ids=nodes,
+        candidates=candidates,
+        row=graph.node,
+        column=graph.neighbour,
+        peers=[],
+        heard=np.empty(0, dtype=np.int64),
+        history=history,
+    )
+    return Ring(truth, view, graph)
+
+
+def plain(network: Ring, sparse: bool) -> tuple[float, Array]:
+    """Seconds of CPU a step in numpy, and the last state."""
+    truth, candidates, graph = network.truth, network.view.candidates, network.graph
+    n, a = graph.n, truth.a
+    amplitude, omega, phase = (network.wave[key] for key in ("amplitude", "omega", "phase"))
+    degree = graph.degree.astype(float)
+    ones = np.ones(len(graph.node))
+    adjacency = scipy.sparse.csr_array((ones, (graph.node, graph.neighbour)), shape=(n, n))
+    x, nodes = truth.x0, np.arange(n)
+    J = np.zeros_like(candidates)
+    ahat = candidates[0]
+    began = 0.0
+    for t in range(truth.steps):
+        if t == WARM_UP:
+            began = time.process_time()
+        u = B * x / (ahat - 1)
+        if sparse:
+            f = degree * u - adjacency @ u
+        else:
+            f = np.bincount(graph.node, u[graph.node] - u[graph.neighbour], n).astype(float, copy=False)
+        x_next = a * x + B * f + amplitude * np.sin(omega * t + phase)
+        J += (candidates * x - (x_next - B * f)) ** 2
+        ahat = candidates[J.argmin(axis=0), nodes]
+        x = x_next
+    return (time.process_time() - began) / (truth.steps - WARM_UP), x
+
+
+def ours(network: Ring) -> tuple[float, Array]:
+    """The same of the in-process engine."""
+    began, x = 0.0, network.truth.x0
+    for row in in_process.run(network.truth, [network.view]):
+        if row.t == WARM_UP - 1 and isinstance(row, Telemetry):
+            began = time.process_time()
+        x = row.x
+    return (time.process_time() - began) / (network.truth.steps - WARM_UP), x
+
+
+def bytes_per_node(n: int) -> float:
+    """The most memory that the engine ever takes for a network, histories filled, in a process of its own."""
+    command = [sys.executable, "-m", "benchmarks.engine", "--memory", str(n)]
+    return float(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+
+
+def _peak() -> int:
+    """The most memory that this process ever had, in bytes; what getrusage says may be its parent's."""
+    status = Path("/proc/self/status").read_text(encoding="ascii")
+    return 1024 * int(next(line.split()[1] for line in status.splitlines() if line.startswith("VmHWM")))
+
+
+def _memory(n: int) -> None:
+    for _ in in_process.run(*_run_of(LARGE)):  # load all that is loaded once
+        pass
+    before = _peak()
+    for _ in in_process.run(*_run_of(n)):
+        pass
+    print((_peak() - before) / n)
+
+
+def _run_of(n: int) -> tuple[Truth, list[View]]:
+    network = ring(n, 20)
+    return network.truth, [network.view]
+
+
+def measure(n: int, rounds: int) -> dict[str, float]:
+    """One row of the table."""
+    network = ring(n, WARM_UP + max(10, min(3000, NODE_STEPS // n)))
+    runs = []
+    for _ in range(rounds):
+        by_bincount, x = plain(network, sparse=False)
+        by_product, _ = plain(network, sparse=True)
+        engine, x_ours = ours(network)
+        if x.tobytes() != x_ours.tobytes():
+            raise SystemExit(f"{n} nodes: the trajectories differ")
+        runs.append((min(by_bincount, by_product), engine))
+    plain_s, ours_s = (statistics.median(each) for each in zip(*runs, strict=True))
+    return {
+        "nodes": n,
+        "plain steps/s": 1 / plain_s,
+        "ours steps/s": 1 / ours_s,
+        "ours / plain": statistics.median(one / other for one, other in runs),
+        "ns a node and step": ours_s / n * 1e9,
+        "bytes a node": bytes_per_node(n) if n >= 10**5 else float("nan"),
+    }
+
+
+def main() -> None:
+    """Print the table, or JSON with `--json`."""
+    parser = argparse.ArgumentParser(description=main.__doc__)
+    parser.add_argument("--nodes", type=int, nargs="+", default=SIZES)
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--json", action="store_true")
+    parser.add_argument("--memory", type=int, help=argparse.SUPPRESS)
+    known = parser.parse_args()
+    if known.memory:
+        _memory(known.memory)
+        return
+    loops = "compiled loops" if kernels_for(LARGE) is not None else "numpy alone: numba is not installed"
+    print(f"{platform.machine()}, Python {platform.python_version()}, numpy {np.__version__}, {loops}", file=sys.stderr)
+    rows = []
+    for n in known.nodes:
+        rows.append(measure(n, known.rounds))
+        if not known.json:
+            if len(rows) == 1:
+                print("".join(f"{name:>20}" for name in rows[0]))
+            print("".join(f"{value:>20.4g}" for value in rows[-1].values()), flush=True)
+    if known.json:
+        print(json.dumps(rows, indent=2))
+
+
+if __name__ == "__main__":
+    main()
