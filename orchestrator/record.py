@@ -15,8 +15,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from orchestrator.accounts import at_ends
+from orchestrator.columns import column, names
 from orchestrator.observe import Batch, Observer
-from topologies.graph import Mask
+from topologies.graph import Index
 from topologies.schema import Topology
 from wire.codec import End
 
@@ -27,9 +28,10 @@ def _id_type(topology: Topology) -> pa.DataType:
     return pa.int64() if all(isinstance(node, int) for node in topology.ids) else pa.string()
 
 
-def _ids(topology: Topology, positions: Any) -> Any:
-    ids = topology.ids if _id_type(topology) == pa.int64() else [str(node) for node in topology.ids]
-    return np.array(ids)[positions]
+def _ids(topology: Topology, positions: Index) -> pa.Array:
+    if _id_type(topology) == pa.int64():
+        return column(np.array(topology.ids, dtype=np.int64)[positions])
+    return names([str(topology.ids[k]) for k in positions])
 
 
 class _Table:
@@ -41,8 +43,9 @@ class _Table:
         self._schema = schema
         self._writer = pa.ipc.new_stream(pa.OSFile(str(self.stream), "wb"), schema)
 
-    def append(self, columns: dict[str, Any]) -> None:
-        self._writer.write_batch(pa.record_batch(columns, schema=self._schema))
+    def append(self, columns: dict[str, pa.Array]) -> None:
+        arrays = [columns[name] for name in self._schema.names]
+        self._writer.write_batch(pa.RecordBatch.from_arrays(arrays, schema=self._schema))
 
     def close(self) -> None:
         if not self.stream.exists():
@@ -96,11 +99,6 @@ def whole_batches(reader: Any) -> Iterator[pa.RecordBatch]:
             return
 
 
-def _null(values: Any, missing: Mask) -> Any:
-    """A column in which what is missing is null."""
-    return pa.array(values.ravel(), mask=missing.ravel()) if missing.any() else values.ravel()
-
-
 class Recorder:
     """Writes what the observer computes to the tables of a run's folder; OSError when the disk is full."""
 
@@ -148,25 +146,25 @@ class Recorder:
         rows, e, unknown = len(batch.t), len(self._edges), np.isnan(batch.ahat)
         self._telemetry.append(
             {
-                "step": np.repeat(batch.t, self._n),
-                "node": np.tile(self._ids, rows),
-                **{name: getattr(batch, name).ravel() for name in ("x", "w", "x_oracle", "x_nominal")},
-                "u": _null(batch.u, np.isnan(batch.u)),
-                "ahat": _null(batch.ahat, unknown),
-                "index": _null(batch.index, unknown),
-                "margin": _null(batch.margin, ~np.isfinite(batch.margin)),
+                "step": column(np.repeat(batch.t, self._n)),
+                "node": pa.concat_arrays([self._ids] * rows),
+                **{name: column(getattr(batch, name)) for name in ("x", "w", "x_oracle", "x_nominal")},
+                "u": column(batch.u, np.isnan(batch.u)),
+                "ahat": column(batch.ahat, unknown),
+                "index": column(batch.index, unknown),
+                "margin": column(batch.margin, ~np.isfinite(batch.margin)),
             }
         )
         if e:
             self._edge_inputs.append(
                 {
-                    "step": np.repeat(batch.t, e),
-                    "i": np.tile(self._i, rows),
-                    "j": np.tile(self._j, rows),
-                    "u_edge": batch.u_edge.ravel(),
-                    "open": batch.edge_open.ravel(),
-                    "i_hears": batch.link_up[:, self._hears[:, 0]].ravel(),
-                    "j_hears": batch.link_up[:, self._hears[:, 1]].ravel(),
+                    "step": column(np.repeat(batch.t, e)),
+                    "i": pa.concat_arrays([self._i] * rows),
+                    "j": pa.concat_arrays([self._j] * rows),
+                    "u_edge": column(batch.u_edge),
+                    "open": column(batch.edge_open),
+                    "i_hears": column(batch.link_up[:, self._hears[:, 0]]),
+                    "j_hears": column(batch.link_up[:, self._hears[:, 1]]),
                 }
             )
 
@@ -176,13 +174,13 @@ class Recorder:
         nothing = {name: pa.nulls(n, pa.float64()) for name in ("u", "w", "ahat", "margin")}
         self._telemetry.append(
             {
-                "step": np.full(n, end.t),
+                "step": column(np.full(n, end.t)),
                 "node": self._ids,
-                "x": end.x,
+                "x": column(end.x),
                 **nothing,
                 "index": pa.nulls(n, pa.int32()),
-                "x_oracle": observer.x_oracle_end,
-                "x_nominal": observer.x_nominal_end,
+                "x_oracle": column(observer.x_oracle_end),
+                "x_nominal": column(observer.x_nominal_end),
             }
         )
 

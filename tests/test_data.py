@@ -192,6 +192,15 @@ def test_frames_hold_what_the_table_holds(run: RecordedRun) -> None:
     assert isinstance(run.telemetry("pandas").dtypes["index"], pandas.Int32Dtype)
 
 
+def test_to_record_a_run_loads_no_library_of_frames(here: Path) -> None:
+    """It would take half a second of its first steps."""
+    told = [sys.executable, "-X", "importtime", *COMMAND[1:], "simulate", "paper7", "--no-record"]
+    done = subprocess.run(told, capture_output=True, text=True, check=True, timeout=DEADLINE_S)
+    loaded = {line.rpartition("|")[2].strip() for line in done.stderr.splitlines() if line.startswith("import time")}
+    assert "orchestrator.record" in loaded
+    assert not {"pandas", "polars"} & loaded
+
+
 def test_a_frame_of_a_library_that_is_not_there(paper7: RecordedRun, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(UserError, match=r"pandas is not installed; install it with: pip install pandas"):
