@@ -22,8 +22,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NoReturn
 
-import zenoh
-
 from agents.shard import Shard
 from agents.view import View
 from wire import keys
@@ -33,14 +31,16 @@ from wire.codec import (
     Kind,
     MessageError,
     State,
+    decode_end,
     decode_link,
     decode_record,
     decode_state,
+    encode_event,
     encode_input,
     encode_link,
     kind_of,
 )
-from wire.session import close, open_client, publisher, subscriber, wait_for_listeners
+from wire.session import Ear, Mail, Voice, close, counts, open_client, wait_for_listeners
 
 LOG = logging.getLogger("agent")
 NO_STEP = 2**62
@@ -50,38 +50,36 @@ PATIENCE_S = 1.0
 LONG_BYTES = 2**14
 """A message that Zenoh may not take at once: what waits to be sent has room for a few of 64 kB."""
 
-Take = Callable[[bytes], None]
-
 
 class Agent:
     """One shard's process, from the first state message to the end."""
 
-    def __init__(self, view: View, namespace: str, endpoint: str, life: int) -> None:
+    def __init__(self, view: View, namespace: str, endpoint: str, life: int, credentials: Path | None = None) -> None:
         self.shard = Shard(view)
         self.peers = [peer.shard for peer in view.peers]
         self._pending: State | None = None
         self._since = time.monotonic()
-        self._said: deque[list[tuple[zenoh.Publisher, bytes]]] = deque(maxlen=2)
+        self._said: deque[list[tuple[Voice, bytes]]] = deque(maxlen=2)
         """What went out in the last two steps: a neighbour may still need the one before the last."""
         self._lock = threading.Lock()
-        self._mail: queue.SimpleQueue[tuple[str, Take, bytes]] | None = None
-        """messages for the main thread, where they are long"""
+        self._mail: Mail | None = None
+        """what the main thread is to take, where messages are long"""
         if 8 * (1 + REPORT_WIDTH) * self.shard.k + self.shard.m > LONG_BYTES:
-            self._mail = queue.SimpleQueue()
+            self._mail = Mail()
         self._ended = threading.Event()
         self._failure: Exception | None = None
-        self.refused = 0
 
-        self._session = open_client(endpoint, namespace)
-        self._input = publisher(self._session, keys.input_(view.shard))
-        self._links = [publisher(self._session, keys.link(view.shard, peer)) for peer in self.peers]
-        self._subscribers = [
+        self._life = life
+        self._session = open_client(endpoint, namespace, credentials)
+        self._input = Voice(self._session, keys.input_(view.shard))
+        self._links = [Voice(self._session, keys.link(view.shard, peer)) for peer in self.peers]
+        self._ears = [
             self._hear(keys.link(peer, view.shard), functools.partial(self._take_link, p))
             for p, peer in enumerate(self.peers)
         ]
-        self._subscribers.append(self._hear(keys.state(view.shard), self._take_state))
+        self._ears.append(self._hear(keys.state(view.shard), self._take_state))
         # Of a neighbour that is dead itself nobody listens: who comes back waits for the plant alone.
-        wait_for_listeners([self._input] if life else [self._input, *self._links])
+        wait_for_listeners([voice.publisher for voice in ([self._input] if life else [self._input, *self._links])])
         self._token = self._session.liveliness().declare_token(keys.alive(keys.shard_name(view.shard), life))
 
     def run(self) -> None:
@@ -98,39 +96,48 @@ class Agent:
             raise self._failure
 
     def _wait(self, timeout_s: float) -> bool:
-        """Whether the end has come; a message that is the main thread's to take is taken meanwhile."""
+        """Whether the end comes within so long; messages that are the main thread's to take are taken meanwhile."""
         if self._mail is None:
             return self._ended.wait(timeout_s)
-        with contextlib.suppress(queue.Empty):
-            self._take_message(*self._mail.get(timeout=timeout_s))
+        by = time.monotonic() + timeout_s
+        while not self._ended.is_set() and (left := by - time.monotonic()) > 0:
+            with contextlib.suppress(queue.Empty):
+                self._mail.get(timeout=left)()
         return self._ended.is_set()
 
     def close(self) -> None:
         """Leave the network."""
         close(self._session)
 
-    def _hear(self, key: str, take: Take) -> zenoh.Subscriber[None]:
-        """Take what comes on `key`, here or on the main thread."""
-        if (mail := self._mail) is not None:
-            return subscriber(self._session, key, lambda message: mail.put((key, take, message)))
-        return subscriber(self._session, key, lambda message: self._take_message(key, take, message))
+    @property
+    def refused(self) -> int:
+        """How many messages were none."""
+        return sum(ear.refused for ear in self._ears)
 
-    def _take_message(self, key: str, take: Take, message: bytes) -> None:
-        """One message at a time; what is no message is refused, and the law may raise."""
-        with self._lock:
-            try:
-                take(message)
-            except MessageError as error:
-                self.refused += 1
-                if self.refused == 1:
-                    LOG.warning("%s: refused: %s", key, error)
-            except Exception as error:  # it must reach the main thread, not Zenoh's log
-                self._failure = error
-                self._ended.set()
+    def _hear(self, key: str, take: Callable[[bytes], None]) -> Ear:
+        """Take what comes on `key`, one message at a time; what is no message is refused, and the law may raise."""
+
+        def on_message(message: bytes) -> None:
+            with self._lock:
+                if self._ended.is_set():
+                    return
+                try:
+                    take(message)
+                except MessageError:
+                    raise
+                except Exception as error:  # it must reach the main thread, not Zenoh's log
+                    self._failure = error
+                    self._ended.set()
+
+        return Ear(self._session, key, on_message, self._mail)
 
     def _take_state(self, message: bytes) -> None:
         kind = kind_of(message)
         if kind == Kind.END:
+            decode_end(message, 0)
+            counted = counts([self._input, *self._links], self._ears)
+            counted["said"][self._input.key] += 1  # this last word too
+            self._input.put(encode_event(max(0, self.shard.t), {"event": "counted", "life": self._life, **counted}))
             self._ended.set()
         elif kind == Kind.RECORD:
             self.shard.recall(decode_record(message, self.shard.degrees))
@@ -175,11 +182,12 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     parser.add_argument("--namespace", required=True, help="the Zenoh namespace of the run")
     parser.add_argument("--connect", required=True, help="the router, a Zenoh endpoint")
     parser.add_argument("--life", type=int, default=0, help="how often this shard was started before")
+    parser.add_argument("--credentials", type=Path, help="the folder with its certificate")
     known = parser.parse_args(arguments)
 
     def body() -> None:
         view = View.read(known.view)
-        agent = Agent(view, known.namespace, known.connect, known.life)
+        agent = Agent(view, known.namespace, known.connect, known.life, known.credentials)
         LOG.info("ready: shard %d of nodes %s", view.shard, view.ids[:20].tolist())
         try:
             agent.run()

@@ -14,6 +14,8 @@ from topologies.faults import effects
 from topologies.graph import Array, Index
 from topologies.partition import partition
 from topologies.schema import Topology
+from wire import keys
+from wire.access import Place
 
 Layout = Sequence[Sequence[int] | Index]
 """Per agent process: the positions of its nodes, ascending."""
@@ -116,6 +118,18 @@ def views_of(topology: Topology, shards: Layout) -> list[View]:
             )
         )
     return views
+
+
+def process_name(view: View) -> str:
+    """What the process of a view is called: in `ps`, by its log, and in its certificate."""
+    name = f"agent-{view.ids[0]}"
+    # A certificate holds a name of 64 letters at most.
+    return name if view.k == 1 and len(name) <= 64 else keys.shard_name(view.shard)
+
+
+def places(views: Sequence[View]) -> list[Place]:
+    """Where each process stands: all that the rules of access need to know of a network."""
+    return [Place(process_name(view), view.shard, [peer.shard for peer in view.peers]) for view in views]
 
 
 def _without_padding(candidates: Array) -> Array:

@@ -17,7 +17,7 @@ from typing import Annotated
 
 import typer
 
-from orchestrator import cli_files, cli_live, cli_report, cli_watch
+from orchestrator import cli_files, cli_keys, cli_live, cli_report, cli_watch
 from orchestrator.check import count, table
 from orchestrator.nursery import Nursery
 from orchestrator.verdict import EXIT_CODES, UNKNOWN
@@ -125,6 +125,12 @@ def up(
     router: Annotated[
         str | None, typer.Option(metavar="ENDPOINT", help="use this Zenoh router, e.g. tcp/host:7447")
     ] = None,
+    secure: Annotated[
+        bool | None, typer.Option("--secure/--open", help="certificates for all, and a router that refuses the rest")
+    ] = None,
+    keys: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="what `orchestrator keys` made, for a router that is there")
+    ] = None,
     deadline: Annotated[float, typer.Option(metavar="S", help="seconds without an answer before giving up")] = 10.0,
     verify: Annotated[bool, typer.Option("--verify", help="compare with the in-process reference afterwards")] = False,
     detach: Annotated[bool, typer.Option("--detach", help="return once it runs")] = False,
@@ -140,16 +146,18 @@ def up(
     if lifeline:
         threading.Thread(target=_end_with_standard_input, name="lifeline", daemon=True).start()
     from orchestrator import folder as folders  # noqa: PLC0415
-    from orchestrator.assign import layout  # noqa: PLC0415
+    from orchestrator.assign import layout, places, views_of  # noqa: PLC0415
     from orchestrator.run import Watching  # noqa: PLC0415
     from orchestrator.screen import screen  # noqa: PLC0415
     from orchestrator.up import Network, Options  # noqa: PLC0415
+    from orchestrator.wiring import check as check_security  # noqa: PLC0415
 
     if rate < 0 or deadline <= 0:
         raise UserError("--rate must not be negative, and --deadline must be above 0")
     count_of: object = int(processes) if processes and processes.lstrip("-").isdecimal() else processes
-    topology = _importable(_read(file, sets, steps=steps, seed=seed, law=law, processes=count_of))
+    topology = _importable(_read(file, sets, steps=steps, seed=seed, law=law, processes=count_of, secure=secure))
     shards = layout(topology, topology.process_count)
+    check_security(topology.secure, router, keys, places(views_of(topology, shards)))
     viewer = _viewer(viewer)
     if detach:
         return _start_detached()
@@ -157,7 +165,7 @@ def up(
     display = screen(topology, as_json, plain, watched=viewer != "none")
     what = f"{count(len(topology.ids), 'node')} in {count(len(shards), 'process', 'es')}, {topology.steps} steps"
     display.say(f"{topology.name}: {what}, run {folder.name}")
-    options = Options(rate, deadline, router, Watching(record, viewer, split_recording), verify)
+    options = Options(rate, deadline, router, keys, Watching(record, viewer, split_recording), verify)
 
     def on_first_step(after_s: float) -> None:
         display.say(f"running: first step after {after_s:.2f} s")
@@ -336,5 +344,6 @@ def chaos(
 
 cli_live.register(app)
 cli_files.register(app)
+cli_keys.register(app)
 cli_report.register(app)
 cli_watch.register(app)

@@ -255,7 +255,8 @@ class Live:
         self._added: dict[int, Fault] = {}
 
     def __enter__(self) -> Live:
-        self._session = open_client(self.entry.endpoint, self.entry.namespace)
+        credentials = self.entry.credentials and Path(self.entry.credentials)
+        self._session = open_client(self.entry.endpoint, self.entry.namespace, credentials or None)
         return self
 
     def __exit__(

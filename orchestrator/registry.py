@@ -10,6 +10,7 @@ import contextlib
 import fcntl
 import json
 import os
+import stat
 import tempfile
 import time
 from collections.abc import Iterator
@@ -17,6 +18,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from topologies.errors import UserError
+from wire.access import OPERATOR
+from wire.session import remove_secrets
 
 
 @dataclass(frozen=True)
@@ -29,20 +32,40 @@ class Entry:
     endpoint: str
     namespace: str
     started: float
+    credentials: str | None = None
+    """the folder of the operator's, where the run is secure"""
 
 
 def _directory() -> Path:
     base = os.environ.get("XDG_RUNTIME_DIR") or tempfile.gettempdir()
     directory = Path(base) / f"hedgerow-{os.getuid()}"
-    directory.mkdir(mode=0o700, exist_ok=True)
+    with contextlib.suppress(FileExistsError):
+        directory.mkdir(mode=0o700)
+    found = directory.lstat()
+    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o077:
+        raise UserError(f"{directory}: must be a folder that is yours alone: chmod 700 it, or remove it")
     return directory
 
 
+def entry_path(run: str) -> Path:
+    """Where this process lists a run of that name."""
+    return _directory() / f"{run}-{os.getpid()}.json"
+
+
+def secrets_of(listed: Path) -> Path:
+    """Where the credentials of a run lie: beside its entry, in a folder that is its user's alone."""
+    return listed.with_suffix(".keys")
+
+
 @contextlib.contextmanager
-def announced(run: str, folder: Path, endpoint: str, namespace: str) -> Iterator[Path]:
-    """List this process's run while the block lasts; yields the file that does."""
-    entry = Entry(run, str(folder), os.getpid(), endpoint, namespace, time.time())
-    path = _directory() / f"{entry.run}-{entry.pid}.json"
+def announced(run: str, folder: Path, endpoint: str, namespace: str, credentials: Path | None = None) -> Iterator[Path]:
+    """List this process's run while the block lasts; yields the file that does.
+
+    `credentials` are those of the run's processes, where it is secure.
+    """
+    path = entry_path(run)
+    own = None if credentials is None else str(credentials / OPERATOR)
+    entry = Entry(run, str(folder), os.getpid(), endpoint, namespace, time.time(), own)
     with path.open("w", encoding="utf-8") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
         file.write(json.dumps(asdict(entry)))
@@ -61,6 +84,7 @@ def running() -> list[Entry]:
             if _is_locked(file.fileno()):
                 entries.append(Entry(**json.load(file)))
             elif path.stat().st_size:  # else it is being written right now
+                remove_secrets(secrets_of(path))
                 path.unlink(missing_ok=True)
     return sorted(entries, key=lambda entry: entry.started)
 

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import signal
-import tempfile
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -12,14 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from agents.view import View
+from orchestrator.assign import process_name
 from orchestrator.folder import RunFolder
 from orchestrator.nursery import Nursery
+from orchestrator.wiring import Wiring
 from plant.truth import Truth
 from wire import keys
 from wire.child import ERROR_PREFIX, USER_ERROR
-
-MAX_SOCKET_PATH = 100
-"""Bytes; the kernel's limit for a Unix socket is 108 with its end."""
 
 
 @dataclass(frozen=True)
@@ -39,13 +36,6 @@ def cause(dead: Sequence[Dead]) -> str:
     """What to tell the user about processes that died."""
     others = f" (and {len(dead) - 1} more: {', '.join(one.name for one in dead[1:8])})" if len(dead) > 1 else ""
     return f"{dead[0]}{others}"
-
-
-def socket_path(folder: RunFolder) -> Path:
-    """Where the router listens: in the run's folder, or in a private one when that path is too long for a socket."""
-    if len(os.fsencode(folder.socket)) <= MAX_SOCKET_PATH:
-        return folder.socket
-    return Path(tempfile.mkdtemp(prefix="hedgerow-")) / "router.sock"
 
 
 RESTARTS = 5
@@ -78,10 +68,10 @@ class _Agent:
 class Processes:
     """The plant and the agents of one run, each a process of its own with a log of its own."""
 
-    def __init__(self, nursery: Nursery, folder: RunFolder, namespace: str, endpoint: str) -> None:
+    def __init__(self, nursery: Nursery, folder: RunFolder, wiring: Wiring) -> None:
         self._nursery, self._folder = nursery, folder
-        self._namespace, self._endpoint = namespace, endpoint
-        self._connect = ["--connect", endpoint]
+        self._wiring = wiring
+        self._connect = ["--connect", wiring.endpoint]
         self._names: list[str] = []
         self._agents: dict[str, _Agent] = {}
         self.restarts = 0
@@ -90,26 +80,31 @@ class Processes:
 
     def start_agent(self, view: View) -> None:
         """Launch one shard with its local view and nothing else."""
-        name = f"agent-{view.ids[0]}" if view.k == 1 else f"shard-{view.shard}"
+        name = process_name(view)
         self._agents[name] = _Agent(view.shard)
         view.write(self._folder.processes / f"{name}.npz")
         self._start(name, "agents", self._connect)
         self._names.append(name)
 
-    def start_plant(self, truth: Truth, rate: float, deadline_s: float, socket: Path | None, listed: Path) -> None:
-        """Launch the plant, the router of the run if it has a `socket` to listen on.
+    def start_plant(self, truth: Truth, rate: float, deadline_s: float, listed: Path) -> None:
+        """Launch the plant, the router of the run if it has none.
 
-        Should we die, it removes that socket, and our entry among running networks.
+        Should we die, it removes what else would be left: our entry among running networks, the router's socket and
+        the credentials.
         """
-        options = ["--rate", str(rate), "--deadline", str(deadline_s), "--listed", str(listed)]
-        options += ["--listen", self._endpoint, "--socket", str(socket)] if socket else self._connect
+        left = {"listed": listed, **self._wiring.left}
+        options = ["--rate", str(rate), "--deadline", str(deadline_s)]
+        options += [word for option, path in left.items() for word in (f"--{option}", str(path))]
+        options += ["--listen", self._wiring.endpoint] if self._wiring.listens else self._connect
         truth.write(self._folder.processes / f"{keys.PLANT}.npz")
         self._start(keys.PLANT, "plant", options)
         self._names.append(keys.PLANT)
 
     def _start(self, name: str, module: str, options: Sequence[str]) -> None:
         file = self._folder.processes / f"{name}.npz"
-        arguments = [str(file), "--namespace", self._namespace, *options]
+        arguments = [str(file), "--namespace", self._wiring.namespace, *options]
+        if self._wiring.credentials is not None:
+            arguments += ["--credentials", str(self._wiring.credentials / name)]
         self._nursery.fork(name, module, arguments, self._folder.logs / f"{name}.log")
 
     def wait_until_started(self) -> dict[str, int]:

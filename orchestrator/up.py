@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import secrets
 import threading
 import time
 from collections.abc import Callable
@@ -15,7 +14,8 @@ from typing import Any
 import zenoh
 
 from orchestrator import registry
-from orchestrator.assign import Layout, truth_of, views_of
+from orchestrator.assign import Layout, places, truth_of, views_of
+from orchestrator.audit import audit
 from orchestrator.control import ask
 from orchestrator.course import with_end, with_fault, with_loss
 from orchestrator.folder import RunFolder
@@ -24,14 +24,15 @@ from orchestrator.nursery import Nursery
 from orchestrator.run import Run, Watching
 from orchestrator.screen import Screen
 from orchestrator.simulate import equals_reference
-from orchestrator.supervise import Dead, Processes, cause, socket_path
+from orchestrator.supervise import Dead, Processes, cause
 from orchestrator.verdict import Ending, Verdict
 from orchestrator.viewer import Viewer
+from orchestrator.wiring import wire
 from topologies.errors import HedgerowError
 from topologies.schema import Topology
 from wire import keys
 from wire.codec import Kind, Telemetry, decode_end, decode_event, decode_telemetry, encode_seen, kind_of
-from wire.session import WireError, close, open_client, publisher, remove_socket, subscriber
+from wire.session import WireError, close, open_client, publisher, subscriber
 from wire.stream import Inbox
 
 TICK_S = 0.2
@@ -51,6 +52,8 @@ class Options:
     """how long the plant waits for an input before it gives up"""
     router: str | None = None
     """an existing router's endpoint; None for one of our own"""
+    keys: Path | None = None
+    """credentials made beforehand, for a secure run over a router that is there"""
     watching: Watching = field(default_factory=Watching)
     verify: bool = False
     """compare with the in-process reference afterwards"""
@@ -80,9 +83,8 @@ class Network:
         self._first_at: float | None = None
         self._repeated = False
         """the plant has said again what we have"""
-        self._namespace = f"hedgerow/{folder.name}-{secrets.token_hex(4)}"
-        self._socket = socket_path(folder) if options.router is None else None
-        self._endpoint = options.router or f"unixsock-stream/{self._socket}"
+        self._views = views_of(topology, shards)
+        self._wiring = wire(folder, topology.secure, options.router, options.keys, places(self._views))
         self._asked_at: float | None = None
         """when the plant was first asked to stop"""
         self._answered = False
@@ -133,22 +135,25 @@ class Network:
         viewer.end()
 
     def _announced(self) -> contextlib.AbstractContextManager[Path]:
-        return registry.announced(self._folder.name, self._folder.path, self._endpoint, self._namespace)
+        wiring = self._wiring
+        return registry.announced(
+            self._folder.name, self._folder.path, wiring.endpoint, wiring.namespace, wiring.credentials
+        )
 
     def _launch(self, stack: contextlib.ExitStack, listed: Path) -> tuple[Processes, zenoh.Session]:
         """Processes and our own session; each is undone when `stack` closes, however that comes."""
-        if self._socket is not None:
-            stack.callback(_remove_socket, self._socket, self._folder)
+        wiring = self._wiring
+        stack.enter_context(wiring.laid(places(self._views)))
         stack.callback(self._nursery.clear)
-        processes = Processes(self._nursery, self._folder, self._namespace, self._endpoint)
+        processes = Processes(self._nursery, self._folder, wiring)
         truth = truth_of(self._topology, self._shards)
-        processes.start_plant(truth, self._options.rate, self._options.deadline_s, self._socket, listed)
-        for view in views_of(self._topology, self._shards):
+        processes.start_plant(truth, self._options.rate, self._options.deadline_s, listed)
+        for view in self._views:
             processes.start_agent(view)
-        session = open_client(self._endpoint, self._namespace)
+        session = open_client(wiring.endpoint, wiring.namespace, wiring.own)
         stack.callback(close, session)
         pids = processes.wait_until_started()
-        self._folder.event("start", engine="zenoh", endpoint=self._endpoint, namespace=self._namespace, pids=pids)
+        self._folder.event("start", engine="zenoh", endpoint=wiring.endpoint, namespace=wiring.namespace, pids=pids)
         return processes, session
 
     def _observe(
@@ -233,8 +238,11 @@ class Network:
         details = {key: value for key, value in event.items() if key != "event"}
         if "fault" in event:  # people count from 1
             details["fault"] += 1
-        self._folder.event(event["event"], **details)
+        if event["event"] != "heard":  # verdict.json has it
+            self._folder.event(event["event"], **details)
         match event["event"]:
+            case "heard":
+                self._ending.audit = audit(places(self._views), event)
             case "kill":
                 processes.kill(event["shard"], event["life"], event["restart"])
             case "revive":
@@ -284,9 +292,3 @@ class Network:
         if done < self._topology.steps:
             reason = self._ending.stopped or (cause(dead) if dead else "stopped on request")
             self._ending.stopped = f"stopped at step {done}: {reason}"
-
-
-def _remove_socket(socket: Path, folder: RunFolder) -> None:
-    remove_socket(socket)
-    if socket != folder.socket:
-        socket.parent.rmdir()

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Any
 
+from orchestrator.audit import CLAIM, Audit
 from orchestrator.checks import Worst
 from orchestrator.folder import versions
 from orchestrator.observe import Observer
@@ -45,6 +46,8 @@ class Ending:
     """telemetry equal to the in-process reference, bit for bit; None where not asked"""
     restarts: int = 0
     """processes that were started again"""
+    audit: Audit | None = None
+    """who heard what; None where nobody counted"""
     down: list[str] = field(default_factory=list)
     """processes that ended, unplanned, and were not started again, each in words"""
 
@@ -94,13 +97,17 @@ def judge(topology: Topology, observer: Observer, ending: Ending) -> Verdict:
         name: worst for name, worst in observer.checks.items() if topology.law in LAWS or name not in _OF_THE_LAW
     }
     checks = {name: _check(name, worst) for name, worst in claimed.items()}
+    if ending.audit is not None:
+        checks["information"] = {"ok": not ending.audit.wrong, "claim": CLAIM, "why": ending.audit.wrong}
     if ending.reference_equal is not None:
         checks["reference"] = {
             "ok": ending.reference_equal,
             "claim": "telemetry equals the in-process reference, bit for bit",
         }
     failed = [
-        f"{name} fails" + (f" at step {check['step']}" if "step" in check else "")
+        f"{name} fails"
+        + (f" at step {check['step']}" if "step" in check else "")
+        + (f": {'; '.join(check['why'][:8])}" if check.get("why") else "")
         for name, check in checks.items()
         if not check["ok"]
     ]
@@ -146,6 +153,7 @@ def judge(topology: Topology, observer: Observer, ending: Ending) -> Verdict:
         "down": ending.down,
         "faults": faults,
         "checks": checks,
+        "information": ending.audit.to_dict() if ending.audit is not None else None,
         "metrics": {name: _finite(value) for name, value in observer.summary().items()} if done else {},
         "versions": versions(),
     }

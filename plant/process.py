@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import functools
 import logging
+import re
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -32,7 +33,8 @@ from wire.codec import (
     REPORT_WIDTH,
     End,
     Input,
-    MessageError,
+    Kind,
+    decode_event,
     decode_input,
     decode_seen,
     encode_end,
@@ -41,14 +43,28 @@ from wire.codec import (
     encode_state,
     encode_telemetry,
     gather,
+    kind_of,
 )
-from wire.session import close, open_client, open_router, publisher, remove_socket, subscriber, wait_for_listeners
+from wire.session import (
+    Ear,
+    Voice,
+    close,
+    counts,
+    open_client,
+    open_router,
+    publisher,
+    remove_secrets,
+    remove_socket,
+    wait_for_listeners,
+)
 from wire.stream import Outbox
 
 LOG = logging.getLogger("plant")
 START_DEADLINE_S = 60.0
 OBSERVER_DEADLINE_S = 60.0
 END_DEADLINE_S = 5.0
+WORD_DEADLINE_S = 2.0
+"""How long a shard that is there has to say what it heard, once it is told of the end."""
 AHEAD_BYTES = 32 * 2**20
 """How much telemetry the plant may send before the observer has taken it in; it bounds the memory of both."""
 
@@ -59,7 +75,7 @@ class _Shard:
 
     nodes: Sequence[int]
     incidences: int
-    state: zenoh.Publisher
+    state: Voice
     messages: list[bytes] = field(default_factory=list)
     """what it is told at this step"""
     life: int = -1
@@ -76,6 +92,8 @@ class _Shard:
     """it was heard of since then"""
     returning: bool = False
     """it was lost, and has not acted since it was taken back"""
+    word: dict[str, Any] | None = None
+    """its last: what it said and heard, by key"""
 
     @property
     def ready(self) -> bool:
@@ -107,7 +125,6 @@ class Plant:
         self.stopping = False
         self._failure: Exception | None = None
         self._elapsed_s = 0.0
-        self.refused = 0
         self.changed = threading.Condition()
 
         self._session = session
@@ -115,7 +132,7 @@ class Plant:
         self._outbox = Outbox(self._telemetry.put)
         degree = self.world.graph.degree
         self.shards = [
-            _Shard(nodes.tolist(), int(degree[nodes].sum()), publisher(session, keys.state(p)))
+            _Shard(nodes.tolist(), int(degree[nodes].sum()), Voice(session, keys.state(p)))
             for p, nodes in enumerate(truth.shards)
         ]
         silence = (np.full(len(one.nodes) * (1 + REPORT_WIDTH), np.nan).tobytes() for one in self.shards)
@@ -125,16 +142,13 @@ class Plant:
         ]
         self._inputs = list(self._silence)
         """Per shard: what it says at this step."""
-        self._declared = [
-            *(
-                subscriber(session, keys.input_(p), functools.partial(self._take_input, p))
-                for p in range(len(truth.shards))
-            ),
-            subscriber(session, keys.SEEN, self._take_seen),
-            session.liveliness().declare_subscriber(
-                keys.ALIVE, zenoh.handlers.Callback(self._take_alive, indirect=False), history=True
-            ),
+        self._ears = [
+            *(Ear(session, keys.input_(p), functools.partial(self._take_input, p)) for p in range(len(truth.shards))),
+            Ear(session, keys.SEEN, self._take_seen),
         ]
+        self._alive = session.liveliness().declare_subscriber(
+            keys.ALIVE, zenoh.handlers.Callback(self._take_alive, indirect=False), history=True
+        )
         self._control = Control(self, session)
         self._token = session.liveliness().declare_token(keys.alive(keys.PLANT))
 
@@ -144,7 +158,7 @@ class Plant:
             with self.changed:
                 self._wait_for_agents()
             if not self.stopping:
-                wait_for_listeners([self._telemetry, *(shard.state for shard in self.shards)])
+                wait_for_listeners([self._telemetry, *(shard.state.publisher for shard in self.shards)])
             with self.changed:
                 LOG.info("all %d agents are ready", len(self.shards))
                 self.running = True
@@ -339,18 +353,25 @@ class Plant:
         self._outbox.send(encode_event(self.world.t, {"event": event, **details}))
 
     def _end(self) -> None:
-        """Say that it is over, and wait until the observer knows all of it."""
+        """Say that it is over, and wait until the observer knows all of it, and who heard what."""
         end = End(self.world.t, self.world.x, self._elapsed_s, self.world.links.forgotten)
         with self.changed:
             self.over = True
-            self._outbox.send(encode_end(end))
             for shard in self.shards:
                 shard.state.put(encode_end(end._replace(x=np.empty(0))))
+            self.changed.wait_for(lambda: all(shard.word or not shard.ready for shard in self.shards), WORD_DEADLINE_S)
+            self.tell(
+                "heard",
+                plant=counts([shard.state for shard in self.shards], self._ears[: len(self.shards)]),
+                shards=[shard.word for shard in self.shards],
+            )
+            self._outbox.send(encode_end(end))
             by = time.monotonic() + END_DEADLINE_S
             while self._outbox and (left := by - time.monotonic()) > 0:
                 self._outbox.repeat_if_due()
                 self.changed.wait(min(left, RESEND_AFTER_S))
-        LOG.info("end at step %d of %d, %d messages refused", self.world.t, self.truth.steps, self.refused)
+        refused = sum(ear.refused for ear in self._ears)
+        LOG.info("end at step %d of %d, %d messages refused", self.world.t, self.truth.steps, refused)
 
     def name(self, p: int) -> str:
         """What messages call a shard."""
@@ -370,13 +391,11 @@ class Plant:
     def _take_input(self, p: int, message: bytes) -> None:
         with self.changed:
             shard = self.shards[p]
-            try:
-                arrived = decode_input(message, len(shard.nodes), shard.incidences)
-            except MessageError as error:
-                self.refused += 1
-                if self.refused == 1:
-                    LOG.warning("step %d: input of %s refused: %s", self.world.t, self.name(p), error)
+            if self.over and kind_of(message) == Kind.EVENT:
+                shard.word = shard.word or decode_event(message)
+                self.changed.notify_all()
                 return
+            arrived = decode_input(message, len(shard.nodes), shard.incidences)
             if shard.fault is not None:
                 shard.back = True
                 self.changed.notify_all()
@@ -388,10 +407,7 @@ class Plant:
 
     def _take_seen(self, message: bytes) -> None:
         with self.changed:
-            try:
-                self._outbox.seen(decode_seen(message))
-            except MessageError:
-                self.refused += 1
+            self._outbox.seen(decode_seen(message))
             if self.running and self.clock.held:
                 self._release()
                 self._go_on()
@@ -399,13 +415,15 @@ class Plant:
                 self.changed.notify_all()
 
     def _take_alive(self, sample: zenoh.Sample) -> None:
-        _, name, *life = str(sample.key_expr).split("/")
+        said = re.fullmatch(r"alive/shard-([0-9]{1,9})/([0-9]{1,9})", str(sample.key_expr))
+        if said is None or int(said[1]) >= len(self.shards):
+            return
+        shard, life = self.shards[int(said[1])], int(said[2])
         with self.changed:
-            for p, shard in enumerate(self.shards):
-                if keys.shard_name(p) == name and int(life[0]) >= shard.life:
-                    shard.alive = sample.kind == zenoh.SampleKind.PUT
-                    shard.back = shard.back or int(life[0]) > shard.life
-                    shard.life = int(life[0])
+            if life >= shard.life:
+                shard.alive = sample.kind == zenoh.SampleKind.PUT
+                shard.back = shard.back or life > shard.life
+                shard.life = life
             self.changed.notify_all()
 
     def died(self, p: int, life: int) -> None:
@@ -435,13 +453,16 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     parser.add_argument("--deadline", type=float, default=10.0, help="seconds to wait for an input before going on")
     parser.add_argument("--socket", type=Path, help="the Unix socket listened on, removed should the parent die")
     parser.add_argument("--listed", type=Path, help="the parent's entry among running networks, likewise")
+    parser.add_argument("--credentials", type=Path, help="the folder with its certificate")
+    parser.add_argument("--secrets", type=Path, help="the folder with everybody's, likewise removed")
     known = parser.parse_args(arguments)
 
     def body() -> None:
         # First of all: the others wait for it.
-        session = (
-            open_router(known.listen, known.namespace) if known.listen else open_client(known.connect, known.namespace)
-        )
+        if known.listen:
+            session = open_router(known.listen, known.namespace, known.credentials)
+        else:
+            session = open_client(known.connect, known.namespace, known.credentials)
         plant = Plant(Truth.read(known.truth), session, known.rate, known.deadline)
         try:
             plant.run()
@@ -449,6 +470,8 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
             plant.close()
 
     def clear_up() -> None:
+        if known.secrets:
+            remove_secrets(known.secrets)
         if known.listed:
             known.listed.unlink(missing_ok=True)
         if known.socket:

@@ -343,13 +343,13 @@ def test_the_keys_are_those_of_the_code() -> None:
         "state": keys.state(0).replace("0", "{p}"),
         "input_": keys.input_(0).replace("0", "{p}"),
         "link": keys.link(0, 1).replace("0", "{p}").replace("1", "{q}"),
-        "alive": keys.alive("{name}", "{life}"),  # type: ignore[arg-type]
+        "alive": keys.alive("{name}", "{life}"),
         "control": keys.control("{command}"),
         "TELEMETRY": keys.TELEMETRY,
         "SEEN": keys.SEEN,
     }
     known = {name for name, value in vars(keys).items() if isinstance(value, FunctionType) or name.isupper()}
-    assert known - {"ALIVE", "PLANT", "shard_name"} == patterns.keys()
+    assert known - {"ALIVE", "COMMANDS", "PLANT", "shard_name"} == patterns.keys()
     assert {row["key"] for row in table("wire.md", "Keys")} == set(patterns.values())
 
 
@@ -357,7 +357,7 @@ def test_the_commands_and_events_are_those_of_the_code() -> None:
     """Each command that the plant answers, each event that it tells, and no other, has a row in docs/wire.md."""
     control, process = ((ROOT / "plant" / name).read_text(encoding="utf-8") for name in ("control.py", "process.py"))
     commands = set(re.findall(r'"(\w+)": self\._\w+,', control))
-    assert commands == {row["command"] for row in table("wire.md", "Commands")}
+    assert commands == {row["command"] for row in table("wire.md", "Commands")} == set(keys.COMMANDS)
     events = set(re.findall(r'\.tell\(\s*"(\w+)"', control + process))
     assert events == {row["event"] for row in table("wire.md", "event", 1)}
 

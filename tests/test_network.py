@@ -23,7 +23,16 @@ from tests.processes import Orchestrator, gone, orchestrator, parquet_bytes
 from wire.session import open_router
 
 QUIET = ("--viewer", "none", "--no-record")
-CHECKS = {"dynamics", "estimates", "contraction", "oracle_certificate", "missing_inputs", "links", "faults"}
+CHECKS = {
+    "dynamics",
+    "estimates",
+    "contraction",
+    "oracle_certificate",
+    "missing_inputs",
+    "links",
+    "faults",
+    "information",
+}
 LONG = ("up", "paper7", "--steps", "1000000", "--rate", "200", *QUIET)
 
 

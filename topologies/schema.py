@@ -239,7 +239,7 @@ Processes = Annotated[
     Discriminator(lambda value: "word" if isinstance(value, str) else "number"),
     BeforeValidator(_process_count),
 ]
-_ASIDE = {"name", "law", "faults", "backfill", "history", "processes"}
+_ASIDE = {"name", "law", "faults", "backfill", "history", "processes", "secure"}
 """What of a topology its columns do not depend on."""
 
 
@@ -282,6 +282,9 @@ class Topology(Model):
     faults: tuple[Fault, ...] = Field((), description="what goes wrong, and when")
     backfill: StrictBool = Field(True, description="missing neighbour inputs are fetched when the link is up again")
     history: Steps = Field(100_000, description="how many past steps are kept for back-filling")
+    secure: StrictBool = Field(
+        False, description="over Zenoh, every process shows a certificate, and may say and hear what is its own alone"
+    )
     processes: Processes | None = Field(
         None,
         description="agent processes that share the nodes; or `per-node`; or `auto`, one a core. "

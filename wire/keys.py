@@ -6,6 +6,8 @@ TELEMETRY = "telemetry"
 SEEN = "seen"
 ALIVE = "alive/**"
 PLANT = "plant"
+COMMANDS = ("status", "stop", "pause", "resume", "step", "rate", "fault", "heal", "died")
+"""what a plant can be asked; `died` is for `up` alone"""
 
 
 def state(shard: int) -> str:
@@ -28,7 +30,7 @@ def control(command: str) -> str:
     return f"control/{command}"
 
 
-def alive(name: str, life: int = 0) -> str:
+def alive(name: str, life: int | str = 0) -> str:
     """The liveliness token of a process that is ready; who is started again says so in its next life."""
     return f"alive/{name}/{life}"
 

@@ -1,0 +1,98 @@
+"""The commands about who may say and hear what: the matrix, and the keys that a router elsewhere needs."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from wire.access import Place
+
+MATRIX_MOST = 16
+"""processes that a matrix is drawn for; of more, a line each"""
+
+File = Annotated[str, typer.Argument(metavar="FILE", help="a topology file, a bundled name, or the folder of a run")]
+Processes = Annotated[int | None, typer.Option(metavar="P", help="agent processes [one a node]")]
+AsJson = Annotated[bool, typer.Option("--json", help="one JSON object on standard output")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add these commands to the operator's."""
+    app.command()(keys)
+    app.command()(audit)
+
+
+def _places(file: str, processes: int | None) -> tuple[str, list[Place]]:
+    from orchestrator.assign import layout, places, views_of  # noqa: PLC0415
+    from topologies.load import find, load  # noqa: PLC0415
+    from topologies.resolve import resolve  # noqa: PLC0415
+
+    overrides = [] if processes is None else [f"processes={processes}"]
+    topology = resolve(load(file, overrides), find(file).parent)
+    return topology.name, places(views_of(topology, layout(topology, topology.processes)))
+
+
+def keys(
+    file: File,
+    router: Annotated[str, typer.Option(metavar="ENDPOINT", help="where the router will be: tls/HOST:PORT")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="a new folder")],
+    processes: Processes = None,
+    days: Annotated[float, typer.Option(metavar="N", min=0.01, max=366, help="how long the certificates hold")] = 7,
+) -> int:
+    """Make the keys of a secure network whose router stands elsewhere: a folder for each process, and the router's."""
+    from orchestrator.authority import CONFIGURATION, to_carry  # noqa: PLC0415
+    from orchestrator.wiring import namespace_of  # noqa: PLC0415
+
+    name, places = _places(file, processes)
+    made = to_carry(out, places, namespace_of(name), router, days)
+    print(f"{out}: keys for {', '.join(made)}; they hold for {days:g} days")
+    print(f"router: zenohd -c {CONFIGURATION}, in its folder; then: orchestrator up {file} --secure --keys {out}")
+    return 0
+
+
+def audit(
+    file: File,
+    processes: Processes = None,
+    as_rights: Annotated[
+        bool, typer.Option("--rights", help="all that the router of a secure run lets each process do")
+    ] = False,
+    as_json: AsJson = False,
+) -> int:
+    """Show who may hear whom: a row a process, and in it what it hears from the process of the column."""
+    from rich.console import Console  # noqa: PLC0415
+    from rich.table import Table  # noqa: PLC0415
+
+    from orchestrator.audit import channels  # noqa: PLC0415
+    from wire.access import rights  # noqa: PLC0415
+    from wire.keys import PLANT  # noqa: PLC0415
+
+    _, places = _places(file, processes)
+    found, granted = channels(places), rights(places)
+    if as_json:
+        heard = [{"key": one.key, "from": one.speaker, "to": one.listener} for one in found]
+        print(json.dumps({"channels": heard, "rights": {name: some._asdict() for name, some in granted.items()}}))
+        return 0
+    if as_rights:
+        for name, some in granted.items():
+            print(f"{name}:")
+            for right, allowed in some._asdict().items():
+                if allowed:
+                    print(f"  {right} {', '.join(allowed)}")
+        return 0
+    names = [PLANT, *(place.name for place in places)]
+    cells = {(one.listener, one.speaker): one.key for one in found}
+    if len(names) <= MATRIX_MOST:
+        table = Table("hears", *(f"of {name}" for name in names))
+        for listener in names:
+            table.add_row(listener, *(cells.get((listener, speaker), "") for speaker in names))
+    else:
+        table = Table("process", "hears")
+        for listener in names:
+            table.add_row(listener, ", ".join(cells[pair] for pair in cells if pair[0] == listener))
+    console = Console()
+    wide = console.measure(table).maximum
+    Console(width=max(wide, 1)).print(table)
+    return 0
