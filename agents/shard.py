@@ -23,6 +23,8 @@ from wire.codec import ALL_UP, REPORT_WIDTH, TAKEN, Flag, Link, Mask, Record, St
 Index = NDArray[np.int64]
 
 _TAKEN_OF = bytes(flags & TAKEN for flags in range(256))
+MAIL = 64
+"""how many link messages of a peer are kept; one that does not lie is never so far ahead"""
 _SILENCE = struct.pack("<d", math.nan)
 
 
@@ -113,9 +115,12 @@ class Shard:
     # What comes in.
 
     def hear(self, peer: int, link: Link) -> None:
-        """Keep a link message of a peer until its step is closed."""
+        """Keep a link message of a peer until its step is closed; of too many, not that of the latest step."""
         if link.t >= self.t:
-            self._mail[peer][link.t] = link
+            mail = self._mail[peer]
+            mail[link.t] = link
+            if len(mail) > MAIL:
+                del mail[max(mail)]
 
     def recall(self, record: Record) -> None:
         """Keep what the plant says of nodes that come back at `record.t`."""
