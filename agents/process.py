@@ -68,6 +68,8 @@ class Agent:
             self._mail = Mail()
         self._ended = threading.Event()
         self._failure: Exception | None = None
+        self._over = False
+        """the plant has said END, and we our last word"""
 
         self._life = life
         self._session = open_client(endpoint, namespace, credentials)
@@ -86,6 +88,8 @@ class Agent:
         """Wait for the end, saying in the log what a slow step waits for; raises what a message provoked."""
         said = -1
         while not self._wait(PATIENCE_S):
+            if self._over:
+                break
             with self._lock:
                 late = self._pending is not None and time.monotonic() - self._since > PATIENCE_S
                 if late and self._pending is not None and self._pending.t != said:
@@ -135,10 +139,14 @@ class Agent:
         kind = kind_of(message)
         if kind == Kind.END:
             decode_end(message, 0)
+            if self._over:
+                self._ended.set()
+                return
+            self._over = True
             counted = counts([self._input, *self._links], self._ears)
             counted["said"][self._input.key] += 1  # this last word too
+            # To leave at once would lose it: the plant says END again when it has it.
             self._input.put(encode_event(max(0, self.shard.t), {"event": "counted", "life": self._life, **counted}))
-            self._ended.set()
         elif kind == Kind.RECORD:
             self.shard.recall(decode_record(message, self.shard.degrees))
         else:

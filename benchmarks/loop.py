@@ -1,7 +1,8 @@
 """`python -m benchmarks.loop`: how fast the loop runs beside what may slow it down, in pairs.
 
-paper7 against the bare Zenoh loop, with run.rrd, with lost messages, with a page that is served and not opened, with a
-live viewer and with a frozen one; or, with `--nodes N`, a ring of N nodes in two processes with run.rrd and viewers.
+paper7 against the bare Zenoh loop, with run.rrd, secure, with lost messages, with a page that is served and not opened,
+with a live viewer and with a frozen one; or, with `--nodes N`, a ring of N nodes in two processes with run.rrd, secure,
+and the viewers.
 
 Every round runs each variant once, in turn; the table gives medians over the rounds and of the ratios within a
 round, so that a machine that slows down slows all of them. A viewer is a window where there is a display, else
@@ -151,6 +152,7 @@ def measure(nodes: int | None, steps: int, rounds: int, viewers: bool, folder: P
         verdicts = {
             "ours": without,
             "ours, run.rrd": recording,
+            "ours, secure": ours(network, *options, "--no-record", "--secure"),
         }
         if nodes is None:
             verdicts["ours, 30% drops"] = ours(network, *options, "--no-record", "--set", f"faults={json.dumps(DROPS)}")

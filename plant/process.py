@@ -125,6 +125,7 @@ class Plant:
         self.stopping = False
         self._failure: Exception | None = None
         self._elapsed_s = 0.0
+        self._farewell = b""
         self.changed = threading.Condition()
 
         self._session = session
@@ -357,8 +358,9 @@ class Plant:
         end = End(self.world.t, self.world.x, self._elapsed_s, self.world.links.forgotten)
         with self.changed:
             self.over = True
+            self._farewell = encode_end(end._replace(x=np.empty(0)))
             for shard in self.shards:
-                shard.state.put(encode_end(end._replace(x=np.empty(0))))
+                shard.state.put(self._farewell)
             self.changed.wait_for(lambda: all(shard.word or not shard.ready for shard in self.shards), WORD_DEADLINE_S)
             self.tell(
                 "heard",
@@ -393,6 +395,7 @@ class Plant:
             shard = self.shards[p]
             if self.over and kind_of(message) == Kind.EVENT:
                 shard.word = shard.word or decode_event(message)
+                shard.state.put(self._farewell)
                 self.changed.notify_all()
                 return
             arrived = decode_input(message, len(shard.nodes), shard.incidences)
