@@ -92,7 +92,7 @@ def audit(
         table = Table("process", "hears")
         for listener in names:
             table.add_row(listener, ", ".join(cells[pair] for pair in cells if pair[0] == listener))
-    console = Console()
-    wide = console.measure(table).maximum
-    Console(width=max(wide, 1)).print(table)
+    # A key that is cut short says nothing: a narrow terminal wraps the lines instead.
+    wide = Console(width=10_000).measure(table).maximum
+    Console(width=wide).print(table)
     return 0

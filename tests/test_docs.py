@@ -54,6 +54,7 @@ SLOW = {
     "laws.md",
     "report.md",
     "run-folder.md",
+    "security.md",
     "theory.md",
     "topology.md",
     "watching.md",

@@ -114,6 +114,18 @@ def test_a_killed_up_leaves_no_key(here: Path, network: Orchestrator) -> None:
     assert [*(here / f"hedgerow-{os.getuid()}").iterdir()] == []
 
 
+def test_whoever_looks_for_networks_removes_the_keys_of_dead_ones(here: Path, network: Orchestrator) -> None:
+    """`up` and the plant killed at once: nobody of the run is left to do it."""
+    children = network.children
+    os.kill(children["plant"], signal.SIGSTOP)
+    network.send(signal.SIGKILL)
+    os.kill(children["plant"], signal.SIGKILL)
+    assert gone(children)
+    assert secrets(here) != []
+    assert orchestrator("ps").stdout == "no network is running\n"
+    assert secrets(here) == []
+
+
 def test_a_router_elsewhere_keeps_the_same_rules(here: Path) -> None:
     endpoint = f"tls/127.0.0.1:{free_port()}"
     made = orchestrator("keys", "paper7", "--router", endpoint, "--out", "keys")
