@@ -32,7 +32,7 @@ def _places(file: str, processes: int | None) -> tuple[str, list[Place]]:
 
     overrides = [] if processes is None else [f"processes={processes}"]
     topology = resolve(load(file, overrides), find(file).parent)
-    return topology.name, places(views_of(topology, layout(topology, topology.processes)))
+    return topology.name, places(views_of(topology, layout(topology, topology.process_count)))
 
 
 def keys(
