@@ -361,5 +361,5 @@ def decode_event(message: bytes) -> dict[str, Any]:
     try:
         event: dict[str, Any] = json.loads(message[_SIZE:])
         return {**event, "step": t}
-    except (ValueError, TypeError) as error:
+    except (ValueError, TypeError, RecursionError) as error:
         raise MessageError(f"an event that is no JSON object: {error}") from None
