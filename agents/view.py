@@ -80,10 +80,11 @@ class View:
     def read(cls, path: Path) -> View:
         """The view in a file."""
         settings, arrays = archive.read(path)
-        shards, says, hears = arrays.pop("peers").T
-        say = np.split(arrays.pop("say"), np.cumsum(says)[:-1])
-        peers = [Peer(int(q), own, int(n)) for q, own, n in zip(shards, say, hears, strict=False)]
-        return cls(**settings, **arrays, peers=peers)
+        with archive.reading(path):
+            shards, says, hears = arrays.pop("peers").T
+            say = np.split(arrays.pop("say"), np.cumsum(says)[:-1])
+            peers = [Peer(int(q), own, int(n)) for q, own, n in zip(shards, say, hears, strict=False)]
+            return cls(**settings, **arrays, peers=peers)
 
     def to_json(self) -> str:
         """The same for people to read: every node with its candidates and the ids of its neighbours."""

@@ -6,7 +6,7 @@ import colorsys
 import threading
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -80,8 +80,18 @@ def _open(folder: Path, viewer: Viewer, say: Say, go_on: Callable[[], bool]) -> 
     stream = RerunStream(topology, Observer(topology), folder.name, None, None).opened(rr.GrpcSink(viewer.url))
     with warnings.catch_warnings(action="ignore"):
         for file in files:
-            _send(RrdReader(file).stream(), stream, viewer)
+            _send(_chunks(file), stream, viewer)
     stream.disconnect()
+
+
+def _chunks(file: Path) -> Iterator[Any]:
+    """What a recording holds, to where it can be read."""
+    try:
+        yield from RrdReader(file).stream()
+    except (RuntimeError, ValueError, OSError) as error:
+        raise UserError(
+            f"{file}: is damaged ({str(error).splitlines()[0]}); move it away, and the run is shown from its tables"
+        ) from None
 
 
 def _unreadable(files: Sequence[Path]) -> str:
@@ -89,8 +99,11 @@ def _unreadable(files: Sequence[Path]) -> str:
     if not files:
         return "there is no run.rrd"
     for file in files:
-        with file.open("rb") as opened:
-            head = opened.read(8)
+        try:
+            with file.open("rb") as opened:
+                head = opened.read(8)
+        except OSError as error:
+            return f"{file.name} cannot be read ({error.strerror})"
         if len(head) < 8 or not head.startswith(b"RRF"):
             return f"{file.name} is empty or no recording"
         written, ours = (head[4], head[5]), tuple(int(part) for part in rr.__version__.split(".")[:2])

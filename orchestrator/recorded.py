@@ -20,10 +20,11 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
+from pydantic import BaseModel, ValidationError
 
 from orchestrator.observe import Batch, Observer
 from orchestrator.record import whole_batches
-from topologies.errors import HedgerowError, UserError
+from topologies.errors import UserError
 from topologies.graph import Array, Index, Mask
 from topologies.hinf import gamma_star
 from topologies.load import load
@@ -65,23 +66,85 @@ def find_run(run: str | Path) -> Path:
     raise UserError(f"{run}: there is no such run; name its folder, or its name in runs/{listed}")
 
 
-def _verdict(folder: Path) -> dict[str, Any]:
+@contextlib.contextmanager
+def reading(file: Path) -> Iterator[None]:
+    """Say in words what is wrong with a file that came to harm, or that is another's; FileNotFoundError passes."""
     try:
-        content: dict[str, Any] = json.loads((folder / "verdict.json").read_text(encoding="utf-8"))
+        yield
+    except FileNotFoundError:
+        raise
+    except (OSError, ValueError, LookupError, TypeError, RecursionError, MemoryError, pa.ArrowException) as error:
+        said = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise UserError(f"{file}: cannot be read: {said}; it is damaged, or no file of a run") from None
+
+
+class _Check(BaseModel):
+    ok: bool
+    claim: str
+    steps: int | None = None
+    step: int | None = None
+    excess: float | None = None
+
+
+class _Fault(BaseModel):
+    what: str
+    scheduled: int | None = None
+    fired: int | None = None
+    masked: int | None = None
+    seen: int | None = None
+    beyond: int | None = None
+
+
+class _Verdict(BaseModel):
+    """What readers of verdict.json go by."""
+
+    verdict: str
+    reasons: list[str]
+    processes: int
+    steps_per_s: float | None
+    missing_inputs: int
+    lost_messages: int
+    forgotten_rows: int
+    restarts: int
+    faults: list[_Fault]
+    checks: dict[str, _Check]
+    metrics: dict[str, float | None]
+    versions: dict[str, str]
+
+
+def _verdict(folder: Path) -> dict[str, Any]:
+    file = folder / "verdict.json"
+    try:
+        with reading(file):
+            content: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+        _Verdict.model_validate(content)
     except FileNotFoundError:
         return {}
-    except (OSError, ValueError) as error:
-        raise UserError(f"{folder / 'verdict.json'}: cannot be read: {error}") from None
+    except ValidationError as error:
+        wrong = error.errors(include_url=False)[0]
+        place = ".".join(map(str, wrong["loc"])) or "all of it"
+        raise UserError(
+            f"{file}: is no verdict of this version: {place}: {wrong['msg']}; the run can be read without the file"
+        ) from None
     return content
 
 
 def _events(folder: Path) -> list[dict[str, Any]]:
+    file = folder / "events.jsonl"
     try:
-        text = (folder / "events.jsonl").read_text(encoding="utf-8")
+        with reading(file):
+            return read_events(file.read_bytes())
     except FileNotFoundError:
         return []
-    whole, _, _ = text.rpartition("\n")  # a killed writer leaves a piece of a line
-    return [json.loads(line) for line in whole.splitlines()]
+
+
+def read_events(text: bytes) -> list[dict[str, Any]]:
+    """The events of whole lines, a killed writer leaves a piece of one; ValueError for what is none."""
+    events = [json.loads(line) for line in text[: text.rfind(b"\n") + 1].split(b"\n")[:-1]]
+    for number, event in enumerate(events, 1):
+        if not isinstance(event, dict) or not isinstance(event.get("event"), str):
+            raise ValueError(f"line {number} is no event")
+    return events
 
 
 class Table:
@@ -90,15 +153,15 @@ class Table:
     def __init__(self, folder: Path, name: str) -> None:
         self.parquet, stream = folder / f"{name}.parquet", folder / f"{name}.arrows"
         self._stream: Any = None
-        with contextlib.suppress(FileNotFoundError):  # it has become the Parquet file just now
+        with contextlib.suppress(FileNotFoundError), reading(stream):  # it has become the Parquet file just now
             if not self.parquet.exists() and stream.exists():
                 self._stream = _so_far(stream)
+        self.path = self.parquet if self._stream is None else stream
         try:
-            self._file = pq.ParquetFile(self.parquet) if self._stream is None else None
+            with reading(self.parquet):
+                self._file = pq.ParquetFile(self.parquet) if self._stream is None else None
         except FileNotFoundError:
             raise UserError(f"{folder}: no step of the run is recorded yet: there is no {name}.parquet") from None
-        except (OSError, pa.ArrowInvalid) as error:
-            raise UserError(f"{self.parquet}: cannot be read: {error}") from None
 
     @property
     def over(self) -> bool:
@@ -111,36 +174,47 @@ class Table:
 
     def whole(self) -> Any:
         """A pyarrow.Table."""
-        return self._stream if self._file is None else self._file.read()
+        with reading(self.path):
+            return self._stream if self._file is None else self._file.read()
 
     def batches(self) -> Iterator[Any]:
         """The same in parts that fit into memory."""
-        return iter(self._stream.to_batches()) if self._file is None else self._file.iter_batches()
+        with reading(self.path):
+            yield from self._stream.to_batches() if self._file is None else self._file.iter_batches()
 
     def column(self, name: str, width: int) -> NDArray[Any]:
         """One column, a row a recorded step, (K, width); NaN where a number is null."""
         if name not in self.schema.names:
-            raise UserError(f"{self.parquet}: has no column {name}: another version of hedgerow wrote it")
-        table = self._stream if self._file is None else self._file.read(columns=[name])
-        values: NDArray[Any] = table[name].to_numpy()
-        return values.reshape(-1, width)
+            raise UserError(f"{self.path}: has no column {name}: another version of hedgerow wrote it")
+        with reading(self.path):
+            table = self._stream if self._file is None else self._file.read(columns=[name])
+            values: NDArray[Any] = table[name].to_numpy()
+            if values.dtype.kind not in "fiub":
+                raise ValueError(f"column {name} is of type {table[name].type}, or has gaps")
+            return values.reshape(-1, width)
 
     def steps(self, width: int) -> Index:
         """The step of each row of `column`, (K,)."""
         rows = self._stream.num_rows if self._file is None else self._file.metadata.num_rows
         if rows % width:
-            raise HedgerowError(f"{self.parquet}: {rows} rows are no whole steps of {width}")
+            raise UserError(f"{self.path}: {rows} rows are no whole steps of {width}; topology.yaml is another's")
         if rows and rows == (self._last_step() + 1) * width:
             return np.arange(rows // width)
-        return self.column("step", width)[:, 0].copy()
+        steps: Index = self.column("step", width)[:, 0].astype(np.int64)
+        if len(steps) and (steps[0] < 0 or (np.diff(steps) <= 0).any()):
+            raise UserError(f"{self.path}: its steps do not ascend; it is damaged")
+        return steps
 
     def _last_step(self) -> int:
         """Of a table with rows in it."""
-        table = self._stream
-        if self._file is not None:
-            table = self._file.read_row_group(self._file.num_row_groups - 1, columns=["step"])
-        last: int = table["step"][-1].as_py()
-        return last
+        if "step" not in self.schema.names:
+            return -1
+        with reading(self.path):
+            table = self._stream
+            if self._file is not None:
+                table = self._file.read_row_group(self._file.num_row_groups - 1, columns=["step"])
+            last = table["step"][-1].as_py()
+        return last if isinstance(last, int) else -1
 
 
 def _so_far(stream: Path) -> Any:
@@ -191,6 +265,10 @@ class RecordedRun:
     """telemetry and edges"""
 
     def __post_init__(self) -> None:
+        if self.topology.steps < self.T:
+            raise UserError(
+                f"{self.folder}: {self.T} steps of a run of {self.topology.steps}: the files are of two runs"
+            )
         if not (self._steps < self.T).any():
             raise UserError(f"{self.folder}: no whole step of the run is recorded yet")
 
@@ -388,7 +466,7 @@ class RecordedRun:
         whole = {one.name: np.concatenate([getattr(batch, one.name) for batch in batches]) for one in fields(Batch)}
         batch = Batch(**whole)
         if not np.array_equal(batch.x_oracle, self.x_oracle[steps], equal_nan=True):
-            raise HedgerowError(f"{self.folder}: topology.yaml is not that of this telemetry")
+            raise UserError(f"{self.folder}: topology.yaml is not that of this telemetry")
         return batch, observer
 
 

@@ -24,6 +24,7 @@ from orchestrator.accounts import at_ends
 from orchestrator.folder import RunFolder
 from orchestrator.interrupts import Interrupts
 from orchestrator.observe import Observer
+from orchestrator.recorded import read_events, reading
 from orchestrator.registry import Entry
 from orchestrator.rerun_stream import RerunStream
 from orchestrator.verdict import Verdict
@@ -93,8 +94,10 @@ class Trail:
 
     def __init__(self, folder: Path, graph: Graph) -> None:
         """Raise FileNotFoundError where the streams are not there: not yet, or no more."""
-        self._telemetry = ArrowTail(folder / "telemetry.arrows")
-        self._edges = ArrowTail(folder / "edges.arrows")
+        self._folder = folder
+        with reading(folder):
+            self._telemetry = ArrowTail(folder / "telemetry.arrows")
+            self._edges = ArrowTail(folder / "edges.arrows")
         self._graph, self._ends = graph, at_ends(graph)
         self._waiting: pa.RecordBatch | None = None
         self.end: End | None = None
@@ -110,10 +113,11 @@ class Trail:
         return self._telemetry.over and self._waiting is None
 
     def take(self, steps: int) -> list[Telemetry]:
-        """New rows, about so many at most."""
+        """New rows, about so many at most; UserError where the streams are not those of this network."""
         rows: list[Telemetry] = []
-        while len(rows) < steps and (some := self._next()) is not None:
-            rows += some
+        with reading(self._folder):
+            while len(rows) < steps and (some := self._next()) is not None:
+                rows += some
         return rows
 
     def _next(self) -> list[Telemetry] | None:
@@ -158,15 +162,14 @@ class Happenings:
     def new(self) -> Iterator[Mapping[str, Any]]:
         """What has happened since it was last asked."""
         try:
-            with self._path.open("rb") as file:
+            with reading(self._path), self._path.open("rb") as file:
                 file.seek(self._at)
                 text = file.read()
         except FileNotFoundError:
             return
-        whole = text[: text.rfind(b"\n") + 1]
-        self._at += len(whole)
-        for line in whole.splitlines():
-            yield json.loads(line)
+        with reading(self._path):
+            yield from read_events(text)
+        self._at += text.rfind(b"\n") + 1
 
 
 def told(event: Mapping[str, Any]) -> tuple[str, str, int] | None:

@@ -58,9 +58,10 @@ class Truth:
     def read(cls, path: Path) -> Truth:
         """The truth in a file."""
         settings, arrays = archive.read(path)
-        groups = [
-            Group(number, kind, arrays.pop(f"w{g}"), {key: arrays.pop(f"w{g} {key}") for key in keys})
-            for g, (number, kind, keys) in enumerate(settings.pop("groups"))
-        ]
-        shards = np.split(arrays.pop("nodes"), np.cumsum(arrays.pop("sizes"))[:-1])
-        return cls(**settings, **arrays, disturbance=groups, shards=shards)
+        with archive.reading(path):
+            groups = [
+                Group(number, kind, arrays.pop(f"w{g}"), {key: arrays.pop(f"w{g} {key}") for key in keys})
+                for g, (number, kind, keys) in enumerate(settings.pop("groups"))
+            ]
+            shards = np.split(arrays.pop("nodes"), np.cumsum(arrays.pop("sizes"))[:-1])
+            return cls(**settings, **arrays, disturbance=groups, shards=shards)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import struct
 import zipfile
-from collections.abc import Mapping, Sequence
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +21,11 @@ Arrays = dict[str, Any]
 _SETTINGS = "settings"
 _MIXED = "ids"
 """among the settings: arrays of ids some of which are names"""
+_BROKEN: tuple[type[Exception], ...] = (
+    *(OSError, ValueError, TypeError, LookupError, EOFError, AttributeError, RuntimeError, MemoryError, OverflowError),
+    *(SyntaxError, struct.error, zipfile.BadZipFile, zlib.error),
+)
+"""what NumPy and zipfile raise for a damaged file"""
 
 
 def id_array(ids: Sequence[NodeId]) -> NDArray[Any]:
@@ -42,10 +50,17 @@ def write(path: Path, settings: Mapping[str, Any], arrays: Mapping[str, NDArray[
 
 def read(path: Path) -> tuple[dict[str, Any], Arrays]:
     """The settings and the arrays that `write` wrote; UserError for a file that cannot be read as such."""
-    try:
+    with reading(path):
         with np.load(path, allow_pickle=False) as file:
             arrays: Arrays = {name: file[name] for name in file.files}
-    except (OSError, ValueError, EOFError, AttributeError, zipfile.BadZipFile) as error:
+        settings: dict[str, Any] = json.loads(arrays.pop(_SETTINGS, np.array([], dtype=np.uint8)).tobytes() or "{}")
+        return settings, arrays | {name: id_array(ids) for name, ids in settings.pop(_MIXED, {}).items()}
+
+
+@contextlib.contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Whatever a damaged file, or another's, comes to while the block makes sense of it, is a UserError."""
+    try:
+        yield
+    except _BROKEN as error:
         raise UserError(f"{path}: cannot be read as a .npz file: {error}; write it with numpy.savez") from None
-    settings: dict[str, Any] = json.loads(arrays.pop(_SETTINGS, np.array([], dtype=np.uint8)).tobytes() or "{}")
-    return settings, arrays | {name: id_array(ids) for name, ids in settings.pop(_MIXED, {}).items()}
