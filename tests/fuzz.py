@@ -2,7 +2,8 @@
 
 Each case is drawn from (seed, number) alone, so `--only NUMBER` tries one again. Files go through the commands that a
 user would give them to; a file is refused in words, or it is good all the way. Messages go through the decoders; one
-is taken, or is a MessageError. Anything else is a finding: another exception, 20 s of processor time, 4 GB of memory, a death.
+is taken, or is a MessageError. Anything else is a finding: another exception, 20 s of processor time, 4 GB of memory,
+a death.
 
 The cases run in a process of their own, which says what it begins with: if it dies or hangs, the case has a number.
 """

@@ -1,0 +1,48 @@
+"""The command that runs a network for long, and says whether it stays as it was."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+File = Annotated[str, typer.Argument(metavar="[FILE]", help="a topology file, a bundled name, or the folder of a run")]
+Minutes = Annotated[float, typer.Option(metavar="N", help="for how long")]
+Rate = Annotated[float, typer.Option(metavar="R", min=0, help="steps per second, 0 for as fast as possible")]
+Processes = Annotated[int | None, typer.Option(metavar="P", min=1, help="agent processes [one a node]")]
+RunDir = Annotated[Path | None, typer.Option(metavar="DIR", help="the run's folder, new or empty [runs/NAME-TIME]")]
+Record = Annotated[bool, typer.Option("--record/--no-record", help="write run.rrd")]
+Faults = Annotated[bool, typer.Option("--faults/--no-faults", help="let things go wrong all the time")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add this command to the operator's."""
+    app.command()(soak)
+
+
+def soak(
+    file: File = "paper7",
+    minutes: Minutes = 20.0,
+    rate: Rate = 0.0,
+    processes: Processes = None,
+    run_dir: RunDir = None,
+    record: Record = True,
+    faults: Faults = True,
+) -> int:
+    """Run a network for long under faults; exit code 1 if memory, threads, open files or pace do not stay flat."""
+    from orchestrator.soak import run_soak, with_faults  # noqa: PLC0415
+    from topologies.errors import UserError  # noqa: PLC0415
+    from topologies.load import find, load  # noqa: PLC0415
+    from topologies.resolve import resolve  # noqa: PLC0415
+
+    if not 0 < minutes < 1e6:
+        raise UserError(f"--minutes {minutes:g}: give a number above 0")
+    topology = resolve(load(file), find(file).parent)
+    if faults:
+        topology = with_faults(topology)
+    options = ["--rate", str(rate), *(["--processes", str(processes)] if processes else [])]
+    options += [] if record else ["--no-record"]
+    directory = run_dir or Path("runs") / f"{topology.name}-soak-{time.strftime('%Y%m%d-%H%M%S')}"
+    return run_soak(topology, directory, minutes, options, lambda text: print(text, flush=True))
