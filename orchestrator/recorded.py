@@ -456,13 +456,17 @@ class RecordedRun:
         links = 2 * len(self.edges)
         heard, took = np.ones(links, dtype=np.uint8), np.full(links, TAKEN, dtype=np.uint8)
         report = np.stack([self.ahat, self.index, self.margin], axis=2)
-        batches = [
-            observer.take(
-                [Telemetry(int(t), self.x[t], self.u[t], self.w[t], report[t], self.open[t], heard, took) for t in part]
-            )
-            for part in np.array_split(steps, -(-len(steps) // _REPLAY_ROWS))
-        ]
-        observer.finish(End(self.T, self.x[-1], 0.0))
+        with np.errstate(over="ignore", invalid="ignore"):  # numbers that grew too large say so by being infinite
+            batches = [
+                observer.take(
+                    [
+                        Telemetry(int(t), self.x[t], self.u[t], self.w[t], report[t], self.open[t], heard, took)
+                        for t in part
+                    ]
+                )
+                for part in np.array_split(steps, -(-len(steps) // _REPLAY_ROWS))
+            ]
+            observer.finish(End(self.T, self.x[-1], 0.0))
         whole = {one.name: np.concatenate([getattr(batch, one.name) for batch in batches]) for one in fields(Batch)}
         batch = Batch(**whole)
         if not np.array_equal(batch.x_oracle, self.x_oracle[steps], equal_nan=True):

@@ -226,8 +226,8 @@ def broken_faults(topology: Topology, source: Source | None = None) -> list[Prob
     if not topology.faults:
         return []
     struck = _Struck(topology)
-    if source is not None and not _made(topology) and len(source.value.get("edges") or ()) != len(topology.edges):
-        struck.certain = False
+    written = source.value.get("edges") or [] if source is not None and not _made(topology) else topology.edges
+    if not isinstance(written, Sequence) or len(written) != len(topology.edges):  # some were refused, or all
     return [
         Problem(source.line(path) if source else 0, place_of(path), what, cure)
         for k, fault in enumerate(topology.faults)
