@@ -461,7 +461,32 @@ class Payloads:
         return "good" if taken else "refused"
 
 
-KINDS: dict[str, Callable[[int, Path], Files | Payloads]] = {"files": Files, "payloads": Payloads}
+class Planted:
+    """What there is to find: an exception, a hang, a death."""
+
+    def __init__(self, _: int, __: Path) -> None:
+        pass
+
+    def try_one(self, number: int) -> str:
+        """One of each."""
+        match number:
+            case 1:
+                raise KeyError("planted")
+            case 2:
+                signal.setitimer(signal.ITIMER_PROF, 0.2)
+                while True:
+                    with contextlib.suppress(Exception):
+                        hash(number)
+            case 3:
+                os.kill(os.getpid(), signal.SIGSEGV)
+        return "good"
+
+
+KINDS: dict[str, Callable[[int, Path], Files | Payloads | Planted]] = {
+    "files": Files,
+    "payloads": Payloads,
+    "planted": Planted,
+}
 
 
 # ---- the worker: one case after the other, and a line for each
@@ -568,7 +593,7 @@ def main() -> None:
     if known.worker:
         work(known.worker, known.seed, json.load(sys.stdin), known.scratch)
     wrong = 0
-    for kind in KINDS:
+    for kind in ("files", "payloads"):
         if not (count := getattr(known, kind)):
             continue
         began = time.monotonic()

@@ -99,6 +99,8 @@ class Outcome:
 
 def run_cell(cell: Cell, directory: Path) -> Outcome:
     """Run a network in an empty directory, send the signal, wait for the end, and look at what is there."""
+    if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # as a shell has it for what runs in the background
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     with contextlib.ExitStack() as stack:
         return _Run(cell, directory, stack).outcome()
 

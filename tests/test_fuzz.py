@@ -1,0 +1,191 @@
+"""Files and messages as no one should write them: refused in words, or good all the way; never a traceback or a hang.
+
+CI tries FILES and PAYLOADS of them; `python -m tests.fuzz` tries 10,000 of each, and docs/reliability.md says what came
+of it. Here stand the stories too: a law is code, a disk is full, a clock jumps.
+"""
+
+from __future__ import annotations
+
+import ast
+import os
+import resource
+import shutil
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from orchestrator import cli
+from orchestrator.recorded import load_run
+from tests.fuzz import ROOT, fuzz
+from tests.processes import COMMAND, orchestrator
+from topologies.errors import UserError
+
+FILES, PAYLOADS = 300, 3000
+SEED = 1
+
+
+@pytest.mark.parametrize(("kind", "cases"), [("files", FILES), ("payloads", PAYLOADS)])
+def test_nothing_that_is_read_shows_a_traceback_or_hangs(kind: str, cases: int) -> None:
+    counts, findings = fuzz(kind, SEED, range(cases))
+    assert not findings, "\n".join(map(str, findings))
+    assert sum(counts.values()) == cases
+    assert {name.rpartition(" ")[2] for name in counts} == {"good", "refused"}
+
+
+def test_an_exception_a_hang_and_a_death_are_findings() -> None:
+    """The fuzzer itself: what it looks for, planted."""
+    counts, findings = fuzz("planted", SEED, range(6))
+    assert [(one.number, one.what.partition(":")[0]) for one in findings] == [
+        (1, "KeyError"),
+        (2, "SlowError"),
+        (3, "the process died, or hung"),
+    ]
+    assert counts == {"good": 3, "finding": 3}
+
+
+# ---- a law is code
+
+TRAP = "from pathlib import Path\nPath('sprung').write_text('')\nfrom agents.law import Minimax\n"
+RUN = ("--viewer", "none", "--no-record")
+
+
+def test_a_file_that_is_only_looked_at_runs_no_law(here: Path) -> None:
+    """Neither the file nor the run that came of it: somebody else's folder can be looked at, drawn and exported."""
+    (here / "trap.py").write_text(TRAP)
+    assert orchestrator("check", "paper7", "--law", "trap:Minimax").returncode == 0
+    assert orchestrator("schema").returncode == 0
+    assert not Path("sprung").exists()
+    assert orchestrator("simulate", "paper7", "--law", "trap:Minimax", "--no-record", "--run-dir", "run").returncode == 0
+    assert Path("sprung").exists(), "to run it is to run the law"
+    Path("sprung").unlink()
+    for command in (("check", "run"), ("export", "run", "--to", "csv"), ("report", "run", "--figures", "2")):
+        done = orchestrator(*command)
+        assert done.returncode == 0, done.stderr
+    assert load_run("run").right[-1] > 0
+    assert not Path("sprung").exists()
+
+
+def test_check_loads_the_law_when_it_is_asked_to(here: Path) -> None:
+    (here / "trap.py").write_text(TRAP)
+    assert orchestrator("check", "paper7", "--law", "trap:Minimax", "--import-law").returncode == 0
+    assert Path("sprung").exists()
+    assert orchestrator("check", "paper7", "--law", "nowhere.at_all:Law").returncode == 0
+    done = orchestrator("check", "paper7", "--law", "nowhere.at_all:Law", "--import-law")
+    assert done.returncode == 2
+    assert "law nowhere.at_all:Law: cannot be loaded: ModuleNotFoundError" in done.stderr
+
+
+# ---- files that are no files, or not ours to read
+
+
+def test_a_loop_of_links_and_a_link_to_nowhere_are_said(here: Path) -> None:
+    for name, target in (("loop.yaml", "loop.yaml"), ("nowhere.yaml", "gone.yaml"), ("zero.yaml", "/dev/zero")):
+        (here / name).symlink_to(target)
+        done = orchestrator("check", name)
+        assert done.returncode == 2, name
+        assert done.stderr.startswith(("error: ", f"{name}: ")), done.stderr
+
+
+@pytest.mark.parametrize("name", ["topology.yaml", "verdict.json", "events.jsonl", "telemetry.parquet"])
+def test_what_came_to_harm_in_a_runs_folder_is_named(name: str, here: Path) -> None:
+    assert orchestrator("simulate", "paper7", "--no-record", "--run-dir", "run").returncode == 0
+    (here / "run" / name).write_bytes(b"{]\n\xff\n")
+    with pytest.raises(UserError, match=name):
+        load_run("run").export if False else load_run("run")
+    done = orchestrator("export", "run", "--to", "npz")
+    assert done.returncode == 2
+    assert name in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_a_folder_that_may_not_be_read_is_said(here: Path) -> None:
+    if os.geteuid() == 0:
+        pytest.skip("root may read everything")
+    assert orchestrator("simulate", "paper7", "--no-record", "--run-dir", "run").returncode == 0
+    (here / "run/telemetry.parquet").chmod(0)
+    done = orchestrator("export", "run", "--to", "npz")
+    assert done.returncode == 2
+    assert "Permission denied" in done.stderr
+
+
+# ---- a disk that is full
+
+LARGEST = 300_000
+
+
+def no_large_files() -> None:
+    """No file of the command, or of its processes, may grow past LARGEST bytes: as full as a disk can be."""
+    resource.setrlimit(resource.RLIMIT_FSIZE, (LARGEST, LARGEST))
+
+
+@pytest.mark.parametrize("record", [True, False])
+def test_a_disk_that_fills_up_ends_the_run_with_what_was_recorded(record: bool, here: Path) -> None:
+    """Over the wire, with the recording and without: it says so, ends with `unknown`, and what is there can be read."""
+    command = [*COMMAND, "up", "paper7", "--steps", "100000", "--viewer", "none", "--run-dir", "run"]
+    command += [] if record else ["--no-record"]
+    done = subprocess.run(
+        command, capture_output=True, text=True, check=False, timeout=120, preexec_fn=no_large_files
+    )
+    assert done.returncode == 3, done.stdout + done.stderr
+    assert "File too large" in done.stdout + done.stderr
+    assert "Traceback" not in done.stdout + done.stderr
+    run = load_run("run")
+    assert run.T > 100
+    assert run.verdict["verdict"] == "unknown"
+    assert not list(here.glob("run/*.part")) + list(here.glob("run/*.sock"))
+
+
+# ---- a clock that jumps
+
+WALL_CLOCK = {
+    "orchestrator/registry.py": "since when a network runs, for people",
+    "orchestrator/folder.py": "names of folders and times of events, for people",
+    "orchestrator/run.py": "the wall clock's timeline in Rerun",
+    "orchestrator/rerun_stream.py": "the same",
+    "orchestrator/watch.py": "the name of a recording",
+    "orchestrator/soak.py": "the name of a folder",
+    "orchestrator/cli_soak.py": "the name of a folder",
+    "orchestrator/testing/running.py": "an entry of the registry",
+    "orchestrator/cli.py": "since when a network runs, for people",
+}
+"""Who may look at the wall clock, and what for: nobody waits by it."""
+WALL = {("time", "time"), ("time", "time_ns"), ("time", "strftime"), ("datetime", "now"), ("time", "localtime")}
+
+
+def sources() -> Iterator[Path]:
+    for package in ("topologies", "wire", "agents", "plant", "orchestrator"):
+        yield from sorted((ROOT / package).rglob("*.py"))
+
+
+def wall_clock(node: ast.AST) -> bool:
+    """Whether an expression looks at the wall clock."""
+    return any(
+        isinstance(inside, ast.Attribute)
+        and isinstance(inside.value, ast.Name)
+        and (inside.value.id, inside.attr) in WALL
+        for inside in ast.walk(node)
+    )
+
+
+def test_nobody_waits_by_a_clock_that_may_jump() -> None:
+    """Deadlines and pauses go by time.monotonic(): where a wall clock is read, it is shown, and compared with nothing."""
+    for path in sources():
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        name = str(path.relative_to(ROOT))
+        assert name in WALL_CLOCK or not wall_clock(tree), f"{name}: reads the wall clock: what for?"
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Compare | ast.While) or (
+                isinstance(node, ast.BinOp) and isinstance(node.op, ast.Sub | ast.Add)
+            ):
+                assert not wall_clock(node.test if isinstance(node, ast.While) else node), f"{name}:{node.lineno}"
+
+
+def test_the_command_line_is_what_is_fuzzed() -> None:
+    """Should a command be added that reads files, the fuzzer is to know it."""
+    names = {command.name or getattr(command.callback, "__name__", "") for command in cli.app.registered_commands}
+    reading = {"check", "simulate", "up", "export", "report", "open", "watch", "soak"}
+    speaking = {"schema", "ps", "status", "stop", "chaos", "heal", "pause", "resume", "step", "rate"}
+    assert names - speaking <= reading | {"audit", "keys", "doctor"}, names
+    assert shutil.which("python")
