@@ -254,9 +254,19 @@ def simulate(
 
 
 @app.command()
-def check(file: File, steps: Steps = None, seed: Seed = None, law: Law = None, sets: Sets = None) -> int:
+def check(
+    file: File,
+    steps: Steps = None,
+    seed: Seed = None,
+    law: Law = None,
+    sets: Sets = None,
+    import_law: Annotated[
+        bool, typer.Option("--import-law", help="load the law as well: a law is code, and runs then")
+    ] = False,
+) -> int:
     """Validate a topology file and show what it says, node by node; exit code 2 and every mistake if it is wrong."""
-    print(table(_read(file, sets, steps=steps, seed=seed, law=law)))
+    topology = _read(file, sets, steps=steps, seed=seed, law=law)
+    print(table(_importable(topology) if import_law else topology))
     return 0
 
 

@@ -3,8 +3,9 @@
 A fork costs a few milliseconds and shares memory; an interpreter of one's own, with numpy and Zenoh, costs a
 quarter of a second. The nursery itself opens no session, knows no topology, and has one thread.
 
-On its standard input it is told, a line of JSON each, `{"name", "module", "arguments", "log"}`; on its standard output
-it says `{"name", "pid"}` when that runs, and `{"name", "code"}` when it has ended. Its first argument is the descriptor
+On its standard input it is told, a line of JSON each, `{"name", "module", "arguments", "log"}`, and `{"leave"}`: paths
+that are to be gone when it ends, whatever ends its parent. On its standard output it says `{"name", "pid"}` when a
+process runs, and `{"name", "code"}` when it has ended. Its first argument is the descriptor
 of the lifeline that its children hold (wire.child).
 """
 
@@ -41,7 +42,7 @@ def main() -> None:
     woken.setblocking(False)
     signal.set_wakeup_fd(woken.fileno())
     signal.signal(signal.SIGCHLD, lambda *_: None)
-    heard = b""
+    heard, leave = b"", list[str]()
     while True:
         ready, _, _ = select.select([0, wakes.fileno()], [], [])
         if wakes.fileno() in ready:
@@ -50,14 +51,27 @@ def main() -> None:
         if 0 in ready:
             more = os.read(0, 65536)
             if not more:
+                _clear_up(leave)
                 return
             *lines, heard = (heard + more).split(b"\n")
             for line in lines:
                 told = json.loads(line)
+                if "leave" in told:
+                    leave = told["leave"]
+                    continue
                 if (pid := os.fork()) == 0:
                     _become(told, lifeline)
                 names[pid] = told["name"]
                 _say(name=told["name"], pid=pid)
+
+
+def _clear_up(leave: Sequence[str]) -> None:
+    """Remove these files, and of folders those that are empty."""
+    for path in leave:
+        with contextlib.suppress(OSError):
+            os.unlink(path)
+        with contextlib.suppress(OSError):
+            os.rmdir(path)
 
 
 def _reap(names: dict[int, str]) -> None:

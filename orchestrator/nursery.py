@@ -64,12 +64,18 @@ class Nursery:
 
     def fork(self, name: str, module: str, arguments: Sequence[str], log: Path) -> None:
         """Have `python -m MODULE ARGUMENTS` run in a process of its own, which logs to `log`."""
-        told = {"name": name, "module": module, "arguments": list(arguments), "log": str(log)}
         with self._changed:
             self.pids.pop(name, None)
             self.codes.pop(name, None)
+        self._tell(name=name, module=module, arguments=list(arguments), log=str(log))
+
+    def leave_no(self, paths: Sequence[Path]) -> None:
+        """Have these files, and folders that are empty then, removed when the nursery ends, as it does if we die."""
+        self._tell(leave=list(map(str, paths)))
+
+    def _tell(self, **what: object) -> None:
         assert self._process.stdin is not None
-        self._process.stdin.write(json.dumps(told).encode() + b"\n")
+        self._process.stdin.write(json.dumps(what).encode() + b"\n")
         self._process.stdin.flush()
 
     def wait_until_forked(self, names: Sequence[str]) -> None:

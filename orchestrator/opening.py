@@ -20,14 +20,13 @@ from orchestrator import registry
 from orchestrator.accounts import at_ends
 from orchestrator.interrupts import Interrupts
 from orchestrator.observe import Observer
-from orchestrator.recorded import RecordedRun, find_run, load_run
+from orchestrator.recorded import RecordedRun, find_run, load_resolved, load_run
 from orchestrator.rerun_stream import APPLICATION, RerunStream
 from orchestrator.rrd_file import parts
 from orchestrator.viewer import Viewer, start
 from orchestrator.viewer_version import VERSION_DEADLINE_S, compare
 from orchestrator.watch import CLOSE_DEADLINE_S, MEMORY, READ_STEPS, PatientStream, as_begun, keep_page, told
 from topologies.errors import HedgerowError, UserError
-from topologies.load import load
 from wire.codec import TAKEN, End, Telemetry
 
 Say = Callable[[str], None]
@@ -75,7 +74,7 @@ def _open(folder: Path, viewer: Viewer, say: Say, go_on: Callable[[], bool]) -> 
         say(f"{folder.name}: {why}: shown from its tables")
         _replay(load_run(folder), viewer, say, go_on)
         return
-    topology = load(str(folder))
+    topology = load_resolved(folder)
     # The layout is today's, whichever the run was recorded with.
     stream = RerunStream(topology, Observer(topology), folder.name, None, None).opened(rr.GrpcSink(viewer.url))
     with warnings.catch_warnings(action="ignore"):

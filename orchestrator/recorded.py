@@ -45,8 +45,18 @@ def load_run(run: str | Path = "runs/latest") -> RecordedRun:
     folder = find_run(run)
     tables = {name: Table(folder, name) for name in ("telemetry", "edges")}
     # The file of a run that goes on may gain faults: it is read after the steps that they strike.
+    return RecordedRun(folder, load_resolved(folder), _verdict(folder), _events(folder), tables)
+
+
+def load_resolved(folder: Path) -> Topology:
+    """The topology in a run's folder; UserError if it is another than the resolved one that belongs there."""
     topology = load(str(folder))
-    return RecordedRun(folder, topology, _verdict(folder), _events(folder), tables)
+    try:
+        assert topology.network
+    except (TypeError, ValueError, AttributeError, AssertionError):
+        file = folder / "topology.yaml"
+        raise UserError(f"{file}: leaves numbers to chance, so it is not the resolved file of this run") from None
+    return topology
 
 
 def find_run(run: str | Path) -> Path:

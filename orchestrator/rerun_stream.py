@@ -206,7 +206,9 @@ class RerunStream:
         self._heat, self._heat_due = HeatMap(len(topology.ids)) if large else None, False
         self._plan = Plan(topology, observer)
         self._blueprint = blueprint(topology, observer.gamma_star, self._picture.legend)
-        self._wall = self._written = self._heated = time.time()
+        self._wall = time.time()
+        # When to write is no matter of the wall clock, which may jump.
+        self._written = self._heated = time.monotonic()
         self._unwritten: list[Part] = []
         self._file = RrdFile(path, self.opened, part_bytes) if path is not None else None
         self._feeder = Feeder(viewer, self.opened, warn) if viewer is not None else None
@@ -244,12 +246,12 @@ class RerunStream:
         if self._file is not None:
             self._unwritten.append(part)
             waiting = sum(len(part.rows.t) for part in self._unwritten)
-            if waiting >= CHUNK_ROWS or self._wall - self._written > CHUNK_S:
+            if waiting >= CHUNK_ROWS or time.monotonic() - self._written > CHUNK_S:
                 self._write_batches(self._file)
         if self._heat is not None:
             self._heat.take(batch)
             self._heat_due = True
-            if self._wall - self._heated > HEAT_S:
+            if time.monotonic() - self._heated > HEAT_S:
                 self._send_heat(self._heat.step)
 
     def _draw(self, batch: Batch, wall: NDArray[np.float64], rows: NDArray[np.int64]) -> list[Drawn]:
@@ -269,7 +271,7 @@ class RerunStream:
     def _send_heat(self, step: int) -> None:
         """Send the heat map, of all steps so far."""
         assert self._heat is not None
-        self._heated, self._heat_due = self._wall, False
+        self._heated, self._heat_due = time.monotonic(), False
         image, axes, (t, wall) = self._heat.image, self._heat.axes, _now(step)
         # The brightest hundredth looks the same: one large x(0) would leave all else dark.
         most = max(float(np.quantile(image, 0.99)), 1e-6)
@@ -285,7 +287,7 @@ class RerunStream:
     def _write_batches(self, file: RrdFile) -> None:
         if self._unwritten:
             file.write(Part.joined(self._unwritten).write)
-        self._unwritten, self._written = [], self._wall
+        self._unwritten, self._written = [], time.monotonic()
 
     def end(self, observer: Observer) -> None:
         """Show the states and the regret at step T, where no input acts; nothing if the run never got there."""

@@ -145,6 +145,8 @@ class Network:
         wiring = self._wiring
         stack.enter_context(wiring.laid(places(self._views)))
         stack.callback(self._nursery.clear)
+        # Should we be killed while nobody else of the run is left: the plant sees to it otherwise.
+        self._nursery.leave_no([listed, *wiring.files])
         processes = Processes(self._nursery, self._folder, wiring)
         truth = truth_of(self._topology, self._shards)
         processes.start_plant(truth, self._options.rate, self._options.deadline_s, listed)

@@ -24,7 +24,7 @@ from orchestrator.accounts import at_ends
 from orchestrator.folder import RunFolder
 from orchestrator.interrupts import Interrupts
 from orchestrator.observe import Observer
-from orchestrator.recorded import read_events, reading
+from orchestrator.recorded import load_resolved, read_events, reading
 from orchestrator.registry import Entry
 from orchestrator.rerun_stream import RerunStream
 from orchestrator.verdict import Verdict
@@ -32,7 +32,6 @@ from orchestrator.viewer import Viewer, start
 from orchestrator.viewer_version import VERSION_DEADLINE_S, compare
 from topologies.errors import HedgerowError, UserError
 from topologies.graph import Graph
-from topologies.load import load
 from topologies.schema import Topology
 from wire.codec import TAKEN, End, Telemetry
 
@@ -240,7 +239,7 @@ def watch(entry: Entry, choice: str, say: Say) -> None:
     folder = RunFolder(Path(entry.folder))
     wake = threading.Event()
     with Interrupts(wake.set) as interrupts:
-        topology = load(entry.folder)
+        topology = load_resolved(folder.path)
         if (trail := _attached(entry, topology, wake, interrupts)) is None:
             return
         viewer = start(choice, MEMORY, MEMORY)
@@ -331,7 +330,7 @@ class _Watch:
         status = self._folder.topology.stat()
         if (status.st_ino, status.st_mtime_ns) != self._file:
             self._file = (status.st_ino, status.st_mtime_ns)
-            self._observer.change(load(str(self._folder.path)))
+            self._observer.change(load_resolved(self._folder.path))
         for event in self._happenings.new():
             if (line := told(event)) is not None:
                 self._stream.event(*line)

@@ -45,6 +45,14 @@ class Wiring:
         left = {"socket": self.socket, "secrets": self.credentials if self.listens else None}
         return {option: path for option, path in left.items() if path is not None}
 
+    @property
+    def files(self) -> list[Path]:
+        """What the socket is made of, and the folder that is made for it alone."""
+        if self.socket is None:
+            return []
+        files = [self.socket, Path(f"{self.socket}.lock")]
+        return files if self.socket_folder is None else [*files, self.socket_folder]
+
     @contextlib.contextmanager
     def laid(self, places: Sequence[Place]) -> Iterator[None]:
         """Credentials exist while the block lasts; after it nothing of them is left, nor of the socket."""

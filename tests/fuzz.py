@@ -47,12 +47,14 @@ from orchestrator.assign import layout, truth_of, views_of
 from orchestrator.folder import create
 from orchestrator.observe import Observer
 from orchestrator.opening import _open
+from orchestrator.recorded import load_resolved
 from orchestrator.run import Watching
 from orchestrator.screen import Quiet
 from orchestrator.simulate import simulate
 from orchestrator.viewer import Viewer
 from orchestrator.watch import Happenings, Trail, told
 from plant.truth import Truth
+from topologies import table
 from topologies.errors import HedgerowError
 from topologies.load import bundled, find, load
 from topologies.resolve import resolve
@@ -90,6 +92,7 @@ VALUES = (
     *(b"{kind: white, std: 1e308}", b"[{kind: crash, node: 1, at: 99999999999}]", b"{kind: sinusoid, omega: 1e308}"),
 )
 _NUMBER = re.compile(rb"-?\d+(\.\d+)?(e-?\d+)?")
+_DIGIT = re.compile(rb"\d")
 
 
 def bent_text(text: bytes, rng: Random, others: Sequence[bytes]) -> bytes:
@@ -99,15 +102,13 @@ def bent_text(text: bytes, rng: Random, others: Sequence[bytes]) -> bytes:
         at = rng.randrange(len(text) + 1)
         lines = text.splitlines(keepends=True) or [b""]
         k = rng.randrange(len(lines))
-        match rng.randrange(12) if hostile else rng.choice((0, 1, 2, 6)):
+        match rng.randrange(11) if hostile else rng.choice((0, 2, 6, 10, 10, 10)):
             case 0:
                 text = text[:at] + rng.choice(PIECES) + text[at + rng.randrange(4) :]
             case 1:
                 text = text[:at] + text[at + rng.randrange(1, 40) :]
             case 2 | 3 | 4:
-                if numbers := list(_NUMBER.finditer(text)):
-                    found = rng.choice(numbers)
-                    text = text[: found.start()] + rng.choice(VALUES) + text[found.end() :]
+                text = _swapped(_NUMBER, text, VALUES, rng)
             case 5:
                 key, colon, _ = lines[k].partition(b":")
                 lines[k] = key + colon + b" " + rng.choice(VALUES) + b"\n"
@@ -118,20 +119,26 @@ def bent_text(text: bytes, rng: Random, others: Sequence[bytes]) -> bytes:
             case 7:
                 other = rng.choice(others)
                 text = text[:at] + other[rng.randrange(len(other) + 1) :]
+            case 8 if rng.random() < 0.3:
+                text = _bomb(rng) + text
             case 8:
                 depth = rng.choice((10, 40, 2000, 100_000))
                 pair = rng.choice(((b"[", b"]"), (b"{a: ", b"}"), (b"- ", b""), (b'{"a":', b"}")))
                 text = text[:at] + pair[0] * depth + rng.choice((b"", pair[1] * depth)) + text[at:]
             case 9:
-                text = _bomb(rng) + text
-            case 10:
                 text = bent_bytes(text, rng)
-            case 11:
-                words = text.split(b" ")
-                one, two = rng.randrange(len(words)), rng.randrange(len(words))
-                words[one], words[two] = words[two], words[one]
-                text = b" ".join(words)
+            case 10:
+                text = _swapped(_DIGIT, text, (b"0", b"1", b"4", b"9"), rng)
     return text
+
+
+def _swapped(what: re.Pattern[bytes], text: bytes, values: Sequence[bytes], rng: Random) -> bytes:
+    """The text with one of the places that match as another value."""
+    places = [match.span() for match in what.finditer(text)]
+    if not places:
+        return text
+    start, stop = rng.choice(places)
+    return text[:start] + rng.choice(values) + text[stop:]
 
 
 def _bomb(rng: Random) -> bytes:
@@ -211,13 +218,22 @@ nodes: {a: {a: 0.5, candidates: [0.5, 0.3]}, b: {a: 0.3, candidates: [0.3]}}
 edges: [[a, b]]
 defaults: {disturbance: {kind: samples, file: w.csv}}
 """
+RULED = b"""\
+name: ruled
+b: 0.05
+steps: 3
+graph: {kind: random_regular, nodes: 10, degree: 3}
+nodes: {7: {x0: 3}}
+defaults: {candidates: {random: 3}, disturbance: {kind: white, std: 0.1}}
+"""
+TABLED = b"{name: tabled, b: 0.05, steps: 3, table: t.npz}\n"
 SAMPLES = (b"a,b\n1,2\n0.5,-1\n1e-3,4\n0,0\n", b"1,2\n3,4\n5,6\n7,8\n", b'"a","b"\r\n1,2\r\n3,4\r\n1,1\r\n2,2\r\n')
 
 
 def topology_texts() -> list[bytes]:
     """The bundled networks, the examples of the docs, and one with everything that can go wrong."""
     files = [find(name) for name in bundled()] + sorted((ROOT / "docs/examples").glob("*.yaml"))
-    return [FAULTY, SAMPLED, *(file.read_bytes() for file in files)]
+    return [FAULTY, SAMPLED, RULED, TABLED, *(file.read_bytes() for file in files)]
 
 
 def record_folder(directory: Path) -> Path:
@@ -232,11 +248,11 @@ def record_folder(directory: Path) -> Path:
         view.write(folder.processes / f"shard-{view.shard}.npz")
     truth_of(topology, shards).write(folder.processes / "plant.npz")
     for name in ("telemetry", "edges"):
-        table = pq.read_table(folder.path / f"{name}.parquet")
-        with pa.ipc.new_stream(str(folder.path / f"{name}.arrows"), table.schema) as stream:
+        rows = pq.read_table(folder.path / f"{name}.parquet")
+        with pa.ipc.new_stream(str(folder.path / f"{name}.arrows"), rows.schema) as stream:
             width = len(topology.ids) if name == "telemetry" else len(topology.edges)
-            for first in range(0, len(table), 5 * width):  # the last state is a batch of its own
-                stream.write_table(table.slice(first, 5 * width))
+            for first in range(0, len(rows), 5 * width):  # the last state is a batch of its own
+                stream.write_table(rows.slice(first, 5 * width))
     folder.event("lost", shard=0, who="agent 1", cause="silent", step=7)
     return folder.path
 
@@ -274,6 +290,10 @@ class Files:
         self._texts = topology_texts()
         self._command = typer.main.get_command(cli.app)
         self._folder = record_folder(scratch)
+        self._table = scratch / "t.npz"
+        ruled = scratch / "ruled.yaml"
+        ruled.write_bytes(RULED)
+        table.write(resolve(load(str(ruled))).network, self._table)
         self._case = scratch / "case"
 
     @cached_property
@@ -298,8 +318,9 @@ class Files:
                 ("samples", self._samples),
                 ("run folder", self._run_folder),
                 ("process file", self._process_file),
+                ("table", self._numbers),
             ),
-            (50, 10, 33, 7),
+            (46, 10, 32, 6, 6),
         )[0]
         try:
             body(rng)
@@ -316,6 +337,7 @@ class Files:
         file = self._case / "bent.yaml"
         file.write_bytes(bent_text(rng.choice(self._texts), rng, self._texts))
         (self._case / "w.csv").write_bytes(SAMPLES[0])
+        shutil.copy(self._table, self._case)
         self._check_and_run(file)
 
     def _check_and_run(self, file: Path) -> None:
@@ -332,6 +354,12 @@ class Files:
         content = rng.choice(SAMPLES)
         bent = bent_bytes(content, rng) if rng.random() < 0.3 else bent_text(content, rng, SAMPLES)
         (self._case / "w.csv").write_bytes(bent)
+        self._check_and_run(file)
+
+    def _numbers(self, rng: Random) -> None:
+        file = self._case / "tabled.yaml"
+        file.write_bytes(TABLED)
+        (self._case / "t.npz").write_bytes(bent_bytes(self._table.read_bytes(), rng))
         self._check_and_run(file)
 
     def _process_file(self, rng: Random) -> None:
@@ -382,7 +410,7 @@ class Files:
         self._run("export", str(folder), "--to", form, "--out", str(self._case / "out"))
 
     def _watch(self, folder: Path) -> None:
-        topology = load(str(folder))
+        topology = load_resolved(folder)
         try:
             trail = Trail(folder, topology.graph)
         except FileNotFoundError:

@@ -228,6 +228,7 @@ def broken_faults(topology: Topology, source: Source | None = None) -> list[Prob
     struck = _Struck(topology)
     written = source.value.get("edges") or [] if source is not None and not _made(topology) else topology.edges
     if not isinstance(written, Sequence) or len(written) != len(topology.edges):  # some were refused, or all
+        struck.certain = False
     return [
         Problem(source.line(path) if source else 0, place_of(path), what, cure)
         for k, fault in enumerate(topology.faults)
