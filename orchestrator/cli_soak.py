@@ -32,7 +32,7 @@ def soak(
     faults: Faults = True,
 ) -> int:
     """Run a network for long under faults; exit code 1 if memory, threads, open files or pace do not stay flat."""
-    from orchestrator.soak import run_soak, with_faults  # noqa: PLC0415
+    from orchestrator.soak import run_soak  # noqa: PLC0415
     from topologies.errors import UserError  # noqa: PLC0415
     from topologies.load import find, load  # noqa: PLC0415
     from topologies.resolve import resolve  # noqa: PLC0415
@@ -40,9 +40,7 @@ def soak(
     if not 0 < minutes < 1e6:
         raise UserError(f"--minutes {minutes:g}: give a number above 0")
     topology = resolve(load(file), find(file).parent)
-    if faults:
-        topology = with_faults(topology)
     options = ["--rate", str(rate), *(["--processes", str(processes)] if processes else [])]
     options += [] if record else ["--no-record"]
     directory = run_dir or Path("runs") / f"{topology.name}-soak-{time.strftime('%Y%m%d-%H%M%S')}"
-    return run_soak(topology, directory, minutes, options, lambda text: print(text, flush=True))
+    return run_soak(topology, directory, minutes, faults, options, lambda text: print(text, flush=True))

@@ -85,12 +85,19 @@ def _open(folder: Path, viewer: Viewer, say: Say, go_on: Callable[[], bool]) -> 
 
 def _chunks(file: Path) -> Iterator[Any]:
     """What a recording holds, to where it can be read."""
-    try:
-        yield from RrdReader(file).stream()
-    except (RuntimeError, ValueError, OSError) as error:
-        raise UserError(
-            f"{file}: is damaged ({str(error).splitlines()[0]}); move it away, and the run is shown from its tables"
-        ) from None
+    chunks = iter(RrdReader(file).stream())
+    while True:
+        try:
+            chunk = next(chunks)
+        except StopIteration:
+            return
+        except BaseException as error:
+            # A panic of Rerun's reader comes as one that is no Exception, and of a class that cannot be imported.
+            if not isinstance(error, RuntimeError | ValueError | OSError) and type(error).__name__ != "PanicException":
+                raise
+            why = str(error).splitlines()[0]
+            raise UserError(f"{file}: is damaged ({why}); move it away, and the run is shown from its tables") from None
+        yield chunk
 
 
 def _unreadable(files: Sequence[Path]) -> str:

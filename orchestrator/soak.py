@@ -49,8 +49,9 @@ WARM_UP = 0.25
 """This part of the time is left out, but at least and at most so long."""
 LEAST_WARM_UP_S, LONGEST_WARM_UP_S = 10.0, 120.0
 ALONE = ("up", "nursery", "plant")
-SPLIT_MB = 16
-"""run.rrd goes on in another file past it, so that Rerun's index of a file begins anew many times"""
+HISTORY = 1000
+"""Past steps that are kept for back-filling: with the 100,000 of a file that says nothing, memory grows until there are
+so many."""
 START_DEADLINE_S = 60.0
 END_DEADLINE_S = 30.0
 
@@ -118,20 +119,24 @@ def with_faults(topology: Topology) -> Topology:
     return topology.model_copy(update={"faults": (*topology.faults, *map(_FAULT.validate_python, added))})
 
 
-def run_soak(topology: Topology, directory: Path, minutes: float, options: Sequence[str], say: Say) -> int:
+def run_soak(
+    topology: Topology, directory: Path, minutes: float, faults: bool, options: Sequence[str], say: Say
+) -> int:
     """Run a resolved network for so long, leave soak.csv and soak.png in its new folder, and judge; the exit code.
 
     `options` are more of `orchestrator up`. 0 is flat, 1 not flat or INVALID, 3 ended early. Raises HedgerowError.
     """
     folder = RunFolder(directory.resolve())
     folder.path.parent.mkdir(parents=True, exist_ok=True)
-    topology = topology.model_copy(update={"steps": STEPS})
+    topology = topology.model_copy(update={"steps": STEPS, "history": min(topology.history, HISTORY)})
+    if faults:
+        topology = with_faults(topology)
     file = folder.path.with_name(f".{folder.name}.yaml")
     wake = threading.Event()
     with Interrupts(wake.set) as interrupts, _up(file, folder, topology, options) as up:
         say(f"run folder {folder.path}")
         entry = _entry(up, folder)
-        samples = list(_samples(up, entry, minutes * 60, lambda s: wake.wait(s) or interrupts.count > 0))
+        samples = list(_samples(up, entry, minutes * 60, faults, lambda s: wake.wait(s) or interrupts.count > 0))
         up.send_signal(signal.SIGINT)
         with contextlib.suppress(subprocess.TimeoutExpired):
             up.wait(END_DEADLINE_S)
@@ -158,7 +163,7 @@ def _up(file: Path, folder: RunFolder, topology: Topology, options: Sequence[str
     """`orchestrator up` of that network, which ends with us however we end."""
     file.write_text(to_yaml(topology), encoding="utf-8")
     command = [sys.executable, "-P", "-m", "orchestrator", "up", str(file), "--run-dir", str(folder.path)]
-    fixed = ["--viewer", "none", "--lifeline", "--plain", "--split-recording", str(SPLIT_MB)]
+    fixed = ["--viewer", "none", "--lifeline", "--plain"]
     said = file.with_suffix(".log")
     with said.open("wb") as log:
         process = subprocess.Popen(
@@ -193,7 +198,11 @@ def _entry(up: subprocess.Popen[bytes], folder: RunFolder) -> registry.Entry:
 
 
 def _samples(
-    up: subprocess.Popen[bytes], entry: registry.Entry, seconds: float, interrupted: Callable[[float], bool]
+    up: subprocess.Popen[bytes],
+    entry: registry.Entry,
+    seconds: float,
+    crashes: bool,
+    interrupted: Callable[[float], bool],
 ) -> Iterator[Sample]:
     """Look at every process again and again, and kill an agent now and then, until the time is over or the run is."""
     every = max(EVERY_S, seconds / SAMPLES)
@@ -204,7 +213,7 @@ def _samples(
         while time.monotonic() - began < seconds and up.poll() is None:
             try:
                 step = int(live.status()["step"])
-                if time.monotonic() > crash_at:
+                if crashes and time.monotonic() > crash_at:
                     crash_at += CRASH_EVERY_S
                     live.fault.crash(victim, at=1, restart_after=CRASHED_STEPS)
             except WireError:  # it is over, or busy
