@@ -17,7 +17,7 @@ from typing import Annotated
 
 import typer
 
-from orchestrator import cli_files, cli_keys, cli_live, cli_report, cli_soak, cli_watch
+from orchestrator import cli_files, cli_keys, cli_live, cli_report, cli_soak, cli_sweep, cli_watch
 from orchestrator.check import count, table
 from orchestrator.nursery import Nursery
 from orchestrator.verdict import EXIT_CODES, UNKNOWN
@@ -357,4 +357,5 @@ cli_files.register(app)
 cli_keys.register(app)
 cli_report.register(app)
 cli_soak.register(app)
+cli_sweep.register(app)
 cli_watch.register(app)
