@@ -116,6 +116,11 @@ class Orchestrator:
         again = {event["process"]: event["pid"] for event in _events() if event["event"] == "restarted"}
         return pids | again
 
+    @property
+    def pid(self) -> int:
+        """Of the command itself."""
+        return self._process.pid
+
     def send(self, signal: int) -> None:
         """Send the command's own process a signal."""
         self._process.send_signal(signal)

@@ -80,7 +80,7 @@ def _conclude(plan: Plan, folder: SweepFolder) -> int:
     verdicts = Counter(row["verdict"] for own in rows for row in own)
     worst = next(one for one in (INVALID, UNKNOWN, VALID) if verdicts[one])
     print(summary.table(plan, rows))
-    print(f"{folder.table}, summary.csv and {drawn}")
+    print(f"{folder.table}, summary.csv, {drawn}")
     first = next(row for own in rows for row in own if row["verdict"] == worst)
     where = (
         "" if worst == VALID else f" (first seed {first['seed']}, {plan.says(first['setting'])}: {first['reasons']})"
@@ -96,4 +96,5 @@ def _draw(plan: Plan, folder: SweepFolder, rows: list[list[dict[str, object]]]) 
         if (error.name or "").partition(".")[0] != "matplotlib":
             raise
         return "no box plots: matplotlib is missing; install it with: pip install 'hedgerow[report]'"
-    return f"box plots of {', '.join(write(folder.path, plan, rows))} beside it"
+    write(folder.path, plan, rows)
+    return "boxes.pdf and boxes.png beside it"

@@ -23,7 +23,7 @@ def default_out(plan: Plan) -> Path:
 
 
 class SweepFolder:
-    """Holds the rows of a sweep while the block runs, and lets no other sweep write there; UserError for a wrong one."""
+    """Holds the rows of a sweep while the block runs, and lets no other write there; UserError for a wrong one."""
 
     def __init__(self, plan: Plan, path: Path) -> None:
         self.plan, self.path = plan, path
@@ -64,11 +64,8 @@ class SweepFolder:
             there = json.loads(self._about.read_text(encoding="utf-8"))
         except ValueError:
             raise UserError(f"--out {self.path}: sweep.json cannot be read; name a new folder") from None
-        for key in (*there, *wanted):
-            if there.get(key) != wanted.get(key):
-                what = {"networks": "its topology file was another", "versions": "other versions made it"}
-                other = what.get(key, f"its {key} is {_said(there.get(key))}, not {_said(wanted.get(key))}")
-                raise UserError(f"--out {self.path}: holds another sweep: {other}; name another folder")
+        if other := _difference(there, wanted):
+            raise UserError(f"--out {self.path}: holds another sweep: {other}; name another folder")
 
     def _read(self) -> None:
         """Take in the runs that are there; a line that was cut short is taken away."""
@@ -123,5 +120,18 @@ class SweepFolder:
         part.replace(self.table)
 
 
+def _difference(there: dict[str, Any], wanted: dict[str, Any]) -> str:
+    """In what a sweep is not the one that is wanted, in words; nothing where it is."""
+    there, wanted = ({**about, **{f"`{key}`": own for key, own in about["set"].items()}} for about in (there, wanted))
+    for key in dict.fromkeys((*wanted, *there)):
+        one, other = there.get(key), wanted.get(key)
+        if one != other and key not in ("set", "versions", "networks"):
+            apart = f"its {key} is {_said(one)}, not {_said(other)}"
+            return f"only one of the two sets {key}" if None in (one, other) else apart
+    if there["versions"] != wanted["versions"]:
+        return "other versions made it"
+    return "its topology file was another" if there["networks"] != wanted["networks"] else ""
+
+
 def _said(value: Any) -> str:
-    return ", ".join(map(str, value)) if isinstance(value, list) else "not set" if value is None else str(value)
+    return ", ".join(map(str, value)) if isinstance(value, list) else str(value)

@@ -73,8 +73,8 @@ class Plan:
         values = zip(*(setting.values for setting in self.settings), strict=True)
         return {
             "name": self.name,
-            **{key: list(dict.fromkeys(own)) for key, own in zip(self.keys, values, strict=True)},
             "engine": self.engine,
+            "set": {key: list(dict.fromkeys(own)) for key, own in zip(self.keys, values, strict=True)},
             "versions": dict(versions()),
             # Drawn with the file's own seed, so that it holds the numbers of CSV files too.
             "networks": [_digest(to_yaml(resolve(one.topology, self.folder))) for one in self.settings],
