@@ -243,14 +243,15 @@ FLOOD = 100_000
 
 
 class Victim:
-    """paper7 running slowly enough to be disturbed, and a stranger's way into it."""
+    """paper7 making its first hundred steps, slowly, and waiting there however long it is disturbed; a way into it."""
 
     def __init__(self, here: Path, stack: contextlib.ExitStack, *options: str) -> None:
         self._here, self._stack = here, stack
-        run = ("up", "paper7", *QUIET, "--steps", str(STEPS), "--rate", "20", *options)
+        run = ("up", "paper7", *QUIET, "--steps", str(STEPS), "--rate", "10", *options)
         self.network = stack.enter_context(Orchestrator(*run))
         self.network.wait_for("running")
         self.network.wait_for_step(5)
+        assert orchestrator("step", "100").returncode == 0
         self.entry = json.loads(orchestrator("ps", "--json").stdout)[0]
 
     def rogue(self, name: str) -> zenoh.Session:
@@ -267,6 +268,7 @@ class Victim:
     def end(self) -> dict[str, Any]:
         """Its verdict, once it made its last step; its numbers are those of a run that nobody disturbed."""
         assert orchestrator("rate", "0").returncode == 0
+        assert orchestrator("resume").returncode == 0
         self.network.wait()
         reference = orchestrator("simulate", "paper7", "--steps", str(STEPS), "--no-record", "--run-dir", "reference")
         assert reference.returncode == 0
