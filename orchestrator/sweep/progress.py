@@ -8,7 +8,7 @@ import time
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from orchestrator.screen import LINE_EVERY_S
+LINE_EVERY_S = 10.0
 
 
 class Lines:
@@ -40,6 +40,7 @@ class Bar:
         )  # fmt: skip
         self._task = self._bar.add_task("runs", total=runs, completed=there)
         self._bar.start()
+        console.show_cursor()  # else somebody would have to bring it back after SIGKILL
 
     def advance(self, runs: int) -> None:
         """So many more runs are there."""
