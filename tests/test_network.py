@@ -94,7 +94,7 @@ def test_a_run_leaves_its_folder_and_its_verdict(here: Path) -> None:
     assert set(verdict["checks"]) == CHECKS | {"reference"}
     events = [json.loads(line)["event"] for line in (folder / "events.jsonl").read_text().splitlines()]
     assert events == ["start", "first_step", "recording", "verdict"]
-    assert str(folder.resolve() / "run.rrd") in done.stdout
+    assert f"orchestrator open {folder.resolve()}" in done.stdout
     again = orchestrator("simulate", str(folder), "--run-dir", "again", "--no-record")
     assert again.returncode == 0, again.stderr
     assert parquet_bytes(here / "again") == parquet_bytes(folder)
@@ -287,7 +287,7 @@ def test_ps_status_and_stop_see_a_detached_network(here: Path, request: pytest.F
 LAWS = """
 import numpy as np
 class Idle:
-    def __init__(self, b, candidates): self.k = len(candidates); self.memory = np.zeros((0, self.k))
+    def __init__(self, b, candidates): self.k = candidates.shape[1]; self.memory = np.zeros((0, self.k))
     def act(self, x): return np.zeros(self.k)
     def learn(self, x, flow, x_next): pass
     def report(self): return np.full((self.k, 3), np.nan)

@@ -256,7 +256,7 @@ def test_a_law_without_estimates_has_no_such_figure(folder: Path) -> None:
     """Nothing is estimated, nothing was disturbed: the gain is undefined, and the page is written all the same."""
     (folder / "still.py").write_text(
         "import numpy as np\n\nclass Still:\n    def __init__(self, b, candidates):\n"
-        "        self.n, self.memory = len(candidates), np.zeros((1, len(candidates)))\n"
+        "        self.n, self.memory = candidates.shape[1], np.zeros((1, candidates.shape[1]))\n"
         "    def act(self, x): return np.zeros(len(x))\n    def learn(self, x, flow, x_next): pass\n"
         "    def report(self): return np.full((self.n, 3), np.nan)\n",
         encoding="utf-8",
