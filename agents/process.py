@@ -19,6 +19,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NoReturn
 
@@ -40,7 +41,17 @@ from wire.codec import (
     encode_link,
     kind_of,
 )
-from wire.session import Ear, Mail, Voice, close, counts, open_client, wait_for_listeners
+from wire.session import (
+    CONNECT_TIMEOUT_S,
+    LISTEN_TIMEOUT_S,
+    Ear,
+    Mail,
+    Voice,
+    close,
+    counts,
+    open_client,
+    wait_for_listeners,
+)
 
 LOG = logging.getLogger("agent")
 NO_STEP = 2**62
@@ -51,10 +62,20 @@ LONG_BYTES = 2**14
 """A message that Zenoh may not take at once: what waits to be sent has room for a few of 64 kB."""
 
 
+@dataclass(frozen=True)
+class Begin:
+    """How a shard begins."""
+
+    life: Callable[[zenoh.Session], int]
+    """how often it was started before"""
+    wait_s: float | None = None
+    """how long it waits for the router and for the others, if not as long as among processes that `up` starts"""
+
+
 class Agent:
     """One shard's process, from the first state message to the end."""
 
-    def __init__(self, view: View, namespace: str, endpoint: str, life: int, credentials: Path | None = None) -> None:
+    def __init__(self, view: View, namespace: str, endpoint: str, begin: Begin, credentials: Path | None = None) -> None:
         self.shard = Shard(view)
         self.peers = [peer.shard for peer in view.peers]
         self._pending: State | None = None
@@ -71,8 +92,7 @@ class Agent:
         self._over = False
         """the plant has said END, and we our last word"""
 
-        self._life = life
-        self._session = open_client(endpoint, namespace, credentials)
+        self._session = open_client(endpoint, namespace, credentials, begin.wait_s or CONNECT_TIMEOUT_S)
         self._input = Voice(self._session, keys.input_(view.shard))
         self._links = [Voice(self._session, keys.link(view.shard, peer)) for peer in self.peers]
         self._ears = [
@@ -81,7 +101,9 @@ class Agent:
         ]
         self._ears.append(self._hear(keys.state(view.shard), self._take_state))
         # Of a neighbour that is dead itself nobody listens: who comes back waits for the plant alone.
-        wait_for_listeners([voice.publisher for voice in ([self._input] if life else [self._input, *self._links])])
+        self._life = life = begin.life(self._session)
+        voices = [self._input] if life else [self._input, *self._links]
+        wait_for_listeners([voice.publisher for voice in voices], begin.wait_s or LISTEN_TIMEOUT_S)
         self._token = self._session.liveliness().declare_token(keys.alive(keys.shard_name(view.shard), life))
 
     def run(self) -> None:
@@ -195,7 +217,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
 
     def body() -> None:
         view = View.read(known.view)
-        agent = Agent(view, known.namespace, known.connect, known.life, known.credentials)
+        agent = Agent(view, known.namespace, known.connect, Begin(lambda _: known.life), known.credentials)
         LOG.info("ready: shard %d of nodes %s", view.shard, view.ids[:20].tolist())
         try:
             agent.run()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -87,7 +87,11 @@ class View:
             return cls(**settings, **arrays, peers=peers)
 
     def to_json(self) -> str:
-        """The same for people to read: every node with its candidates and the ids of its neighbours."""
+        """The same for people to read."""
+        return json.dumps(self.to_dict())
+
+    def to_dict(self) -> dict[str, Any]:
+        """The same in words: every node with its candidates and the ids of its neighbours."""
         own, heard = self.ids.tolist(), self.heard.tolist()
         known = own + heard
         neighbours: list[list[Any]] = [[] for _ in own]
@@ -99,8 +103,37 @@ class View:
         ]
         ends = np.cumsum([peer.hear for peer in self.peers], dtype=np.int64)
         peers = [
-            {"shard": peer.shard, "say": [own[i] for i in peer.say], "hear": heard[end - peer.hear : end]}
+            {"shard": peer.shard, "say": [own[i] for i in peer.say.tolist()], "hear": heard[end - peer.hear : end]}
             for peer, end in zip(self.peers, ends.tolist(), strict=True)
         ]
         told = {"shard": self.shard, "b": self.b, "law": self.law, "nodes": nodes, "peers": peers}
-        return json.dumps({**told, "history": self.history})
+        return {**told, "history": self.history}
+
+    @classmethod
+    def from_dict(cls, told: Mapping[str, Any]) -> View:
+        """The view that `to_dict` put into words; raises KeyError, TypeError or ValueError where it did not."""
+        nodes = told["nodes"]
+        own, heard = [node["id"] for node in nodes], [j for peer in told["peers"] for j in peer["hear"]]
+        place = {node: k for k, node in enumerate(own + heard)}
+        lists = [np.array(node["candidates"], dtype=np.float64) for node in nodes]
+        candidates = np.full((max(map(len, lists)), len(own)), np.nan)
+        for column, listed in zip(candidates.T, lists, strict=True):
+            column[: len(listed)] = listed
+        incidences = [(i, place[j]) for i, node in enumerate(nodes) for j in node["neighbours"]]
+        row, column = np.array(incidences, dtype=np.int64).reshape(-1, 2).T.copy()
+        peers = [
+            Peer(peer["shard"], np.array([place[i] for i in peer["say"]], dtype=np.int64), len(peer["hear"]))
+            for peer in told["peers"]
+        ]
+        return cls(
+            shard=told["shard"],
+            b=told["b"],
+            law=told["law"],
+            ids=archive.id_array(own),
+            candidates=candidates,
+            row=row,
+            column=column,
+            peers=peers,
+            heard=archive.id_array(heard),
+            history=told["history"],
+        )

@@ -9,6 +9,8 @@ import time
 from orchestrator.nursery import Nursery
 
 BEGAN = time.monotonic()
+MORE_THAN_AN_AGENT_NEEDS = {"typer", "pydantic", "yaml", "rich", "rerun", "pyarrow", "scipy", "psutil"}
+"""Modules of the extra `orchestrator` (pyproject.toml)."""
 
 
 def main() -> None:
@@ -19,6 +21,11 @@ def main() -> None:
         from orchestrator.cli import run_command  # noqa: PLC0415
 
         run_command(BEGAN, nursery)
+    except ModuleNotFoundError as error:
+        if error.name not in MORE_THAN_AN_AGENT_NEEDS:
+            raise
+        print(f"error: there is no {error.name} here: pip install 'hedgerow[orchestrator]'", file=sys.stderr)
+        os._exit(2)
     except KeyboardInterrupt:  # before there was a run to end
         os._exit(130)
 

@@ -17,7 +17,7 @@ from typing import Annotated
 
 import typer
 
-from orchestrator import cli_files, cli_keys, cli_live, cli_report, cli_soak, cli_sweep, cli_watch
+from orchestrator import cli_files, cli_keys, cli_live, cli_machines, cli_report, cli_soak, cli_sweep, cli_watch
 from orchestrator.check import count, table
 from orchestrator.nursery import Nursery
 from orchestrator.verdict import EXIT_CODES, UNKNOWN
@@ -102,7 +102,7 @@ def _importable(topology: Topology) -> Topology:
     return topology
 
 
-def _read(file: str, sets: list[str] | None, **replace: object) -> Topology:
+def read(file: str, sets: list[str] | None, **replace: object) -> Topology:
     overrides = [*(f"{key}={json.dumps(value)}" for key, value in replace.items() if value is not None), *(sets or [])]
     return resolve(load(file, overrides), find(file).parent)
 
@@ -131,6 +131,14 @@ def up(
     keys: Annotated[
         Path | None, typer.Option(metavar="DIR", help="what `orchestrator keys` made, for a router that is there")
     ] = None,
+    external: Annotated[
+        str | None, typer.Option(metavar="NAMES", help="nodes that are started elsewhere, `all`, `plant`")
+    ] = None,
+    listen: Annotated[
+        str | None, typer.Option(metavar="ENDPOINT", help="open a port for them, e.g. tcp/0.0.0.0:7447")
+    ] = None,
+    namespace: Annotated[str | None, typer.Option(metavar="KEY", help="where all of them meet [hedgerow/NAME]")] = None,
+    wait: Annotated[float, typer.Option(metavar="S", help="seconds that they have to come")] = 600.0,
     deadline: Annotated[float, typer.Option(metavar="S", help="seconds without an answer before giving up")] = 10.0,
     verify: Annotated[bool, typer.Option("--verify", help="compare with the in-process reference afterwards")] = False,
     detach: Annotated[bool, typer.Option("--detach", help="return once it runs")] = False,
@@ -155,9 +163,17 @@ def up(
     if rate < 0 or deadline <= 0:
         raise UserError("--rate must not be negative, and --deadline must be above 0")
     count_of: object = int(processes) if processes and processes.lstrip("-").isdecimal() else processes
-    topology = _importable(_read(file, sets, steps=steps, seed=seed, law=law, processes=count_of, secure=secure))
+    topology = _importable(read(file, sets, steps=steps, seed=seed, law=law, processes=count_of, secure=secure))
     shards = layout(topology, topology.process_count)
     check_security(topology.secure, router, keys, places(views_of(topology, shards)))
+    elsewhere = None
+    if external is not None:
+        from orchestrator.external import chosen, namespace_of  # noqa: PLC0415
+
+        meet = namespace or namespace_of(topology)
+        elsewhere = chosen(external, topology, shards, router, listen, meet, wait)
+    elif listen or namespace:
+        raise UserError("--listen and --namespace are for processes that are started elsewhere: name them, --external")
     viewer = _viewer(viewer)
     if detach:
         return _start_detached()
@@ -165,7 +181,7 @@ def up(
     display = screen(topology, as_json, plain, watched=viewer != "none")
     what = f"{count(len(topology.ids), 'node')} in {count(len(shards), 'process', 'es')}, {topology.steps} steps"
     display.say(f"{topology.name}: {what}, run {folder.name}")
-    options = Options(rate, deadline, router, keys, Watching(record, viewer, split_recording), verify)
+    options = Options(rate, deadline, router, keys, elsewhere, Watching(record, viewer, split_recording), verify)
 
     def on_first_step(after_s: float) -> None:
         display.say(f"running: first step after {after_s:.2f} s")
@@ -244,7 +260,7 @@ def simulate(
     from orchestrator.screen import screen  # noqa: PLC0415
     from orchestrator.simulate import simulate as run_here  # noqa: PLC0415
 
-    topology = _importable(_read(file, sets, steps=steps, seed=seed, law=law))
+    topology = _importable(read(file, sets, steps=steps, seed=seed, law=law))
     folder = folders.create(topology, run_dir)
     viewer = _viewer(viewer)
     with contextlib.closing(screen(topology, as_json, plain, watched=viewer != "none")) as display:
@@ -265,7 +281,7 @@ def check(
     ] = False,
 ) -> int:
     """Validate a topology file and show what it says, node by node; exit code 2 and every mistake if it is wrong."""
-    topology = _read(file, sets, steps=steps, seed=seed, law=law)
+    topology = read(file, sets, steps=steps, seed=seed, law=law)
     print(table(_importable(topology) if import_law else topology))
     return 0
 
@@ -353,6 +369,7 @@ def chaos(
 
 
 cli_live.register(app)
+cli_machines.register(app)
 cli_files.register(app)
 cli_keys.register(app)
 cli_report.register(app)

@@ -11,6 +11,7 @@ from typing import Any
 
 from agents.view import View
 from orchestrator.assign import process_name
+from orchestrator.external import External
 from orchestrator.folder import RunFolder
 from orchestrator.nursery import Nursery
 from orchestrator.wiring import Wiring
@@ -86,8 +87,10 @@ class Processes:
         self._start(name, "agents", self._connect)
         self._names.append(name)
 
-    def start_plant(self, truth: Truth, rate: float, deadline_s: float, listed: Path) -> None:
-        """Launch the plant, the router of the run if it has none.
+    def start_plant(
+        self, truth: Truth, rate: float, deadline_s: float, listed: Path, external: External | None = None
+    ) -> None:
+        """Launch the plant, the router of the run if it has none, with a port for who is `external`.
 
         Should we die, it removes what else would be left: our entry among running networks, the router's socket and
         the credentials.
@@ -95,7 +98,10 @@ class Processes:
         left = {"listed": listed, **self._wiring.left}
         options = ["--rate", str(rate), "--deadline", str(deadline_s)]
         options += [word for option, path in left.items() for word in (f"--{option}", str(path))]
-        options += ["--listen", self._wiring.endpoint] if self._wiring.listens else self._connect
+        if external is not None:
+            options += ["--network", external.network, "--start", str(external.wait_s)]
+        listen = external.listen if external and external.listen else self._wiring.endpoint
+        options += ["--listen", listen] if self._wiring.listens else self._connect
         truth.write(self._folder.processes / f"{keys.PLANT}.npz")
         self._start(keys.PLANT, "plant", options)
         self._names.append(keys.PLANT)

@@ -18,6 +18,7 @@ from orchestrator.assign import Layout, places, truth_of, views_of
 from orchestrator.audit import audit
 from orchestrator.control import ask
 from orchestrator.course import with_end, with_fault, with_loss
+from orchestrator.external import External, Meeting
 from orchestrator.folder import RunFolder
 from orchestrator.interrupts import Interrupts
 from orchestrator.nursery import Nursery
@@ -32,7 +33,7 @@ from topologies.errors import HedgerowError
 from topologies.schema import Topology
 from wire import keys
 from wire.codec import Kind, Telemetry, decode_end, decode_event, decode_telemetry, encode_seen, kind_of
-from wire.session import WireError, close, open_client, publisher, subscriber
+from wire.session import CONNECT_TIMEOUT_S, WireError, close, open_client, publisher, subscriber
 from wire.stream import Inbox
 
 TICK_S = 0.2
@@ -54,6 +55,8 @@ class Options:
     """an existing router's endpoint; None for one of our own"""
     keys: Path | None = None
     """credentials made beforehand, for a secure run over a router that is there"""
+    external: External | None = None
+    """who is started elsewhere, if anybody"""
     watching: Watching = field(default_factory=Watching)
     verify: bool = False
     """compare with the in-process reference afterwards"""
@@ -84,7 +87,13 @@ class Network:
         self._repeated = False
         """the plant has said again what we have"""
         self._views = views_of(topology, shards)
-        self._wiring = wire(folder, topology.secure, options.router, options.keys, places(self._views))
+        self._wiring = (
+            options.external.wiring(options.router)
+            if options.external
+            else wire(folder, topology.secure, options.router, options.keys, places(self._views))
+        )
+        self._meeting: Meeting | None = None
+        """with those who are started elsewhere"""
         self._asked_at: float | None = None
         """when the plant was first asked to stop"""
         self._answered = False
@@ -148,13 +157,23 @@ class Network:
         # Should we be killed while nobody else of the run is left: the plant sees to it otherwise.
         self._nursery.leave_no([listed, *wiring.files])
         processes = Processes(self._nursery, self._folder, wiring)
-        truth = truth_of(self._topology, self._shards)
-        processes.start_plant(truth, self._options.rate, self._options.deadline_s, listed)
+        external = self._options.external
+        if external is None or not external.plant:
+            truth = truth_of(self._topology, self._shards)
+            processes.start_plant(truth, self._options.rate, self._options.deadline_s, listed, external)
         for view in self._views:
-            processes.start_agent(view)
-        session = open_client(wiring.endpoint, wiring.namespace, wiring.own)
+            if external is None or view.shard not in external.shards:
+                processes.start_agent(view)
+        wait_s = external.wait_s if external and external.plant else CONNECT_TIMEOUT_S
+        session = open_client(wiring.endpoint, wiring.namespace, wiring.own, wait_s)
         stack.callback(close, session)
         pids = processes.wait_until_started()
+        if external is not None:
+            self._screen.say(f"waiting for {external} at {external.listen or wiring.endpoint}, {wiring.namespace}")
+            self._meeting = Meeting(external, session)
+            stack.enter_context(self._meeting.watched())
+            if external.plant:
+                self._meeting.introduce()
         self._folder.event("start", engine="zenoh", endpoint=wiring.endpoint, namespace=wiring.namespace, pids=pids)
         return processes, session
 
@@ -183,7 +202,7 @@ class Network:
                     self._ending.first_step_s = self._first_at - self._began
                     self._folder.event("first_step", after_s=round(self._ending.first_step_s, 3))
                     on_first_step(self._ending.first_step_s)
-                nobody_left = processes.ended(keys.PLANT) or self._asked_long_ago()
+                nobody_left = processes.ended(keys.PLANT) or self._asked_long_ago() or self._nobody_comes()
                 something = self._take_in(run, processes)
                 if something or self._repeated:
                     self._repeated = False
@@ -253,6 +272,8 @@ class Network:
                 nodes = [topology.ids[k] for k in self._shards[event["shard"]]]
                 run.change(with_loss(topology, event["shard"], nodes, step))
                 self._say(run, f"step {step}: going on without {event['who']}: {event['cause']}", "WARN", step)
+            case "refused":
+                self._screen.say(f"{event['who']} is refused: {event['cause']}")
             case "back":
                 run.change(with_end(topology, event["fault"], event["at"]))
                 self._say(run, f"step {event['at']}: {event['who']} is back", "INFO", step)
@@ -285,6 +306,13 @@ class Network:
 
     def _asked_long_ago(self) -> bool:
         return self._asked_at is not None and time.monotonic() - self._asked_at > PLANT_END_DEADLINE_S
+
+    def _nobody_comes(self) -> bool:
+        """Whether those who are started elsewhere are not there, and will not be."""
+        over = self._meeting is not None and self._meeting.is_over(self._ending.first_step_s is not None)
+        if over and self._meeting is not None:
+            self._ending.stopped = self._ending.stopped or self._meeting.reason
+        return over
 
     def _explain(self, run: Run, dead: list[Dead]) -> None:
         """Why the run ended before its last step, if it did."""

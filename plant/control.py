@@ -6,6 +6,7 @@ Every command is a query on `control/NAME` with JSON in it and JSON in the reply
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -14,10 +15,12 @@ import zenoh
 
 from topologies.effects import FOREVER, Effect
 from wire import keys
+from wire.handshake import introduction, mismatch
 
 if TYPE_CHECKING:
     from plant.process import Plant
 
+LOG = logging.getLogger("plant")
 Request = Mapping[str, Any]
 Reply = dict[str, Any]
 
@@ -37,6 +40,7 @@ class Control:
             "fault": self._fault,
             "heal": self._heal,
             "died": self._died,
+            "join": self._join,
         }
         self._declared = [self._declare(session, name, command) for name, command in commands.items()]
 
@@ -73,6 +77,7 @@ class Control:
             "rate": plant.clock.rate,
             "missing": plant.missing,
             "lost": [plant.name(p) for p, shard in enumerate(plant.shards) if shard.fault is not None],
+            "absent": [plant.name(p) for p, shard in enumerate(plant.shards) if not shard.alive],
         }
 
     def _stop(self, _: Request) -> Reply:
@@ -140,6 +145,22 @@ class Control:
     def _died(self, request: Request) -> Reply:
         self._plant.died(int(request["shard"]), int(request["life"]))
         return {}
+
+    def _join(self, request: Request) -> Reply:
+        """A process that nobody here started wants its place: the number of its life, or why it cannot have one."""
+        plant = self._plant
+        why = mismatch(plant.network, request)
+        if why is not None:
+            LOG.warning("%s is refused: %s", request.get("process"), why)
+            plant.tell("refused", who=request.get("process"), cause=why)
+            return {"error": why, **introduction(plant.network)}
+        if request.get("shard") is None:
+            return introduction(plant.network)
+        shard = plant.shards[int(request["shard"])]
+        if shard.alive:
+            return {"error": f"{plant.name(int(request['shard']))} is there already", "wait": True}
+        shard.external = True
+        return {"life": shard.life + 1}
 
 
 def _shifted(effect: Effect, by: int) -> Effect:

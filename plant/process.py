@@ -94,6 +94,8 @@ class _Shard:
     """it was lost, and has not acted since it was taken back"""
     word: dict[str, Any] | None = None
     """its last: what it said and heard, by key"""
+    external: bool = False
+    """whoever runs it starts it again, and not we"""
 
     @property
     def ready(self) -> bool:
@@ -104,9 +106,19 @@ class _Shard:
 class Plant:
     """The plant's process, from the first state to the end."""
 
-    def __init__(self, truth: Truth, session: zenoh.Session, rate: float, deadline_s: float) -> None:
+    def __init__(
+        self,
+        truth: Truth,
+        session: zenoh.Session,
+        rate: float,
+        deadline_s: float,
+        start_s: float = START_DEADLINE_S,
+        network: str = "",
+    ) -> None:
+        """`start_s` is how long everybody has to come, `network` the fingerprint that who joins must have, too."""
         n, e = len(truth.ids), len(truth.edges)
-        self.truth = truth
+        self.truth, self.network = truth, network
+        self._start_s = start_s
         self.world = World(truth)
         self.clock = Clock(rate)
         self.fault_count = truth.faults
@@ -159,7 +171,9 @@ class Plant:
             with self.changed:
                 self._wait_for_agents()
             if not self.stopping:
-                wait_for_listeners([self._telemetry, *(shard.state.publisher for shard in self.shards)])
+                wait_for_listeners(
+                    [self._telemetry, *(shard.state.publisher for shard in self.shards)], self._start_s
+                )
             with self.changed:
                 LOG.info("all %d agents are ready", len(self.shards))
                 self.running = True
@@ -182,9 +196,9 @@ class Plant:
         def all_alive() -> bool:
             return self.stopping or all(shard.alive for shard in self.shards)
 
-        if not self.changed.wait_for(all_alive, START_DEADLINE_S):
+        if not self.changed.wait_for(all_alive, self._start_s):
             late = [self.name(p) for p, shard in enumerate(self.shards) if not shard.alive]
-            raise DeadlineError(f"{', '.join(late[:8])} not ready after {START_DEADLINE_S:g} s; see their logs")
+            raise DeadlineError(f"{', '.join(late[:8])} not ready after {self._start_s:g} s; see their logs")
 
     def _prepare(self) -> None:
         """Make state(t) ready, and let it go if it may; end when t is the last."""
@@ -211,7 +225,7 @@ class Plant:
             if state is not None:
                 self._missing.add(p)
                 shard.messages.append(encode_state(*state))
-            elif shard.fault is None:
+            elif shard.fault is None and not shard.external:
                 self._await_crash(p, shard)
         self.clock.held, self._since = True, time.monotonic()
         self._release()
@@ -424,6 +438,8 @@ class Plant:
         shard, life = self.shards[int(said[1])], int(said[2])
         with self.changed:
             if life >= shard.life:
+                if life > max(0, shard.life):
+                    self.died(int(said[1]), life - 1)  # nobody else may have seen the end of a process far away
                 shard.alive = sample.kind == zenoh.SampleKind.PUT
                 shard.back = shard.back or life > shard.life
                 shard.life = life
@@ -454,6 +470,8 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     where.add_argument("--connect", help="the router, a Zenoh endpoint")
     parser.add_argument("--rate", type=float, default=0.0, help="steps per second; 0 for as fast as possible")
     parser.add_argument("--deadline", type=float, default=10.0, help="seconds to wait for an input before going on")
+    parser.add_argument("--start", type=float, default=START_DEADLINE_S, help="seconds that everybody has to come")
+    parser.add_argument("--network", default="", help="its fingerprint, which who joins must have, too")
     parser.add_argument("--socket", type=Path, help="the Unix socket listened on, removed should the parent die")
     parser.add_argument("--listed", type=Path, help="the parent's entry among running networks, likewise")
     parser.add_argument("--credentials", type=Path, help="the folder with its certificate")
@@ -466,7 +484,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
             session = open_router(known.listen, known.namespace, known.credentials)
         else:
             session = open_client(known.connect, known.namespace, known.credentials)
-        plant = Plant(Truth.read(known.truth), session, known.rate, known.deadline)
+        plant = Plant(Truth.read(known.truth), session, known.rate, known.deadline, known.start, known.network)
         try:
             plant.run()
         finally:

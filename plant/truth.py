@@ -65,3 +65,52 @@ class Truth:
             ]
             shards = np.split(arrays.pop("nodes"), np.cumsum(arrays.pop("sizes"))[:-1])
             return cls(**settings, **arrays, disturbance=groups, shards=shards)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The same in words, as JSON and TOML hold them."""
+        disturbance = [
+            {"number": group.number, "kind": group.kind, "nodes": group.nodes.tolist()}
+            | {"values": {key: value.tolist() for key, value in group.values.items()}}
+            for group in self.disturbance
+        ]
+        return {
+            "b": self.b,
+            "steps": self.steps,
+            "seed": self.seed,
+            "history": self.history,
+            "faults": self.faults,
+            "ids": self.ids.tolist(),
+            "a": self.a.tolist(),
+            "x0": self.x0.tolist(),
+            "edges": self.edges.tolist(),
+            "shards": [nodes.tolist() for nodes in self.shards],
+            "disturbance": disturbance,
+            "effects": list(self.effects),
+        }
+
+    @classmethod
+    def from_dict(cls, told: Mapping[str, Any]) -> Truth:
+        """The truth that `to_dict` put into words; raises KeyError, TypeError or ValueError where it did not."""
+        disturbance = [
+            Group(
+                group["number"],
+                group["kind"],
+                np.array(group["nodes"], dtype=np.int64),
+                {key: np.array(value) for key, value in group["values"].items()},
+            )
+            for group in told["disturbance"]
+        ]
+        return cls(
+            ids=archive.id_array(told["ids"]),
+            b=told["b"],
+            a=np.array(told["a"], dtype=np.float64),
+            x0=np.array(told["x0"], dtype=np.float64),
+            edges=np.array(told["edges"], dtype=np.int64).reshape(-1, 2),
+            disturbance=disturbance,
+            steps=told["steps"],
+            seed=told["seed"],
+            shards=[np.array(nodes, dtype=np.int64) for nodes in told["shards"]],
+            effects=[{"table": None, **effect} for effect in told["effects"]],
+            faults=told["faults"],
+            history=told["history"],
+        )

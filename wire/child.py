@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import signal
 import sys
 import threading
 from collections.abc import Callable
@@ -18,10 +19,19 @@ ERROR_PREFIX = "error: "
 
 
 def run_child(body: Callable[[], None], on_orphaned: Callable[[], None] = lambda: None) -> NoReturn:
-    """Run `body` as the whole of this process; exit 0, 2 for a user's mistake, 1 for any other failure.
+    """Run `body` as the whole of this process, as `run_alone` does, for as long as its parent lives.
 
     Standard input is the lifeline: the parent holds its other end open for as long as the process is to live, and
     even SIGKILL of the parent ends it. `on_orphaned` is called first when that happens.
+    """
+    threading.Thread(target=_watch_parent, args=(on_orphaned,), name="lifeline", daemon=True).start()
+    run_alone(body)
+
+
+def run_alone(body: Callable[[], None]) -> NoReturn:
+    """Run `body` as the whole of this process; exit 0, 2 for a user's mistake, 1 for any other failure.
+
+    Who is alone, far from `up`, lives until the plant says END, a SIGTERM or a Ctrl-C.
     """
     logging.basicConfig(
         stream=sys.stderr,
@@ -29,13 +39,16 @@ def run_child(body: Callable[[], None], on_orphaned: Callable[[], None] = lambda
         format="%(asctime)s.%(msecs)03d %(name)s: %(message)s",
         datefmt="%H:%M:%S",
     )
-    threading.Thread(target=_watch_parent, args=(on_orphaned,), name="lifeline", daemon=True).start()
+    # The first process of a container has no default for this signal: it would ignore it.
+    signal.signal(signal.SIGTERM, lambda *_: _leave(128 + signal.SIGTERM))
     code = 0
     try:
         body()
     except HedgerowError as error:
         code = USER_ERROR if isinstance(error, UserError) else 1
         print(f"{ERROR_PREFIX}{error}", file=sys.stderr)
+    except KeyboardInterrupt:
+        code = 128 + signal.SIGINT
     except Exception as error:
         code = 1
         logging.exception("unexpected")

@@ -31,7 +31,7 @@ def control(command: str) -> str:
 
 
 def alive(name: str, life: int | str = 0) -> str:
-    """The liveliness token of a process that is ready; who is started again says so in its next life."""
+    """The liveliness token of a process that is ready; who is started again says so in its next life, `*` for any."""
     return f"alive/{name}/{life}"
 
 

@@ -1,0 +1,60 @@
+"""Settings as TOML, which people can read and every Python can: the form in which a process is told things far away."""
+
+from __future__ import annotations
+
+import json
+import re
+import tomllib
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from topologies.errors import UserError
+
+_BARE = re.compile(r"[A-Za-z0-9_-]+")
+
+
+def dumps(settings: Mapping[str, Any]) -> str:
+    """`settings` as TOML; numbers come back bit for bit, and what is None is left out.
+
+    Single values come first; a mapping becomes a table, and a list of mappings an array of tables, one level deep.
+    """
+    lines, tables = [], []
+    for key, value in settings.items():
+        if isinstance(value, Mapping):
+            tables += ["", f"[{_key(key)}]", *_lines(value)]
+        elif _is_list(value) and value and all(isinstance(one, Mapping) for one in value):
+            for one in value:
+                tables += ["", f"[[{_key(key)}]]", *_lines(one)]
+        else:
+            lines += _lines({key: value})
+    return "\n".join([*lines, *tables]) + "\n"
+
+
+def loads(text: str, source: str) -> dict[str, Any]:
+    """The settings in a text; UserError, which names its `source`, where it is not TOML."""
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise UserError(f"{source}: is not TOML: {error}; take the file that `orchestrator bundle` wrote") from None
+
+
+def _lines(settings: Mapping[str, Any]) -> list[str]:
+    return [f"{_key(key)} = {_value(value)}" for key, value in settings.items() if value is not None]
+
+
+def _is_list(value: Any) -> bool:
+    return isinstance(value, Sequence) and not isinstance(value, str)
+
+
+def _key(key: str) -> str:
+    return key if _BARE.fullmatch(key) else json.dumps(key)
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(_lines(value)) + "}"
+    if _is_list(value):
+        return "[" + ", ".join(map(_value, value)) + "]"
+    if isinstance(value, float):
+        return repr(value)  # nan and inf are TOML, too
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

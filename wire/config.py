@@ -1,0 +1,56 @@
+"""What a process that nobody forked is told: one TOML text, in a file or in an environment variable."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from topologies import toml
+from topologies.errors import UserError
+
+VARIABLE = "HEDGEROW_CONFIG"
+"""The environment variable that holds the text itself, for containers."""
+
+
+@dataclass(frozen=True)
+class Config:
+    """Where a process belongs, and what it is told."""
+
+    process: str
+    """`plant`, `agent-3` or `shard-0`"""
+    namespace: str
+    """the Zenoh namespace of the run"""
+    router: str
+    """a Zenoh endpoint"""
+    network: str
+    """the fingerprint of the network, the same in all its processes"""
+    told: dict[str, Any]
+    """agents.view.View or plant.truth.Truth, as its `to_dict` writes it"""
+
+    def to_toml(self) -> str:
+        """The text that `parse` reads."""
+        return toml.dumps({key: value for key, value in asdict(self).items() if key != "told"} | self.told)
+
+    @classmethod
+    def parse(cls, text: str, source: str) -> Config:
+        """The config in a text; UserError, which names its `source`, where something is missing."""
+        told = toml.loads(text, source)
+        head = {key: told.pop(key, None) for key in ("process", "namespace", "router", "network")}
+        missing = [key for key, value in head.items() if not isinstance(value, str)]
+        if missing:
+            raise UserError(f"{source}: does not say {', '.join(missing)}; take what `orchestrator bundle` wrote")
+        return cls(**head, told=told)
+
+
+def find(path: Path | None, otherwise: str) -> Config:
+    """The config in a file, else in the environment, else in the file `otherwise`; UserError if there is none."""
+    if path is None and (text := os.environ.get(VARIABLE)):
+        return Config.parse(text, VARIABLE)
+    path = path or Path(otherwise)
+    try:
+        return Config.parse(path.read_text(encoding="utf-8"), str(path))
+    except (OSError, UnicodeDecodeError) as error:
+        why = getattr(error, "strerror", None) or "is not a text"
+        raise UserError(f"{path}: {why}; `orchestrator bundle` writes it, --config says where it is") from None
