@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -21,6 +22,7 @@ Namespace = Annotated[str | None, typer.Option(metavar="KEY", help="where all me
 def register(app: typer.Typer) -> None:
     """Add the commands."""
     app.command()(bundle)
+    app.command()(compose)
 
 
 def bundle(
@@ -53,4 +55,39 @@ def bundle(
     except OSError as error:
         raise UserError(f"--out {out}: {error.strerror}; choose another folder") from None
     print(f"{out}: {len(told)} processes; {out / 'README.md'} says how to start them")
+    return 0
+
+
+class Format(StrEnum):
+    """What runs the containers."""
+
+    COMPOSE = "compose"
+    KUBERNETES = "kubernetes"
+
+
+def compose(
+    file: File,
+    form: Annotated[Format, typer.Option("--format", help="for Docker, or for Kubernetes")] = Format.COMPOSE,
+    rate: Annotated[float, typer.Option(metavar="R", help="steps per second, 0 for as fast as possible")] = 10.0,
+    namespace: Namespace = None,
+    processes: Processes = None,
+    steps: Steps = None,
+    seed: Seed = None,
+    law: Law = None,
+    sets: Sets = None,
+) -> int:
+    """Print a Compose file, or Kubernetes manifests, that run a network in containers."""
+    from orchestrator import compose as made  # noqa: PLC0415
+    from orchestrator.assign import layout  # noqa: PLC0415
+    from orchestrator.cli import read  # noqa: PLC0415
+    from orchestrator.external import namespace_of  # noqa: PLC0415
+
+    if rate < 0:
+        raise UserError("--rate must not be negative")
+    topology = read(file, sets, steps=steps, seed=seed, law=law, processes=processes)
+    shards = layout(topology, topology.processes)
+    docker = form is Format.COMPOSE
+    most = made.MOST_BYTES if docker else made.MOST_MAP_BYTES
+    one = made.containers(topology, shards, namespace or namespace_of(topology), rate, most)
+    print(made.compose(one) if docker else made.kubernetes(one), end="")
     return 0

@@ -136,7 +136,8 @@ class Network:
 
     def _serve(self, viewer: Viewer, interrupts: Interrupts) -> None:
         """Keep a web page up until Ctrl-C, where somebody can press that."""
-        if viewer.link is not None and self._screen.interactive and not interrupts.count:
+        stays = self._screen.interactive or viewer.door is not None
+        if viewer.link is not None and stays and not interrupts.count:
             self._screen.say(f"{viewer.link} stays until Ctrl-C")
             self._wake.clear()
             while not interrupts.count:

@@ -3,10 +3,11 @@
     native    a window of its own, which stays open after the run
     web       a page, served until the run has ended
     auto      native where there is a display, else none
+    http://HOST:PORT    the same page on one port of that address, 0.0.0.0 for all, until Ctrl-C: for containers
     none      nothing live
     rerun+http://HOST:PORT/proxy    a viewer that somebody else starts, now or later
 
-Whatever is started here listens on loopback only. A started viewer counts as listening only when the port is in
+Whatever else is started here listens on loopback only. A started viewer counts as listening only when the port is in
 the hands of its own process: a second `rerun` on a busy port would hand all data to whoever holds the port.
 """
 
@@ -50,6 +51,8 @@ class Viewer:
     """what to open in a browser, for a viewer that is a page"""
     process: subprocess.Popen[bytes] | None = None
     """the viewer's own process; None if somebody else starts it"""
+    door: subprocess.Popen[bytes] | None = None
+    """the process that puts a page on one port, where that was asked for"""
 
     @property
     def gone(self) -> bool:
@@ -93,8 +96,10 @@ class Viewer:
     def end(self) -> None:
         """Stop the server behind a page; a native viewer lives on until its window is closed."""
         if self.process is not None and self.link is not None:
-            self.process.terminate()
-            self.process.wait()
+            for process in (self.process, self.door):
+                if process is not None:
+                    process.terminate()
+                    process.wait()
 
 
 def choose(asked: str) -> str:
@@ -112,12 +117,12 @@ def choose(asked: str) -> str:
             )
         case "native" | "web" | "none":
             return asked
-        case _ if _is_address(asked):
+        case _ if _is_address(asked) or _is_page(asked):
             return asked
         case _:
             raise UserError(
                 f"--viewer {asked}: is none of auto, native, web, none and no viewer's address;"
-                " an address is written rerun+http://HOST:PORT/proxy"
+                " an address is written rerun+http://HOST:PORT/proxy, and http://HOST:PORT serves a page there"
             )
 
 
@@ -143,6 +148,8 @@ def start(choice: str, memory: str = NATIVE_MEMORY, server_memory: str = SERVER_
             return native(memory=memory)
         case "web":
             return _web(server_memory)
+        case _ if _is_page(choice):
+            return _published(choice, server_memory)
         case _:
             return Viewer(choice)
 
@@ -163,6 +170,14 @@ def _is_address(asked: str) -> bool:
         return False
 
 
+def _is_page(asked: str) -> bool:
+    try:
+        parts = urlsplit(asked)
+        return parts.scheme == "http" and parts.path in ("", "/") and bool(parts.hostname and parts.port)
+    except ValueError:
+        return False
+
+
 def native(*options: str, port: int | None = None, memory: str = NATIVE_MEMORY) -> Viewer:
     """A viewer in a window of its own, at a free port; `options` are more of rerun's, such as --headless for none."""
     port = _free_port() if port is None else port
@@ -176,6 +191,24 @@ def _web(memory: str) -> Viewer:
     # The colours of the network's picture are those of the dark theme; a browser would choose by its own.
     link = f"http://{LOOPBACK}:{page}/?url={quote(_url(port), safe='')}&theme=dark"
     return Viewer(_url(port), link, process)
+
+
+def _published(address: str, memory: str) -> Viewer:
+    """The page and its data on one port (orchestrator.one_port), which others than we can reach."""
+    port, page, parts = _free_port(), _free_port(), urlsplit(address)
+    process = _begin(
+        *("--port", str(port), "--web-viewer-port", str(page), "--serve-web"),
+        server_memory=memory,
+        first=_end_with_parent,
+    )
+    host, outside = str(parts.hostname), int(parts.port or 0)
+    door = subprocess.Popen(
+        [sys.executable, "-P", "-m", "orchestrator.one_port", *map(str, (host, outside, port, page))],
+        stdin=subprocess.DEVNULL,
+        start_new_session=True,
+        preexec_fn=_end_with_parent,  # noqa: PLW1509 (system calls, no lock)
+    )
+    return Viewer(_url(port), f"http://{'localhost' if host == '0.0.0.0' else host}:{outside}", process, door)
 
 
 def _url(port: int) -> str:

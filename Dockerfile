@@ -1,0 +1,35 @@
+# Two images from one file: `agent` for agents and the plant, with numpy and Zenoh alone, and `orchestrator` with all.
+#   docker build --target agent -t hedgerow-agent . && docker build --target orchestrator -t hedgerow .
+FROM python:3.12.11-slim-bookworm AS base
+ENV PYTHONUNBUFFERED=1 PYTHONDONTWRITEBYTECODE=1
+RUN useradd --create-home --uid 10001 hedgerow
+
+FROM base AS build
+WORKDIR /src
+COPY pyproject.toml README.md LICENSE ./
+COPY topologies topologies
+COPY wire wire
+COPY agents agents
+COPY plant plant
+COPY orchestrator orchestrator
+RUN pip wheel --no-cache-dir --no-deps --wheel-dir /wheels .
+# Without pip in them: what runs has nothing that installs or builds.
+RUN python -m venv --without-pip /opt/agent && python -m venv --without-pip /opt/orchestrator
+RUN pip --python /opt/agent/bin/python install --no-cache-dir "$(echo /wheels/hedgerow-*.whl)[agent]"
+RUN pip --python /opt/orchestrator/bin/python install --no-cache-dir "$(echo /wheels/hedgerow-*.whl)[orchestrator]"
+
+FROM base AS agent
+COPY --from=build /opt/agent /opt/agent
+ENV PATH=/opt/agent/bin:$PATH
+USER hedgerow
+WORKDIR /home/hedgerow
+CMD ["agent"]
+
+FROM base AS orchestrator
+COPY --from=build /opt/orchestrator /opt/orchestrator
+ENV PATH=/opt/orchestrator/bin:$PATH
+USER hedgerow
+WORKDIR /home/hedgerow
+# A new volume takes its owner from here.
+RUN mkdir runs
+CMD ["orchestrator", "--help"]
