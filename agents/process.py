@@ -75,7 +75,9 @@ class Begin:
 class Agent:
     """One shard's process, from the first state message to the end."""
 
-    def __init__(self, view: View, namespace: str, endpoint: str, begin: Begin, credentials: Path | None = None) -> None:
+    def __init__(
+        self, view: View, namespace: str, endpoint: str, begin: Begin, credentials: Path | None = None
+    ) -> None:
         self.shard = Shard(view)
         self.peers = [peer.shard for peer in view.peers]
         self._pending: State | None = None

@@ -92,8 +92,7 @@ def chosen(
         )
     wanted = set(range(len(shards))) if "all" in words else {home[word] for word in words if word != keys.PLANT}
     plant = keys.PLANT in words
-    if topology.secure:
-        raise UserError("--external: who joins a secure network is not in its rules of access yet; use --open")
+    _refuse_secure(topology)
     if plant and router is None:
         raise UserError("--external plant: say where it is with --router, e.g. --router tcp/bench:7447")
     if plant and listen:
@@ -122,11 +121,21 @@ def local(endpoint: str) -> str:
 
 
 def configs(topology: Topology, shards: Layout, router: str, namespace: str) -> list[Config]:
-    """What each process is told, the plant first; see `orchestrator bundle`."""
+    """What each process is told, the plant first; see `orchestrator bundle`. Raises UserError for a secure network."""
+    _refuse_secure(topology)
     network = fingerprint(topology)
     told = {keys.PLANT: truth_of(topology, shards).to_dict()}
     told |= {process_name(view): view.to_dict() for view in views_of(topology, shards)}
     return [Config(name, namespace, router, network, one) for name, one in told.items()]
+
+
+def _refuse_secure(topology: Topology) -> None:
+    # The rules of access (wire.access) say nothing of control/join, and the texts carry no credentials.
+    if topology.secure:
+        raise UserError(
+            f"{topology.name}: a secure network cannot have processes that are started elsewhere yet;"
+            " give --set secure=false where the machines trust their network"
+        )
 
 
 class Meeting:

@@ -171,9 +171,7 @@ class Plant:
             with self.changed:
                 self._wait_for_agents()
             if not self.stopping:
-                wait_for_listeners(
-                    [self._telemetry, *(shard.state.publisher for shard in self.shards)], self._start_s
-                )
+                wait_for_listeners([self._telemetry, *(shard.state.publisher for shard in self.shards)], self._start_s)
             with self.changed:
                 LOG.info("all %d agents are ready", len(self.shards))
                 self.running = True
