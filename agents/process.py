@@ -23,6 +23,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NoReturn
 
+import zenoh
+
 from agents.shard import Shard
 from agents.view import View
 from wire import keys

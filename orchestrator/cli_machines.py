@@ -85,7 +85,7 @@ def compose(
     if rate < 0:
         raise UserError("--rate must not be negative")
     topology = read(file, sets, steps=steps, seed=seed, law=law, processes=processes)
-    shards = layout(topology, topology.processes)
+    shards = layout(topology, topology.process_count)
     docker = form is Format.COMPOSE
     most = made.MOST_BYTES if docker else made.MOST_MAP_BYTES
     one = made.containers(topology, shards, namespace or namespace_of(topology), rate, most)
