@@ -180,6 +180,8 @@ class Plant:
                 while self.running:
                     self.changed.wait(self._keep_time())
         finally:
+            with self.changed:
+                self.running = False  # whatever came between: nothing is told after the end
             self._end()
         if self._failure is not None:
             raise self._failure

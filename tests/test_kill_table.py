@@ -11,9 +11,9 @@ from tests.kill_table import BEGIN, CELLS, DOCUMENT, END, WHAT, WHEN, WHO, Cell,
 
 TRIED = [
     Cell("agent", signal.SIGKILL, "start"),
-    Cell("agent", signal.SIGINT, "middle"),
+    Cell("agent", signal.SIGTERM, "middle"),
     Cell("agent", signal.SIGSTOP, "end"),
-    Cell("plant", signal.SIGTERM, "middle"),
+    Cell("plant", signal.SIGINT, "middle"),
     Cell("plant", signal.SIGKILL, "end"),
     Cell("nursery", signal.SIGKILL, "middle"),
     Cell("up", signal.SIGKILL, "start"),

@@ -39,8 +39,9 @@ def run_alone(body: Callable[[], None]) -> NoReturn:
         format="%(asctime)s.%(msecs)03d %(name)s: %(message)s",
         datefmt="%H:%M:%S",
     )
-    # The first process of a container has no default for this signal: it would ignore it.
-    signal.signal(signal.SIGTERM, lambda *_: _leave(128 + signal.SIGTERM))
+    # Both end us at once, and not somewhere in a step. The first process of a container has no default for them.
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda caught, _: _leave(128 + caught))
     code = 0
     try:
         body()
