@@ -523,8 +523,7 @@ KINDS: dict[str, Callable[[int, Path], Files | Payloads | Planted]] = {
 def work(kind: str, seed: int, numbers: Sequence[int], scratch: Path) -> None:
     """Try these cases; says on standard output which it begins with, and what became of it."""
     resource.setrlimit(resource.RLIMIT_DATA, (MEMORY_BYTES, MEMORY_BYTES))
-    warnings.simplefilter("error")  # numpy's are a user's to see
-    warnings.filterwarnings("ignore", category=ResourceWarning)
+    warnings.simplefilter("ignore")  # numbers that overflow are what the file asked for
     out = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
 

@@ -207,7 +207,7 @@ class _Run:
     def _hurry(self) -> None:
         """What goes on need not go on for long."""
         events = self._folder / "events.jsonl"
-        self._wait_for(lambda: '"first_step"' in events.read_text(encoding="utf-8"), "its first step")
+        self._wait_for(lambda: events.exists() and '"first_step"' in events.read_text(encoding="utf-8"), "a step")
         start = json.loads(events.read_text(encoding="utf-8").splitlines()[0])
         entry = Entry("run", str(self._folder), self._up.pid, start["endpoint"], start["namespace"], 0.0)
         with contextlib.suppress(WireError), Live(entry) as live:

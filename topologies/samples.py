@@ -53,6 +53,6 @@ def columns(file: str, folder: Path, ids: Sequence[int | str]) -> dict[int | str
             except ValueError:
                 value = math.nan
             if not math.isfinite(value):
-                raise ValueError(f"{file}: row {number}, node {node}: {cell!r} is not a finite number")
+                raise ValueError(f"{file}: row {number}, node {node}: {cell[:40]!r} is not a finite number")
             table[node].append(value)
     return table
