@@ -81,7 +81,10 @@ def _q_dense(a: Array, b: float, graph: Graph) -> Array:
 def smallest_eigenpair(a: Array, b: float, graph: Graph) -> tuple[float, Array]:
     """lambda_min(Q) and its unit eigenvector, signed so that its sum is not negative."""
     if graph.n <= _DENSE:
-        values, vectors = np.linalg.eigh(_q_dense(a, b, graph))
+        try:
+            values, vectors = np.linalg.eigh(_q_dense(a, b, graph))
+        except np.linalg.LinAlgError as error:  # of numbers that no file of ours holds
+            raise HedgerowError(f"gamma*: Q has no eigenvalues that can be computed ({error}); mend a and b") from None
         value, vector = float(values[0]), vectors[:, 0]
     elif graph.n > FACTORED:
         value, vector = _lobpcg(a, b, graph)

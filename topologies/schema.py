@@ -31,6 +31,7 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from topologies.base import Model, Name, NodeId, NonNegative, Number, Truth, kind_of, number
+from topologies.effects import FOREVER
 from topologies.faults import Fault
 from topologies.generators import GraphRule
 from topologies.graph import Graph
@@ -128,7 +129,7 @@ class Impulse(Model):
     """w(at) = value, and 0 at every other step."""
 
     kind: Literal["impulse"] = "impulse"
-    at: Annotated[StrictInt, Field(ge=0)] = Field(description="the step that it strikes")
+    at: Annotated[StrictInt, Field(ge=0, le=FOREVER)] = Field(description="the step that it strikes")
     value: Value = Field(description="the disturbance at that step")
 
 

@@ -48,8 +48,6 @@ def run_alone(body: Callable[[], None]) -> NoReturn:
     except HedgerowError as error:
         code = USER_ERROR if isinstance(error, UserError) else 1
         print(f"{ERROR_PREFIX}{error}", file=sys.stderr)
-    except KeyboardInterrupt:
-        code = 128 + signal.SIGINT
     except Exception as error:
         code = 1
         logging.exception("unexpected")
