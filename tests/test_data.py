@@ -52,7 +52,7 @@ from tests.test_docs import ROOT, blocks, table
 from tests.test_faults import faulty
 from topologies.errors import HedgerowError, UserError
 from topologies.load import load
-from topologies.resolve import resolve
+from topologies.resolve import resolve, to_yaml
 from topologies.schema import Topology
 
 NAMED = """
@@ -524,7 +524,8 @@ def test_a_file_that_is_not_of_this_run_is_noticed(paper7: RecordedRun, here: Pa
     (paper7.folder / "topology.yaml").write_text(text.replace("b: 0.1", "b: 0.101"))
     with pytest.raises(HedgerowError, match=r"topology.yaml is not that of this telemetry"):
         load_run(paper7.folder).cost  # noqa: B018
-    (paper7.folder / "topology.yaml").write_text(ALONE.replace("[1]", "[1, 2, 3]"))
+    (here / "three.yaml").write_text(ALONE.replace("[1]", "[1, 2, 3]"))
+    (paper7.folder / "topology.yaml").write_text(to_yaml(resolve(load(str(here / "three.yaml")))))
     with pytest.raises(HedgerowError, match=r"217 rows are no whole steps of 3"):
         load_run(paper7.folder)
 
