@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 Job = Callable[[], None]
 
-WAITING = 8
+WAITING = 4
 """jobs that may wait; whoever hands over one more waits too"""
 NICE = 10
 """a tenth of the share of others, not nothing: whoever waits for Python's lock waits for this thread"""
