@@ -47,11 +47,13 @@ class Wiring:
 
     @property
     def files(self) -> list[Path]:
-        """What the socket is made of, and the folder that is made for it alone."""
-        if self.socket is None:
-            return []
-        files = [self.socket, Path(f"{self.socket}.lock")]
-        return files if self.socket_folder is None else [*files, self.socket_folder]
+        """What there is of the socket and of the credentials, in an order in which it can be removed."""
+        files = [] if self.socket is None else [self.socket, Path(f"{self.socket}.lock")]
+        if self.socket_folder is not None:
+            files.append(self.socket_folder)
+        if self.credentials is not None and self.listens:
+            files += [*sorted(self.credentials.rglob("*"), reverse=True), self.credentials]
+        return files
 
     @contextlib.contextmanager
     def laid(self, places: Sequence[Place]) -> Iterator[None]:

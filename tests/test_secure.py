@@ -12,6 +12,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
+import psutil
 import pytest
 from cryptography import x509
 
@@ -115,11 +116,14 @@ def test_a_killed_up_leaves_no_key(here: Path, network: Orchestrator) -> None:
 
 
 def test_whoever_looks_for_networks_removes_the_keys_of_dead_ones(here: Path, network: Orchestrator) -> None:
-    """`up` and the plant killed at once: nobody of the run is left to do it."""
+    """`up`, its nursery and the plant killed at once: nobody of the run is left to do it."""
     children = network.children
-    os.kill(children["plant"], signal.SIGSTOP)
+    last = (psutil.Process(children["plant"]).ppid(), children["plant"])
+    for pid in last:
+        os.kill(pid, signal.SIGSTOP)
     network.send(signal.SIGKILL)
-    os.kill(children["plant"], signal.SIGKILL)
+    for pid in last:
+        os.kill(pid, signal.SIGKILL)
     assert gone(children)
     assert secrets(here) != []
     assert orchestrator("ps").stdout == "no network is running\n"
