@@ -12,8 +12,8 @@ Job = Callable[[], None]
 
 WAITING = 4
 """jobs that may wait; whoever hands over one more waits too"""
-NICE = 10
-"""a tenth of the share of others, not nothing: whoever waits for Python's lock waits for this thread"""
+NICE = 3
+"""half of the share of others, not nothing: whoever waits for Python's lock waits for this thread"""
 
 
 class Aside:

@@ -373,7 +373,7 @@ def test_run_rrd_equals_the_tables(ending: str, split: tuple[str, ...]) -> None:
     ) as up:
         up.wait_for("running")
         if ending != "end":
-            up.wait_for_step(700)
+            up.wait_for_step(1500)  # Rerun has loaded by then
             up.send(signal.SIGINT if ending == "Ctrl-C" else signal.SIGKILL)
         up.wait()
     folder = Path("runs/latest").resolve()
