@@ -209,13 +209,13 @@ def _samples(
     began = time.monotonic()
     crash_at = began + CRASH_EVERY_S
     with Live(entry) as live:
-        victim = live.topology.ids[-1]
+        last = live.topology.process_count - 1
         while time.monotonic() - began < seconds and up.poll() is None:
             try:
                 step = int(live.status()["step"])
                 if crashes and time.monotonic() > crash_at:
                     crash_at += CRASH_EVERY_S
-                    live.fault.crash(victim, at=1, restart_after=CRASHED_STEPS)
+                    live.fault.crash(process=last, at=1, restart_after=CRASHED_STEPS)
             except WireError:  # it is over, or busy
                 step = -1
             if step >= 0:
