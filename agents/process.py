@@ -104,8 +104,8 @@ class Agent:
             for p, peer in enumerate(self.peers)
         ]
         self._ears.append(self._hear(keys.state(view.shard), self._take_state))
-        # Of a neighbour that is dead itself nobody listens: who comes back waits for the plant alone.
         self._life = life = begin.life(self._session)
+        # Of a neighbour that is dead itself nobody listens: who comes back waits for the plant alone.
         voices = [self._input] if life else [self._input, *self._links]
         wait_for_listeners([voice.publisher for voice in voices], begin.wait_s or LISTEN_TIMEOUT_S)
         self._token = self._session.liveliness().declare_token(keys.alive(keys.shard_name(view.shard), life))

@@ -7,7 +7,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -17,27 +16,12 @@ from typing import Any
 
 import pytest
 
+from tests.machines import ROUTER, command
 from tests.processes import Orchestrator, gone, orchestrator, parquet_bytes
 
 pytestmark = pytest.mark.slow
 
-ROUTER = """
-import signal, sys
-from wire.session import open_router
-with open_router(sys.argv[1]):
-    print("open", flush=True)
-    signal.pause()
-"""
 RUN = ("--viewer", "none", "--no-record", "--verify")
-
-
-def command(*words: str) -> None:
-    """Run a command of the system; its complaint is the reason to skip."""
-    if shutil.which(words[0]) is None:
-        pytest.skip(f"there is no {words[0]} here")
-    done = subprocess.run(words, capture_output=True, text=True, check=False)
-    if done.returncode:
-        pytest.skip(f"{' '.join(words)}: {done.stderr.strip()}")
 
 
 class Lab:
