@@ -2,6 +2,6 @@
 
 `topologies.load` reads a file, `topologies.schema` says what may stand in one, `topologies.faults` what may go
 wrong, `topologies.graph` and `topologies.hinf` are the mathematics. Nothing is imported here: an agent needs
-`topologies.errors` and `topologies.archive` alone, and the plant `topologies.effects` and `topologies.network`
-beside them.
+`topologies.errors`, `archive`, `graph`, `fast` (with numba, `kernels`) and `toml` alone, and the plant `effects`,
+`network` and `hinf` beside them.
 """

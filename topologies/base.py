@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from typing import Annotated, Any, Literal
 
@@ -18,6 +19,8 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
+from topologies.graph import LARGEST
+
 
 class Model(BaseModel):
     """Frozen, and closed to unknown keys."""
@@ -29,8 +32,8 @@ def number(value: Any) -> Any:
     """A number is an int or a float; text and booleans are not."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise PydanticCustomError("number", "expects a number")
-    if isinstance(value, int) and abs(value) >= 2**1023:
-        raise PydanticCustomError("finite_number", "is not a finite number")
+    if math.inf > abs(value) > LARGEST:
+        raise PydanticCustomError("huge", f"is beyond {LARGEST:g}")
     return value
 
 
@@ -63,7 +66,7 @@ NodeId = Annotated[
     Discriminator(lambda value: "name" if isinstance(value, str) else "id"),
     BeforeValidator(node_id),
 ]
-Truth = Annotated[
+TrueA = Annotated[
     Annotated[Number, Tag("number")] | Annotated[Literal["random"], Tag("word")],
     Discriminator(lambda value: "word" if isinstance(value, str) else "number"),
 ]

@@ -14,6 +14,18 @@ class UserError(HedgerowError):
     """A mistake that the user can mend; the command line ends with exit code 2 and no traceback."""
 
 
+MOST = 1e9
+"""of what an option counts in seconds, or in steps a second: what is to wait for longer is refused by the system"""
+
+
+def check_options(**given: float | None) -> None:
+    """Raise UserError for seconds that are not above 0, or a `rate` below 0, if they are given; NaN is neither."""
+    for name, value in given.items():
+        least = "from 0" if name == "rate" else "above 0"
+        if value is not None and (not 0 <= value <= MOST or (value == 0 and name != "rate")):
+            raise UserError(f"--{name} {value:g}: give a number {least}, and at most {MOST:g}")
+
+
 class DeadlineError(HedgerowError):
     """A wait that ran past its deadline; the text names who was waited for."""
 

@@ -34,7 +34,7 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
-from topologies.base import Model, NodeId, Truth, kind_of, number
+from topologies.base import Model, NodeId, TrueA, kind_of, number
 from topologies.effects import FOREVER, Effect
 from topologies.partition import partition
 
@@ -265,7 +265,7 @@ class Jump(FaultModel):
     kind: Literal["jump"] = "jump"
     node: Struck
     at: Step = Field(description="the first step of the new truth")
-    a: Truth = Field(description="the new truth, one of the candidates; or `random`: one that is not the old, drawn")
+    a: TrueA = Field(description="the new truth, one of the candidates; or `random`: one that is not the old, drawn")
 
     def effects(self, fault: int, at: Places) -> list[Effect]:
         assert isinstance(self.a, float), "resolving draws it"

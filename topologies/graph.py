@@ -16,6 +16,8 @@ Index = NDArray[np.int64]
 
 FEW = 32
 """so many numbers are summed faster without numpy"""
+LARGEST = 1e100
+"""of any number of a file: sums of squares of those that are no larger do not overflow"""
 
 
 def all_finite(values: Array) -> bool:
@@ -57,6 +59,10 @@ class Graph:
     def first(self) -> Index:
         """Where the incidences of each node begin, and behind them their number, (n + 1,)."""
         return starts(self.node, self.n)
+
+    def joins(self, i: int, j: int) -> bool:
+        """Whether an edge joins two nodes."""
+        return bool((self.neighbour[self.first[i] : self.first[i + 1]] == j).any())
 
     @cached_property
     def reverse(self) -> Index:

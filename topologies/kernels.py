@@ -11,14 +11,11 @@ from numba import float64, int64, njit, types, void
 
 from topologies.graph import Array, Index
 
-BLOCK = 1024
-"""nodes of which a second look finds everything in the first cache"""
-
 _READ = types.Array(float64, 1, "C", readonly=True)
 """what arrives in a message may not be written to"""
 _READ_ROWS = types.Array(float64, 2, "C", readonly=True)
 _INDEX = types.Array(int64, 1, "C", readonly=True)
-_WRITE, _WRITE_ROWS, _WRITE_INDEX = float64[::1], float64[:, ::1], int64[::1]
+_WRITE, _WRITE_ROWS = float64[::1], float64[:, ::1]
 
 
 @njit(_WRITE(_INDEX, _INDEX, _READ), cache=True)
@@ -54,45 +51,27 @@ def control(b: float, x: Array, ahat: Array) -> Array:
     return u
 
 
-@njit(void(_WRITE_ROWS, _READ_ROWS, float64, _READ, _READ, _READ, _WRITE_INDEX, _WRITE, _WRITE_ROWS), cache=True)
+@njit(void(_WRITE_ROWS, _READ_ROWS, float64, _READ, _READ, _READ, _WRITE, _WRITE), cache=True)
 def learn(
-    J: Array,
-    candidates: Array,
-    b: float,
-    x: Array,
-    flow: Array,
-    x_next: Array,
-    index: Index,
-    ahat: Array,
-    report: Array,
+    J: Array, candidates: Array, b: float, x: Array, flow: Array, x_next: Array, ahat: Array, margin: Array
 ) -> None:
     """Add (candidates * x - (x_next - b * flow)) ** 2, of which nothing is NaN, to J, equation (7), and choose anew.
 
-    Fills index = J.argmin(axis=0), ahat, which is that candidate, and the report: ahat, index and J_(2) - J_(1).
+    Fills ahat, the first candidate that minimises J, and the margin J_(2) - J_(1).
     """
     M, k = J.shape
-    margin = np.empty(BLOCK)
-    for start in range(0, k, BLOCK):
-        stop = min(start + BLOCK, k)
-        for i in range(start, stop):
-            y = x_next[i] - b * flow[i]
-            least = second = np.inf
-            best, estimate = 0, candidates[0, i]
-            for m in range(M):
-                candidate = candidates[m, i]
-                residual = candidate * x[i] - y
-                total = J[m, i] + residual * residual
-                J[m, i] = total
-                # Without a branch: it goes either way, and would be guessed wrong.
-                better = total < least
-                best = m if better else best
-                estimate = candidate if better else estimate
-                second = min(second, max(total, least))
-                least = min(least, total)
-            index[i] = best
-            ahat[i] = estimate
-            margin[i - start] = second - least if M > 1 else np.inf
-        for i in range(start, stop):
-            report[i, 0] = ahat[i]
-            report[i, 1] = index[i]
-            report[i, 2] = margin[i - start]
+    for i in range(k):
+        y = x_next[i] - b * flow[i]
+        least = second = np.inf
+        estimate = candidates[0, i]
+        for m in range(M):
+            candidate = candidates[m, i]
+            residual = candidate * x[i] - y
+            total = J[m, i] + residual * residual
+            J[m, i] = total
+            # Without a branch: it goes either way, and would be guessed wrong.
+            estimate = candidate if total < least else estimate
+            second = min(second, max(total, least))
+            least = min(least, total)
+        ahat[i] = estimate
+        margin[i] = second - least if M > 1 else np.inf

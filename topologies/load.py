@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import copy
 import difflib
+import functools
 import json
+import operator
+from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from importlib import resources
 from pathlib import Path as FilePath
@@ -14,13 +17,14 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from topologies import table
-from topologies.base import kind_of, node_id
+from topologies.base import Model, kind_of, node_id
 from topologies.errors import Problem, TopologyError, UserError
 from topologies.faults import KINDS, known_keys
 from topologies.generators import GENERATORS
+from topologies.graph import LARGEST
 from topologies.nodes import Edges, Nodes
 from topologies.rules import broken_rules
-from topologies.schema import Defaults, Node, Topology
+from topologies.schema import COMPONENTS, Defaults, Node, Record, Topology
 from topologies.source import MAX_BYTES, Path, Source, place_of, read_source
 
 _SHOWN = 60
@@ -122,6 +126,10 @@ def _override(source: Source, override: str) -> None:
     where, equals, text = override.partition("=")
     if not equals or not where:
         raise UserError(f"--set {override}: is not path=value; for example --set defaults.x0=5")
+    try:
+        override.encode()
+    except UnicodeEncodeError:
+        raise UserError(f"--set {override!a}: is not UTF-8 text; write it in UTF-8") from None
     value = read_source(f"--set {where}", text.encode()).value
     keys: list[Any] = [node_id(step) for step in where.split(".")]
     at = source.value
@@ -148,6 +156,10 @@ def _nodes_as_mapping(source: Source) -> None:
         return
     mapping: dict[Any, Any] = {}
     lines: dict[Path, int] = {}
+    inside: dict[Any, list[Path]] = defaultdict(list)
+    for path in source.lines:
+        if path[:1] == ("nodes",) and len(path) > 2:
+            inside[path[1]].append(path)
     for k, written in enumerate(nodes):
         line = source.line(("nodes", k if isinstance(nodes, list) else written))
         node = node_id(written)
@@ -164,8 +176,7 @@ def _nodes_as_mapping(source: Source) -> None:
             mapping[node] = {} if isinstance(nodes, list) else nodes[written]
             lines["nodes", node] = line
             if node != written:
-                inside = [path for path in source.lines if path[:2] == ("nodes", written)]
-                lines.update({(*path[:1], node, *path[2:]): source.lines[path] for path in inside if len(path) > 2})
+                lines.update({("nodes", node, *path[2:]): source.lines[path] for path in inside[written]})
     if isinstance(nodes, list):
         source.lines = {path: line for path, line in source.lines.items() if path[:1] != ("nodes",) or len(path) == 1}
     source.lines.update(lines)
@@ -247,6 +258,7 @@ def _problem(source: Source, details: ErrorDetails) -> Problem:
     context = details.get("ctx", {})
     what, cure = {
         "finite_number": ("is not a finite number", "write a finite number"),
+        "huge": (f"is beyond {LARGEST:g}, where sums of squares overflow", "choose a smaller one"),
         "greater_than": (f"is not above {context.get('gt', 0):g}", "choose a larger one"),
         "greater_than_equal": (f"is below {context.get('ge', 0):g}", "choose a larger one"),
         "less_than": (f"is not below {context.get('lt', 0):g}", "choose a smaller one"),
@@ -274,7 +286,7 @@ def _problem(source: Source, details: ErrorDetails) -> Problem:
 
 _ABOUT_VALUE = frozenset(
     (
-        *("finite_number", "greater_than", "greater_than_equal", "less_than", "less_than_equal"),
+        *("finite_number", "huge", "greater_than", "greater_than_equal", "less_than", "less_than_equal"),
         *("int_type", "number", "empty", "literal_error", "string_type", "too_short", "too_long"),
         *("tuple_type", "dict_type", "model_type", "bool_type", "window"),
     )
@@ -334,17 +346,24 @@ def _near(source: Source, path: Path) -> str:
 
 
 def _known_keys(source: Source, path: Path) -> list[str]:
-    if not path:
-        return known_keys(Topology)
-    if path == ("graph",):
-        kind = kind_of(source.value["graph"])
-        return known_keys(GENERATORS[kind]) if kind in GENERATORS else []
-    if path[0] == "faults" and len(path) == 2:
-        kind = kind_of(source.value["faults"][path[1]])
-        return known_keys(KINDS[kind]) if kind in KINDS else []
-    if len(path) <= 2 and path[0] in ("nodes", "defaults"):
-        return list((Defaults if path[0] == "defaults" else Node).model_fields)
-    return []
+    kind = kind_of(functools.reduce(operator.getitem, path, source.value)) or ""
+    model: type[Model] | None = None
+    match path:
+        case ():
+            model = Topology
+        case ("graph",):
+            model = GENERATORS.get(kind)
+        case ("record",):
+            model = Record
+        case ("faults", _):
+            model = KINDS.get(kind)
+        case ("defaults",):
+            model = Defaults
+        case ("nodes", _):
+            model = Node
+        case (*_, "disturbance") | (*_, "disturbance", _):
+            model = COMPONENTS.get(kind)
+    return known_keys(model) if model is not None else []
 
 
 def _shown(value: Any) -> str:

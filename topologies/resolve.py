@@ -26,7 +26,19 @@ from topologies.network import PARAMETERS, Group, Network
 from topologies.nodes import SPELLED_OUT, Edges, Nodes
 from topologies.rules import broken_faults
 from topologies.samples import columns
-from topologies.schema import PER_NODE, Defaults, Disturbance, Drawn, Node, Nothing, Samples, Topology, Uniform
+from topologies.schema import (
+    PER_NODE,
+    SAMPLED,
+    WHOLE,
+    Defaults,
+    Disturbance,
+    Drawn,
+    Node,
+    Nothing,
+    Samples,
+    Topology,
+    Uniform,
+)
 from topologies.source import FLOAT
 from topologies.table import Table
 
@@ -70,6 +82,8 @@ def resolve(topology: Topology, folder: Path = Path()) -> Topology:
     whole |= {"generator": None, "table": None, "defaults": Defaults(), "disturbance": None}
     if topology.processes == "auto" or (topology.processes is None and len(network.ids) > PER_NODE):
         whole["processes"] = topology.process_count
+    if topology.record.nodes is None and len(network.ids) > WHOLE:
+        whole["record"] = topology.record.model_copy(update={"nodes": SAMPLED})
     drawn = topology.model_copy(update=whole).of_network(network)
     if problems := broken_faults(drawn):
         raise TopologyError(topology.name, problems)

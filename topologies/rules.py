@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -35,6 +35,7 @@ def broken_rules(topology: Topology, source: Source, folder: FilePath) -> list[P
         *_nodes(topology, source),
         *_disturbances(topology, source, folder),
         *_processes(topology, source),
+        *_recorded(topology, source),
         *broken_faults(topology, source),
     ]
 
@@ -183,42 +184,61 @@ def _disturbances(topology: Topology, source: Source, folder: FilePath) -> Itera
             yield Problem(line, f"node {node}: disturbance", what, "remove one of the two")
     places: list[tuple[Path, Any, list[int | str]]] = [(("nodes", node), given, [node]) for node, given in own]
     if topology.defaults.disturbance is not None:
-        inherits = [node for node in topology.ids if node not in dict(own)]
+        theirs = dict(own)
+        inherits = [node for node in topology.ids if node not in theirs]
         places.append((("defaults",), topology.defaults.disturbance, inherits))
+
+    @cache  # every node may name the same file
+    def table(file: str) -> dict[int | str, list[float]] | str:
+        try:
+            return columns(file, folder, topology.ids)
+        except ValueError as error:
+            return str(error)
+
     for path, given, nodes in places:
         for part in given if isinstance(given, tuple) else (given,):
             if isinstance(part, Samples):
                 place = (*path, "disturbance")
-                for what, cure in _samples(part, nodes, topology, folder):
+                for what, cure in _samples(part, nodes, topology.steps, table):
                     yield Problem(source.line(place), place_of(place), what, cure)
 
 
-def _samples(part: Samples, nodes: list[int | str], topology: Topology, folder: FilePath) -> Iterator[tuple[str, str]]:
+def _samples(
+    part: Samples, nodes: list[int | str], steps: int, read: Callable[[str], dict[int | str, list[float]] | str]
+) -> Iterator[tuple[str, str]]:
     if part.values is not None:
-        yield from _long_enough({len(part.values)}, topology.steps)
+        yield from _long_enough(len(part.values), steps)
     elif part.file is not None:
-        try:
-            table = columns(part.file, folder, topology.ids)
-        except ValueError as error:
-            yield str(error), "one column a node, numbers only"
+        table = read(part.file)
+        if isinstance(table, str):
+            yield table, "one column a node, numbers only"
             return
         if missing := [node for node in nodes if node not in table]:
             yield (
                 f"{part.file} has no column for {', '.join(map(str, missing[:8]))}",
                 "name the columns by node ids in its first row",
             )
-        yield from _long_enough({len(column) for column in table.values()}, topology.steps)
+        yield from _long_enough(len(next(iter(table.values()))), steps)
 
 
-def _long_enough(lengths: set[int], steps: int) -> Iterator[tuple[str, str]]:
-    if short := [n for n in lengths if n < steps]:
-        yield f"{min(short)} samples are too few for {steps} steps", "add samples or lower `steps:`"
+def _long_enough(samples: int, steps: int) -> Iterator[tuple[str, str]]:
+    if samples < steps:
+        yield f"{samples} samples are too few for {steps} steps", "add samples or lower `steps:`"
 
 
 def _processes(topology: Topology, source: Source) -> Iterator[Problem]:
     if (n := len(topology.ids)) < topology.process_count:
         what = f"{topology.processes} are too many for {n} nodes"
         yield Problem(source.line(("processes",)), "processes", what, f"give at most {n}")
+
+
+def _recorded(topology: Topology, source: Source) -> Iterator[Problem]:
+    listed = topology.record.nodes
+    for k, node in enumerate(listed if isinstance(listed, tuple) else ()):
+        path = ("record", "nodes", k)
+        if not topology.has(node):
+            cure = f"the nodes are {_listed(topology.ids)}"
+            yield Problem(source.line(path), place_of(path), f"{node!r} is no node", cure)
 
 
 def broken_faults(topology: Topology, source: Source | None = None) -> list[Problem]:

@@ -7,6 +7,8 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
+from topologies.graph import LARGEST
+
 MAX_BYTES = 512 * 2**20
 
 
@@ -16,7 +18,7 @@ def beside(folder: Path, file: str) -> Path:
     if not path.resolve().is_relative_to(folder.resolve()):
         raise ValueError(f"{file} lies outside the topology's own folder")
     if not path.is_file():
-        raise ValueError(f"{file}: no such file in {folder}")
+        raise ValueError(f"{file}: no such file in {folder}, where the topology file is")
     return path
 
 
@@ -52,7 +54,8 @@ def columns(file: str, folder: Path, ids: Sequence[int | str]) -> dict[int | str
                 value = float(cell)
             except ValueError:
                 value = math.nan
-            if not math.isfinite(value):
-                raise ValueError(f"{file}: row {number}, node {node}: {cell[:40]!r} is not a finite number")
+            if not abs(value) <= LARGEST:
+                what = f"beyond {LARGEST:g}" if math.isfinite(value) else "not a finite number"
+                raise ValueError(f"{file}: row {number}, node {node}: {cell[:40]!r} is {what}")
             table[node].append(value)
     return table

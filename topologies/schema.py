@@ -30,11 +30,11 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
-from topologies.base import Model, Name, NodeId, NonNegative, Number, Truth, kind_of, number
+from topologies.base import Model, Name, NodeId, NonNegative, Number, TrueA, kind_of, number
 from topologies.effects import FOREVER
 from topologies.faults import Fault
 from topologies.generators import GraphRule
-from topologies.graph import Graph
+from topologies.graph import LARGEST, Graph
 from topologies.network import Network, groups_of, padded
 from topologies.table import Table
 
@@ -196,7 +196,7 @@ class WorstCase(Model):
 class Node(Model):
     """What one node overrides of the defaults; in a resolved file, all of it."""
 
-    a: Truth | None = Field(
+    a: TrueA | None = Field(
         None,
         description="the true a_i of (1), one of the candidates; or `random`: one of them, drawn",
     )
@@ -240,7 +240,45 @@ Processes = Annotated[
     Discriminator(lambda value: "word" if isinstance(value, str) else "number"),
     BeforeValidator(_process_count),
 ]
-_ASIDE = {"name", "law", "faults", "backfill", "history", "processes", "secure"}
+EVERY_NODE = "all"
+WHOLE = 10_000
+"""Up to so many nodes all have rows, unless the file says otherwise."""
+SAMPLED = 1_000
+"""Of more nodes, so many have."""
+
+
+def _all_nodes(value: Any) -> Any:
+    if isinstance(value, str) and value != EVERY_NODE:
+        raise PydanticCustomError("recorded", "is neither `all`, nor how many, nor a list of node ids")
+    return value
+
+
+class Record(Model):
+    """What of a run is written down; metrics, checks and the verdict are of all nodes and steps in any case."""
+
+    every: Steps = Field(1, description="nodes and edges have rows at every so manieth step, and at the last")
+    nodes: (
+        Annotated[
+            Annotated[Annotated[StrictInt, Field(ge=0)], Tag("number")]
+            | Annotated[tuple[NodeId, ...], Tag("list")]
+            | Annotated[Literal["all"], Tag("word")],
+            Discriminator(
+                lambda value: (
+                    "word" if isinstance(value, str) else "list" if isinstance(value, list | tuple) else "number"
+                )
+            ),
+            BeforeValidator(_all_nodes),
+        ]
+        | None
+    ) = Field(
+        None,
+        description="which nodes have rows, and with them their edges: a list of ids; so many, evenly spread over the"
+        " order of the file; or `all`. If absent, all of up to 10,000 nodes, and 1000 of more",
+    )
+    summary: StrictBool = Field(True, description="one row a step of what is true of the whole network")
+
+
+_ASIDE = {"name", "law", "faults", "backfill", "history", "processes", "secure", "record"}
 """What of a topology its columns do not depend on."""
 
 
@@ -250,7 +288,7 @@ class Topology(Model):
     model_config = ConfigDict(json_schema_extra={"anyOf": [{"required": [key]} for key in ("nodes", "graph", "table")]})
 
     name: Name = Field(description="names the run")
-    b: Annotated[float, Field(gt=0, lt=1e100), BeforeValidator(number)] = Field(description="the gain b of (1)")
+    b: Annotated[float, Field(gt=0, lt=LARGEST), BeforeValidator(number)] = Field(description="the gain b of (1)")
     steps: Steps = Field(description="T: inputs act at t = 0 .. T-1, states are recorded at t = 0 .. T")
     seed: Annotated[StrictInt, Field(ge=0, lt=2**63)] = Field(0, description="all that is random is drawn from it")
     law: Annotated[
@@ -291,6 +329,7 @@ class Topology(Model):
         description="agent processes that share the nodes; or `per-node`; or `auto`, one a core. "
         "If absent, `per-node` up to 64 nodes and `auto` beyond",
     )
+    record: Record = Field(Record(), description="what of a run is written down, where all of it would be too much")
     _table: Table | None = PrivateAttr(None)
     """what stands in the file of `table:`"""
 

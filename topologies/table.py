@@ -1,6 +1,6 @@
 """Columns of a network in a .npz file: what a resolved file of many nodes leaves to it, or what users bring.
 
-    edges        (E, 2) pairs of positions of nodes, or of ids where there are `ids`: the only one that must be there
+    edges        (E, 2) pairs of positions of nodes, from 0, also where there are `ids`: the only one that must be there
     ids          (n,) whole numbers or texts; 0 .. n-1 if absent
     a, x0, nominal    (n,)
     candidates   (n, M), NaN behind the end of a shorter list
@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from topologies import archive
 from topologies.errors import UserError
-from topologies.graph import Array, Graph, Index
+from topologies.graph import LARGEST, Array, Graph, Index
 from topologies.hinf import condition_holds
 from topologies.network import PARAMETERS, Group, Network
 from topologies.samples import beside
@@ -167,8 +167,8 @@ def _floats(name: str, found: NDArray[Any], shape: tuple[int, ...]) -> Array:
     if found.shape != shape or found.dtype.kind not in "fiu":
         raise ValueError(f"`{name}` has the shape {found.shape} of {found.dtype}, not {shape} of numbers")
     numbers = found.astype(np.float64)
-    if not np.isfinite(numbers).all():
-        raise ValueError(f"`{name}` holds a number that is not finite, in row {int((~np.isfinite(numbers)).argmax())}")
+    if not (fits := np.abs(numbers) <= LARGEST).all():
+        raise ValueError(f"`{name}` holds a number that is not finite, or beyond {LARGEST:g}, in row {fits.argmin()}")
     return numbers
 
 
@@ -177,8 +177,8 @@ def _candidates(found: NDArray[Any], n: int) -> Array:
         raise ValueError(f"`candidates` has the shape {found.shape} of {found.dtype}, not ({n}, M) of numbers")
     numbers = np.ascontiguousarray(found.T, dtype=np.float64)
     none = np.isnan(numbers)
-    if np.isinf(numbers).any() or none[0].any() or (none[:-1] & ~none[1:]).any():
-        raise ValueError("`candidates` has a list that is empty, infinite, or goes on behind a NaN")
+    if (np.abs(numbers) > LARGEST).any() or none[0].any() or (none[:-1] & ~none[1:]).any():
+        raise ValueError("`candidates` has a list that is empty, too large, or goes on behind a NaN")
     return numbers
 
 
