@@ -6,7 +6,7 @@ RUN useradd --create-home --uid 10001 hedgerow
 
 FROM base AS build
 WORKDIR /src
-COPY pyproject.toml README.md LICENSE ./
+COPY pyproject.toml README.md LICENSE constraints.txt ./
 COPY topologies topologies
 COPY wire wire
 COPY agents agents
@@ -15,8 +15,8 @@ COPY orchestrator orchestrator
 RUN pip wheel --no-cache-dir --no-deps --wheel-dir /wheels .
 # Without pip in them: what runs has nothing that installs or builds.
 RUN python -m venv --without-pip /opt/agent && python -m venv --without-pip /opt/orchestrator
-RUN pip --python /opt/agent/bin/python install --no-cache-dir "$(echo /wheels/hedgerow-*.whl)[agent]"
-RUN pip --python /opt/orchestrator/bin/python install --no-cache-dir "$(echo /wheels/hedgerow-*.whl)[orchestrator]"
+RUN pip --python /opt/agent/bin/python install --no-cache-dir -c constraints.txt "$(echo /wheels/hedgerow-*.whl)[agent]"
+RUN pip --python /opt/orchestrator/bin/python install --no-cache-dir -c constraints.txt "$(echo /wheels/hedgerow-*.whl)[orchestrator]"
 
 FROM base AS agent
 COPY --from=build /opt/agent /opt/agent
@@ -30,6 +30,6 @@ COPY --from=build /opt/orchestrator /opt/orchestrator
 ENV PATH=/opt/orchestrator/bin:$PATH
 USER hedgerow
 WORKDIR /home/hedgerow
-# A new volume takes its owner from here.
-RUN mkdir runs
+# A new volume takes its owner and mode from here; in a secure network everybody runs as who made the keys.
+RUN mkdir runs && chmod 777 runs && chmod 755 .
 CMD ["orchestrator", "--help"]

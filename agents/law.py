@@ -37,7 +37,7 @@ class Law(Protocol):
         """Take in the sample of one past step: x(t), f(t) and x(t + 1), (k,); where f is NaN there is none."""
 
     def report(self) -> Array:
-        """What the nodes say of themselves, (k, 3): ahat, its index, J_(2) - J_(1); NaN for what there is not."""
+        """What the nodes say of themselves, (2, k): ahat and J_(2) - J_(1); NaN for what there is not."""
 
     memory: Array
     """All that was learned, (..., k), a node a column. To put back a copy is to unlearn what came since: so a sample
@@ -74,7 +74,8 @@ class Minimax:
         self.J = np.where(none, np.inf, 0.0)
         """J_m,i(t), (M, k); infinite where a node has fewer candidates than the longest list, so that it never wins."""
         self._nodes = np.arange(k)
-        self._report = np.full((k, 3), np.inf)
+        self._report = np.full((2, k), np.inf)
+        self.ahat, self.margin = self._report
         self._choose()
 
     @property
@@ -89,12 +90,10 @@ class Minimax:
 
     def _choose(self) -> None:
         # argmin takes the first of equals: ties go to the candidate that is listed first.
-        self.index = self.J.argmin(axis=0)
-        self.ahat = self.candidates[self.index, self._nodes]
+        self.ahat[:] = self.candidates[self.J.argmin(axis=0), self._nodes]
         if len(self.J) > 1:
             least, second = two_smallest(self.J)
-            np.subtract(second, least, out=self._report[:, 2])
-        self._report[:, 0], self._report[:, 1] = self.ahat, self.index
+            np.subtract(second, least, out=self.margin)
 
     def act(self, x: Array) -> Array:
         """Equation (6)."""
@@ -104,7 +103,7 @@ class Minimax:
         """Equation (7), one sample further; a node whose flow is unknown (NaN) skips it."""
         whole = all_finite(flow)
         if whole and (kernels := kernels_for(len(flow))) is not None:
-            kernels.learn(self.J, self.candidates, self.b, x, flow, x_next, self.index, self.ahat, self._report)
+            kernels.learn(self.J, self.candidates, self.b, x, flow, x_next, self.ahat, self.margin)
             return
         residual = self.candidates * x
         residual -= x_next - self.b * flow
@@ -118,5 +117,5 @@ class Minimax:
         self._choose()
 
     def report(self) -> Array:
-        """The estimate ahat, its index, and the margin J_(2) - J_(1), infinite without a rival."""
+        """The estimate ahat, and the margin J_(2) - J_(1), infinite without a rival."""
         return self._report

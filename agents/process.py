@@ -4,8 +4,8 @@ The work is done where messages arrive, on the network thread; the main thread o
 that a step costs no change of threads. A step begins with the state message of t and needs the link messages of
 t - 1 from every peer whose link was up; whichever comes last sets it off.
 
-To say something long takes until it is read. So where messages are long, the network thread only takes them in, and the
-main thread does the work: or two processes that say something long would wait to be heard, and neither would hear.
+To say something long takes until it is read. So what is long is said on the main thread: or two processes that say
+something long would wait to be heard, and neither would hear.
 """
 
 from __future__ import annotations
@@ -21,16 +21,17 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NoReturn
+from typing import NamedTuple, NoReturn
 
 import zenoh
 
 from agents.shard import Shard
 from agents.view import View
 from wire import keys
+from wire.access import MOST_PER_S
 from wire.child import run_child
 from wire.codec import (
-    REPORT_WIDTH,
+    REPORT_ROWS,
     Kind,
     MessageError,
     State,
@@ -43,11 +44,12 @@ from wire.codec import (
     encode_link,
     kind_of,
 )
+from wire.credentials import Credentials
+from wire.runtime import LONG_BYTES, keep_memory, one_network_thread
 from wire.session import (
     CONNECT_TIMEOUT_S,
     LISTEN_TIMEOUT_S,
     Ear,
-    Mail,
     Voice,
     close,
     counts,
@@ -58,18 +60,27 @@ from wire.session import (
 LOG = logging.getLogger("agent")
 NO_STEP = 2**62
 """The step of an input that is none."""
+PAUSE_S = 20 / MOST_PER_S
+"""How long before its last word nothing is said: a secure router drops what comes on the heels of another."""
 PATIENCE_S = 1.0
 """How long a step may take before the log says what it waits for."""
-LONG_BYTES = 2**14
-"""A message that Zenoh may not take at once: what waits to be sent has room for a few of 64 kB."""
+
+
+class Joined(NamedTuple):
+    """A shard's place in a run."""
+
+    life: int
+    """how often it was taken before; -1 while it is not ours"""
+    plant: int = -1
+    """the number of the plant that gave it; -1 if none was asked"""
 
 
 @dataclass(frozen=True)
 class Begin:
     """How a shard begins."""
 
-    life: Callable[[zenoh.Session], int]
-    """how often it was started before"""
+    join: Callable[[zenoh.Session], Joined]
+    """takes its place; to ask twice is to take it once"""
     wait_s: float | None = None
     """how long it waits for the router and for the others, if not as long as among processes that `up` starts"""
 
@@ -78,37 +89,67 @@ class Agent:
     """One shard's process, from the first state message to the end."""
 
     def __init__(
-        self, view: View, namespace: str, endpoint: str, begin: Begin, credentials: Path | None = None
+        self, view: View, namespace: str, endpoint: str, begin: Begin, credentials: Credentials | Path | None = None
     ) -> None:
-        self.shard = Shard(view)
+        self._view, self.shard = view, Shard(view)
         self.peers = [peer.shard for peer in view.peers]
         self._pending: State | None = None
         self._since = time.monotonic()
         self._said: deque[list[tuple[Voice, bytes]]] = deque(maxlen=2)
         """What went out in the last two steps: a neighbour may still need the one before the last."""
+        self._repeated = 0
+        """how often any of it was said again"""
         self._lock = threading.Lock()
-        self._mail: Mail | None = None
-        """what the main thread is to take, where messages are long"""
-        if 8 * (1 + REPORT_WIDTH) * self.shard.k + self.shard.m > LONG_BYTES:
-            self._mail = Mail()
+        self._later: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        """what the main thread is to say"""
+        self._unsaid = 0
+        """how much of that is not said yet"""
+        if 8 * (1 + REPORT_ROWS) * self.shard.k + self.shard.m > LONG_BYTES:
+            keep_memory()
+        else:
+            one_network_thread()
         self._ended = threading.Event()
         self._failure: Exception | None = None
         self._over = False
         """the plant has said END, and we our last word"""
 
-        self._session = open_client(endpoint, namespace, credentials, begin.wait_s or CONNECT_TIMEOUT_S)
-        self._input = Voice(self._session, keys.input_(view.shard))
-        self._links = [Voice(self._session, keys.link(view.shard, peer)) for peer in self.peers]
+        self.joined = Joined(-1)
+        """until it is ours nothing is heard: another may have the place"""
+
+        self.session = open_client(endpoint, namespace, credentials, begin.wait_s or CONNECT_TIMEOUT_S)
+        try:
+            self._join(begin)
+        except BaseException:
+            close(self.session)
+            raise
+
+    def _join(self, begin: Begin) -> None:
+        view = self._view
+        self._input = Voice(self.session, keys.input_(view.shard))
+        self._links = [Voice(self.session, keys.link(view.shard, peer)) for peer in self.peers]
         self._ears = [
             self._hear(keys.link(peer, view.shard), functools.partial(self._take_link, p))
             for p, peer in enumerate(self.peers)
         ]
         self._ears.append(self._hear(keys.state(view.shard), self._take_state))
-        self._life = life = begin.life(self._session)
         # Of a neighbour that is dead itself nobody listens: who comes back waits for the plant alone.
-        voices = [self._input] if life else [self._input, *self._links]
+        voices = [self._input] if begin.join(self.session).life else [self._input, *self._links]
+        LOG.info("shard %d has its place, and waits for the others", view.shard)
         wait_for_listeners([voice.publisher for voice in voices], begin.wait_s or LISTEN_TIMEOUT_S)
-        self._token = self._session.liveliness().declare_token(keys.alive(keys.shard_name(view.shard), life))
+        # They may have taken minutes to come, and our place another process, or another run begun.
+        self.joined = begin.join(self.session)
+
+    def live(self) -> None:
+        """Take part until the end, and leave the network; the log says both. Raises what `run` does."""
+        if not self._ended.is_set():
+            alive = keys.alive(keys.shard_name(self._view.shard), *self.joined)
+            self._token = self.session.liveliness().declare_token(alive)
+            LOG.info("ready: shard %d of nodes %s", self._view.shard, self._view.ids[:20].tolist())
+        try:
+            self.run()
+        finally:
+            self.close()
+        LOG.info("end: %d steps answered, %d messages refused", self.shard.t + 1, self.refused)
 
     def run(self) -> None:
         """Wait for the end, saying in the log what a slow step waits for; raises what a message provoked."""
@@ -126,18 +167,37 @@ class Agent:
             raise self._failure
 
     def _wait(self, timeout_s: float) -> bool:
-        """Whether the end comes within so long; messages that are the main thread's to take are taken meanwhile."""
-        if self._mail is None:
-            return self._ended.wait(timeout_s)
+        """Whether the end comes within so long; what is the main thread's to say is said meanwhile."""
         by = time.monotonic() + timeout_s
         while not self._ended.is_set() and (left := by - time.monotonic()) > 0:
             with contextlib.suppress(queue.Empty):
-                self._mail.get(timeout=left)()
+                self._later.get(timeout=left)()
+                with self._lock:
+                    self._unsaid -= 1
         return self._ended.is_set()
+
+    def _say_later(self, say: Callable[[], None]) -> None:
+        """Leave it to the main thread; the lock is held, as in all that a message sets off."""
+        self._unsaid += 1
+        self._later.put(say)
+
+    def give_up(self, error: Exception) -> None:
+        """Have `run` raise this, unless the plant has said END."""
+        with self._lock:
+            if not self._over:
+                self._fail(error)
+
+    def _fail(self, error: Exception) -> None:
+        self._failure = error
+        self._end()
+
+    def _end(self) -> None:
+        self._ended.set()
+        self._say_later(lambda: None)
 
     def close(self) -> None:
         """Leave the network."""
-        close(self._session)
+        close(self.session)
 
     @property
     def refused(self) -> int:
@@ -149,47 +209,55 @@ class Agent:
 
         def on_message(message: bytes) -> None:
             with self._lock:
-                if self._ended.is_set():
+                if self._ended.is_set() or self.joined.life < 0:
                     return
                 try:
                     take(message)
                 except MessageError:
                     raise
                 except Exception as error:  # it must reach the main thread, not Zenoh's log
-                    self._failure = error
-                    self._ended.set()
+                    self._fail(error)
 
-        return Ear(self._session, key, on_message, self._mail)
+        return Ear(self.session, key, on_message)
 
     def _take_state(self, message: bytes) -> None:
         kind = kind_of(message)
         if kind == Kind.END:
             decode_end(message, 0)
             if self._over:
-                self._ended.set()
+                self._end()
                 return
-            self._over = True
-            counted = counts([self._input, *self._links], self._ears)
-            counted["said"][self._input.key] += 1  # this last word too
-            # To leave at once would lose it: the plant says END again when it has it.
-            self._input.put(encode_event(max(0, self.shard.t), {"event": "counted", "life": self._life, **counted}))
+            self._say_later(self._say_last)
         elif kind == Kind.RECORD:
             self.shard.recall(decode_record(message, self.shard.degrees))
         else:
             self._take(decode_state(message, self.shard.k, self.shard.m))
 
+    def _say_last(self) -> None:
+        counted = counts([self._input, *self._links], self._ears)
+        counted["said"][self._input.key] += 1  # this last word too
+        # To leave at once would lose it: the plant says END again when it has it.
+        word = encode_event(max(0, self.shard.t), {"event": "counted", "life": self.joined.life, **counted})
+        self._ended.wait(PAUSE_S)
+        self._over = True  # not before: who is over may leave
+        self._input.put(word)
+
     def _take(self, state: State) -> None:
         done = self.shard.t
         if state.t == done or (self._pending is not None and self._pending.t == state.t):
             # The plant repeats itself: somebody missed something, so everybody says again what they said.
-            for neighbour, payload in (each for step in self._said for each in step):
-                neighbour.put(payload)
+            # One step with each repetition, the newer first: a secure router drops what comes on the heels of another.
+            if self._said and not self._unsaid:
+                which = -1 - self._repeated % len(self._said)
+                self._repeated += 1
+                self._say_later(functools.partial(_say, self._said[which]))
         elif self.shard.follows(state):
             self._pending, self._since = state, time.monotonic()
             self._step_if_complete()
-        elif state.t > done:
+        elif state.t > done and not self._unsaid:
             # The network went on without us: say that we are here, and the plant tells us all that we missed.
-            self._input.put(encode_input(NO_STEP, *self.shard.silence))
+            here = [(self._input, encode_input(NO_STEP, *self.shard.silence))]
+            self._say_later(functools.partial(_say, here))
 
     def _take_link(self, peer: int, message: bytes) -> None:
         self.shard.hear(peer, decode_link(message, self.shard.hears[peer]))
@@ -202,11 +270,21 @@ class Agent:
             return
         self._pending = None
         u = shard.answer(state)
-        out = [(self._links[p], encode_link(link, shard.says[p])) for p, link in shard.say(state)]
+        out = []
+        for peers, link in shard.say(state):
+            message = encode_link(link, shard.says[peers[0]])
+            out += [(self._links[p], message) for p in peers]
         out.append((self._input, encode_input(state.t, u, shard.report, shard.took)))
         self._said.append(out)
-        for neighbour, payload in out:
-            neighbour.put(payload)
+        if self._unsaid or sum(len(message) for _, message in out) > LONG_BYTES:
+            self._say_later(functools.partial(_say, out))
+        else:
+            _say(out)
+
+
+def _say(messages: Sequence[tuple[Voice, bytes]]) -> None:
+    for voice, message in messages:
+        voice.put(message)
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
@@ -221,12 +299,6 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
 
     def body() -> None:
         view = View.read(known.view)
-        agent = Agent(view, known.namespace, known.connect, Begin(lambda _: known.life), known.credentials)
-        LOG.info("ready: shard %d of nodes %s", view.shard, view.ids[:20].tolist())
-        try:
-            agent.run()
-        finally:
-            agent.close()
-        LOG.info("end: %d steps answered, %d messages refused", agent.shard.t + 1, agent.refused)
+        Agent(view, known.namespace, known.connect, Begin(lambda _: Joined(known.life)), known.credentials).live()
 
     run_child(body)

@@ -7,8 +7,9 @@ the order of the steps: what the law then knows is, bit for bit, what it would h
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,25 @@ MARK_EVERY = 64
 """steps between copies of the law's memory while a sample is incomplete: it bounds how much is learned again"""
 
 
+class Came(NamedTuple):
+    """What has come of steps first .. stop - 1 over an incidence, which its samples may have waited for."""
+
+    incidence: int
+    first: int
+    stop: int
+    inputs: Array | None = None
+    """of the neighbour, (stop - first,); None where it is one of our own nodes"""
+
+
+class _Mark(NamedTuple):
+    """What the law knew before a sample, to go back to."""
+
+    t: int
+    memory: Array
+    of: Mask
+    """the nodes of which it is the memory"""
+
+
 class Samples:
     """What k nodes learn from: `row` and `ends` (2, m) say where the ends of each incidence stand among `width` inputs.
 
@@ -40,8 +60,9 @@ class Samples:
         self._all = np.full(m, TAKEN, dtype=np.uint8)
         self._behind: set[int] = set()
         """incidences with a row that is wanted and has not come"""
-        self._marks: list[tuple[int, Array]] = []
-        """(t, the law's memory before the sample of t), while any is behind"""
+        self._everybody = np.ones(self.k, dtype=bool)
+        self._marks: list[_Mark] = []
+        """by step, while any is behind: of everybody, but that the first, at the oldest row, may be of who came back"""
         self._read: Array | None = None
         """the last readings in a row of samples, if none of them is missing"""
 
@@ -67,31 +88,23 @@ class Samples:
         u: Array,
         took: bytes,
         x_next: Array,
-        old: Sequence[tuple[slice, int, Array]],
-        came: Sequence[tuple[int, int, int]],
+        came: Sequence[Came],
         back: Mask | None,
     ) -> None:
         """Learn the sample of t under these Flag bits, and in their place those before it that are complete by now.
 
-        `old` are inputs of earlier steps, (columns, first step, rows); `came` says over which incidences rows have
-        come, (incidence, from, to); `back` are nodes to learn anew from the oldest row on.
+        `came` is what has come of earlier steps; `back` are nodes to learn anew from the oldest row on.
         """
         bits = np.frombuffer(took, np.uint8)
         if self._most:
-            if (wants := Flag.OPEN in took) and not self._marks:
-                self._marks.append((t, self._law.memory.copy()))
+            if (wants := Flag.OPEN in took) and not (self._marks and self._marks[-1].of.all()):
+                self._mark(t)
             self._append(x, u, bits)
-            for columns, first, rows in old:
-                kept = self._history.u(first, first + len(rows))
-                kept[:, columns] = rows[len(rows) - len(kept) :]
-            since, nodes = self._completed(came, t)
+            since = self._completed(came)
             if back is not None:
                 self._forget(back)
-                again = np.flatnonzero(back).tolist()
-                self._learn_again(self._history.first, t, again)
-                nodes -= set(again)
-            if nodes:
-                self._learn_again(since, t, sorted(nodes))
+                since |= dict.fromkeys(np.flatnonzero(back).tolist(), self._history.first)
+            self._learn_again(since, t)
             # What closes a gap is a row of t itself: all rows before it have come with it.
             self._behind = {c for c in self._behind if not took[c] & Flag.HEAR}
             if wants:
@@ -102,7 +115,10 @@ class Samples:
         if not self._behind:
             self._marks.clear()
         elif self._history.next % MARK_EVERY == 0:
-            self._marks.append((self._history.next, self._law.memory.copy()))
+            self._mark(self._history.next)
+
+    def _mark(self, t: int) -> None:
+        self._marks.append(_Mark(t, self._law.memory.copy(), self._everybody))
 
     def restore(self, record: Record, anew: bool) -> None:
         """Put what was recorded of nodes that come back where it belongs; `anew` if nothing else is known."""
@@ -129,56 +145,63 @@ class Samples:
         """The states and inputs of our own nodes at steps start .. stop - 1, as far as they are kept, (S, k) each."""
         return self._history.x(start, stop), self._history.u(start, stop)[:, : self.k]
 
-    def _completed(self, came: Sequence[tuple[int, int, int]], t: int) -> tuple[int, set[int]]:
-        """Note that these rows have come; the first of them that a sample waited for, and whose samples did."""
-        since = t
-        nodes: set[int] = set()
-        for incidence, start, stop in came:
-            start = max(start, self._history.first)  # noqa: PLW2901
-            bits = self._history.bits(start, stop)[:, incidence]
-            waited = [step for step, bit in enumerate(bits.tolist(), start) if bit == Flag.OPEN]
+    def _completed(self, came: Sequence[Came]) -> dict[int, int]:
+        """Put what has come where it belongs; by node, the first step whose sample waited for any of it."""
+        history, since = self._history, dict[int, int]()
+        for c, first, stop, inputs in came:
+            bits = history.bits(first, stop)[:, c]
+            if inputs is not None:
+                history.u(first, stop)[:, self._ends[1, c]] = inputs[len(inputs) - len(bits) :]
+            waited = np.flatnonzero(bits == _OPEN)
             bits |= _HEAR
-            if waited:
-                nodes.add(int(self._row[incidence]))
-                since = min(since, waited[0])
-        return since, nodes
+            if len(waited):
+                node, step = int(self._row[c]), max(first, history.first) + int(waited[0])
+                since[node] = min(step, since.get(node, step))
+        return since
 
     def _append(self, x: Array, u: Array, bits: Flags) -> None:
         history = self._history
-        if self._marks and history.next - history.first == history.most and self._marks[0][0] == history.first:
+        if self._marks and history.next - history.first == history.most and self._marks[0].t == history.first:
             self._move_first_mark(x)
         history.append(x, u, bits)
 
     def _move_first_mark(self, newest: Array) -> None:
         """What falls off is learned for good: nothing can complete it any more."""
-        t, memory = self._marks.pop(0)
-        if self._marks and self._marks[0][0] == t + 1:
+        t, memory, of = self._marks.pop(0)
+        if self._marks and self._marks[0].t == t + 1:
             return
         history = self._history
         now, self._law.memory = self._law.memory, memory
         x_next = np.vstack([history.x(t + 1, t + 2), newest])[0]
         self._learn(history.x(t, t + 1)[0], self._flow(history.u(t, t + 1)[0], history.bits(t, t + 1)[0]), x_next)
-        self._marks.insert(0, (t + 1, self._law.memory))
+        self._marks.insert(0, _Mark(t + 1, self._law.memory, of))
         self._law.memory = now
 
     def _forget(self, nodes: Mask) -> None:
-        """Begin anew with these nodes, from the oldest row on."""
+        """Have these nodes know nothing from the oldest row on."""
         first = self._history.first
-        for _, memory in self._marks:
+        if not self._marks or self._marks[0].t > first:
+            self._marks.insert(0, _Mark(first, self._blank.copy(), nodes))
+        for k, (t, memory, of) in enumerate(self._marks):
             memory[..., nodes] = self._blank[..., nodes]
-        if not self._marks or self._marks[0][0] > first:
-            # To the other nodes this mark means nothing: their gaps are younger, and have marks of their own.
-            self._marks.insert(0, (first, self._blank.copy()))
+            self._marks[k] = _Mark(t, memory, of | nodes)
         memory = self._law.memory.copy()
         memory[..., nodes] = self._blank[..., nodes]
         self._law.memory = memory
 
-    def _learn_again(self, since: int, until: int, nodes: list[int]) -> None:
-        """Learn the samples of `since` .. `until` - 1 once more, for these nodes."""
-        law = self._law
-        k = max(k for k, (t, _) in enumerate(self._marks) if t <= since or k == 0)
-        start, memory = self._marks[k]
-        later = dict(self._marks[k + 1 :])
+    def _learn_again(self, since: Mapping[int, int], until: int) -> None:
+        """Learn once more what lies between a step, by node, and `until`; each from the last mark that knows it."""
+        from_mark: dict[int, list[int]] = {}
+        for node, step in sorted(since.items()):
+            marks = (k for k, mark in enumerate(self._marks) if mark.t <= step and mark.of[node])
+            from_mark.setdefault(max(marks, default=0), []).append(node)
+        for k, nodes in from_mark.items():
+            self._learn_from(k, until, nodes)
+
+    def _learn_from(self, k: int, until: int, nodes: list[int]) -> None:
+        """Learn the samples from the k-th mark on once more, for these nodes."""
+        law, (start, memory, _) = self._law, self._marks[k]
+        later = {mark.t: mark.memory for mark in self._marks[k + 1 :]}
         if len(nodes) == self.k:
             law.memory = memory.copy()
         else:

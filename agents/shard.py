@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.law import Array, Law, Minimax
-from agents.samples import Samples
+from agents.samples import Came, Samples
 from agents.view import View
 from topologies.errors import UserError
 from topologies.graph import all_finite
-from wire.codec import ALL_UP, REPORT_WIDTH, TAKEN, Flag, Link, Mask, Record, State, gather
+from wire.codec import ALL_UP, REPORT_ROWS, TAKEN, Flag, Link, Mask, Record, State, gather
 
 Index = NDArray[np.int64]
 
@@ -87,6 +87,10 @@ class Shard:
         """Per incidence: where the inputs of its two ends stand among our own and the heard ones, (2, m)."""
         self._say = [_all_or(self.k, peer.say) for peer in view.peers]
         """Per peer: which of our nodes stand in a link message to it; None for all of them, in order."""
+        everything = [p for p, nodes in enumerate(self._say) if nodes is None]
+        self._audience: list[tuple[Index | None, Sequence[int]]] = [(None, everything)] if everything else []
+        """Who hears the same of us: one message serves all peers that hear everything."""
+        self._audience += [(nodes, [p]) for p, nodes in enumerate(self._say) if nodes is not None]
         self.hears = [peer.hear for peer in view.peers]
         self.says = [len(peer.say) for peer in view.peers]
         stops = [self.k, *(self.k + np.cumsum(self.hears, dtype=np.int64)).tolist()]
@@ -96,9 +100,10 @@ class Shard:
         peer_of = np.searchsorted(stops, view.column[outside], side="right") - 1
         self._over: list[list[int]] = [outside[peer_of == p].tolist() for p in range(len(view.peers))]
         """Per peer: the incidences that lead to it."""
+        self._peer_of = {c: p for p, incidences in enumerate(self._over) for c in incidences}
+        """By incidence: the peer that it leads to."""
         self._everybody: Sequence[int] = range(len(view.peers))
         self._up = bytes([ALL_UP]) * self.m
-        self._took_all = bytes([TAKEN]) * self.m
         self._samples = Samples(self._law, view.history, self._row, ends, stops[-1])
         self._mail: list[dict[int, Link]] = [{} for _ in view.peers]
         """Per peer: link messages by step, of the steps that no sample has used yet."""
@@ -107,10 +112,10 @@ class Shard:
         """The last step answered."""
         self.x: Array = np.zeros(self.k)
         self.u: Array = np.zeros(self.k)
-        self.report: Array = np.full((self.k, REPORT_WIDTH), np.nan)
+        self.report: Array = np.full((REPORT_ROWS, self.k), np.nan)
         """What the nodes say of themselves at the last step."""
-        self.took = self._took_all
-        """What they took in of the step before it: Flag bits by incidence."""
+        self.took = b""
+        """What they took in of the step before it: Flag bits by incidence, none if they took in everything."""
 
     # What comes in.
 
@@ -135,7 +140,7 @@ class Shard:
         """Peers whose link message of t - 1 crosses, by what the plant says, and is not here yet."""
         past, flags = state.t - 1, state.flags
         late = [p for p in self._everybody if past not in self._mail[p]] if state.t else []
-        if late and flags != self._up:
+        if late and flags:
             late = [p for p in late if any(flags[c] & Flag.HEAR for c in self._over[p])]
         return late
 
@@ -175,29 +180,36 @@ class Shard:
         """Learn the sample of t - 1, and first those before it whose inputs have come by now."""
         past = state.t - 1
         links = [mail.pop(past, None) for mail in self._mail]
-        if state.flags == self._up and not state.spans and self._samples.complete and back is None:
-            self.took = self._took_all
-            inputs = gather([self.u, *[link.u for link in links if link is not None]]) if links else self.u
+        if not state.flags and not state.spans and self._samples.complete and back is None:
+            self.took = b""
+            # The last row of each is its newest; here there should be no other.
+            last_rows = [link.u[-8 * n :] for link, n in zip(links, self.hears, strict=True) if link is not None]
+            inputs = gather([self.u, *last_rows]) if links else self.u
             self._samples.take(self.x, inputs, state.x)
             return
         # The newest row of a link message is that of t - 1, unless the link is late.
-        newest = (_SILENCE * n if link is None else link.u[-8 * n :] for link, n in zip(links, self.hears, strict=True))
-        old = [
-            (columns, link.first, gather([link.u]).reshape(-1, n)[: past - link.first])
-            for link, columns, n in zip(links, self._columns, self.hears, strict=True)
-            if link is not None and link.first < past
+        last_rows = [
+            _SILENCE * n if link is None else link.u[-8 * n :] for link, n in zip(links, self.hears, strict=True)
         ]
-        took = bytearray(state.flags.translate(_TAKEN_OF))
-        came: list[tuple[int, int, int]] = []
+        took = bytearray((state.flags or self._up).translate(_TAKEN_OF))
+        came: list[Came] = []
         for c, late, count, _, _ in state.spans:
             if took[c] & Flag.HEAR:
                 last = past - late
-                came.append((c, last - count, min(last + 1, past)))
+                came.append(self._came(c, links, last - count, min(last + 1, past)))
                 if late:
                     took[c] -= Flag.HEAR
         self.took = bytes(took)
-        inputs = gather((self.u, *newest))
-        self._samples.take_late(past, self.x, inputs, self.took, state.x, old, came, back)
+        inputs = gather([self.u, *last_rows])
+        self._samples.take_late(past, self.x, inputs, self.took, state.x, came, back)
+
+    def _came(self, c: int, links: Sequence[Link | None], start: int, stop: int) -> Came:
+        """What has come of steps start .. stop - 1 over an incidence, and in which link message."""
+        if (p := self._peer_of.get(c)) is None or (link := links[p]) is None:
+            return Came(c, start, stop)
+        start = max(start, link.first)
+        rows = gather([link.u]).reshape(-1, self.hears[p])[start - link.first : stop - link.first]
+        return Came(c, start, start + len(rows), rows[:, self._view.column[c] - self._columns[p].start])
 
     def _act(self, t: int, x: Array) -> Array:
         try:
@@ -207,8 +219,8 @@ class Shard:
             raise self._failed("act", f"raised {type(error).__name__}: {error}") from error
         if u.shape != (self.k,) or not all_finite(u):
             u = self._without_blind(x, u)
-        if self.report.shape != (self.k, REPORT_WIDTH):
-            raise self._failed("report", f"has the shape {self.report.shape}, and not {(self.k, REPORT_WIDTH)}")
+        if self.report.shape != (REPORT_ROWS, self.k):
+            raise self._failed("report", f"has the shape {self.report.shape}, and not {(REPORT_ROWS, self.k)}")
         self.t, self.x, self.u = t, x, u
         return u
 
@@ -216,7 +228,8 @@ class Shard:
         """Inputs of the nodes that have a reading: without one there is no input."""
         blind = np.isnan(x)
         if u.shape != (self.k,) or not np.isfinite(u[~blind]).all():
-            raise self._failed("act", f"gave {u} for the states {x}, and an input is a number a node")
+            given, states = (np.array2string(one, threshold=8, max_line_width=2**16) for one in (u, x))
+            raise self._failed("act", f"gave {given} for the states {states}, and an input is a number a node")
         return np.where(blind, np.nan, u)
 
     def _failed(self, method: str, what: str) -> LawError:
@@ -228,30 +241,34 @@ class Shard:
     @property
     def silence(self) -> tuple[bytes, bytes, bytes]:
         """Of one that cannot answer: no inputs, no reports, nothing taken in."""
-        nothing = np.full((1 + REPORT_WIDTH) * self.k, np.nan).tobytes()
+        nothing = np.full((1 + REPORT_ROWS) * self.k, np.nan).tobytes()
         return nothing[: 8 * self.k], nothing[8 * self.k :], bytes(self.m)
 
-    def say(self, state: State) -> list[tuple[int, Link]]:
-        """The link messages of the step just answered, by peer."""
-        if state.flags == self._up and not state.spans:
+    def say(self, state: State) -> list[tuple[Sequence[int], Link]]:
+        """The link messages of the step just answered, each with the peers that it is for."""
+        if not state.flags and not state.spans:
             return self._say_now() if self._say else []
-        first, last = {}, {}
+        flags, first, last = state.flags or self._up, {}, {}
         for c, _, _, late, count in state.spans:
             first[c], last[c] = self.t - late - count, self.t - late
-        said: list[tuple[int, Link]] = []
+        said: list[tuple[Sequence[int], Link]] = []
         for p, incidences in enumerate(self._over):
-            if told := [c for c in incidences if state.flags[c] & Flag.TELL]:
+            if told := [c for c in incidences if flags[c] & Flag.TELL]:
                 begin, end = min(first.get(c, self.t) for c in told), max(last.get(c, self.t) for c in told)
-                said.append((p, self._rows(p, begin, end)))
+                said.append(([p], self._rows(p, begin, end)))
         return said
 
-    def _say_now(self) -> list[tuple[int, Link]]:
-        """To every peer the row of this step alone; one message serves all who hear all of us."""
+    def _say_now(self) -> list[tuple[Sequence[int], Link]]:
+        """To every peer the row of this step alone."""
         t, x, u = self.t, self.x, self.u
-        whole = Link(t, t, x.tobytes(), u.tobytes())
         return [
-            (p, whole if nodes is None else Link(t, t, x[nodes].tobytes(), u[nodes].tobytes()))
-            for p, nodes in enumerate(self._say)
+            (
+                peers,
+                Link(t, t, x.tobytes(), u.tobytes())
+                if nodes is None
+                else Link(t, t, x[nodes].tobytes(), u[nodes].tobytes()),
+            )
+            for nodes, peers in self._audience
         ]
 
     def _rows(self, peer: int, first: int, last: int) -> Link:

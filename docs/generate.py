@@ -43,8 +43,10 @@ WRITTEN = {
     "law": "`minimax`, `hinf`, `nominal` or `package.module:Class`",
     "disturbance": "[`worst_case`](#worst_case)",
     "faults": "list of [faults](#faults)",
+    "record": "[mapping](#what-is-written-down)",
 }
 """What the types of the whole file cannot say in plain words."""
+OF_RECORD = {"nodes": "list of node ids, whole number (at least 0) or `all`"}
 OF_FAULTS = {
     **dict.fromkeys(("link", "edge"), "pair of node ids"),
     **dict.fromkeys(("from", "to", "node"), "node id"),
@@ -52,6 +54,7 @@ OF_FAULTS = {
     "steps": "pair of whole numbers",
 }
 """What the types of a fault cannot say in plain words."""
+TYPED: dict[type[Model], dict[str, str]] = {schema.Topology: WRITTEN, schema.Record: OF_RECORD}
 VALIDATED = {"_one_line_name": "name"}
 """Types that a validator narrows, by the validator's name."""
 PLAIN = {float: "number", int: "whole number", bool: "`true` or `false`", str: "text", Any: "anything"}
@@ -164,7 +167,7 @@ def keys(model: type[Model], hide: Sequence[str] = (), default: Callable[[str], 
         if not field.description:
             raise SystemExit(f"{model.__name__}.{name} has no description: give it one in {model.__module__}")
         key = field.serialization_alias or field.alias or name
-        written = OF_FAULTS if issubclass(model, faults.FaultModel) else WRITTEN if model is schema.Topology else {}
+        written = OF_FAULTS if issubclass(model, faults.FaultModel) else TYPED.get(model, {})
         kind = written.get(key) or words(hints[name])
         if default is not None:
             otherwise = default(name)
@@ -186,7 +189,9 @@ def _default_of_file(field: FieldInfo) -> str:
     if field.is_required():
         return "required"
     return (
-        "—" if isinstance(field.default, schema.Node) or field.default in (None, (), {}) else f"`{flow(field.default)}`"
+        "—"
+        if isinstance(field.default, schema.Node | schema.Record) or field.default in (None, (), {})
+        else f"`{flow(field.default)}`"
     )
 
 
@@ -351,6 +356,7 @@ def generate() -> str:
             "disturbances": disturbances,
             "faults": of_faults,
             "graphs": graphs,
+            "record": lambda: keys(schema.Record),
             "random": random,
             "bundled": bundled_files,
             "file": scratch.file,

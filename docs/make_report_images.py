@@ -21,7 +21,7 @@ from orchestrator.report.figures import FIGURES
 from orchestrator.report.style import look
 from orchestrator.run import Watching
 from orchestrator.screen import Quiet
-from orchestrator.simulate import simulate
+from orchestrator.simulation import simulate_into
 from topologies.load import load
 from topologies.resolve import resolve
 
@@ -38,7 +38,7 @@ def ran(name: str, scratch: Path) -> RecordedRun:
     """A bundled network, run in this process."""
     topology = resolve(load(name))
     folder = create(topology, scratch / name)
-    simulate(topology, folder, layout(topology, 1), Watching(record=False), Quiet())
+    simulate_into(topology, folder, layout(topology, 1), Watching(record=False), Quiet())
     return load_run(folder.path)
 
 

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import os
-import queue
 import sys
 import threading
+from collections import deque
 from collections.abc import Callable
 
 Job = Callable[[], None]
 
-WAITING = 4
-"""jobs that may wait; whoever hands over one more waits too"""
+WAITING, WAITING_BYTES = 4, 2**27
+"""jobs that may wait, and what they may hold on to, one at least; whoever hands over one more waits too"""
 NICE = 3
 """half of the share of others, not nothing: whoever waits for Python's lock waits for this thread"""
 
@@ -23,21 +23,41 @@ class Aside:
     """
 
     def __init__(self, name: str) -> None:
-        self._jobs: queue.Queue[Job | None] = queue.Queue(WAITING)
+        self._jobs: deque[tuple[Job | None, int]] = deque()
+        self._bytes = 0
+        self._changed = threading.Condition()
         self._error: Exception | None = None
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         self._thread.start()
 
-    def do(self, job: Job) -> None:
-        """Hand over a job."""
+    def do(self, job: Job, size: int = 0) -> None:
+        """Hand over a job that holds on to so many bytes."""
         self._raise()
-        self._jobs.put(job)
+        self._put(job, size)
 
     def close(self) -> None:
         """Return when all is done."""
-        self._jobs.put(None)
+        self._put(None, 0)
         self._thread.join()
         self._raise()
+
+    def _put(self, job: Job | None, size: int) -> None:
+        def room() -> bool:
+            return not self._jobs or (len(self._jobs) < WAITING and self._bytes + size <= WAITING_BYTES)
+
+        with self._changed:
+            self._changed.wait_for(room)
+            self._jobs.append((job, size))
+            self._bytes += size
+            self._changed.notify_all()
+
+    def _take(self) -> Job | None:
+        with self._changed:
+            self._changed.wait_for(lambda: self._jobs)
+            job, size = self._jobs.popleft()
+            self._bytes -= size
+            self._changed.notify_all()
+        return job
 
     def _raise(self) -> None:
         if self._error is not None:
@@ -47,7 +67,7 @@ class Aside:
         if sys.platform == "linux":  # elsewhere all threads of a process are as nice
             os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
             os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICE)
-        while (job := self._jobs.get()) is not None:
+        while (job := self._take()) is not None:
             if self._error is None:
                 try:
                     job()

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from agents.view import Peer, View
+from agents.view import Ids, Peer, View
 from plant.truth import Truth
 from topologies.archive import id_array
 from topologies.errors import UserError
@@ -16,10 +16,13 @@ from topologies.partition import partition
 from topologies.schema import Topology
 from wire import keys
 from wire.access import Place
+from wire.codec import REPORT_ROWS
 
 Layout = Sequence[Sequence[int] | Index]
 """Per agent process: the positions of its nodes, ascending."""
 
+WORD_BYTES = 1024
+"""what a process says of a channel in its last word, or has around its numbers, at most"""
 HISTORY_BYTES = 2**28
 """What the histories of a network may take, all processes together, as a rough measure."""
 
@@ -122,14 +125,34 @@ def views_of(topology: Topology, shards: Layout) -> list[View]:
 
 def process_name(view: View) -> str:
     """What the process of a view is called: in `ps`, by its log, and in its certificate."""
-    name = f"agent-{view.ids[0]}"
+    return _name(view.shard, view.ids)
+
+
+def process_names(topology: Topology) -> list[str]:
+    """What the agent processes of a network are called, by shard."""
+    shards, ids = layout(topology, topology.process_count), id_array(topology.ids)
+    return [_name(p, ids[np.asarray(nodes, dtype=np.int64)]) for p, nodes in enumerate(shards)]
+
+
+def _name(shard: int, ids: Ids) -> str:
+    name = f"agent-{ids[0]}"
     # A certificate holds a name of 64 letters at most.
-    return name if view.k == 1 and len(name) <= 64 else keys.shard_name(view.shard)
+    return name if len(ids) == 1 and len(name) <= 64 else keys.shard_name(shard)
 
 
 def places(views: Sequence[View]) -> list[Place]:
     """Where each process stands: all that the rules of access need to know of a network."""
-    return [Place(process_name(view), view.shard, [peer.shard for peer in view.peers]) for view in views]
+    return [
+        Place(process_name(view), view.shard, [peer.shard for peer in view.peers], _largest(view), len(view.row))
+        for view in views
+    ]
+
+
+def _largest(view: View) -> int:
+    """Bytes of the largest message that a process ever says, at most: its last word, or all that a peer has missed."""
+    row = max((len(peer.say) for peer in view.peers), default=0)
+    input_ = 8 * view.k * (1 + REPORT_ROWS) + len(view.row)
+    return WORD_BYTES * (1 + len(view.peers)) + max(16 * row * (view.history + 1), input_)
 
 
 def _without_padding(candidates: Array) -> Array:

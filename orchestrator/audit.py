@@ -39,7 +39,7 @@ def channels(places: Sequence[Place]) -> list[Channel]:
     """Who may hear whom, of plant and agents: nothing else reaches any of them."""
     names = {place.shard: place.name for place in places}
     found = []
-    for name, p, peers in places:
+    for name, p, peers, *_ in places:
         found.append(Channel(keys.state(p), keys.PLANT, name))
         found.append(Channel(keys.input_(p), name, keys.PLANT))
         found += [Channel(keys.link(q, p), names[q], name) for q in peers]

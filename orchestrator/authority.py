@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import ipaddress
 import json
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from orchestrator.folder import whole_folder
+from plant.request import BYTES_PER_INCIDENCE, LEAST_BYTES
 from topologies.errors import UserError
 from wire import keys
-from wire.access import OBSERVER, ROUTER, Place, access_control, rights
-from wire.session import ACCESS, CA, CERTIFICATE, PRIVATE_KEY, base_settings, remove_secrets, router_settings
+from wire.access import OBSERVER, ROUTER, Place, rights, rules
+from wire.credentials import CA, CERTIFICATE, PRIVATE_KEY
+from wire.session import ACCESS, base_settings, remove_trace, router_settings
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey
@@ -24,6 +28,8 @@ LIFE_DAYS = 7
 """How long a certificate holds: a process that starts again later is refused."""
 SLACK = timedelta(minutes=5)
 """How far the clock of a machine may be behind ours."""
+HERE = ("127.0.0.1", "localhost")
+"""A router is reached by these names too, from its own machine."""
 SETTINGS, CONFIGURATION = "settings.json", "zenohd.json5"
 
 
@@ -39,7 +45,7 @@ class Authority:
                 "--secure: needs the library cryptography; install it with: pip install 'hedgerow[secure]'"
             ) from None
         now = datetime.now(UTC)
-        self._from, self._to = now - SLACK, now + timedelta(days=days)
+        self._from, self.until = now - SLACK, now + timedelta(days=days)
         self._key = ec.generate_private_key(ec.SECP256R1())
         self._name = _named("hedgerow")
         self._certificate = self._signed(self._name, self._key, authority=True)
@@ -53,9 +59,9 @@ class Authority:
         pem = serialization.Encoding.PEM
         folder.mkdir(mode=0o700)
         private = own.private_bytes(pem, serialization.PrivateFormat.PKCS8, serialization.NoEncryption())
-        _write(folder / PRIVATE_KEY, private)
-        _write(folder / CERTIFICATE, self._signed(_named(name), own, host=host).public_bytes(pem))
-        _write(folder / CA, self._certificate.public_bytes(pem))
+        write_private(folder / PRIVATE_KEY, private)
+        write_private(folder / CERTIFICATE, self._signed(_named(name), own, host=host).public_bytes(pem))
+        write_private(folder / CA, self._certificate.public_bytes(pem))
 
     def _signed(
         self, name: Name, own: EllipticCurvePrivateKey, authority: bool = False, host: str | None = None
@@ -71,11 +77,12 @@ class Authority:
             .public_key(own.public_key())
             .serial_number(x509.random_serial_number())
             .not_valid_before(self._from)
-            .not_valid_after(self._to)
+            .not_valid_after(self.until)
             .add_extension(x509.BasicConstraints(ca=authority, path_length=0 if authority else None), critical=True)
         )
         if host is not None:
-            builder = builder.add_extension(x509.SubjectAlternativeName([_address(host)]), critical=False)
+            names = [_address(one) for one in dict.fromkeys((host, *HERE))]
+            builder = builder.add_extension(x509.SubjectAlternativeName(names), critical=False)
         else:
             # Who may not listen cannot play the router to others, whose name it does not bear.
             role = x509.ExtendedKeyUsage([oid.ExtendedKeyUsageOID.CLIENT_AUTH])
@@ -97,73 +104,110 @@ def _address(host: str) -> Any:
     return x509.DNSName(host)
 
 
-def _write(path: Path, content: bytes) -> None:
+def write_private(path: Path, content: bytes) -> None:
     """Write a file that nobody else could ever read."""
-    with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
-        file.write(content)
+    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    try:
+        with os.fdopen(descriptor, "wb") as file:
+            file.write(content)
+    except BaseException:  # half a file is none
+        path.unlink()
+        raise
 
 
 @contextlib.contextmanager
-def for_this_run(folder: Path, places: Sequence[Place], namespace: str) -> Iterator[Path]:
-    """Credentials of a run whose router is its plant, on this machine, while the block lasts."""
+def for_this_run(folder: Path, places: Sequence[Place], namespace: str, host: str) -> Iterator[Path]:
+    """Credentials of a run whose router is its plant, on this machine, at `host`, while the block lasts."""
     authority = Authority()
     folder.mkdir(mode=0o700)
     try:
-        granted = rights(places)
+        authority.issue(folder / ROUTER, ROUTER, host=host)
+        most = LEAST_BYTES + BYTES_PER_INCIDENCE * sum(place.incidences for place in places)
+        kept = rules(places, namespace, plant_is_client=False, request_bytes=most)
+        write_private(folder / ROUTER / ACCESS, json.dumps(kept).encode())
         # The plant is no client of a router that it is itself: nobody comes in by its name.
-        del granted[keys.PLANT]
-        authority.issue(folder / keys.PLANT, keys.PLANT, host="127.0.0.1")
-        _write(folder / keys.PLANT / ACCESS, json.dumps(access_control(granted, namespace)).encode())
-        for name in granted:
+        for name in rights(places).keys() - {keys.PLANT}:
             authority.issue(folder / name, name)
         yield folder
     finally:
-        remove_secrets(folder)
+        remove_trace(folder)
 
 
-def to_carry(folder: Path, places: Sequence[Place], namespace: str, endpoint: str, days: float) -> list[str]:
-    """Credentials for a router that stands elsewhere: one folder a process, and the router's; returns their names."""
+def to_carry(
+    folder: Path,
+    places: Sequence[Place],
+    namespace: str,
+    endpoint: str,
+    days: float,
+    more: Callable[[Path], None] = lambda _: None,
+) -> list[str]:
+    """Credentials for processes on other machines: one folder a process, and the router's; returns their names.
+
+    The router may be one that stands somewhere, or our own plant. `more` writes what else is to lie in the folder,
+    which is there whole or not at all.
+    """
     authority = Authority(days)
     host = host_of(endpoint)
-    try:
-        folder.mkdir(mode=0o700, parents=True)
-    except FileExistsError:
-        raise UserError(f"--out {folder}: is there already; name a new folder") from None
+    _check_host(host, endpoint)
     granted = rights(places)
-    settings = json.dumps({"endpoint": endpoint, "namespace": namespace}, indent=1) + "\n"
-    for name in granted:
-        authority.issue(folder / name, name)
-        _write(folder / name / SETTINGS, settings.encode())
-    authority.issue(folder / ROUTER, ROUTER, host=host)
+    kept = rules(places, namespace, plant_is_client=True)
+    until = authority.until.isoformat(timespec="seconds")
+    settings = {"endpoint": endpoint, "namespace": namespace, "rules": _digest(kept), "until": until}
     port = endpoint.rpartition(":")[2]
     # Its own certificate lies beside the file: it is to be started there.
-    configuration = base_settings() | router_settings(f"tls/0.0.0.0:{port}", Path(), access_control(granted, namespace))
+    configuration = base_settings() | router_settings(f"tls/0.0.0.0:{port}", Path(), kept)
     said = f"// zenohd -c {CONFIGURATION}, in this folder\n{json.dumps(nested(configuration), indent=1)}\n"
-    _write(folder / ROUTER / CONFIGURATION, said.encode())
+    try:
+        with whole_folder(folder, str(folder), 0o700) as part:
+            for name in granted:
+                authority.issue(part / name, name)
+                write_private(part / name / SETTINGS, (json.dumps(settings, indent=1) + "\n").encode())
+            authority.issue(part / ROUTER, ROUTER, host=host)
+            write_private(part / ROUTER / CONFIGURATION, said.encode())
+            write_private(part / ROUTER / ACCESS, json.dumps(kept).encode())
+            more(part)
+    except OSError as error:
+        raise UserError(f"{folder}: {error.strerror}; choose another folder") from None
     return [*granted, ROUTER]
+
+
+def _check_host(host: str, endpoint: str) -> None:
+    """Raise UserError for a host that no certificate can name."""
+    try:
+        _address(host)
+    except ValueError:
+        raise UserError(
+            f"--router {endpoint}: a certificate cannot name {host}; write it in ASCII, or as an address"
+        ) from None
 
 
 def carried(folder: Path, places: Sequence[Place]) -> tuple[str, str]:
     """The endpoint and the namespace that credentials in a folder were made for; UserError if not for this network."""
-    again = f"make it with: orchestrator keys FILE --out {folder}"
+    again = "`orchestrator keys` and `orchestrator bundle --secure` make one"
     try:
         settings = json.loads((folder / OBSERVER / SETTINGS).read_text(encoding="utf-8"))
-        endpoint, namespace = settings["endpoint"], settings["namespace"]
-        text = (folder / ROUTER / CONFIGURATION).read_text(encoding="utf-8").partition("\n")[2]
-        known = json.loads(text)["access_control"]
+        endpoint, namespace, made_for = settings["endpoint"], settings["namespace"], settings["rules"]
+        until = datetime.fromisoformat(settings["until"])
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise UserError(f"--keys {folder}: no folder of keys: {type(error).__name__}: {error}; {again}") from None
-    if known != json.loads(json.dumps(access_control(rights(places), namespace))):
+    if made_for != _digest(rules(places, namespace, plant_is_client=True)):
         raise UserError(f"--keys {folder}: made for another network, or other processes; {again}")
+    if datetime.now(UTC) > until:
+        raise UserError(f"--keys {folder}: they held until {until:%Y-%m-%d %H:%M} UTC; {again}")
     return endpoint, namespace
 
 
-def host_of(endpoint: str) -> str:
+def _digest(kept: object) -> str:
+    """What tells the rules of a router from all others."""
+    return hashlib.sha256(json.dumps(kept).encode()).hexdigest()[:16]
+
+
+def host_of(endpoint: str, option: str = "--router") -> str:
     """The host of a TLS endpoint; UserError for any other."""
     protocol, _, address = endpoint.partition("/")
     host, _, port = address.rpartition(":")
     if protocol != "tls" or not host or not port.isdigit():
-        raise UserError(f"--router {endpoint}: a secure network needs a router that speaks TLS: tls/HOST:PORT")
+        raise UserError(f"{option} {endpoint}: a secure network needs a router that speaks TLS: tls/HOST:PORT")
     return host.strip("[]")
 
 

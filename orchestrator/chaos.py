@@ -19,6 +19,7 @@ import numpy as np
 import psutil
 
 from orchestrator.assign import layout
+from orchestrator.check import count
 from orchestrator.folder import create
 from orchestrator.interrupts import EndNowError
 from orchestrator.nursery import Nursery
@@ -114,6 +115,7 @@ def trial(topology: Topology, folder: Path, nursery: Nursery) -> str:
     """Run a network over Zenoh; what is wrong with the run, or nothing."""
     options = Options(watching=Watching(record=False), verify=True)
     shards = layout(topology, topology.process_count)
+    before = _children()
     network = Network(topology, create(topology, folder), shards, options, Quiet(), nursery, time.monotonic())
     content = network.run().content
     if network.interrupted:
@@ -123,10 +125,13 @@ def trial(topology: Topology, folder: Path, nursery: Nursery) -> str:
         wrong.append(f"{content['steps_done']} of {topology.steps} steps done")
     if content["lost_rows"]:
         wrong.append(f"{content['lost_rows']} rows of telemetry lost")
-    children = {child.pid for child in psutil.Process().children(recursive=True)} - {nursery.pid}
-    if children:
-        wrong.append(f"processes left behind: {', '.join(map(str, children))}")
+    if left := _children() - before:
+        wrong.append(f"processes left behind: {', '.join(map(str, left))}")
     return "; ".join(wrong)
+
+
+def _children() -> set[int]:
+    return {child.pid for child in psutil.Process().children(recursive=True)}
 
 
 def smaller(raw: Raw) -> Iterator[Raw]:
@@ -206,7 +211,8 @@ def hunt(seeds: Iterable[int], most: int, scratch: Path, say: Callable[[str], No
 
 def _sketch(raw: Raw) -> str:
     kinds = ", ".join(fault["kind"] for fault in raw["faults"])
-    return f"{len(raw['nodes'])} nodes in {raw.get('processes', len(raw['nodes']))} processes, {kinds}"
+    nodes = len(raw["nodes"])
+    return f"{count(nodes, 'node')} in {count(raw.get('processes', nodes), 'process', 'es')}, {kinds}"
 
 
 def write(finding: Finding, path: Path) -> None:

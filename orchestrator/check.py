@@ -9,9 +9,9 @@ from rich.table import Table
 
 from orchestrator.assign import candidates_of
 from topologies.hinf import allowed_interval, contraction, gamma_star
-from topologies.partition import cut, partition
+from topologies.partition import cut, partition, pieces
 from topologies.resolve import truth
-from topologies.schema import Component, Topology
+from topologies.schema import LAWS, Component, Topology
 
 MAX_ROWS = 200
 
@@ -39,14 +39,15 @@ def table(topology: Topology) -> str:
         console.print(rows)
         if graph.n > MAX_ROWS:
             console.print(f"… and {graph.n - MAX_ROWS} nodes more")
-        size = f"{count(graph.n, 'node')}, {count(len(graph.edges), 'edge')}, b = {topology.b:g}"
+        apart = f" in {islands} pieces" if (islands := len(pieces(graph))) > 1 else ""
+        size = f"{count(graph.n, 'node')}, {count(len(graph.edges), 'edge')}{apart}, b = {topology.b:g}"
         gamma, rho = gamma_star(a, topology.b, graph), contraction(a, candidates_of(topology))
+        held = f"; rho = {rho:.6g}, the contraction whatever is estimated" if topology.law in LAWS else ""
         processes = topology.process_count
         crossing = cut(graph, partition(graph, processes))
         console.print(
             f"\n{topology.name}: {size}, {topology.steps} steps, seed {topology.seed}, law {topology.law}\n"
-            f"gamma* = {gamma:.6g}, the optimal gain when every a is known; "
-            f"rho = {rho:.6g}, the contraction whatever is estimated\n"
+            f"gamma* = {gamma:.6g}, the optimal gain when every a is known{held}\n"
             f"{count(processes, 'process', 'es')}; {crossing} of {count(len(graph.edges), 'edge')} from one to another"
         )
     return capture.get().rstrip()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
 import os
 import signal
@@ -13,18 +14,20 @@ import threading
 import time
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from orchestrator import cli_files, cli_keys, cli_live, cli_machines, cli_report, cli_soak, cli_sweep, cli_watch
-from orchestrator.check import count, table
+from orchestrator.cli_options import AsJson, File, Law, RunDir, Seed, Sets, Steps
 from orchestrator.nursery import Nursery
-from orchestrator.verdict import EXIT_CODES, UNKNOWN
-from topologies.errors import HedgerowError, TopologyError, UserError
-from topologies.load import find, load
-from topologies.resolve import resolve
-from topologies.schema import Topology
+from topologies.errors import DeadlineError, HedgerowError, TopologyError, UserError, check_options
+from wire.runtime import let_numbers_overflow
+
+# What a topology needs takes most of a second to load: each command loads what it needs itself.
+if TYPE_CHECKING:
+    from orchestrator.screen import Screen
+    from topologies.schema import Topology
 
 app = typer.Typer(
     name="orchestrator",
@@ -34,16 +37,11 @@ app = typer.Typer(
     add_completion=False,
     rich_markup_mode=None,
 )
+FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
+"""Where standard output leads, no more can be written."""
 _BEGAN = time.monotonic()
 _NURSERY: Nursery | None = None
 
-File = Annotated[str, typer.Argument(metavar="FILE", help="a topology file, a bundled name, or the folder of a run")]
-Sets = Annotated[list[str] | None, typer.Option("--set", metavar="PATH=VALUE", help="replace a value of the file")]
-Steps = Annotated[int | None, typer.Option(help="replace `steps:`")]
-Seed = Annotated[int | None, typer.Option(help="replace `seed:`")]
-Law = Annotated[str | None, typer.Option(help="replace `law:`")]
-RunDir = Annotated[Path | None, typer.Option(metavar="DIR", help="the run's folder, new or empty [runs/NAME-TIME]")]
-AsJson = Annotated[bool, typer.Option("--json", help="one JSON object on standard output")]
 Record = Annotated[bool, typer.Option("--record/--no-record", help="write run.rrd")]
 SplitRecording = Annotated[
     float, typer.Option(metavar="MB", min=0, help="go on in run-001.rrd and so on past so many MB, 0 for never")
@@ -59,8 +57,11 @@ def run_command(began: float, nursery: Nursery | None) -> None:
     """Run the command line and leave with its exit code; `began` is when the process did, by time.monotonic()."""
     global _BEGAN, _NURSERY
     _BEGAN, _NURSERY = began, nursery
+    let_numbers_overflow()
     try:
         code = app(standalone_mode=False) or 0
+        with contextlib.suppress(BrokenPipeError):  # a reader who has left has read enough
+            sys.stdout.flush()
     except TopologyError as error:
         count = len(error.problems)
         _complain(f"{error}\n{count} mistake{'s' if count > 1 else ''} in {error.source}")
@@ -70,9 +71,16 @@ def run_command(began: float, nursery: Nursery | None) -> None:
         code = 2
     except HedgerowError as error:
         _complain(f"error: {error}")
+        from orchestrator.verdict import EXIT_CODES, UNKNOWN  # noqa: PLC0415
+
         code = EXIT_CODES[UNKNOWN]
     except typer.Abort:
         code = 130
+    except OSError as error:
+        if error.errno not in FULL:
+            raise
+        _complain(f"error: what was to be written is lost: {error.strerror}; make room, or write it elsewhere")
+        code = 2
     except Exception as error:
         if not hasattr(error, "show"):
             raise
@@ -82,14 +90,15 @@ def run_command(began: float, nursery: Nursery | None) -> None:
 
 
 def _complain(text: str) -> None:
-    print(text, file=sys.stderr)
+    with contextlib.suppress(OSError):
+        print(text, file=sys.stderr, flush=True)
 
 
 def _leave(code: int) -> None:
     # Not sys.exit: a stalled viewer's threads must not hold the process (orchestrator.rerun_stream).
-    with contextlib.suppress(OSError):
-        sys.stdout.flush()
-        sys.stderr.flush()
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError):
+            stream.flush()
     os._exit(code)
 
 
@@ -103,6 +112,9 @@ def _importable(topology: Topology) -> Topology:
 
 
 def read(file: str, sets: list[str] | None, **replace: object) -> Topology:
+    from topologies.load import find, load  # noqa: PLC0415
+    from topologies.resolve import resolve  # noqa: PLC0415
+
     overrides = [*(f"{key}={json.dumps(value)}" for key, value in replace.items() if value is not None), *(sets or [])]
     return resolve(load(file, overrides), find(file).parent)
 
@@ -138,8 +150,13 @@ def up(
         str | None, typer.Option(metavar="ENDPOINT", help="open a port for them, e.g. tcp/0.0.0.0:7447")
     ] = None,
     namespace: Annotated[str | None, typer.Option(metavar="KEY", help="where all of them meet [hedgerow/NAME]")] = None,
-    wait: Annotated[float, typer.Option(metavar="S", help="seconds that they have to come")] = 600.0,
-    deadline: Annotated[float, typer.Option(metavar="S", help="seconds without an answer before giving up")] = 10.0,
+    wait: Annotated[
+        float | None, typer.Option(metavar="S", help="seconds that they have to come [600, on Ray 120]")
+    ] = None,
+    on: Annotated[
+        str | None, typer.Option(metavar="ray|ray://HOST:PORT", help="the cluster that the agents live on")
+    ] = None,
+    deadline: Annotated[float, typer.Option(metavar="S", help="seconds to wait for an agent before going on")] = 10.0,
     verify: Annotated[bool, typer.Option("--verify", help="compare with the in-process reference afterwards")] = False,
     detach: Annotated[bool, typer.Option("--detach", help="return once it runs")] = False,
     lifeline: Annotated[bool, typer.Option("--lifeline", help="end when standard input does")] = False,
@@ -159,29 +176,41 @@ def up(
     from orchestrator.screen import screen  # noqa: PLC0415
     from orchestrator.up import Network, Options  # noqa: PLC0415
     from orchestrator.wiring import check as check_security  # noqa: PLC0415
+    from orchestrator.wiring import meeting_place  # noqa: PLC0415
 
-    if rate < 0 or deadline <= 0:
-        raise UserError("--rate must not be negative, and --deadline must be above 0")
+    check_options(rate=rate, deadline=deadline, wait=wait)
     count_of: object = int(processes) if processes and processes.lstrip("-").isdecimal() else processes
     topology = _importable(read(file, sets, steps=steps, seed=seed, law=law, processes=count_of, secure=secure))
     shards = layout(topology, topology.process_count)
-    check_security(topology.secure, router, keys, places(views_of(topology, shards)))
+    where = places(views_of(topology, shards))
+    check_security(topology.secure, router, keys, where, external is not None, listen, namespace)
+    if keys is not None and (on is not None or external is not None):
+        router, namespace = meeting_place(keys, where, router, listen, namespace)
     elsewhere = None
-    if external is not None:
+    if on is not None:
+        _check_cluster(on, external)
+    elif external is not None:
         from orchestrator.external import chosen, namespace_of  # noqa: PLC0415
 
         meet = namespace or namespace_of(topology)
-        elsewhere = chosen(external, topology, shards, router, listen, meet, wait)
+        elsewhere = chosen(external, topology, shards, router, listen, meet, wait or 600.0)
     elif listen or namespace:
         raise UserError("--listen and --namespace are for processes that are started elsewhere: name them, --external")
     viewer = _viewer(viewer)
     if detach:
         return _start_detached()
+    stack = contextlib.ExitStack()
+    on_ray = None
+    if on is not None:
+        from orchestrator.on_ray import chosen as chosen_on_ray  # noqa: PLC0415
+
+        on_ray = stack.enter_context(chosen_on_ray(on, topology, shards, router, listen, namespace, wait))
+        elsewhere = on_ray.external
     folder = folders.create(topology, run_dir)
     display = screen(topology, as_json, plain, watched=viewer != "none")
-    what = f"{count(len(topology.ids), 'node')} in {count(len(shards), 'process', 'es')}, {topology.steps} steps"
-    display.say(f"{topology.name}: {what}, run {folder.name}")
-    options = Options(rate, deadline, router, keys, elsewhere, Watching(record, viewer, split_recording), verify)
+    _introduce(topology, len(shards), folder.name, display)
+    watching = Watching(record, viewer, split_recording)
+    options = Options(rate, deadline, router, keys, elsewhere, on_ray, watching, verify)
 
     def on_first_step(after_s: float) -> None:
         display.say(f"running: first step after {after_s:.2f} s")
@@ -189,9 +218,29 @@ def up(
             display.say(f"running in the background; `orchestrator stop {folder.name}` ends it")
             _let_go_of_terminal(folder.logs / "up.log")
 
-    with contextlib.closing(display), contextlib.closing(_NURSERY or Nursery()) as nursery:
+    with stack, contextlib.closing(display), contextlib.closing(_NURSERY or Nursery()) as nursery:
         network = Network(topology, folder, shards, options, display, nursery, _BEGAN)
         return network.run(on_first_step).exit_code
+
+
+def _check_cluster(on: str, external: str | None) -> None:
+    """Raise UserError for what does not go together with a cluster, and for what names none."""
+    from orchestrator.ray_cluster import check  # noqa: PLC0415
+
+    if external is not None:
+        raise UserError("--external --on: choose one; on a cluster, Ray starts all agents")
+    check(on)
+
+
+def _introduce(topology: Topology, processes: int, run: str, display: Screen) -> None:
+    """Say what is run, and what of it is written down."""
+    from orchestrator.check import count  # noqa: PLC0415
+    from orchestrator.kept import told  # noqa: PLC0415
+
+    what = f"{count(len(topology.ids), 'node')} in {count(processes, 'process', 'es')}, {topology.steps} steps"
+    display.say(f"{topology.name}: {what}, run {run}")
+    for line in told(topology):
+        display.say(line)
 
 
 def _end_with_standard_input() -> None:
@@ -202,10 +251,23 @@ def _end_with_standard_input() -> None:
 
 
 _DETACHED = "HEDGEROW_DETACHED"
+_END_DEADLINE_S = 30.0
+"""How long a network has to end that was to be detached."""
 
 
 def _start_detached() -> int:
-    """Run the same command in a session of its own, relaying what it says until its first step."""
+    """Run the same command in a session of its own; until its first step, relay what it says, and Ctrl-C to it."""
+    asked: list[int] = []
+    process = None
+
+    def end(number: int, _: object) -> None:
+        asked.append(number)
+        if process is not None:
+            process.terminate()
+            threading.Thread(target=_kill_later, args=(process,), daemon=True).start()
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, end)
     command = [sys.executable, "-P", "-m", "orchestrator", *(word for word in sys.argv[1:] if word != "--detach")]
     process = subprocess.Popen(
         command,
@@ -215,13 +277,26 @@ def _start_detached() -> int:
         start_new_session=True,
         env=os.environ | {_DETACHED: "1"},
     )
+    if asked:  # while it was started
+        end(asked[0], None)
     assert process.stdout is not None
     for line in process.stdout:
         print(line.decode(errors="replace"), end="", flush=True)
     try:
-        return process.wait(timeout=1.0)
+        code = process.wait(timeout=1.0)
     except subprocess.TimeoutExpired:
-        return 0
+        code = 0
+    if asked:
+        process.wait()
+        code = 128 + asked[0]
+    return code
+
+
+def _kill_later(process: subprocess.Popen[bytes]) -> None:
+    try:
+        process.wait(_END_DEADLINE_S)
+    except subprocess.TimeoutExpired:
+        process.kill()
 
 
 def _let_go_of_terminal(log: Path) -> None:
@@ -256,15 +331,18 @@ def simulate(
     """Run the same network in this one process, without Zenoh: the reference, and the quick way."""
     from orchestrator import folder as folders  # noqa: PLC0415
     from orchestrator.assign import layout  # noqa: PLC0415
+    from orchestrator.kept import told  # noqa: PLC0415
     from orchestrator.run import Watching  # noqa: PLC0415
     from orchestrator.screen import screen  # noqa: PLC0415
-    from orchestrator.simulate import simulate as run_here  # noqa: PLC0415
+    from orchestrator.simulation import simulate_into  # noqa: PLC0415
 
     topology = _importable(read(file, sets, steps=steps, seed=seed, law=law))
     folder = folders.create(topology, run_dir)
     viewer = _viewer(viewer)
     with contextlib.closing(screen(topology, as_json, plain, watched=viewer != "none")) as display:
-        return run_here(
+        for line in told(topology):
+            display.say(line)
+        return simulate_into(
             topology, folder, layout(topology, 1), Watching(record, viewer, split_recording), display
         ).exit_code
 
@@ -281,6 +359,8 @@ def check(
     ] = False,
 ) -> int:
     """Validate a topology file and show what it says, node by node; exit code 2 and every mistake if it is wrong."""
+    from orchestrator.check import table  # noqa: PLC0415
+
     topology = read(file, sets, steps=steps, seed=seed, law=law)
     print(table(_importable(topology) if import_law else topology))
     return 0
@@ -289,6 +369,8 @@ def check(
 @app.command()
 def schema() -> int:
     """Print the JSON Schema of topology files, for editors."""
+    from topologies.schema import Topology  # noqa: PLC0415
+
     print(json.dumps(Topology.model_json_schema(), indent=2))
     return 0
 
@@ -331,6 +413,7 @@ def stop(
     from orchestrator.live import Live  # noqa: PLC0415
     from wire.session import WireError  # noqa: PLC0415
 
+    check_options(deadline=deadline)
     entry = registry.find(run)
     try:
         with Live(entry) as live:
@@ -341,7 +424,7 @@ def stop(
     until = time.monotonic() + deadline
     while entry in registry.running():
         if time.monotonic() > until:
-            raise UserError(f"{entry.run}: still there after {deadline:g} s; kill -9 {entry.pid} ends it at once")
+            raise DeadlineError(f"{entry.run}: still there after {deadline:g} s; kill -9 {entry.pid} ends it at once")
         time.sleep(0.05)
     print(f"{entry.run}: stopped; {entry.folder}")
     return 0

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import json
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from orchestrator.cli_options import AsJson, File, Processes
 
 if TYPE_CHECKING:
     from wire.access import Place
 
 MATRIX_MOST = 16
 """processes that a matrix is drawn for; of more, a line each"""
-
-File = Annotated[str, typer.Argument(metavar="FILE", help="a topology file, a bundled name, or the folder of a run")]
-Processes = Annotated[int | None, typer.Option(metavar="P", help="agent processes [one a node]")]
-AsJson = Annotated[bool, typer.Option("--json", help="one JSON object on standard output")]
 
 
 def register(app: typer.Typer) -> None:
@@ -27,29 +26,33 @@ def register(app: typer.Typer) -> None:
 
 def _places(file: str, processes: int | None) -> tuple[str, list[Place]]:
     from orchestrator.assign import layout, places, views_of  # noqa: PLC0415
-    from topologies.load import find, load  # noqa: PLC0415
-    from topologies.resolve import resolve  # noqa: PLC0415
+    from orchestrator.cli import read  # noqa: PLC0415
 
-    overrides = [] if processes is None else [f"processes={processes}"]
-    topology = resolve(load(file, overrides), find(file).parent)
+    topology = read(file, None, processes=processes)
     return topology.name, places(views_of(topology, layout(topology, topology.process_count)))
 
 
 def keys(
     file: File,
-    router: Annotated[str, typer.Option(metavar="ENDPOINT", help="where the router will be: tls/HOST:PORT")],
     out: Annotated[Path, typer.Option(metavar="DIR", help="a new folder")],
+    router: Annotated[
+        str, typer.Option(metavar="ENDPOINT", help="where the router will be: tls/HOST:PORT")
+    ] = "tls/localhost:7447",
     processes: Processes = None,
     days: Annotated[float, typer.Option(metavar="N", min=0.01, max=366, help="how long the certificates hold")] = 7,
 ) -> int:
     """Make the keys of a secure network whose router stands elsewhere: a folder for each process, and the router's."""
     from orchestrator.authority import CONFIGURATION, to_carry  # noqa: PLC0415
     from orchestrator.wiring import namespace_of  # noqa: PLC0415
+    from wire.session import check_endpoint  # noqa: PLC0415
 
+    check_endpoint(router)
     name, places = _places(file, processes)
     made = to_carry(out, places, namespace_of(name), router, days)
     print(f"{out}: keys for {', '.join(made)}; they hold for {days:g} days")
-    print(f"router: zenohd -c {CONFIGURATION}, in its folder; then: orchestrator up {file} --secure --keys {out}")
+    again = ["orchestrator", "up", file, "--secure", "--keys", str(out)]
+    again += [] if processes is None else ["--processes", str(processes)]
+    print(f"router: zenohd -c {CONFIGURATION}, in its folder; then: {shlex.join(again)}")
     return 0
 
 

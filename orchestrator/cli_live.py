@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from topologies.base import node_id
+from orchestrator.cli_options import AsJson
 
 if TYPE_CHECKING:
     from orchestrator.live import Injected, Live
@@ -21,7 +21,6 @@ faults = typer.Typer(
 )
 
 Run = Annotated[str | None, typer.Option("--run", metavar="RUN", help="a running network's name [the youngest]")]
-AsJson = Annotated[bool, typer.Option("--json", help="one JSON object on standard output")]
 Link = Annotated[str, typer.Argument(metavar="I-J", help="two neighbours; I,J where a '-' is part of a name")]
 Node = Annotated[str, typer.Argument(metavar="NODE", help="the id of a node")]
 For = Annotated[int | None, typer.Option("--for", metavar="N", min=1, help="how many steps it holds [until healed]")]
@@ -157,6 +156,8 @@ def sensor(
     as_json: AsJson = False,
 ) -> int:
     """Lose the readings of a node's state."""
+    from topologies.base import node_id  # noqa: PLC0415
+
     return _inject(
         run,
         as_json,
@@ -174,6 +175,8 @@ def actuator(
     as_json: AsJson = False,
 ) -> int:
     """Lose a node's inputs on their way to the plant."""
+    from topologies.base import node_id  # noqa: PLC0415
+
     return _inject(
         run,
         as_json,
@@ -193,6 +196,8 @@ def crash(
     as_json: AsJson = False,
 ) -> int:
     """Kill an agent, and start it again or not."""
+    from topologies.base import node_id  # noqa: PLC0415
+
     return _inject(
         run,
         as_json,
@@ -211,6 +216,8 @@ def jump(
     as_json: AsJson = False,
 ) -> int:
     """Let a node's true a become another of its candidates."""
+    from topologies.base import node_id  # noqa: PLC0415
+
     return _inject(run, as_json, lambda live: live.fault.jump(node_id(node), to=to, at=after))
 
 

@@ -8,14 +8,13 @@ from typing import Annotated
 
 import typer
 
-from topologies.errors import UserError
+from orchestrator.cli_options import File, Law, Processes, Seed, Sets, Steps
+from topologies.errors import UserError, check_options
 
-File = Annotated[str, typer.Argument(metavar="FILE", help="a topology file, a bundled name, or the folder of a run")]
-Sets = Annotated[list[str] | None, typer.Option("--set", metavar="PATH=VALUE", help="replace a value of the file")]
-Steps = Annotated[int | None, typer.Option(help="replace `steps:`")]
-Seed = Annotated[int | None, typer.Option(help="replace `seed:`")]
-Law = Annotated[str | None, typer.Option(help="replace `law:`")]
-Processes = Annotated[int | None, typer.Option(metavar="P", help="agent processes [one a node]")]
+Secure = Annotated[
+    bool | None, typer.Option("--secure/--open", help="keys for every process, and a router that refuses the rest")
+]
+Days = Annotated[float | None, typer.Option(metavar="N", min=0.01, max=366, help="how long the keys hold [7]")]
 Namespace = Annotated[str | None, typer.Option(metavar="KEY", help="where all meet [hedgerow/NAME]")]
 
 
@@ -29,8 +28,13 @@ def bundle(
     file: File,
     out: Annotated[Path, typer.Option(metavar="DIR", help="the folder to write, new or empty")],
     router: Annotated[
-        str, typer.Option(metavar="ENDPOINT", help="where the agents find the run, as seen from their machines")
-    ] = "tcp/localhost:7447",
+        str | None,
+        typer.Option(
+            metavar="ENDPOINT", help="where the agents find the run, as seen from their machines [tcp/localhost:7447]"
+        ),
+    ] = None,
+    secure: Secure = None,
+    days: Days = None,
     namespace: Namespace = None,
     processes: Processes = None,
     steps: Steps = None,
@@ -39,23 +43,37 @@ def bundle(
     sets: Sets = None,
 ) -> int:
     """Write what each process is told, a file each, to carry to other machines, and how to start them there."""
-    from orchestrator.assign import layout  # noqa: PLC0415
-    from orchestrator.bundle import write  # noqa: PLC0415
+    from orchestrator.assign import layout, places, views_of  # noqa: PLC0415
+    from orchestrator.authority import LIFE_DAYS  # noqa: PLC0415
+    from orchestrator.bundle import write, write_secure  # noqa: PLC0415
     from orchestrator.cli import read  # noqa: PLC0415
     from orchestrator.external import configs, namespace_of  # noqa: PLC0415
+    from orchestrator.folder import whole_folder  # noqa: PLC0415
+    from wire.session import check_endpoint, check_namespace  # noqa: PLC0415
 
-    topology = read(file, sets, steps=steps, seed=seed, law=law, processes=processes)
+    topology = read(file, sets, steps=steps, seed=seed, law=law, processes=processes, secure=secure)
     shards = layout(topology, topology.process_count)
-    told = configs(topology, shards, router, namespace or namespace_of(topology))
+    _refuse_days(topology.secure, days)
+    router = router or f"{'tls' if topology.secure else 'tcp'}/localhost:7447"
+    check_endpoint(router)
+    meet = namespace_of(topology) if namespace is None else namespace
+    check_namespace(meet)
+    told = configs(topology, shards, router, meet)
     try:
-        out.mkdir(parents=True, exist_ok=True)
-        if any(out.iterdir()):
-            raise UserError(f"--out {out}: holds something already; name a new folder")
-        write(out, topology, told)
+        if topology.secure:
+            write_secure(out, topology, told, places(views_of(topology, shards)), days or LIFE_DAYS)
+        else:
+            with whole_folder(out, f"--out {out}") as part:
+                write(part, topology, told)
     except OSError as error:
         raise UserError(f"--out {out}: {error.strerror}; choose another folder") from None
     print(f"{out}: {len(told)} processes; {out / 'README.md'} says how to start them")
     return 0
+
+
+def _refuse_days(secure: bool, days: float | None) -> None:
+    if days is not None and not secure:
+        raise UserError(f"--days {days:g}: is how long keys hold, of a secure network; give --secure too")
 
 
 class Format(StrEnum):
@@ -69,6 +87,15 @@ def compose(
     file: File,
     form: Annotated[Format, typer.Option("--format", help="for Docker, or for Kubernetes")] = Format.COMPOSE,
     rate: Annotated[float, typer.Option(metavar="R", help="steps per second, 0 for as fast as possible")] = 10.0,
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help="write it there, for you alone to read")] = None,
+    secure: Secure = None,
+    keys: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="its folder of keys, made if it is not there [keys, beside FILE]")
+    ] = None,
+    days: Days = None,
+    registry: Annotated[
+        str, typer.Option(metavar="PREFIX", help="where the images are pushed, e.g. registry.example/team")
+    ] = "",
     namespace: Namespace = None,
     processes: Processes = None,
     steps: Steps = None,
@@ -77,17 +104,37 @@ def compose(
     sets: Sets = None,
 ) -> int:
     """Print a Compose file, or Kubernetes manifests, that run a network in containers."""
-    from orchestrator import compose as made  # noqa: PLC0415
-    from orchestrator.assign import layout  # noqa: PLC0415
+    from orchestrator.assign import layout, places, views_of  # noqa: PLC0415
+    from orchestrator.authority import write_private  # noqa: PLC0415
     from orchestrator.cli import read  # noqa: PLC0415
+    from orchestrator.compose import MOST_BYTES, to_compose  # noqa: PLC0415
+    from orchestrator.containers import containers, provide_keys  # noqa: PLC0415
     from orchestrator.external import namespace_of  # noqa: PLC0415
+    from orchestrator.kubernetes import MOST_MAP_BYTES, to_kubernetes  # noqa: PLC0415
+    from wire.session import check_namespace  # noqa: PLC0415
 
-    if rate < 0:
-        raise UserError("--rate must not be negative")
-    topology = read(file, sets, steps=steps, seed=seed, law=law, processes=processes)
+    check_options(rate=rate)
+    topology = read(file, sets, steps=steps, seed=seed, law=law, processes=processes, secure=secure)
     shards = layout(topology, topology.process_count)
-    docker = form is Format.COMPOSE
-    most = made.MOST_BYTES if docker else made.MOST_MAP_BYTES
-    one = made.containers(topology, shards, namespace or namespace_of(topology), rate, most)
-    print(made.compose(one) if docker else made.kubernetes(one), end="")
+    meet, docker, folder = namespace_of(topology) if namespace is None else namespace, form is Format.COMPOSE, None
+    check_namespace(meet)
+    beside = out.parent if out else Path()
+    _refuse_days(topology.secure, days)
+    if topology.secure:
+        if out is None and not docker:
+            raise UserError("--secure: the manifests hold all keys; --out FILE writes a file that only you can read")
+        folder = keys or beside / "keys"
+        provide_keys(folder, places(views_of(topology, shards)), meet, days)
+    elif keys is not None:
+        raise UserError(f"--keys {keys}: is for a secure network; give --secure too")
+    most = MOST_BYTES if docker else MOST_MAP_BYTES
+    one = containers(topology, shards, meet, rate, most, folder, registry)
+    text = to_compose(one, beside) if docker else to_kubernetes(one)
+    if out is None:
+        print(text, end="")
+        return 0
+    try:
+        write_private(out, text.encode())
+    except OSError as error:
+        raise UserError(f"--out {out}: {error.strerror}; choose another name") from None
     return 0

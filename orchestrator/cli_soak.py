@@ -8,11 +8,12 @@ from typing import Annotated
 
 import typer
 
+from orchestrator.cli_options import RunDir
+
 File = Annotated[str, typer.Argument(metavar="[FILE]", help="a topology file, a bundled name, or the folder of a run")]
 Minutes = Annotated[float, typer.Option(metavar="N", help="for how long")]
 Rate = Annotated[float, typer.Option(metavar="R", min=0, help="steps per second, 0 for as fast as possible")]
 Processes = Annotated[int | None, typer.Option(metavar="P", min=1, help="agent processes [one a node]")]
-RunDir = Annotated[Path | None, typer.Option(metavar="DIR", help="the run's folder, new or empty [runs/NAME-TIME]")]
 Record = Annotated[bool, typer.Option("--record/--no-record", help="write run.rrd")]
 Faults = Annotated[bool, typer.Option("--faults/--no-faults", help="let things go wrong all the time")]
 
@@ -32,15 +33,16 @@ def soak(
     faults: Faults = True,
 ) -> int:
     """Run a network for long under faults; exit code 1 if memory, threads, open files or pace do not stay flat."""
-    from orchestrator.soak import run_soak  # noqa: PLC0415
-    from topologies.errors import UserError  # noqa: PLC0415
-    from topologies.load import find, load  # noqa: PLC0415
-    from topologies.resolve import resolve  # noqa: PLC0415
+    from orchestrator.cli import read  # noqa: PLC0415
+    from orchestrator.soak import LEAST_MINUTES, LEAST_WARM_UP_S, run_soak  # noqa: PLC0415
+    from topologies.errors import UserError, check_options  # noqa: PLC0415
 
-    if not 0 < minutes < 1e6:
-        raise UserError(f"--minutes {minutes:g}: give a number above 0")
-    topology = resolve(load(file), find(file).parent)
-    options = ["--rate", str(rate), *(["--processes", str(processes)] if processes else [])]
-    options += [] if record else ["--no-record"]
+    check_options(rate=rate)
+    if not LEAST_MINUTES <= minutes < 1e6:
+        raise UserError(
+            f"--minutes {minutes:g}: give at least {LEAST_MINUTES:g}; the first {LEAST_WARM_UP_S:g} s are not judged"
+        )
+    topology = read(file, None, processes=processes)
+    options = ["--rate", str(rate), *([] if record else ["--no-record"])]
     directory = run_dir or Path("runs") / f"{topology.name}-soak-{time.strftime('%Y%m%d-%H%M%S')}"
     return run_soak(topology, directory, minutes, faults, options, lambda text: print(text, flush=True))

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from orchestrator.ray_cluster import check
 from topologies.errors import UserError
 
 File = Annotated[str, typer.Argument(metavar="FILE", help="a topology file, or a bundled name")]
@@ -42,6 +43,6 @@ def sweep(
 
     if jobs is not None and jobs < 1:
         raise UserError(f"--jobs {jobs}: is below 1; leave it out for all cores")
-    if on is not None and on != "ray" and not on.startswith("ray://"):
-        raise UserError(f"--on {on}: is no cluster; write ray, or ray://HOST:PORT")
+    if on is not None:
+        check(on)
     return run(plan(file, seeds, sets or [], engine), out, jobs, on)

@@ -46,7 +46,7 @@ def watch(run: Running = None, viewer: Viewer = "auto") -> int:
 
 def open_(runs: Runs = None, viewer: Viewer = "auto") -> int:
     """Show runs that are over in a viewer, several on the same axes."""
-    from orchestrator.recorded import find_run  # noqa: PLC0415
+    from orchestrator.run_files import find_run  # noqa: PLC0415
     from orchestrator.viewer import choose_one  # noqa: PLC0415
 
     named = runs or ["runs/latest"]

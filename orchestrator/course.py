@@ -7,13 +7,32 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from pydantic import ValidationError
+
 from topologies.effects import FOREVER
-from topologies.faults import Crash, Fault
+from topologies.errors import HedgerowError
+from topologies.faults import Crash, Fault, Jump
+from topologies.rules import broken_faults
 from topologies.schema import Topology
 
 
 def with_fault(topology: Topology, entry: Mapping[str, Any]) -> Topology:
-    """The topology with one fault more, as a file spells it."""
+    """The topology with one fault more, as a file spells it; HedgerowError if it is none of this network.
+
+    `Live` has checked it before, yet whoever reaches the plant can ask for what it likes.
+    """
+    try:
+        more = _with(topology, entry)
+    except ValidationError:
+        raise HedgerowError(f"the plant was given a fault that no file spells: {str(entry)[:200]!a}") from None
+    new = more.faults[-1]
+    problems = broken_faults(topology.model_copy(update={"faults": (new,)}))
+    if problems or (isinstance(new, Jump) and not isinstance(new.a, float)):
+        raise HedgerowError(f"the plant was given a fault that is none of this network: {str(entry)[:200]!a}")
+    return more
+
+
+def _with(topology: Topology, entry: Mapping[str, Any]) -> Topology:
     (fault,) = Topology.model_validate({**_LEAST, "faults": [entry]}).faults
     return topology.model_copy(update={"faults": (*topology.faults, fault)})
 
@@ -25,7 +44,7 @@ _LEAST = {"name": "one", "b": 0.1, "steps": 1, "nodes": [0]}
 def with_loss(topology: Topology, shard: int, nodes: list[int | str], at: int) -> Topology:
     """The topology with the crash that losing an agent process at a step amounts to."""
     who = {"process": shard} if isinstance(topology.processes, int) else {"node": nodes[0]}
-    return with_fault(topology, {"kind": "crash", **who, "at": at})
+    return _with(topology, {"kind": "crash", **who, "at": at})
 
 
 def with_end(topology: Topology, number: int, at: int) -> Topology:

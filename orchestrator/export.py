@@ -17,18 +17,26 @@ from numpy.typing import NDArray
 from pyarrow.csv import CSVWriter
 
 from orchestrator.record import ROW_GROUP
-from orchestrator.recorded import RecordedRun, Table
+from orchestrator.recorded import RecordedRun
+from orchestrator.recorded_table import Table
 from topologies.errors import UserError
 
 FORMS = ("csv", "parquet", "npz", "mat")
 NAMES = (
-    *("run", "law", "verdict", "T", "b", "gamma_star", "ids", "edges", "candidates", "nominal", "lost"),
+    *("run", "law", "verdict", "T", "b", "gamma_star", "ids", "edges", "candidates", "nominal", "lost", "steps"),
     *("x", "x_oracle", "x_nominal", "regret", "nominal_gap", "regret_sum", "nominal_regret_sum"),
-    *("a", "u", "w", "ahat", "index", "margin", "a_ls", "right"),
+    *("a", "u", "w", "ahat", "index", "margin", "a_ls", "beta", "identifiable", "right"),
     *("cost", "cost_oracle", "cost_regret", "energy_sum", "gain", "gain_less_x0"),
     *("u_edge", "open", "i_hears", "j_hears"),
 )
 """The arrays of a .npz and a .mat, each what the RecordedRun has by that name."""
+OF_ALL = ("a_ls", "beta", "identifiable")
+"""Those that take all rows to know."""
+TOTALS = (
+    *("regret_sum", "nominal_regret_sum", "right", "cost", "cost_oracle", "cost_regret", "energy_sum"),
+    *("gain", "gain_less_x0"),
+)
+"""Those that take all rows to know, or a summary."""
 PLACES = ("edges", "index")
 """Those that count places: from 0, but in a .mat from 1, as MATLAB does."""
 MAT_BYTES = 2**31 - 1
@@ -55,8 +63,11 @@ def export(run: RecordedRun, to: str, out: Path | None = None, force: bool = Fal
 
 
 def arrays(run: RecordedRun) -> dict[str, NDArray[Any]]:
-    """All of a run by name: numbers, flags and text, never objects."""
-    return {name: _array(getattr(run, name)) for name in NAMES}
+    """All of a run by name: numbers, flags and text, never objects; what is left out by `record:` is not there."""
+    there = NAMES if run.whole else [name for name in NAMES if name not in OF_ALL]
+    if "summary" not in run.tables and not run.whole:
+        there = [name for name in there if name not in TOTALS]
+    return {name: _array(getattr(run, name)) for name in there}
 
 
 def _array(value: Any) -> NDArray[Any]:

@@ -13,6 +13,7 @@ import threading
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import zenoh
 
@@ -23,12 +24,18 @@ from topologies.errors import DeadlineError, HedgerowError, UserError
 from topologies.resolve import to_yaml
 from topologies.schema import Topology
 from wire import keys
+from wire.access import OBSERVER
 from wire.config import Config
 from wire.handshake import introduction
-from wire.session import WireError
+from wire.refusal import refused
+from wire.session import WireError, direct
 
 PLANT_GONE_S = 30.0
 """How long the plant may be out of sight before a run is given up; a cable that was pulled is put back sooner."""
+PLANT = -1
+"""The plant among the numbers of shards."""
+OWN_START_S = 60.0
+"""How much longer our own processes may take to begin than the others have to come."""
 ANY_HOST = ("0.0.0.0", "[::]")
 
 
@@ -48,9 +55,14 @@ class External:
     wait_s: float
     """how long they have to come"""
 
-    def wiring(self, router: str | None) -> Wiring:
+    def __contains__(self, process: int) -> bool:
+        """Whether it is started elsewhere: a shard, or PLANT."""
+        return self.plant if process == PLANT else process in self.shards
+
+    def wiring(self, router: str | None, keys: Path | None) -> Wiring:
         """How our own processes find the run: over a router that is there, or the port that our plant opens."""
-        return Wiring(router or local(self.listen or ""), self.namespace, listens=router is None)
+        endpoint = router or local(self.listen or "")
+        return Wiring(endpoint, self.namespace, listens=router is None, credentials=keys and keys.resolve())
 
     def __str__(self) -> str:
         return ", ".join(self.names)
@@ -92,7 +104,6 @@ def chosen(
         )
     wanted = set(range(len(shards))) if "all" in words else {home[word] for word in words if word != keys.PLANT}
     plant = keys.PLANT in words
-    _refuse_secure(topology)
     if plant and router is None:
         raise UserError("--external plant: say where it is with --router, e.g. --router tcp/bench:7447")
     if plant and listen:
@@ -113,36 +124,28 @@ def chosen(
     )
 
 
-def local(endpoint: str) -> str:
-    """How we ourselves reach who listens on `endpoint` here."""
+def local(endpoint: str, here: str = "127.0.0.1") -> str:
+    """How who listens on `endpoint` is reached at our own address, for ourselves or as others know it."""
     for host in ANY_HOST:
-        endpoint = endpoint.replace(f"/{host}:", "/127.0.0.1:")
+        endpoint = endpoint.replace(f"/{host}:", f"/{here}:")
     return endpoint
 
 
 def configs(topology: Topology, shards: Layout, router: str, namespace: str) -> list[Config]:
-    """What each process is told, the plant first; see `orchestrator bundle`. Raises UserError for a secure network."""
-    _refuse_secure(topology)
+    """What each process is told, the plant first; see `orchestrator bundle`."""
     network = fingerprint(topology)
     told = {keys.PLANT: truth_of(topology, shards).to_dict()}
     told |= {process_name(view): view.to_dict() for view in views_of(topology, shards)}
     return [Config(name, namespace, router, network, one) for name, one in told.items()]
 
 
-def _refuse_secure(topology: Topology) -> None:
-    # The rules of access (wire.access) say nothing of control/join, and the texts carry no credentials.
-    if topology.secure:
-        raise UserError(
-            f"{topology.name}: a secure network cannot have processes that are started elsewhere yet;"
-            " give --set secure=false where the machines trust their network"
-        )
-
-
 class Meeting:
     """The others, as the observer sees them: whether they come, and whether the plant stays."""
 
-    def __init__(self, external: External, session: zenoh.Session) -> None:
+    def __init__(self, external: External, session: zenoh.Session, plant_log: Path) -> None:
         self._external, self._session = external, session
+        self._log, self._read = plant_log, 0
+        self._refused: set[str] = set()
         self._began = time.monotonic()
         self._changed = threading.Condition()
         self._there = False
@@ -153,7 +156,7 @@ class Meeting:
     @contextlib.contextmanager
     def watched(self) -> Iterator[None]:
         """Watch the plant's token while the block lasts."""
-        listener = zenoh.handlers.Callback(self._take, indirect=False)
+        listener = direct(self._take)
         with self._session.liveliness().declare_subscriber(keys.alive(keys.PLANT, "*"), listener, history=True):
             yield
 
@@ -168,9 +171,23 @@ class Meeting:
         with self._changed:
             if not self._changed.wait_for(lambda: self._there, self._external.wait_s):
                 raise DeadlineError(f"plant: not there after {self._external.wait_s:g} s; is it started?")
-        answer = ask(self._session, "join", {"process": "the observer", **introduction(self._external.network)})
+        answer = ask(
+            self._session, f"join/{OBSERVER}", {"process": "the observer", **introduction(self._external.network)}
+        )
         if "error" in answer:
             raise HedgerowError(f"the plant refuses us: {answer['error']}")
+
+    def refused(self) -> list[str]:
+        """Whom our router refused since the last time, if it is in our plant; each cause is told once."""
+        if not self._log.exists():
+            return []
+        with self._log.open("rb") as log:
+            log.seek(self._read)
+            lines = log.read().rpartition(b"\n")[0]
+        self._read += len(lines)
+        found = {why for line in lines.decode(errors="replace").splitlines() if (why := refused(line))}
+        self._refused, new = self._refused | found, found - self._refused
+        return sorted(new)
 
     def is_over(self, begun: bool) -> bool:
         """Whether nobody is to be waited for any more; `reason` says why."""
@@ -178,11 +195,18 @@ class Meeting:
         with self._changed:
             if self._external.plant and not self._there and now - self._gone_at > PLANT_GONE_S:
                 self.reason = f"the plant is gone: not seen for {PLANT_GONE_S:g} s"
-        if not begun and now - self._began > self._external.wait_s:
-            self.reason = f"{self._absent()} not there after {self._external.wait_s:g} s; who starts them?"
+        waited_s = now - self._began - self._external.wait_s
+        if not begun and waited_s > 0:
+            absent = self._absent()
+            # Of ours, who has a neighbour among the others waits for them.
+            others = [who for p, who in absent.items() if p in self._external]
+            if others or waited_s > OWN_START_S:
+                names = ", ".join((others or list(absent.values()))[:8]) or "nobody is missing, yet the first step is"
+                self.reason = f"{names} not there after {self._external.wait_s:g} s; who starts them?"
         return bool(self.reason)
 
-    def _absent(self) -> str:
+    def _absent(self) -> dict[int, str]:
+        """Who is not there, by shard."""
         with contextlib.suppress(WireError):
-            return ", ".join(ask(self._session, "status")["absent"][:8]) or "nobody is missing, yet the first step is"
-        return str(self._external)
+            return {int(p): name for p, name in ask(self._session, "status")["absent"].items()}
+        return {PLANT: keys.PLANT}

@@ -6,8 +6,9 @@ import contextlib
 import json
 import os
 import platform
+import shutil
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from datetime import datetime
 from functools import cache
 from importlib.metadata import version
@@ -50,13 +51,41 @@ class RunFolder:
             file.write(json.dumps(line) + "\n")
 
 
+def new_folder(folder: Path, said: str, mode: int = 0o777) -> None:
+    """Make a folder, or take an empty one; UserError if it holds something. `said` is how the user named it."""
+    folder.mkdir(mode, parents=True, exist_ok=True)
+    if any(folder.iterdir()):
+        raise UserError(f"{said}: holds something already; name a new folder")
+
+
+@contextlib.contextmanager
+def whole_folder(folder: Path, said: str, mode: int = 0o777) -> Iterator[Path]:
+    """A folder to fill, beside the new or empty one that it becomes when the block ends well; else nothing is left."""
+    made = not folder.exists()
+    new_folder(folder, said, mode)
+    # Whoever gave us a folder may be in it, or have mounted it there: it stays the one that it is.
+    part = (folder.parent if made else folder) / f".{folder.name}-{os.getpid()}"
+    try:
+        part.mkdir(mode)
+        yield part
+        if made:
+            part.replace(folder)
+        else:
+            for one in part.iterdir():
+                one.replace(folder / one.name)
+            part.rmdir()
+    except BaseException:
+        shutil.rmtree(part, ignore_errors=True)
+        if made:
+            folder.rmdir()
+        raise
+
+
 def create(topology: Topology, directory: Path | None) -> RunFolder:
     """A new folder for a run of the resolved `topology`: `directory` itself, new or empty, or one in runs/."""
     try:
         if directory is not None:
-            directory.mkdir(parents=True, exist_ok=True)
-            if any(directory.iterdir()):
-                raise UserError(f"--run-dir {directory}: holds something already; name a new folder")
+            new_folder(directory, f"--run-dir {directory}")
             folder = RunFolder(directory.resolve())
         else:
             folder = RunFolder(_new_in(Path("runs"), topology.name))

@@ -3,10 +3,10 @@
 A fork costs a few milliseconds and shares memory; an interpreter of one's own, with numpy and Zenoh, costs a
 quarter of a second. The nursery itself opens no session, knows no topology, and has one thread.
 
-On its standard input it is told, a line of JSON each, `{"name", "module", "arguments", "log"}`, and `{"leave"}`: paths
-that are to be gone when it ends, whatever ends its parent. On its standard output it says `{"name", "pid"}` when a
-process runs, and `{"name", "code"}` when it has ended. Its first argument is the descriptor
-of the lifeline that its children hold (wire.child).
+On its standard input it is told, a line of JSON each, `{"name", "module", "arguments", "log"}`, and `{"leave"}`: files
+and folders. When that input ends, whatever ended its parent, it ends whoever is left of its children, frozen or not,
+removes these, and ends. On its standard output it says `{"name", "pid"}` when a process runs, and `{"name", "code"}`
+when it has ended. Its first argument is the descriptor of the lifeline that its children hold (wire.child).
 """
 
 from __future__ import annotations
@@ -19,13 +19,14 @@ import select
 import signal
 import socket
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
 import agents.process
 import plant.process
 from wire.runtime import share_the_cores
+from wire.session import remove_trace
 
 PROGRAMS: dict[str, Callable[[Sequence[str]], NoReturn]] = {"agents": agents.process.main, "plant": plant.process.main}
 
@@ -51,7 +52,7 @@ def main() -> None:
         if 0 in ready:
             more = os.read(0, 65536)
             if not more:
-                _clear_up(leave)
+                _end(names, leave)
                 return
             *lines, heard = (heard + more).split(b"\n")
             for line in lines:
@@ -65,13 +66,14 @@ def main() -> None:
                 _say(name=told["name"], pid=pid)
 
 
-def _clear_up(leave: Sequence[str]) -> None:
-    """Remove these files, and of folders those that are empty."""
+def _end(pids: Iterable[int], leave: Sequence[str]) -> None:
+    """Nobody of ours lives on; and only then, for a plant may just be making its socket, is it removed."""
+    for pid in pids:
+        os.kill(pid, signal.SIGKILL)
+    for pid in pids:
+        os.waitpid(pid, 0)
     for path in leave:
-        with contextlib.suppress(OSError):
-            os.unlink(path)
-        with contextlib.suppress(OSError):
-            os.rmdir(path)
+        remove_trace(path)
 
 
 def _reap(names: dict[int, str]) -> None:
@@ -83,13 +85,15 @@ def _reap(names: dict[int, str]) -> None:
 
 
 def _say(**what: Any) -> None:
-    os.write(1, json.dumps(what).encode() + b"\n")
+    with contextlib.suppress(BrokenPipeError):  # our parent is gone: standard input ends, too
+        os.write(1, json.dumps(what).encode() + b"\n")
 
 
 def _become(told: dict[str, Any], lifeline: int) -> NoReturn:
     """In the child: a session and a log of its own, the lifeline as standard input; then the program, for good."""
     signal.set_wakeup_fd(-1)
-    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+    for number in (signal.SIGCHLD, signal.SIGINT):  # which the nursery itself ignores
+        signal.signal(number, signal.SIG_DFL)
     share_the_cores()
     os.setsid()  # a Ctrl-C in the terminal is the parent's to handle
     log = os.open(told["log"], os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)

@@ -7,22 +7,35 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from agents.shard import Shard
+from agents.shard import LawError, Shard
 from agents.view import View
 from plant.truth import Truth
 from plant.world import World
 from topologies.graph import Array
-from wire.codec import REPORT_WIDTH, End, Telemetry, gather
+from wire.codec import REPORT_ROWS, End, Telemetry, gather
 
 
 def run(truth: Truth, views: Sequence[View]) -> Iterator[Telemetry | End]:
-    """The telemetry of every step, then the end; equal bit for bit to what the plant sends over the wire."""
-    world = World(truth)
+    """The telemetry of every step, then the end; equal bit for bit to what the plant sends over the wire.
+
+    Raises LawError after the end, which is where the law failed.
+    """
+    world, began = World(truth), time.monotonic()
+    failure: LawError | None = None
+    try:
+        yield from _steps(world, views, truth.steps)
+    except LawError as error:
+        failure = error
+    yield End(world.t, world.x, time.monotonic() - began, world.links.forgotten)
+    if failure is not None:
+        raise failure
+
+
+def _steps(world: World, views: Sequence[View], steps: int) -> Iterator[Telemetry]:
     shards = [Shard(view) for view in views]
     ends = {(view.shard, peer.shard): q for view in views for q, peer in enumerate(view.peers)}
     """By sender and receiver: which peer of the sender's the receiver is."""
-    began = time.monotonic()
-    while world.t < truth.steps:
+    while world.t < steps:
         world.begin()
         told = world.states()
         inputs: list[Array] = []
@@ -33,7 +46,7 @@ def run(truth: Truth, views: Sequence[View]) -> Iterator[Telemetry | End]:
             if state is None:
                 nothing, no_report, taken = shard.silence
                 inputs.append(gather([nothing]))
-                reports.append(gather([no_report]).reshape(-1, REPORT_WIDTH))
+                reports.append(gather([no_report]).reshape(REPORT_ROWS, -1))
                 took.append(taken)
             else:
                 if record is not None:
@@ -41,10 +54,9 @@ def run(truth: Truth, views: Sequence[View]) -> Iterator[Telemetry | End]:
                 inputs.append(shard.answer(state))
                 reports.append(shard.report)
                 took.append(shard.took)
-                said += [(view, peer, link) for peer, link in shard.say(state)]
+                said += [(view, peer, link) for peers, link in shard.say(state) for peer in peers]
         for view, peer, link in said:
             receiver = view.peers[peer].shard
             shards[receiver].hear(ends[receiver, view.shard], link)
         u = inputs[0] if len(inputs) == 1 else np.concatenate(inputs)
-        yield world.step(u, np.concatenate(reports), b"".join(took))
-    yield End(world.t, world.x, time.monotonic() - began, world.links.forgotten)
+        yield world.step(u, np.concatenate(reports, axis=1), took)

@@ -101,15 +101,18 @@ class Lanes:
 
     def __init__(self, topology: Topology, models: bool) -> None:
         """`models`: whether wrong models are told of, beside faults."""
-        ids = [str(node) for node in topology.ids]
-        edges = [(str(i), str(j)) for i, j in topology.edges]
-        self._all = [Lane(_entity(f"link {i}-{j}"), of_edge(i, j)) for i, j in edges]
-        self._all += [Lane(_entity(f"node {i}"), OF_NODE) for i in ids]
+        self._ids, self._edges = topology.ids, topology.graph.edges
         self._models = models
         self._ends = at_ends(topology.graph)
-        self._before = np.zeros(len(self._all), dtype=np.uint8)
+        self._before = np.zeros(len(self._edges) + len(self._ids), dtype=np.uint8)
         self._a: NDArray[np.float64] | None = None
         self.begun: dict[int, Lane] = {}
+
+    def _lane(self, k: int) -> Lane:
+        if k >= len(self._edges):
+            return Lane(_entity(f"node {self._ids[k - len(self._edges)]}"), OF_NODE)
+        i, j = (str(self._ids[end]) for end in self._edges[k].tolist())
+        return Lane(_entity(f"link {i}-{j}"), of_edge(i, j))
 
     def codes(self, batch: Batch) -> NDArray[np.uint8]:
         """What each lane says at each step, (B, E + n)."""
@@ -138,8 +141,8 @@ class Lanes:
             if k not in self.begun:
                 if len(self.begun) >= LANES:
                     continue
-                self.begun[k] = self._all[k]
-                new.append(self._all[k])
-            rows, lane = changed[:, k].nonzero()[0], self._all[k]
+                self.begun[k] = self._lane(k)
+                new.append(self.begun[k])
+            rows, lane = changed[:, k].nonzero()[0], self.begun[k]
             found[lane.entity] = batch.t[rows], wall[rows], [lane.says[code][0] for code in codes[rows, k].tolist()]
         return Changes(found, new)

@@ -182,9 +182,8 @@ def pair(text: str, topology: Topology) -> Pair:
         one, _, other = text.partition(",")
         return _known(one, text, topology), _known(other, text, topology)
     splits = [(node_id(text[:k]), node_id(text[k + 1 :])) for k, sign in enumerate(text) if sign == "-"]
-    found = [ends for ends in splits if topology.nodes.keys() >= {*ends}]
-    neighbours = {frozenset(edge) for edge in topology.edges}
-    linked = [ends for ends in found if frozenset(ends) in neighbours]
+    found = [ends for ends in splits if all(map(topology.has, ends))]
+    linked = [ends for ends in found if topology.graph.joins(*map(topology.position, ends))]
     meant = linked or found
     if len(meant) == 1:
         return meant[0]
@@ -203,7 +202,7 @@ def groups(text: str, topology: Topology) -> list[list[NodeId]]:
 
 def _known(name: NodeId, text: str, topology: Topology) -> NodeId:
     node: NodeId = node_id(name)
-    if node not in topology.nodes:
+    if not topology.has(node):
         raise UserError(f"{text}: {name} is no node; the nodes are {_listed(topology)}")
     return node
 
@@ -245,7 +244,7 @@ class Healed:
 class Live:
     """A session with a running network; a context manager.
 
-    run: the name of a network, or a part of it, or what `registry` knows of it; the youngest if left out. Every method
+    run: the name of a network, or its beginning, or what `registry` knows of it; the youngest if left out. Every method
     raises UserError for what the network refuses, and WireError when its plant does not answer.
     """
 

@@ -9,6 +9,7 @@ import contextlib
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -22,21 +23,27 @@ FORK_DEADLINE_S = 30.0
 END_DEADLINE_S = 5.0
 
 
+def _leave_ctrl_c_to_us() -> None:
+    """Who asks for the end asks us; the nursery's own part is to end when we do."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
 class Nursery:
     """Our end of `orchestrator.fork_server`: who it forked, and who of them has ended."""
 
     def __init__(self) -> None:
-        held, self._lifeline = os.pipe()
+        held, self._lifeline = socket.socketpair()
         # -P: a folder called `agents` in the user's working directory is not ours.
         self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "orchestrator.fork_server", str(held)],
+            [sys.executable, "-P", "-m", "orchestrator.fork_server", str(held.fileno())],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            pass_fds=(held,),
+            pass_fds=(held.fileno(),),
             env=os.environ | runtime_environment() | {"PYTHONUNBUFFERED": "1"},
             start_new_session=True,
+            preexec_fn=_leave_ctrl_c_to_us,  # noqa: PLW1509 (a system call, no lock)
         )
-        os.close(held)
+        held.close()
         self.pid = self._process.pid
         self.pids: dict[str, int] = {}
         self.codes: dict[str, int] = {}
@@ -70,13 +77,14 @@ class Nursery:
         self._tell(name=name, module=module, arguments=list(arguments), log=str(log))
 
     def leave_no(self, paths: Sequence[Path]) -> None:
-        """Have these files, and folders that are empty then, removed when the nursery ends, as it does if we die."""
+        """Have these files and folders removed when the nursery ends, as it does, with its processes, if we die."""
         self._tell(leave=list(map(str, paths)))
 
     def _tell(self, **what: object) -> None:
         assert self._process.stdin is not None
-        self._process.stdin.write(json.dumps(what).encode() + b"\n")
-        self._process.stdin.flush()
+        with contextlib.suppress(BrokenPipeError):  # `codes` says that it has ended
+            self._process.stdin.write(json.dumps(what).encode() + b"\n")
+            self._process.stdin.flush()
 
     def wait_until_forked(self, names: Sequence[str]) -> None:
         """Return once all of them run; raise DeadlineError past the deadline."""
@@ -106,7 +114,9 @@ class Nursery:
             left = self.pids.keys() - self.codes.keys()
         for name in left:
             self.kill(name)
-        if left:
+        if "nursery" in self.codes:
+            self._let_go()
+        elif left:
             self.wait(left, END_DEADLINE_S)
         with self._changed:
             self.pids.clear()
@@ -114,7 +124,7 @@ class Nursery:
 
     def close(self) -> None:
         """The same, and then end the nursery itself."""
-        self._closing = True
+        self._closing = True  # its own end is none that anybody need hear of
         self.clear()
         assert self._process.stdin is not None
         with contextlib.suppress(OSError):
@@ -127,5 +137,12 @@ class Nursery:
         self._listener.join()
         assert self._process.stdout is not None
         self._process.stdout.close()
+        self._let_go()
+        self._lifeline.close()
+
+    def _let_go(self) -> None:
+        """Let go of the lifeline: whoever holds its other end ends, heard of or not; return when all have."""
         with contextlib.suppress(OSError):
-            os.close(self._lifeline)
+            self._lifeline.settimeout(END_DEADLINE_S)
+            self._lifeline.shutdown(socket.SHUT_WR)
+            self._lifeline.recv(1)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,14 +19,13 @@ from orchestrator.schedule import Schedule
 from orchestrator.twins import Twins
 from plant.world import dynamics
 from topologies.graph import Array, Graph
-from topologies.hinf import gamma_star
 from topologies.schema import Topology
 from wire.codec import End, Telemetry
 
 Matrix = NDArray[np.float64]
 
 ROWS = 512
-BATCH_BYTES, ROW_BYTES = 2**28, 256
+BATCH_BYTES, ROW_BYTES = 2**26, 256
 """what a batch may take, and what a row of it takes a node, about"""
 
 
@@ -45,15 +45,13 @@ class Batch:
     ahat: Matrix
     """estimates, NaN where nobody is there, (B, n)"""
     index: NDArray[np.int32]
-    """which candidate ahat is, from 0 in list order, (B, n); -1 where nobody names one"""
+    """which candidate ahat is, from 0 in list order, the first of equals, (B, n); -1 where it is none"""
     margin: Matrix
     """J_(2) - J_(1), infinite without a rival, (B, n)"""
     a_ls: Matrix
     """the least-squares a = sum x (a x + w) / sum x^2 over past samples, NaN before there is one, (B, n)"""
     beta: Matrix
     """a_LS less the truth, (B, n)"""
-    identifiable: NDArray[np.bool_]
-    """a_LS is nearest the truth among the candidates, (B, n)"""
     edge_open: NDArray[np.bool_]
     link_up: NDArray[np.bool_]
     """whether the row of the step crossed the link of each incidence in that step, (B, 2E)"""
@@ -82,6 +80,11 @@ class Batch:
     """nodes whose ahat is the truth, (B,)"""
 
     @property
+    def size(self) -> int:
+        """Bytes, about."""
+        return sum(getattr(self, one.name).nbytes for one in fields(self))
+
+    @property
     def cost_regret(self) -> Array:
         """R = sum (c - c*), signed, (B,)."""
         return self.cost_sum - self.cost_oracle_sum
@@ -94,9 +97,14 @@ class Batch:
 
     def gain(self, less: float = 0.0) -> Array:
         """sqrt(max(0, sum c - less) / sum |w|^2), NaN until w is not 0, (B,)."""
-        with np.errstate(invalid="ignore", divide="ignore"):
-            gain = np.sqrt(np.maximum(0.0, self.cost_sum - less) / self.energy_sum)
-        return np.where(self.energy_sum > 0, gain, np.nan)
+        return gain(self.cost_sum, self.energy_sum, less)
+
+
+def gain(cost_sum: Array, energy_sum: Array, less: float = 0.0) -> Array:
+    """sqrt(max(0, sum c - less) / sum |w|^2), NaN until w is not 0."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        found = np.sqrt(np.maximum(0.0, cost_sum - less) / energy_sum)
+    return np.where(energy_sum > 0, found, np.nan)
 
 
 def rows_at_once(n: int) -> int:
@@ -115,14 +123,12 @@ class Observer:
         self._a = self._a0
         """the truth at the last step taken in"""
         self.x0, self.nominal = network.x0, network.nominal
-        self.gamma_star = gamma_star(self._a0, self.b, self.graph)
-        """of the truth at t = 0"""
         models = candidates_of(topology)
         self._largest = np.nanmax(models, axis=0)
         self.rho = float(self._contraction(self._a0))
         """the largest that held so far"""
-        self._rivals, self._models = network.candidates, models
-        """what each node chooses among, in the file and under the law of the run, (M, n), NaN where there are fewer"""
+        self._models = models
+        """what each node chooses among under the law of the run, (M, n), NaN where there are fewer"""
         self._twins = Twins(self.b, self.graph, self.x0, self._a0, self.nominal)
         self._certificate = Certificate(self._a0, self.b, self.graph, self.x0)
         self.v0 = self._certificate.v0
@@ -138,6 +144,7 @@ class Observer:
         """steps whose telemetry never came"""
         self.schedule = Schedule(topology)
         self._jumps = deque(self.schedule.jumps(0))
+        self._jumped = False
         self.accounts = Accounts(self.graph, self.schedule)
         self.checks = {
             "dynamics": self._motion.dynamics,
@@ -160,10 +167,8 @@ class Observer:
             self._expect(row.t)
             self.next_step = row.t + 1
         t = np.array([row.t for row in rows], dtype=np.int64)
-        x, u, w, report = (np.array([getattr(row, name) for row in rows]) for name in ("x", "u", "w", "report"))
-        edge_open, link_up = (
-            np.array([getattr(row, name) for row in rows], dtype=np.bool_) for name in ("edge_open", "link_up")
-        )
+        x, u, w, report = (_rows(rows, name) for name in ("x", "u", "w", "report"))
+        edge_open, link_up = (_rows(rows, name).astype(np.bool_) for name in ("edge_open", "link_up"))
         closed = None if edge_open.all() else edge_open
         a, turns = self._truth(t)
         (x_oracle, x_nominal), (u_oracle, _) = self._twins.run(w, closed, turns)
@@ -176,27 +181,26 @@ class Observer:
         sums = running(self._sums, np.stack([_energy(regret), _energy(gap), cost, cost_oracle, _energy(w)], axis=1))
         self._sums = sums[-1].copy()
         a_ls, beta = self._least_squares(x, w, a)
-        ahat, right = report[:, :, 0], (report[:, :, 0] == a).sum(axis=1)
+        ahat, margin = report[:, 0], report[:, 1]
+        right = (ahat == a).sum(axis=1)
         self._right = int(right[-1])
 
         rho = self._contraction(a) if turns else self._contraction(self._a)
         self.rho = max(self.rho, float(rho.max()))
         bound = rho * np.abs(x).sum(axis=1) + np.abs(w).sum(axis=1)
         self._motion.take(t, x, dynamics(a, self.b, self.graph, x, u, w, closed), bound)
-        self._check_estimates(t, x, u, ahat)
+        index = self._named(ahat)
+        self._check_estimates(t, x, u, ahat, index)
         changed: NDArray[np.bool_] = np.asarray(~edge_open.all(axis=1))
         changed[list(turns)] = True
         x_oracle_next = np.vstack([x_oracle[1:], self._twins.x[:1]])
         slack = self._certificate.take(t, w, x_oracle_next, sums[:, 3], changed)
         missing = ~np.isfinite(u)
-        silent = missing & np.isnan(report).all(axis=2) if missing.any() else missing
-        took = np.array([row.took for row in rows])
-        self.accounts.take(Told(t, missing, silent, edge_open, link_up, took))
+        silent = missing & np.isnan(report).all(axis=1) if missing.any() else missing
+        self.accounts.take(Told(t, missing, silent, edge_open, link_up, _rows(rows, "took")))
         return Batch(
-            t=t, a=a, x=x, u=u, w=w,
-            ahat=ahat, index=np.nan_to_num(report[:, :, 1], nan=-1.0).astype(np.int32),
-            margin=report[:, :, 2], a_ls=a_ls, beta=beta, identifiable=self._identifiable(a_ls, a),
-            edge_open=edge_open, link_up=link_up, u_edge=u_edge,
+            t=t, a=a, x=x, u=u, w=w, ahat=ahat, index=index, margin=margin,
+            a_ls=a_ls, beta=beta, edge_open=edge_open, link_up=link_up, u_edge=u_edge,
             x_oracle=x_oracle, x_nominal=x_nominal, regret=regret, nominal_gap=gap,
             regret_sum=sums[:, 0], nominal_regret_sum=sums[:, 1], cost=cost, cost_oracle=cost_oracle,
             cost_sum=sums[:, 2], cost_oracle_sum=sums[:, 3], energy_sum=sums[:, 4], slack=slack, right=right,
@@ -218,6 +222,11 @@ class Observer:
         self.next_step = t
 
     @property
+    def gamma_star(self) -> float:
+        """Of the truth at t = 0."""
+        return self.topology.network.gamma_star
+
+    @property
     def regret_sum(self) -> float:
         """D at the last state, the final one included once it is known."""
         return float(self._sums[0])
@@ -233,7 +242,7 @@ class Observer:
         while self._jumps and self._jumps[0].start <= t[-1]:
             jump = self._jumps.popleft()
             row = int(np.searchsorted(t, jump.start))
-            self._a = self._a.copy()
+            self._a, self._jumped = self._a.copy(), True
             self._a[jump.targets[0]] = jump.a
             a = np.concatenate([a[:row], np.broadcast_to(self._a, (len(t) - row, self.graph.n))])
             turns[row] = self._a
@@ -245,29 +254,27 @@ class Observer:
 
     def _least_squares(self, x: Matrix, w: Matrix, a: Matrix) -> tuple[Matrix, Matrix]:
         """a_LS(t) and beta(t), by the samples before t, as ahat(t) is: what they exceed a(0) by, and a(t)."""
-        moved = a - self._a0
-        sxx, sxd = running(self._sxx, x * x), running(self._sxd, x * (moved * x + w))
-        before_xx, before_xd = np.vstack([self._sxx, sxx[:-1]]), np.vstack([self._sxd, sxd[:-1]])
+        moved = a - self._a0 if self._jumped else None
+        sxx = running(self._sxx, x * x)
+        sxd = running(self._sxd, x * w if moved is None else x * (moved * x + w))
+        before_xx, before_xd = _before(self._sxx, sxx), _before(self._sxd, sxd)
         self._sxx, self._sxd = sxx[-1], sxd[-1]
         with np.errstate(invalid="ignore", divide="ignore"):
             excess = np.asarray(before_xd / before_xx)
-        return self._a0 + excess, excess - moved
+        return self._a0 + excess, excess if moved is None else excess - moved
 
-    def _identifiable(self, a_ls: Matrix, a: Matrix) -> NDArray[np.bool_]:
-        """Of equally near candidates the first counts."""
-        nearest = np.broadcast_to(self._rivals[0], a_ls.shape)
-        gap = np.abs(a_ls - nearest)
-        for rival in self._rivals[1:]:
-            further = np.abs(a_ls - rival)
-            nearest = np.where(further < gap, rival, nearest)
-            np.fmin(gap, further, out=gap)
-        return np.asarray((nearest == a) & np.isfinite(a_ls))
+    def _named(self, ahat: Matrix) -> NDArray[np.int32]:
+        """Which candidate each ahat is, the first of equals; -1 where it is none."""
+        index = np.full(ahat.shape, -1, dtype=np.int32)
+        for m in reversed(range(len(self._models))):
+            index[ahat == self._models[m]] = m
+        return index
 
-    def _check_estimates(self, t: NDArray[np.int64], x: Matrix, u: Matrix, ahat: Matrix) -> None:
+    def _check_estimates(
+        self, t: NDArray[np.int64], x: Matrix, u: Matrix, ahat: Matrix, index: NDArray[np.int32]
+    ) -> None:
         """Of those who are there, every ahat is a candidate, and every u that came is equation (6) of it."""
-        listed = ahat == self._models[0]
-        for models in self._models[1:]:
-            listed |= ahat == models
+        listed = index >= 0
         good = listed & (control(self.b, x, ahat) == u)
         if not good.all():
             good |= (listed & np.isnan(u)) | self.schedule.absent(t)
@@ -290,6 +297,16 @@ class Observer:
             "rho": self.rho,
             "nodes_right": self._right,
         }
+
+
+def _rows(rows: Sequence[Telemetry], name: str) -> NDArray[Any]:
+    """One array of all rows, (B, ...); that of a single one is not copied."""
+    return getattr(rows[0], name)[None] if len(rows) == 1 else np.array([getattr(row, name) for row in rows])
+
+
+def _before(first: Array, sums: Matrix) -> Matrix:
+    """The sums up to each row, without it."""
+    return first[None] if len(sums) == 1 else np.vstack([first, sums[:-1]])
 
 
 def _energy(values: Matrix) -> Array:

@@ -20,9 +20,11 @@ from orchestrator import registry
 from orchestrator.accounts import at_ends
 from orchestrator.interrupts import Interrupts
 from orchestrator.observe import Observer
-from orchestrator.recorded import RecordedRun, find_run, load_resolved, load_run
+from orchestrator.recorded import RecordedRun, load_run
 from orchestrator.rerun_stream import APPLICATION, RerunStream
+from orchestrator.round_trips import processes_of
 from orchestrator.rrd_file import parts
+from orchestrator.run_files import find_run, load_resolved
 from orchestrator.viewer import Viewer, start
 from orchestrator.viewer_version import VERSION_DEADLINE_S, compare
 from orchestrator.watch import CLOSE_DEADLINE_S, MEMORY, READ_STEPS, PatientStream, as_begun, keep_page, told
@@ -76,7 +78,8 @@ def _open(folder: Path, viewer: Viewer, say: Say, go_on: Callable[[], bool]) -> 
         return
     topology = load_resolved(folder)
     # The layout is today's, whichever the run was recorded with.
-    stream = RerunStream(topology, Observer(topology), folder.name, None, None).opened(rr.GrpcSink(viewer.url))
+    made = RerunStream(topology, Observer(topology), folder.name, None, None, processes=processes_of(folder, topology))
+    stream = made.opened(rr.GrpcSink(viewer.url))
     with warnings.catch_warnings(action="ignore"):
         for file in files:
             _send(_chunks(file), stream, viewer)
@@ -117,7 +120,8 @@ def _unreadable(files: Sequence[Path]) -> str:
             return f"{file.name} was written by Rerun {head[4]}.{head[5]}, newer than {rr.__version__} here"
         try:
             with warnings.catch_warnings(action="ignore"):  # a killed run left no footer, which only costs time
-                RrdReader(file).recordings()
+                if not RrdReader(file).recordings():
+                    raise ValueError("it holds no recording")
         except (RuntimeError, ValueError, OSError) as error:
             return f"{file.name} cannot be read ({error})"
     return ""
@@ -148,6 +152,7 @@ def _flush(stream: rr.RecordingStream, viewer: Viewer) -> None:
 
 def _replay(run: RecordedRun, viewer: Viewer, say: Say, go_on: Callable[[], bool]) -> None:
     """Show a run from its tables, each metric computed again."""
+    run.need_all("to be shown from its tables")
     begun = as_begun(run.topology, run.folder)
     observer = Observer(begun)
     stream = PatientStream(begun, observer, run.run, viewer, say, run.T)
@@ -158,7 +163,7 @@ def _replay(run: RecordedRun, viewer: Viewer, say: Say, go_on: Callable[[], bool
     took = np.full(ends.size, TAKEN, np.uint8)
     heard = np.ones((run.T, ends.size), np.uint8)
     heard[:, ends[:, 0]], heard[:, ends[:, 1]] = run.i_hears, run.j_hears
-    report = np.stack([run.ahat, run.index, run.margin], axis=2)
+    report = np.stack([run.ahat, run.margin], axis=1)
     steps = np.setdiff1d(np.arange(run.T), run.lost)
     for some in np.array_split(steps, -(-len(steps) // READ_STEPS)):
         if not go_on():
@@ -216,9 +221,10 @@ def _compare(runs: Sequence[RecordedRun], viewer: Viewer) -> None:
         for entity, titles, colors, widths, values in _series(run, name, nodes, hue, width):
             path = rr.new_entity_path([name, entity])
             stream.log(path, rr.SeriesLines(names=titles, colors=colors, widths=widths), static=True)
-            for first in range(0, len(values), ROWS):
-                part = values[first : first + ROWS]
-                index = rr.TimeColumn("step", sequence=np.arange(first, first + len(part)))
+            steps = run.steps if entity == "x" else np.arange(len(values))
+            for first in range(0, len(steps), ROWS):
+                some = steps[first : first + ROWS]
+                index, part = rr.TimeColumn("step", sequence=some), values[some]
                 stream.send_columns(path, [index], rr.Scalars.columns(scalars=part))
             _flush(stream, viewer)
     stream.disconnect()

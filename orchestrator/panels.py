@@ -11,6 +11,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
+from orchestrator.kept import evenly, kept
 from orchestrator.lanes import LANES
 from orchestrator.observe import Batch, Observer
 from orchestrator.palette import BACKGROUND, GREEN, GREY, ORANGE, Color, hues
@@ -18,12 +19,16 @@ from orchestrator.palette import CUT as RED
 from orchestrator.palette import LOST as AMBER
 from orchestrator.palette import NO_INPUT as BLUE
 from orchestrator.picture import Legend
+from topologies.graph import Index
 from topologies.schema import Topology
+from wire.codec import Trips
 
 Matrix = NDArray[np.float64]
 
 LEGEND_NODES = 10
 """larger networks have no legend of nodes: it would cover the plot; the picture and pointing at a line name them too"""
+LINES = 10_000
+"""of more nodes or edges, so many have a line, whatever has rows"""
 LARGE = 24
 """networks of more nodes are shown by quantiles and counts, with the plots of every node in tabs behind"""
 
@@ -59,10 +64,48 @@ class Quantity:
 
 def quantities(topology: Topology, observer: Observer) -> list[Quantity]:
     """What is shown of a batch: an entity each, named as the field of Batch that it shows."""
-    ids = [str(node) for node in topology.ids]
-    edges = [f"{i}–{j}" for i, j in topology.edges]
+    return [*lines(topology), *totals(topology, observer)]
+
+
+def lines(topology: Topology) -> list[Quantity]:
+    """A line a node, or an edge, that has rows; of LINES at most."""
+    which, graph = kept(topology), topology.graph
+    nodes, flows = lined(which.nodes), lined(which.edges)
+    ids = [str(topology.ids[k]) for k in nodes.tolist()]
+    edges = [f"{topology.ids[i]}–{topology.ids[j]}" for i, j in graph.edges[flows].tolist()]
     node, pale = hues(len(ids)), hues(len(ids), alpha=140)
-    limit = observer.gamma_star
+
+    def each(name: str) -> Callable[[Batch], Matrix]:
+        return lambda batch: _some(getattr(batch, name), nodes)
+
+    listed = [
+        Quantity("x", each("x"), ids, node),
+        Quantity("x_oracle", each("x_oracle"), _each(ids, "oracle"), pale, 1.0),
+        Quantity("x_nominal", each("x_nominal"), _each(ids, "nominal"), pale, 1.0),
+        Quantity("u", each("u"), ids, node, steps=True),
+        Quantity("u_edge", lambda batch: _some(batch.u_edge, flows), edges, hues(len(edges)), steps=True),
+        Quantity("w", each("w"), ids, node, steps=True),
+        Quantity("ahat", each("ahat"), ids, node, 2.0, steps=True),
+        Quantity(
+            "index", lambda batch: _named(_some(batch.ahat, nodes), _some(batch.index, nodes)), ids, node, steps=True
+        ),
+        Quantity("truth", each("a"), _each(ids, "truth"), pale, 1.0, steps=True),
+        Quantity("a_ls", each("a_ls"), ids, node),
+        Quantity("margin", each("margin"), ids, node),
+        Quantity("regret", each("regret"), ids, node),
+        Quantity("nominal_gap", each("nominal_gap"), ids, node),
+    ]
+    return [quantity for quantity in listed if quantity.names]
+
+
+def lined(some: Index) -> Index:
+    """Which of some nodes or edges have a line."""
+    return some[evenly(len(some), LINES)]
+
+
+def totals(topology: Topology, observer: Observer) -> list[Quantity]:
+    """What is one number, or a few, of the whole network."""
+    limit = topology.network.gamma_star_now
 
     def gains(batch: Batch) -> Matrix:
         gamma_star = np.full(len(batch.t), limit)
@@ -71,32 +114,22 @@ def quantities(topology: Topology, observer: Observer) -> list[Quantity]:
     def sums(batch: Batch) -> Matrix:
         return np.stack([batch.regret_sum, batch.nominal_regret_sum], axis=1)
 
-    listed = [
-        Quantity("x", lambda batch: batch.x, ids, node),
-        Quantity("x_oracle", lambda batch: batch.x_oracle, _each(ids, "oracle"), pale, 1.0),
-        Quantity("x_nominal", lambda batch: batch.x_nominal, _each(ids, "nominal"), pale, 1.0),
-        Quantity("u", lambda batch: batch.u, ids, node, steps=True),
-        Quantity("u_edge", lambda batch: batch.u_edge, edges, hues(len(edges)), steps=True),
-        Quantity("w", lambda batch: batch.w, ids, node, steps=True),
-        Quantity("ahat", lambda batch: batch.ahat, ids, node, 2.0, steps=True),
-        Quantity("index", _named, ids, node, steps=True),
-        Quantity("truth", lambda batch: batch.a, _each(ids, "truth"), pale, 1.0, steps=True),
-        Quantity("a_ls", lambda batch: batch.a_ls, ids, node),
-        Quantity("margin", lambda batch: batch.margin, ids, node),
+    return [
         Quantity("nodes_right", lambda batch: batch.right, ["nodes right"], [GREEN], steps=True),
-        Quantity("regret", lambda batch: batch.regret, ids, node),
-        Quantity("nominal_gap", lambda batch: batch.nominal_gap, ids, node),
         Quantity("regret_sum", sums, [topology.law, "nominal"], [GREEN, ORANGE], 2.0),
         Quantity("cost_regret", lambda batch: batch.cost_regret, ["R"], [GREEN], 2.0),
         Quantity("cost_ratio", lambda batch: batch.ratio, ["cost / oracle's cost"], [GREEN], 2.0),
         Quantity("gain", gains, ["gain", "gain less x(0)", "γ* (oracle's)"], [ORANGE, GREEN, GREY], 2.0),
     ]
-    return [quantity for quantity in listed if quantity.names]
 
 
-def _named(batch: Batch) -> Matrix:
+def _some(values: NDArray[Any], columns: Index) -> NDArray[Any]:
+    return values if len(columns) == values.shape[1] else values[:, columns]
+
+
+def _named(ahat: Matrix, index: NDArray[Any]) -> Matrix:
     """Which candidates the estimates are, from 0; -1 for none of them, and a gap where there is no estimate."""
-    return np.where(np.isnan(batch.ahat), np.nan, batch.index)
+    return np.where(np.isnan(ahat), np.nan, index)
 
 
 def aggregates(topology: Topology) -> list[Quantity]:
@@ -117,6 +150,27 @@ def aggregates(topology: Topology) -> list[Quantity]:
     ]
 
 
+ROUND_TRIPS = "round_trip_ms"
+
+
+class RoundTripLines:
+    """How long processes take to answer: a line each, or where they are many the slowest, 90 % and the median."""
+
+    def __init__(self, processes: Sequence[str]) -> None:
+        self._many = len(processes) > LARGE
+        self.names = ["slowest", "90 %", "median"] if self._many else list(processes)
+
+    def style(self) -> rr.SeriesLines:
+        """Names, colours and widths [points]."""
+        colors = [ORANGE, GREEN, GREY] if self._many else hues(len(self.names))
+        return rr.SeriesLines(names=self.names, colors=colors, widths=[1.5] * len(self.names))
+
+    def columns(self, trips: Trips) -> Matrix:
+        """The series [ms], a row a step, NaN where nobody answered."""
+        ms = 1e3 * trips.seconds
+        return _quantiles(np.nan_to_num(ms)) if self._many else ms
+
+
 DOWN = ("edges cut", "messages lost", "nodes without input")
 
 
@@ -131,8 +185,11 @@ def _each(ids: Sequence[str], what: str) -> list[str]:
     return [f"{node} {what}" for node in ids]
 
 
-def blueprint(topology: Topology, gamma_star: float, legend: Legend) -> rrb.Blueprint:
-    """The layout: the network and how it fares at the left; six plots, the faults and the events at the right."""
+def blueprint(topology: Topology, gamma_star: float, legend: Legend, wired: bool = False) -> rrb.Blueprint:
+    """The layout: the network and how it fares at the left; six plots, the faults and the events at the right.
+
+    Where something crosses a wire, round trips stand beside the events.
+    """
     nodes = len(topology.ids)
     large = nodes > LARGE
     network = rrb.Spatial2DView(
@@ -154,9 +211,13 @@ def blueprint(topology: Topology, gamma_star: float, legend: Legend) -> rrb.Blue
     )
     title = f"Faults (the first {LANES} links and nodes with any)" if large else "Faults and wrong models by link, node"
     lanes = rrb.StateTimelineView(origin="/faults", name=title, time_view=_whole())
+    trips = [_plot("Round trips [ms]", ROUND_TRIPS, legend="LeftTop" if nodes <= LEGEND_NODES else None)]
     if large:
         down = _plot("Down [count]", "quantiles/down", legend="LeftTop")
-        happened = rrb.Horizontal(down, lanes, events, column_shares=[2, 3, 2])
+        first = rrb.Tabs(down, *trips) if wired else down
+        happened = rrb.Horizontal(first, lanes, events, column_shares=[2, 3, 2])
+    elif wired:
+        happened = rrb.Horizontal(*trips, lanes, events, column_shares=[2, 3, 2])
     else:
         happened = rrb.Horizontal(lanes, events, column_shares=[3, 2])
     plots = _aggregated(topology, gamma_star) if large else _plots(topology, gamma_star)
@@ -188,7 +249,8 @@ def _plots(topology: Topology, gamma_star: float) -> rrb.Grid:
 
 
 def _aggregated(topology: Topology, gamma_star: float) -> rrb.Grid:
-    nodes = len(topology.ids)
+    nodes, lined_up = len(topology.ids), len(lined(kept(topology).nodes))
+    every = "every node" if lined_up == nodes else f"{lined_up} nodes"
     heat = rrb.TensorView(
         origin="/heat",
         name="Heat map: |x| [x], largest of each patch",
@@ -199,7 +261,7 @@ def _aggregated(topology: Topology, gamma_star: float) -> rrb.Grid:
     return rrb.Grid(
         rrb.Tabs(
             _plot("|x| [x]: largest, 90 %, median", "quantiles/x", legend="RightTop"),
-            _plot("States x [x], every node", "x"),
+            _plot(f"States x [x], {every}", "x"),
             _plot("Oracle's x* [x]", "x_oracle"),
             _plot("w [x]", "w"),
         ),
@@ -213,10 +275,10 @@ def _aggregated(topology: Topology, gamma_star: float) -> rrb.Grid:
         ),
         rrb.Tabs(
             _plot("Regret [x]: largest, 90 %, median", "quantiles/regret", legend="RightTop"),
-            _plot("Every node", "regret"),
+            _plot(every.capitalize(), "regret"),
             _plot("Nominal gap [x]", "nominal_gap"),
             _plot("|u| [u]: largest, 90 %, median", "quantiles/u", legend="RightTop"),
-            _plot("Inputs u [u], every node", "u"),
+            _plot(f"Inputs u [u], {every}", "u"),
             *edge_inputs,
         ),
         *_totals(gamma_star),
@@ -226,7 +288,7 @@ def _aggregated(topology: Topology, gamma_star: float) -> rrb.Grid:
 
 def _totals(gamma_star: float) -> list[rrb.Tabs | rrb.TimeSeriesView]:
     """What it costs."""
-    gain = rrb.ScalarAxis(range=(0.0, 4 * gamma_star), zoom_lock=False)
+    gain = rrb.ScalarAxis(range=(0.0, 4 * gamma_star), zoom_lock=False) if gamma_star > 0 else None
     return [
         rrb.Tabs(
             _plot("Cumulative regret D [x²]", "regret_sum", legend="RightBottom"),

@@ -17,11 +17,12 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from orchestrator import palette
+from orchestrator.groups import Groups, Scene
 from orchestrator.layout import Places, positions
 from orchestrator.observe import Batch
 from orchestrator.palette import Packed, flow_colors, packed, state_colors
 from topologies.graph import Graph, Index, Mask
-from topologies.schema import Topology
+from topologies.schema import WHOLE, Topology
 
 NAMED = 40
 """larger networks are drawn without names, but for those of the WORST nodes"""
@@ -114,8 +115,10 @@ class Picture:
     """Draws the steps of a network's run."""
 
     def __init__(self, topology: Topology) -> None:
-        self._ids = [str(node) for node in topology.ids]
-        self._graph: Graph = topology.graph
+        self._ids = topology.ids
+        self.groups = Groups(topology.graph) if len(topology.ids) > WHOLE else None
+        """of so many nodes that they cannot be told apart"""
+        self._graph: Graph = topology.graph if self.groups is None else self.groups.graph
         self.places = positions(self._graph)
         self._large = self._graph.n > NAMED
         self._radius = _radius(self.places)
@@ -160,13 +163,25 @@ class Picture:
             # Rerun writes below the point that it names; edges of a tree go down.
             beside = self.places + self._radius * np.array([2.3, -0.9])
             names = rr.Points2D(
-                beside, radii=[0.001] * n, colors=palette.hues(n), labels=self._ids, show_labels=True, draw_order=6.0
+                beside,
+                radii=[0.001] * n,
+                colors=palette.hues(n),
+                labels=[self._name(k) for k in range(n)],
+                show_labels=True,
+                draw_order=6.0,
             )
             stream.log("network/names", names, static=True)
         self.legend.log_static(stream)
 
-    def frames(self, batch: Batch, rows: Index, wall: NDArray[np.float64]) -> Frames:
-        """Draw some rows of a batch; all of it counts for the scales."""
+    def _name(self, k: int) -> str:
+        return str(self._ids[k]) if self.groups is None else self.groups.name(k, self._ids)
+
+    def frames(self, whole: Batch, rows: Index, wall: NDArray[np.float64]) -> Frames:
+        """Draw some rows of a batch; all of it counts for the scales, but where nodes are drawn in groups."""
+        batch: Batch | Scene = whole
+        wall = wall[rows]
+        if self.groups is not None:
+            batch, rows = self.groups.scene(whole, rows), np.arange(len(rows))
         x, flow = np.abs(batch.x), np.abs(np.nan_to_num(batch.u_edge))
         x_peak = decaying_peak(x.max(axis=1), self._x_peak)
         flow_peak = decaying_peak(flow.max(axis=1, initial=0.0), self._flow_peak)
@@ -187,7 +202,7 @@ class Picture:
         worst = np.argsort(-x, axis=1, kind="stable")[:, : WORST if self._large else 0]
         return Frames(
             t=batch.t[rows],
-            wall=wall[rows],
+            wall=wall,
             nodes=state_colors(x / np.maximum(x_peak, 1e-300)),
             rings=rings,
             edges=edges,
@@ -198,7 +213,9 @@ class Picture:
             dead=crosses,
             dead_count=dead_count,
             worst=(self.places[worst]).astype(np.float32),
-            worst_name=np.array([[self._ids[k] for k in row] for row in worst], dtype=np.object_).reshape(worst.shape),
+            worst_name=np.array([[self._name(k) for k in row] for row in worst.tolist()], dtype=np.object_).reshape(
+                worst.shape
+            ),
             top=np.array([f"|x| = {peak:.3g}" for peak in x_peak[:, 0]], dtype=np.object_),
         )
 

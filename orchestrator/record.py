@@ -1,4 +1,5 @@
-"""The tables of a run: telemetry.parquet, one row a step and node, and edges.parquet, one row a step and edge.
+"""The tables of a run: telemetry.parquet, one row a step and node, edges.parquet, one row a step and edge, and
+summary.parquet, one row a step. `record:` of the topology says which nodes and steps have rows in the first two.
 
 While the run goes on, rows are kept in Arrow streams, which can be read up to their last batch however the run
 ends; at the end they become Parquet, in row groups of one size, so that equal runs leave equal files.
@@ -6,6 +7,8 @@ ends; at the end they become Parquet, in row groups of one size, so that equal r
 
 from __future__ import annotations
 
+import functools
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -13,10 +16,13 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from numpy.typing import NDArray
 
 from orchestrator.accounts import at_ends
 from orchestrator.columns import column, names
+from orchestrator.kept import kept
 from orchestrator.observe import Batch, Observer
+from topologies.archive import id_array
 from topologies.graph import Index
 from topologies.schema import Topology
 from wire.codec import End
@@ -25,13 +31,13 @@ ROW_GROUP = 2**16
 
 
 def _id_type(topology: Topology) -> pa.DataType:
-    return pa.int64() if all(isinstance(node, int) for node in topology.ids) else pa.string()
+    return pa.int64() if id_array(topology.ids).dtype == np.int64 else pa.string()
 
 
 def _ids(topology: Topology, positions: Index) -> pa.Array:
     if _id_type(topology) == pa.int64():
-        return column(np.array(topology.ids, dtype=np.int64)[positions])
-    return names([str(topology.ids[k]) for k in positions])
+        return column(id_array(topology.ids)[positions])
+    return names([str(topology.ids[k]) for k in positions.tolist()])
 
 
 class _Table:
@@ -40,12 +46,12 @@ class _Table:
     def __init__(self, folder: Path, name: str, schema: pa.Schema) -> None:
         self.stream = folder / f"{name}.arrows"
         self.parquet = folder / f"{name}.parquet"
-        self._schema = schema
+        self.schema = schema
         self._writer = pa.ipc.new_stream(pa.OSFile(str(self.stream), "wb"), schema)
 
     def append(self, columns: dict[str, pa.Array]) -> None:
-        arrays = [columns[name] for name in self._schema.names]
-        self._writer.write_batch(pa.RecordBatch.from_arrays(arrays, schema=self._schema))
+        arrays = [columns[name] for name in self.schema.names]
+        self._writer.write_batch(pa.RecordBatch.from_arrays(arrays, schema=self.schema))
 
     def close(self) -> None:
         if not self.stream.exists():
@@ -99,16 +105,62 @@ def whole_batches(reader: Any) -> Iterator[pa.RecordBatch]:
             return
 
 
+SUMMARY = {
+    "step": "int64",
+    **dict.fromkeys(("x_sum", "x_max", "u_sum", "u_max", "regret_max"), "double"),
+    **dict.fromkeys(("regret_sum", "nominal_regret_sum"), "double"),
+    **dict.fromkeys(("cost", "cost_oracle", "cost_sum", "cost_oracle_sum", "energy_sum"), "double"),
+    **dict.fromkeys(("right", "missing", "edges_cut", "messages_lost", "checksum"), "int64"),
+}
+"""The columns of summary.parquet."""
+
+
+def summary(batch: Batch) -> dict[str, NDArray[Any]]:
+    """What is true of the whole network at each step of a batch, by name of the column, (B,)."""
+    x, u = np.abs(batch.x), np.abs(batch.u)
+    missing = np.isnan(u)
+    if missing.any():
+        u[missing] = 0.0
+    return {
+        "step": batch.t,
+        "x_sum": x.sum(axis=1),
+        "x_max": x.max(axis=1),
+        "u_sum": u.sum(axis=1),
+        "u_max": u.max(axis=1),
+        "regret_max": batch.regret.max(axis=1),
+        **{name: getattr(batch, name) for name in ("regret_sum", "nominal_regret_sum", "cost", "cost_oracle")},
+        **{name: getattr(batch, name) for name in ("cost_sum", "cost_oracle_sum", "energy_sum", "right")},
+        "missing": missing.sum(axis=1),
+        "edges_cut": batch.edge_open.shape[1] - np.count_nonzero(batch.edge_open, axis=1),
+        "messages_lost": batch.link_up.shape[1] - np.count_nonzero(batch.link_up, axis=1),
+        "checksum": checksums(
+            batch.x, batch.u, batch.w, batch.ahat, batch.index, batch.margin, batch.edge_open, batch.link_up
+        ),
+    }
+
+
+def checksums(*columns: NDArray[Any]) -> Index:
+    """A CRC-32 of each row of some arrays, one after the other: all NaN are alike, as are all nulls of a table."""
+    same = [
+        np.where(np.isnan(one), np.nan, one) if one.dtype.kind == "f" and np.isnan(one).any() else one
+        for one in columns
+    ]
+    rows = [np.ascontiguousarray(one) for one in same]
+    return np.array([functools.reduce(lambda crc, one: zlib.crc32(one[k], crc), rows, 0) for k in range(len(rows[0]))])
+
+
 class Recorder:
     """Writes what the observer computes to the tables of a run's folder; OSError when the disk is full."""
 
     def __init__(self, topology: Topology, folder: Path) -> None:
         node = _id_type(topology)
         f8 = pa.float64()
-        self._n, self._edges = len(topology.ids), topology.graph.edges
-        self._hears = at_ends(topology.graph)
-        self._ids = _ids(topology, np.arange(self._n))
-        self._i, self._j = (_ids(topology, self._edges[:, end]) for end in (0, 1))
+        self._kept = kept(topology)
+        self._nodes, self._e = self._kept.nodes, self._kept.edges
+        ends = topology.graph.edges[self._e]
+        self._hears = at_ends(topology.graph)[self._e]
+        self._ids = _ids(topology, self._nodes)
+        self._i, self._j = (_ids(topology, ends[:, end]) for end in (0, 1))
         floats = [(name, f8) for name in ("x", "u", "w", "ahat")]
         self._telemetry = _Table(
             folder,
@@ -140,51 +192,82 @@ class Recorder:
                 ]
             ),
         )
+        columns = [(name, {"int64": pa.int64(), "double": f8}[kind]) for name, kind in SUMMARY.items()]
+        self._summary = _Table(folder, "summary", pa.schema(columns)) if topology.record.summary else None
 
     def write(self, batch: Batch) -> None:
         """Append the rows of one batch."""
-        rows, e, unknown = len(batch.t), len(self._edges), np.isnan(batch.ahat)
-        self._telemetry.append(
-            {
-                "step": column(np.repeat(batch.t, self._n)),
-                "node": pa.concat_arrays([self._ids] * rows),
-                **{name: column(getattr(batch, name)) for name in ("x", "w", "x_oracle", "x_nominal")},
-                "u": column(batch.u, np.isnan(batch.u)),
-                "ahat": column(batch.ahat, unknown),
-                "index": column(batch.index, unknown),
-                "margin": column(batch.margin, ~np.isfinite(batch.margin)),
-            }
-        )
-        if e:
+        if self._summary is not None:
+            self._summary.append({name: column(values) for name, values in summary(batch).items()})
+        rows = self._kept.rows(batch.t)
+        t, n, e = batch.t[rows], len(self._nodes), len(self._e)
+
+        def of(values: NDArray[Any], columns: Index) -> NDArray[Any]:
+            if len(rows) < len(values):
+                values = values[rows]
+            return values if len(columns) == values.shape[1] else values[:, columns]
+
+        if len(rows) and n:
+            u, ahat, margin = (of(values, self._nodes) for values in (batch.u, batch.ahat, batch.margin))
+            unknown = np.isnan(ahat)
+            states = ("x", "w", "x_oracle", "x_nominal")
+            self._telemetry.append(
+                {
+                    "step": column(np.repeat(t, n)),
+                    "node": pa.concat_arrays([self._ids] * len(rows)),
+                    **{name: column(of(getattr(batch, name), self._nodes)) for name in states},
+                    "u": column(u, np.isnan(u)),
+                    "ahat": column(ahat, unknown),
+                    "index": column(of(batch.index, self._nodes), unknown),
+                    "margin": column(margin, ~np.isfinite(margin)),
+                }
+            )
+        if len(rows) and e:
             self._edge_inputs.append(
                 {
-                    "step": column(np.repeat(batch.t, e)),
-                    "i": pa.concat_arrays([self._i] * rows),
-                    "j": pa.concat_arrays([self._j] * rows),
-                    "u_edge": column(batch.u_edge),
-                    "open": column(batch.edge_open),
-                    "i_hears": column(batch.link_up[:, self._hears[:, 0]]),
-                    "j_hears": column(batch.link_up[:, self._hears[:, 1]]),
+                    "step": column(np.repeat(t, e)),
+                    "i": pa.concat_arrays([self._i] * len(rows)),
+                    "j": pa.concat_arrays([self._j] * len(rows)),
+                    "u_edge": column(of(batch.u_edge, self._e)),
+                    "open": column(of(batch.edge_open, self._e)),
+                    "i_hears": column(of(batch.link_up, self._hears[:, 0])),
+                    "j_hears": column(of(batch.link_up, self._hears[:, 1])),
                 }
             )
 
     def write_end(self, observer: Observer, end: End) -> None:
         """Append the last states: at step T nothing acts, so all but the states is null."""
-        n = self._n
+        nodes, n = self._nodes, len(self._nodes)
         nothing = {name: pa.nulls(n, pa.float64()) for name in ("u", "w", "ahat", "margin")}
-        self._telemetry.append(
-            {
-                "step": column(np.full(n, end.t)),
-                "node": self._ids,
-                "x": column(end.x),
-                **nothing,
-                "index": pa.nulls(n, pa.int32()),
-                "x_oracle": column(observer.x_oracle_end),
-                "x_nominal": column(observer.x_nominal_end),
+        if n:
+            self._telemetry.append(
+                {
+                    "step": column(np.full(n, end.t)),
+                    "node": self._ids,
+                    "x": column(end.x[nodes]),
+                    **nothing,
+                    "index": pa.nulls(n, pa.int32()),
+                    "x_oracle": column(observer.x_oracle_end[nodes]),
+                    "x_nominal": column(observer.x_nominal_end[nodes]),
+                }
+            )
+        if self._summary is not None:
+            x = np.abs(end.x)
+            last = {
+                "x_sum": x.sum(),
+                "x_max": x.max(),
+                "regret_max": np.abs(end.x - observer.x_oracle_end).max(),
+                "regret_sum": observer.regret_sum,
+                "nominal_regret_sum": observer.nominal_regret_sum,
             }
-        )
+            known = {name: np.array([value]) for name, value in last.items()}
+            known |= {"step": np.array([end.t]), "checksum": checksums(end.x[None])}
+            nulls = {field.name: pa.nulls(1, field.type) for field in self._summary.schema}
+            self._summary.append(nulls | {name: column(value) for name, value in known.items()})
 
     def close(self) -> None:
-        """Turn both streams into Parquet files."""
+        """Turn the streams into Parquet files."""
         self._telemetry.close()
         self._edge_inputs.close()
+        if self._summary is not None:
+            self._summary.close()

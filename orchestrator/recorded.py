@@ -6,34 +6,28 @@ computed it live, from the same telemetry, to the same bits.
 
 from __future__ import annotations
 
-import contextlib
-import importlib
-import json
-import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
-from pydantic import BaseModel, ValidationError
 
-from orchestrator.observe import Batch, Observer
-from orchestrator.record import whole_batches
+from orchestrator.certificate import storage
+from orchestrator.kept import Kept, kept
+from orchestrator.observe import Batch, Observer, gain
+from orchestrator.recorded_table import Table, there_is
+from orchestrator.run_files import find_run, load_events, load_resolved, read_verdict
+from orchestrator.schedule import Schedule
 from topologies.errors import UserError
 from topologies.graph import Array, Index, Mask
-from topologies.hinf import gamma_star
-from topologies.load import load
-from topologies.resolve import truth
 from topologies.schema import Topology
 from wire.codec import TAKEN, End, Telemetry
 
 Value = TypeVar("Value", bound=np.generic)
-FRAMES = ("arrow", "pandas", "polars")
+TABLES = ("telemetry", "edges", "summary")
 _REPLAY_ROWS = 1024
 
 
@@ -43,197 +37,9 @@ def load_run(run: str | Path = "runs/latest") -> RecordedRun:
     Raises UserError where there is none, and where no step is recorded yet.
     """
     folder = find_run(run)
-    tables = {name: Table(folder, name) for name in ("telemetry", "edges")}
+    tables = {name: Table(folder, name) for name in TABLES if name != "summary" or there_is(folder, name)}
     # The file of a run that goes on may gain faults: it is read after the steps that they strike.
-    return RecordedRun(folder, load_resolved(folder), _verdict(folder), _events(folder), tables)
-
-
-def load_resolved(folder: Path) -> Topology:
-    """The topology in a run's folder; UserError if it is another than the resolved one that belongs there."""
-    topology = load(str(folder))
-    try:
-        assert topology.network
-    except (TypeError, ValueError, AttributeError, AssertionError):
-        file = folder / "topology.yaml"
-        raise UserError(f"{file}: leaves numbers to chance, so it is not the resolved file of this run") from None
-    return topology
-
-
-def find_run(run: str | Path) -> Path:
-    """The folder of a run; raises UserError."""
-    stamp = re.compile(re.escape(str(run)) + r"-\d{8}-\d{6}(-\d+)?")
-    try:
-        there = sorted(path for path in Path("runs").glob("*") if path.is_dir())
-        named = [path for path in there if stamp.fullmatch(path.name)]
-        for path in (Path(run), Path("runs") / run, *named[-1:]):
-            if path.is_dir():
-                if not (path / "topology.yaml").is_file():
-                    raise UserError(f"{path}: is no folder of a run: there is no topology.yaml in it")
-                return path.resolve()
-    except OSError as error:
-        raise UserError(f"{run}: {error.strerror}; check the path and its permissions") from None
-    listed = f"; runs/ has {', '.join(path.name for path in there[-6:])}" if there else ""
-    raise UserError(f"{run}: there is no such run; name its folder, or its name in runs/{listed}")
-
-
-@contextlib.contextmanager
-def reading(file: Path) -> Iterator[None]:
-    """Say in words what is wrong with a file that came to harm, or that is another's; FileNotFoundError passes."""
-    try:
-        yield
-    except FileNotFoundError:
-        raise
-    except (OSError, ValueError, LookupError, TypeError, RecursionError, MemoryError, pa.ArrowException) as error:
-        said = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise UserError(f"{file}: cannot be read: {said}; it is damaged, or no file of a run") from None
-
-
-class _Check(BaseModel):
-    ok: bool
-    claim: str
-    steps: int | None = None
-    step: int | None = None
-    excess: float | None = None
-
-
-class _Fault(BaseModel):
-    what: str
-    scheduled: int | None = None
-    fired: int | None = None
-    masked: int | None = None
-    seen: int | None = None
-    beyond: int | None = None
-
-
-class _Verdict(BaseModel):
-    """What readers of verdict.json go by."""
-
-    verdict: str
-    reasons: list[str]
-    processes: int
-    steps_per_s: float | None
-    missing_inputs: int
-    lost_messages: int
-    forgotten_rows: int
-    restarts: int
-    faults: list[_Fault]
-    checks: dict[str, _Check]
-    metrics: dict[str, float | None]
-    versions: dict[str, str]
-
-
-def _verdict(folder: Path) -> dict[str, Any]:
-    file = folder / "verdict.json"
-    try:
-        with reading(file):
-            content: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
-        _Verdict.model_validate(content)
-    except FileNotFoundError:
-        return {}
-    except ValidationError as error:
-        wrong = error.errors(include_url=False)[0]
-        place = ".".join(map(str, wrong["loc"])) or "all of it"
-        raise UserError(
-            f"{file}: is no verdict of this version: {place}: {wrong['msg']}; the run can be read without the file"
-        ) from None
-    return content
-
-
-def _events(folder: Path) -> list[dict[str, Any]]:
-    file = folder / "events.jsonl"
-    try:
-        with reading(file):
-            return read_events(file.read_bytes())
-    except FileNotFoundError:
-        return []
-
-
-def read_events(text: bytes) -> list[dict[str, Any]]:
-    """The events of whole lines, a killed writer leaves a piece of one; ValueError for what is none."""
-    events = [json.loads(line) for line in text[: text.rfind(b"\n") + 1].split(b"\n")[:-1]]
-    for number, event in enumerate(events, 1):
-        if not isinstance(event, dict) or not isinstance(event.get("event"), str):
-            raise ValueError(f"line {number} is no event")
-    return events
-
-
-class Table:
-    """One table of a run: its Parquet file or, as long as there is none, the whole batches of its Arrow stream."""
-
-    def __init__(self, folder: Path, name: str) -> None:
-        self.parquet, stream = folder / f"{name}.parquet", folder / f"{name}.arrows"
-        self._stream: Any = None
-        with contextlib.suppress(FileNotFoundError), reading(stream):  # it has become the Parquet file just now
-            if not self.parquet.exists() and stream.exists():
-                self._stream = _so_far(stream)
-        self.path = self.parquet if self._stream is None else stream
-        try:
-            with reading(self.parquet):
-                self._file = pq.ParquetFile(self.parquet) if self._stream is None else None
-        except FileNotFoundError:
-            raise UserError(f"{folder}: no step of the run is recorded yet: there is no {name}.parquet") from None
-
-    @property
-    def over(self) -> bool:
-        """Whether the Parquet file is there."""
-        return self._file is not None
-
-    @property
-    def schema(self) -> Any:
-        return self._stream.schema if self._file is None else self._file.schema_arrow
-
-    def whole(self) -> Any:
-        """A pyarrow.Table."""
-        with reading(self.path):
-            return self._stream if self._file is None else self._file.read()
-
-    def batches(self) -> Iterator[Any]:
-        """The same in parts that fit into memory."""
-        with reading(self.path):
-            yield from self._stream.to_batches() if self._file is None else self._file.iter_batches()
-
-    def column(self, name: str, width: int) -> NDArray[Any]:
-        """One column, a row a recorded step, (K, width); NaN where a number is null."""
-        if name not in self.schema.names:
-            raise UserError(f"{self.path}: has no column {name}: another version of hedgerow wrote it")
-        with reading(self.path):
-            table = self._stream if self._file is None else self._file.read(columns=[name])
-            values: NDArray[Any] = table[name].to_numpy()
-            if values.dtype.kind not in "fiub":
-                raise ValueError(f"column {name} is of type {table[name].type}, or has gaps")
-            return values.reshape(-1, width)
-
-    def steps(self, width: int) -> Index:
-        """The step of each row of `column`, (K,)."""
-        rows = self._stream.num_rows if self._file is None else self._file.metadata.num_rows
-        if rows % width:
-            raise UserError(f"{self.path}: {rows} rows are no whole steps of {width}; topology.yaml is another's")
-        if rows and rows == (self._last_step() + 1) * width:
-            return np.arange(rows // width)
-        steps: Index = self.column("step", width)[:, 0].astype(np.int64)
-        if len(steps) and (steps[0] < 0 or (np.diff(steps) <= 0).any()):
-            raise UserError(f"{self.path}: its steps do not ascend; it is damaged")
-        return steps
-
-    def _last_step(self) -> int:
-        """Of a table with rows in it."""
-        if "step" not in self.schema.names:
-            return -1
-        with reading(self.path):
-            table = self._stream
-            if self._file is not None:
-                table = self._file.read_row_group(self._file.num_row_groups - 1, columns=["step"])
-            last = table["step"][-1].as_py()
-        return last if isinstance(last, int) else -1
-
-
-def _so_far(stream: Path) -> Any:
-    """An Arrow stream as a table that stays in the file, up to its last whole batch."""
-    try:
-        reader = pa.ipc.open_stream(pa.memory_map(str(stream)))
-    except pa.ArrowInvalid:  # not even what the columns are
-        raise UserError(f"{stream.parent}: no step of the run is recorded yet") from None
-    return pa.Table.from_batches(whole_batches(reader), reader.schema)
+    return RecordedRun(folder, load_resolved(folder), read_verdict(folder), load_events(folder), tables)
 
 
 def _states(name: str) -> cached_property[Array]:
@@ -256,12 +62,20 @@ def _observed(name: str) -> cached_property[Array]:
     return cached_property(lambda run: run._by_step(getattr(run._replayed[0], name)))
 
 
+def _total(name: str) -> cached_property[Array]:
+    """The same of the whole network, which the summary has where there is no row for every node and step, (T,)."""
+    return cached_property(
+        lambda run: run._by_step(getattr(run._replayed[0], name)) if run.whole else run._summed(name, run.T)
+    )
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class RecordedRun:
-    """A run of T steps, n nodes and E edges, none of which can be changed.
+    """A run of T steps, n nodes and E edges, none of which can be changed; of those that `record:` gives rows.
 
-    Row t of every array is step t; where its telemetry was lost, numbers are NaN, `index` and `right` -1, and flags
-    False. Columns are nodes or edges in the order of the file. The formulas stand in docs/theory.md.
+    Row t of every array is step t; where it has no rows, or its telemetry was lost, numbers are NaN, `index` and
+    `right` -1, and flags False. Columns are nodes or edges in the order of the file. The formulas stand in
+    docs/theory.md.
     """
 
     folder: Path
@@ -272,7 +86,7 @@ class RecordedRun:
     events: Sequence[Mapping[str, Any]]
     """events.jsonl"""
     tables: Mapping[str, Table]
-    """telemetry and edges"""
+    """telemetry and edges, and the summary if there is one"""
 
     def __post_init__(self) -> None:
         if self.topology.steps < self.T:
@@ -282,8 +96,28 @@ class RecordedRun:
         if not (self._steps < self.T).any():
             raise UserError(f"{self.folder}: no whole step of the run is recorded yet")
 
+    @cached_property
+    def kept(self) -> Kept:
+        """What has rows."""
+        return kept(self.topology)
+
+    @property
+    def whole(self) -> bool:
+        """Whether every step of every node has rows."""
+        return self.kept.whole
+
+    def need_all(self, what: str) -> None:
+        """Raise UserError where not all has rows; `what` needs it."""
+        if not self.whole:
+            raise UserError(
+                f"{self.folder}: {what} needs all rows, and the run kept {self.kept}; it can be run again with all of"
+                f" them, to the same bits: orchestrator simulate {self.folder} --set 'record={{nodes: all}}'"
+            )
+
     def __repr__(self) -> str:
         size = f"{self.T} steps of {len(self.ids)} nodes"
+        if not self.whole:
+            size = f"{self.T} steps, with rows for {self.kept}"
         return f"<RecordedRun {self.folder.name}: {size}, {self.verdict.get('verdict', 'no verdict')}>"
 
     @property
@@ -298,44 +132,59 @@ class RecordedRun:
     @cached_property
     def T(self) -> int:  # noqa: N802 (the paper's name)
         """How many steps are known with the state after them: the last of `x` is x(T)."""
-        ends = [self._steps[-1:]]
-        if len(self.edges):
-            ends.append(self.tables["edges"].steps(len(self.edges))[-1:] + 1)
-        return min(int(end[0]) if len(end) else 0 for end in ends)
+        steps, edges = self._steps, len(self.edges)
+        if not edges or not len(steps):
+            return int(steps[-1]) if len(steps) else 0
+        behind = self.tables["edges"].steps(edges)
+        if self.whole:
+            return min(int(steps[-1]), int(behind[-1]) + 1 if len(behind) else 0)
+        # Edges are written right behind the nodes: of as many steps, and the state at the next one that has rows.
+        return int(steps[min(len(behind), len(steps) - 1)]) if len(behind) else 0
 
     @property
     def b(self) -> float:
         return self.topology.b
 
-    @property
+    @cached_property
     def ids(self) -> tuple[int | str, ...]:
         """Node ids in the order of the columns."""
-        return tuple(self.topology.ids)
+        every = self.topology.ids
+        return tuple(every) if self.kept.all_nodes else tuple(every[k] for k in self.kept.nodes.tolist())
 
     @cached_property
     def edges(self) -> Index:
-        """Where in `ids` the ends of each edge (i, j) stand, (E, 2)."""
-        return _frozen(self.topology.graph.edges.copy())
+        """Where in `ids` the ends of each edge (i, j) stand, -1 for one that has no rows, (E, 2)."""
+        places = np.full(self.topology.graph.n, -1)
+        places[self.kept.nodes] = np.arange(len(self.kept.nodes))
+        return _frozen(places[self.topology.graph.edges[self.kept.edges]])
 
     @cached_property
     def candidates(self) -> Array:
         """The list of each node, NaN behind its end, (n, M)."""
-        return _frozen(self.topology.network.candidates.T.copy())
+        return _frozen(self.topology.network.candidates[:, self.kept.nodes].T.copy())
 
     @cached_property
     def nominal(self) -> Array:
         """What the nominal controller takes each a for, (n,)."""
-        return _frozen(self.topology.network.nominal.copy())
+        return _frozen(self.topology.network.nominal[self.kept.nodes])
 
     @cached_property
     def gamma_star(self) -> float:
         """The oracle's optimal gain, of the a at t = 0."""
-        return gamma_star(truth(self.topology), self.b, self.topology.graph)
+        return self.topology.network.gamma_star
+
+    @cached_property
+    def steps(self) -> Index:
+        """The steps up to T that have rows, ascending, (K,)."""
+        return _frozen(self._steps[self._steps <= self.T].copy())
 
     @cached_property
     def lost(self) -> Index:
         """Steps before T whose telemetry never came; (0,) most often."""
-        return _frozen(np.setdiff1d(np.arange(self.T), self._steps))
+        due = np.arange(self.T)
+        if not self.whole and "summary" in self.tables:
+            return _frozen(np.setdiff1d(due, self.tables["summary"].steps(1)))
+        return _frozen(np.setdiff1d(due[self.kept.rows(due)], self._steps))
 
     x = _states("x")
     """states, (T + 1, n)"""
@@ -380,70 +229,122 @@ class RecordedRun:
         """|x_i* - x_i^nom|, the paper's figure 5, (T + 1, n)."""
         return _frozen(np.abs(self.x_oracle - self.x_nominal))
 
-    a = _observed("a")
-    """the truth, after the jumps so far, (T, n)"""
+    @cached_property
+    def a(self) -> Array:
+        """The truth, after the jumps so far, (T, n)."""
+        if self.whole:
+            return self._by_step(self._replayed[0].a)
+        nodes = self.kept.nodes
+        a = np.repeat(self.topology.network.a[None, nodes], self.T, axis=0)
+        for jump in Schedule(self.topology).jumps(0):
+            a[jump.start :, nodes == jump.targets[0]] = jump.a
+        return _frozen(a)
+
     a_ls = _observed("a_ls")
-    """the least-squares a of the steps before, NaN at first, (T, n)"""
-    cost = _observed("cost")
+    """the least-squares a of the steps before, whether the node took them in or not; NaN at first, (T, n)"""
+    beta = _observed("beta")
+    """its bias, a_LS - a, (T, n)"""
+
+    @cached_property
+    def identifiable(self) -> Mask:
+        """Whether a_LS is nearest the truth among the candidates, of equally near ones the first, (T, n)."""
+        nearest = np.broadcast_to(self.candidates[:, 0], self.a_ls.shape)
+        for rival in self.candidates.T[1:]:
+            nearest = np.where(np.abs(self.a_ls - rival) < np.abs(self.a_ls - nearest), rival, nearest)
+        return _frozen((nearest == self.a) & np.isfinite(self.a_ls))
+
+    @cached_property
+    def faultless(self) -> bool:
+        """Whether all edges were open and no a jumped at any step, as gamma* supposes."""
+        return bool(self.open.all() and (self.a == self.a[:1]).all())
+
+    cost = _total("cost")
     """c = |x|^2 + |u_edge|^2, (T,)"""
-    cost_oracle = _observed("cost_oracle")
+    cost_oracle = _total("cost_oracle")
     """that of the oracle's twin, (T,)"""
-    cost_sum = _observed("cost_sum")
+    cost_sum = _total("cost_sum")
     """C, the sum of c so far, (T,)"""
-    cost_oracle_sum = _observed("cost_oracle_sum")
+    cost_oracle_sum = _total("cost_oracle_sum")
     """C*, (T,)"""
-    cost_regret = _observed("cost_regret")
-    """R = C - C*, signed, (T,)"""
-    energy_sum = _observed("energy_sum")
+    energy_sum = _total("energy_sum")
     """the sum of |w|^2 so far, (T,)"""
+
+    @cached_property
+    def cost_regret(self) -> Array:
+        """R = C - C*, signed, (T,)."""
+        return _frozen(self.cost_sum - self.cost_oracle_sum)
 
     @cached_property
     def right(self) -> NDArray[np.int64]:
         """How many ahat are the truth, (T,)."""
-        return self._by_step(self._replayed[0].right)
+        if self.whole:
+            return self._by_step(self._replayed[0].right)
+        return _frozen(np.nan_to_num(self._summed("right", self.T), nan=-1.0).astype(np.int64))
 
     @cached_property
     def regret_sum(self) -> Array:
         """D(t), the sum of r_i^2 so far, the final state included, (T + 1,)."""
+        if not self.whole:
+            return self._summed("regret_sum", self.T + 1)
         batch, observer = self._replayed
         return _frozen(np.append(self._by_step(batch.regret_sum), observer.regret_sum))
 
     @cached_property
     def nominal_regret_sum(self) -> Array:
         """D(t) of the nominal twin, (T + 1,)."""
+        if not self.whole:
+            return self._summed("nominal_regret_sum", self.T + 1)
         batch, observer = self._replayed
         return _frozen(np.append(self._by_step(batch.nominal_regret_sum), observer.nominal_regret_sum))
 
     @cached_property
     def gain(self) -> Array:
         """sqrt(C / sum |w|^2), the empirical gain, NaN until w is not 0, (T,)."""
-        return self._by_step(self._replayed[0].gain())
+        return _frozen(gain(self.cost_sum, self.energy_sum))
 
     @cached_property
     def gain_less_x0(self) -> Array:
-        """The same without what x(0) may have cost, (T,)."""
-        batch, observer = self._replayed
-        return self._by_step(batch.gain(observer.v0))
+        """The same less V(x(0)), which is what x(0) may have cost the oracle, and not what it cost this law, (T,)."""
+        network = self.topology.network
+        return _frozen(gain(self.cost_sum, self.energy_sum, float(storage(network.x0[None], network.a)[0])))
 
     @property
     def metrics(self) -> dict[str, float | int | None]:
         """The numbers at the end, as verdict.json has them."""
+        if not self.whole and self.verdict.get("metrics"):
+            return dict(self.verdict["metrics"])
         return self._replayed[1].summary()
 
     def telemetry(self, kind: str = "arrow") -> Any:
         """The table of steps and nodes, as recorded: a pyarrow.Table, or a frame of "pandas" or "polars"."""
-        return _frame(self.tables["telemetry"], kind)
+        return self.tables["telemetry"].frame(kind)
 
     def edges_table(self, kind: str = "arrow") -> Any:
         """The table of steps and edges, likewise."""
-        return _frame(self.tables["edges"], kind)
+        return self.tables["edges"].frame(kind)
+
+    def summary(self, kind: str = "arrow") -> Any:
+        """The table of steps, likewise; UserError where `record:` says that there is none."""
+        return self._summary.frame(kind)
+
+    @property
+    def _summary(self) -> Table:
+        if "summary" not in self.tables:
+            raise UserError(f"{self.folder}: has no summary, by `record:` of its topology.yaml")
+        return self.tables["summary"]
+
+    def _summed(self, name: str, rows: int) -> Array:
+        """A column of the summary, (rows,)."""
+        return _spread(self._summary.column(name, 1)[:, 0].astype(np.float64), self._summary.steps(1), rows, np.nan)
 
     @cached_property
     def _steps(self) -> Index:
         """The step of each row of telemetry, (K,)."""
-        return self.tables["telemetry"].steps(len(self.ids))
+        return self.tables["telemetry"].steps(len(self.ids)) if self.ids else self._summary.steps(1)
 
     def _of_nodes(self, name: str, rows: int, missing: float) -> Array:
+        if not self.ids:
+            return _frozen(np.empty((rows, 0)))
         return _spread(self.tables["telemetry"].column(name, len(self.ids)), self._steps, rows, missing)
 
     def _of_edges(self, name: str, missing: Any) -> NDArray[Any]:
@@ -460,12 +361,13 @@ class RecordedRun:
     @cached_property
     def _replayed(self) -> tuple[Batch, Observer]:
         """What the observer makes of this telemetry."""
+        self.need_all("what was computed of every node")
         observer = Observer(self.topology)
         steps = self._steps[self._steps < self.T]
         # Who heard whom decides none of the numbers that are asked for here.
         links = 2 * len(self.edges)
         heard, took = np.ones(links, dtype=np.uint8), np.full(links, TAKEN, dtype=np.uint8)
-        report = np.stack([self.ahat, self.index, self.margin], axis=2)
+        report = np.stack([self.ahat, self.margin], axis=1)
         with np.errstate(over="ignore", invalid="ignore"):  # numbers that grew too large say so by being infinite
             batches = [
                 observer.take(
@@ -497,20 +399,3 @@ def _spread(values: NDArray[Any], steps: Index, rows: int, missing: Any) -> NDAr
 def _frozen(values: NDArray[Value]) -> NDArray[Value]:
     values.flags.writeable = False
     return values
-
-
-def _frame(table: Table, kind: str) -> Any:
-    if kind not in FRAMES:
-        raise UserError(f"{kind!r} is no kind of table; there are {', '.join(FRAMES)}")
-    if kind == "arrow":
-        return table.whole()
-    try:
-        library = importlib.import_module(kind)
-    except ModuleNotFoundError as error:
-        if error.name != kind:
-            raise
-        raise UserError(f"{kind} is not installed; install it with: pip install {kind}") from None
-    if kind == "polars":
-        return library.from_arrow(table.whole())
-    # With nulls in it, a column of whole numbers would become one of floats.
-    return table.whole().to_pandas(types_mapper={pa.int32(): library.Int32Dtype()}.get)

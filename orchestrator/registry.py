@@ -13,13 +13,13 @@ import os
 import stat
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from topologies.errors import UserError
 from wire.access import OPERATOR
-from wire.session import remove_secrets
+from wire.session import remove_trace
 
 
 @dataclass(frozen=True)
@@ -34,14 +34,24 @@ class Entry:
     started: float
     credentials: str | None = None
     """the folder of the operator's, where the run is secure"""
+    traces: Sequence[str] = ()
+    """files and folders that must not be there after the run"""
 
 
 def _directory() -> Path:
-    base = os.environ.get("XDG_RUNTIME_DIR") or tempfile.gettempdir()
-    directory = Path(base) / f"hedgerow-{os.getuid()}"
-    with contextlib.suppress(FileExistsError):
-        directory.mkdir(mode=0o700)
-    found = directory.lstat()
+    base = os.environ.get("XDG_RUNTIME_DIR", "")
+    try:
+        # It may be that of a login which is over, or of another user.
+        if not (os.path.isabs(base) and os.path.isdir(base) and os.access(base, os.W_OK | os.X_OK)):
+            base = tempfile.gettempdir()
+        directory = Path(base) / f"hedgerow-{os.getuid()}"
+        with contextlib.suppress(FileExistsError):
+            directory.mkdir(mode=0o700)
+        found = directory.lstat()
+    except OSError as error:
+        raise UserError(
+            f"{base}: no place to list running networks: {error.strerror}; set XDG_RUNTIME_DIR to a folder of your own"
+        ) from None
     if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o077:
         raise UserError(f"{directory}: must be a folder that is yours alone: chmod 700 it, or remove it")
     return directory
@@ -58,14 +68,21 @@ def secrets_of(listed: Path) -> Path:
 
 
 @contextlib.contextmanager
-def announced(run: str, folder: Path, endpoint: str, namespace: str, credentials: Path | None = None) -> Iterator[Path]:
+def announced(
+    run: str,
+    folder: Path,
+    endpoint: str,
+    namespace: str,
+    credentials: Path | None = None,
+    traces: Sequence[Path] = (),
+) -> Iterator[Path]:
     """List this process's run while the block lasts; yields the file that does.
 
-    `credentials` are those of the run's processes, where it is secure.
+    `credentials` are those of the run's processes, where it is secure; `traces` go with who finds the process dead.
     """
     path = entry_path(run)
     own = None if credentials is None else str(credentials / OPERATOR)
-    entry = Entry(run, str(folder), os.getpid(), endpoint, namespace, time.time(), own)
+    entry = Entry(run, str(folder), os.getpid(), endpoint, namespace, time.time(), own, [*map(str, traces)])
     with path.open("w", encoding="utf-8") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
         file.write(json.dumps(asdict(entry)))
@@ -77,15 +94,17 @@ def announced(run: str, folder: Path, endpoint: str, namespace: str, credentials
 
 
 def running() -> list[Entry]:
-    """The networks that run now, the oldest first; files of dead ones are removed in passing."""
+    """The networks that run now, the oldest first; what dead ones left is removed in passing."""
     entries = []
     for path in _directory().glob("*.json"):
         with contextlib.suppress(OSError, ValueError, TypeError), path.open("r", encoding="utf-8") as file:
             if _is_locked(file.fileno()):
                 entries.append(Entry(**json.load(file)))
             elif path.stat().st_size:  # else it is being written right now
-                remove_secrets(secrets_of(path))
+                remove_trace(secrets_of(path))
                 path.unlink(missing_ok=True)
+                for trace in Entry(**json.load(file)).traces:
+                    remove_trace(trace)
     return sorted(entries, key=lambda entry: entry.started)
 
 
@@ -99,7 +118,7 @@ def _is_locked(descriptor: int) -> bool:
 
 
 def find(run: str | None) -> Entry:
-    """The running network of that name (or a part of it), or the youngest."""
+    """The youngest running network of that name, or whose name begins so; the youngest of all for None."""
     entries = running()
     matching = [entry for entry in entries if run is None or entry.run == run]
     matching = matching or [

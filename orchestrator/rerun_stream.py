@@ -20,6 +20,7 @@ from orchestrator.observe import Batch, Observer
 from orchestrator.viewer import Viewer
 from topologies.describe import describe, window
 from topologies.schema import Topology
+from wire.codec import Trips
 
 # Rerun reads this once, on import, and else writes lines to the terminal when a viewer is closed: no error of a run.
 os.environ.setdefault("RUST_LOG", "error,re_grpc_client=off,re_sdk=off")
@@ -27,8 +28,9 @@ import rerun as rr
 
 from orchestrator.feeder import Feeder, Write
 from orchestrator.heat import HeatMap
+from orchestrator.kept import kept
 from orchestrator.lanes import Changes, Lanes
-from orchestrator.panels import LARGE, Matrix, aggregates, blueprint, quantities
+from orchestrator.panels import LARGE, ROUND_TRIPS, Matrix, RoundTripLines, aggregates, blueprint, lined, lines, totals
 from orchestrator.picture import Frames, Picture
 from orchestrator.rrd_file import RrdFile
 from orchestrator.words import Now, about
@@ -36,6 +38,8 @@ from orchestrator.words import Now, about
 APPLICATION = "hedgerow"
 CHUNK_ROWS, CHUNK_S = 200, 2.0
 """batches are joined in the file up to this many rows or this long: a write costs 20 kB, however few its rows"""
+FOOTER_STEPS = 10_000
+"""a run of more steps leaves no index at the end of run.rrd: its memory stays as it is for as long as it goes on"""
 PICTURES_HZ, PICTURES_HZ_LARGE, PICTURES_AT_ONCE = 20.0, 4.0, 200
 """steps that are drawn and put into words a second, if there are more; and how many may be made up for"""
 DRAWN_NODES = 200_000
@@ -115,7 +119,8 @@ class Rows:
 
     @staticmethod
     def joined(parts: Sequence[Rows]) -> Rows:
-        """Parts with the same entities, one after the other."""
+        """Parts with the same entities, one after the other; those without any are left out."""
+        parts = [part for part in parts if part.columns] or parts[:1]
         columns = {entity: np.concatenate([part.columns[entity] for part in parts]) for entity in parts[0].columns}
         return Rows(np.concatenate([part.t for part in parts]), np.concatenate([part.wall for part in parts]), columns)
 
@@ -149,13 +154,16 @@ class Drawn:
 class Part:
     """All that is shown of a batch."""
 
-    rows: Rows
+    lines: Rows
+    """of the steps that have rows"""
+    totals: Rows
     drawn: list[Drawn]
     changes: Changes
 
     def write(self, stream: rr.RecordingStream) -> None:
         """Send it."""
-        self.rows.write(stream)
+        self.lines.write(stream)
+        self.totals.write(stream)
         for drawn in self.drawn:
             drawn.write(stream)
         self.changes.write(stream)
@@ -163,13 +171,14 @@ class Part:
     @property
     def size(self) -> int:
         """Bytes, roughly."""
-        return self.rows.size + sum(drawn.size for drawn in self.drawn) + self.changes.size
+        return self.lines.size + self.totals.size + sum(drawn.size for drawn in self.drawn) + self.changes.size
 
     @staticmethod
     def joined(parts: Sequence[Part]) -> Part:
         """One after the other."""
         return Part(
-            Rows.joined([part.rows for part in parts]),
+            Rows.joined([part.lines for part in parts]),
+            Rows.joined([part.totals for part in parts]),
             Drawn.joined([drawn for part in parts for drawn in part.drawn]),
             Changes.joined([part.changes for part in parts]),
         )
@@ -188,29 +197,37 @@ class RerunStream:
         part_bytes: int = 0,
         warn: Callable[[str], None] = lambda _: None,
         past: int = 0,
+        processes: Sequence[str] = (),
     ) -> None:
         """A file holds about `part_bytes` before the next begins, 0 for all; `warn` is told what ails the viewer.
 
-        The first `past` steps are over already: no clock says how many of them are drawn.
+        The first `past` steps are over already: no clock says how many of them are drawn. `processes` are those whose
+        round trips are shown.
         """
         self._id = recording_id
-        self._quantities = quantities(topology, observer) + aggregates(topology)
+        self._kept = kept(topology)
+        self._nodes = lined(self._kept.nodes)
+        self._lines, self._totals = lines(topology), totals(topology, observer) + aggregates(topology)
         large = len(topology.ids) > LARGE
         stride = -(-past * len(topology.ids) // DRAWN_NODES)
         self._pace = Pace(PICTURES_HZ_LARGE if large else PICTURES_HZ, past, max(1, stride))
-        self._about = about(topology, observer, large, PICTURES_HZ_LARGE if large else PICTURES_HZ)
         self._picture = Picture(topology)
+        group = self._picture.groups.size if self._picture.groups is not None else 1
+        self._about = about(topology, observer, large, PICTURES_HZ_LARGE if large else PICTURES_HZ, group)
         self._lanes = Lanes(topology, models=not large)
         self._now = Now(topology, observer)
         self._undrawn: tuple[Batch, NDArray[np.float64]] | None = None
         self._heat, self._heat_due = HeatMap(len(topology.ids)) if large else None, False
         self._plan = Plan(topology, observer)
-        self._blueprint = blueprint(topology, observer.gamma_star, self._picture.legend)
+        self._trips = RoundTripLines(processes)
+        self._blueprint = blueprint(topology, topology.network.gamma_star_now, self._picture.legend, bool(processes))
         self._wall = time.time()
         # When to write is no matter of the wall clock, which may jump.
         self._written = self._heated = time.monotonic()
         self._unwritten: list[Part] = []
-        self._file = RrdFile(path, self.opened, part_bytes) if path is not None else None
+        self._unwritten_trips: list[Rows] = []
+        footer = topology.steps <= FOOTER_STEPS
+        self._file = RrdFile(path, self.opened, part_bytes, footer) if path is not None else None
         self._feeder = Feeder(viewer, self.opened, warn) if viewer is not None else None
 
     def opened(self, sink: rr.FileSink | rr.GrpcSink) -> rr.RecordingStream:
@@ -220,8 +237,10 @@ class RerunStream:
         stream.set_sinks(sink, default_blueprint=self._blueprint)
         stream.send_recording_name(self._id)
         stream.log("about", rr.TextDocument(self._about, media_type=rr.MediaType.MARKDOWN), static=True)
-        for quantity in self._quantities:
+        for quantity in (*self._lines, *self._totals):
             stream.log(quantity.entity, quantity.style(), static=True)
+        if self._trips.names:
+            stream.log(ROUND_TRIPS, self._trips.style(), static=True)
         self._picture.log_static(stream)
         for lane in list(self._lanes.begun.values()):
             lane.log_static(stream)
@@ -239,13 +258,20 @@ class RerunStream:
         wall = np.linspace(before, self._wall, len(batch.t) + 1)[1:]
         for text, level, step in self._plan.due(batch):
             self.event(text, level, step)
-        rows = Rows(batch.t, wall, {q.entity: q.columns(batch) for q in self._quantities})
-        part = Part(rows, self._draw(batch, wall, self._pace.pick(len(batch.t))), self._lanes.changes(batch, wall))
+        rows = self._kept.rows(batch.t)
+        each = {q.entity: q.columns(batch)[rows] for q in self._lines} if len(rows) else {}
+        sums = {q.entity: q.columns(batch) for q in self._totals}
+        part = Part(
+            Rows(batch.t[rows], wall[rows], each),
+            Rows(batch.t, wall, sums),
+            self._draw(batch, wall, self._pace.pick(len(batch.t))),
+            self._lanes.changes(batch, wall),
+        )
         if self._feeder is not None:
             self._feeder.put(part.write, part.size)
         if self._file is not None:
             self._unwritten.append(part)
-            waiting = sum(len(part.rows.t) for part in self._unwritten)
+            waiting = sum(len(part.totals.t) for part in self._unwritten)
             if waiting >= CHUNK_ROWS or time.monotonic() - self._written > CHUNK_S:
                 self._write_batches(self._file)
         if self._heat is not None:
@@ -253,6 +279,15 @@ class RerunStream:
             self._heat_due = True
             if time.monotonic() - self._heated > HEAT_S:
                 self._send_heat(self._heat.step)
+
+    def round_trips(self, trips: Trips, at: float) -> None:
+        """Show how long processes took to answer at some steps, the last of which ended about `at`."""
+        t = np.arange(trips.t, trips.t + len(trips.seconds))
+        rows = Rows(t, np.full(len(t), at), {ROUND_TRIPS: self._trips.columns(trips)})
+        if self._feeder is not None:
+            self._feeder.put(rows.write, rows.size)
+        if self._file is not None:
+            self._unwritten_trips.append(rows)
 
     def _draw(self, batch: Batch, wall: NDArray[np.float64], rows: NDArray[np.int64]) -> list[Drawn]:
         """Some rows of a batch; one without any is kept, in case that it is the last."""
@@ -287,7 +322,9 @@ class RerunStream:
     def _write_batches(self, file: RrdFile) -> None:
         if self._unwritten:
             file.write(Part.joined(self._unwritten).write)
-        self._unwritten, self._written = [], time.monotonic()
+        if self._unwritten_trips:
+            file.write(Rows.joined(self._unwritten_trips).write)
+        self._unwritten, self._unwritten_trips, self._written = [], [], time.monotonic()
 
     def end(self, observer: Observer) -> None:
         """Show the states and the regret at step T, where no input acts; nothing if the run never got there."""
@@ -295,7 +332,7 @@ class RerunStream:
             return
         if self._heat is not None:
             self._send_heat(end.t)
-        x, x_oracle, x_nominal = end.x, observer.x_oracle_end, observer.x_nominal_end
+        x, x_oracle, x_nominal = (of[self._nodes] for of in (end.x, observer.x_oracle_end, observer.x_nominal_end))
         last = {
             "x": x,
             "x_oracle": x_oracle,

@@ -1,8 +1,7 @@
 """run.rrd, which may become too large for one file: it goes on in run-001.rrd, run-002.rrd, …, each whole by itself.
 
 Each part begins with all that does not change, so that any of them opens alone; together they are one recording,
-and `rerun rrd merge run*.rrd -o whole.rrd` makes one file of them. Rerun keeps an index of what it has written in
-memory until a file is closed, 0.14 MB a MB of paper7: with parts, it does not grow with the run.
+and `rerun rrd merge run*.rrd -o whole.rrd` makes one file of them.
 """
 
 from __future__ import annotations
@@ -12,6 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import rerun as rr
+from rerun_bindings import flush_and_cleanup_orphaned_recordings
 
 from topologies.errors import HedgerowError
 
@@ -37,14 +37,20 @@ def _number(path: Path, part: Path) -> int:
 class RrdFile:
     """A recording on disk, in parts of about `part_bytes`, or in one file for 0.
 
+    `footer`: each ends with an index of what it holds. Rerun keeps that in memory until then, 0.34 MB a MB of paper7.
+
     `open_stream` opens a recording that leads to a sink, and has told it all that does not change. A part is over
     at the first write after it has grown so large; what Rerun still holds by then, 0.2 s of rows, comes on top.
     """
 
     def __init__(
-        self, path: Path, open_stream: Callable[[rr.FileSink], rr.RecordingStream], part_bytes: int = 0
+        self,
+        path: Path,
+        open_stream: Callable[[rr.FileSink], rr.RecordingStream],
+        part_bytes: int = 0,
+        footer: bool = True,
     ) -> None:
-        self._path, self._open, self._part_bytes = path, open_stream, part_bytes
+        self._path, self._open, self._part_bytes, self._footer = path, open_stream, part_bytes, footer
         self.number = 0
         self._stream = self._begin()
 
@@ -59,6 +65,7 @@ class RrdFile:
             self._finish(timeout_s=5.0)
             self.number += 1
             self._stream = self._begin()
+            flush_and_cleanup_orphaned_recordings()  # or the threads of the last part stay
         write(self._stream)
 
     def close(self, deadline_s: float) -> None:
@@ -67,7 +74,7 @@ class RrdFile:
 
     def _begin(self) -> rr.RecordingStream:
         try:
-            return self._open(rr.FileSink(self.part))
+            return self._open(rr.FileSink(self.part, write_footer=self._footer))
         except RuntimeError as error:
             raise self._unwritable(error) from None
 

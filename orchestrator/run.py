@@ -19,13 +19,16 @@ from orchestrator.viewer import Viewer, start
 from topologies.errors import HedgerowError
 from topologies.resolve import to_yaml
 from topologies.schema import Topology
-from wire.codec import End, Telemetry
+from wire.codec import End, Telemetry, Trips
 
 if TYPE_CHECKING:
     from orchestrator.record import Recorder
     from orchestrator.rerun_stream import RerunStream
+    from orchestrator.round_trips import RoundTrips
 
 CLOSE_DEADLINE_S = 5.0
+TABLES = ("telemetry", "edges", "summary")
+"""of which there is no summary where `record:` says so"""
 
 
 @dataclass(frozen=True)
@@ -41,7 +44,18 @@ class Watching:
 class Run:
     """Feeds the observer and keeps what it computes."""
 
-    def __init__(self, topology: Topology, folder: RunFolder, watching: Watching, ending: Ending) -> None:
+    def __init__(
+        self,
+        topology: Topology,
+        folder: RunFolder,
+        watching: Watching,
+        ending: Ending,
+        processes: Sequence[str] = (),
+    ) -> None:
+        """`processes` are those that answer states, in the order of their shards."""
+        self._processes = processes
+        self._round_trips: RoundTrips | None = None
+        """where something crosses a wire, from the first step on"""
         self.topology, self.folder, self.ending = topology, folder, ending
         self.observer = Observer(topology)
         self.rows_at_once = rows_at_once(self.observer.graph.n)
@@ -66,13 +80,24 @@ class Run:
     def take(self, rows: Sequence[Telemetry]) -> Batch:
         """Observe and record some steps, `rows_at_once` at most; OSError when the disk is full."""
         batch = self.observer.take(rows)
+        if self._processes and self._round_trips is None:
+            from orchestrator.round_trips import RoundTrips  # noqa: PLC0415
+
+            self._round_trips = RoundTrips(self._processes, self.folder.path)
         self._recorder.write(batch)
         if not self._watched:
             self._watched = True
             self._open_stream()
         at = time.time()
-        self._show(lambda stream: stream.log(batch, at))
+        self._show(lambda stream: stream.log(batch, at), batch.size)
         return batch
+
+    def take_trips(self, trips: Trips) -> None:
+        """Record how long the processes took to answer, at some steps that were taken in; OSError as `take`."""
+        assert self._round_trips is not None, "they come after their steps"
+        self._round_trips.take(trips)
+        at = time.time()
+        self._show(lambda stream: stream.round_trips(trips, at))
 
     def finish(self, end: End) -> None:
         """Take in the final state."""
@@ -125,20 +150,29 @@ class Run:
 
         part_bytes = int(self._watching.split_mb * 1e6)
         self._stream = RerunStream(
-            self.topology, self.observer, self.folder.name, path, self.viewer, part_bytes, self.warnings.append
+            self.topology,
+            self.observer,
+            self.folder.name,
+            path,
+            self.viewer,
+            part_bytes,
+            self.warnings.append,
+            processes=self._processes,
         )
 
-    def _show(self, show: Callable[[RerunStream], object]) -> None:
+    def _show(self, show: Callable[[RerunStream], object], size: int = 0) -> None:
         def job() -> None:
             assert self._stream is not None, "it is loaded first"
             show(self._stream)
 
         if self._aside is not None:
-            self._aside.do(job)
+            self._aside.do(job, size)
 
     def close_tables(self) -> None:
         """Bring the tables into their final form; nothing can be taken in afterwards."""
         self._recorder.close()
+        if self._round_trips is not None:
+            self._round_trips.close()
 
     def close(self) -> Verdict:
         """Close the tables and the recording, judge the run and write the verdict."""
@@ -150,6 +184,8 @@ class Run:
             self.close_tables()
         except (OSError, HedgerowError) as error:  # a full disk: the streams hold what was recorded, and can be read
             self.ending.stopped = self.ending.stopped or str(error)
+        if self._round_trips is not None:
+            self.ending.round_trips = self._round_trips.summary()
         verdict = judge(self.topology, self.observer, self.ending)
         with contextlib.suppress(OSError):
             self.folder.event("verdict", verdict=verdict.verdict, reasons=verdict.content["reasons"])
@@ -158,7 +194,10 @@ class Run:
 
 
 def same_tables(one: Path, other: Path) -> bool:
-    """Whether two run folders hold the same telemetry, bit for bit."""
-    return all(
-        (one / name).read_bytes() == (other / name).read_bytes() for name in ("telemetry.parquet", "edges.parquet")
-    )
+    """Whether two run folders hold the same tables, bit for bit; by a summary's checksums, of all nodes and steps."""
+    names = [f"{name}.parquet" for name in TABLES]
+    return all(_content(one / name) == _content(other / name) for name in names)
+
+
+def _content(file: Path) -> bytes | None:
+    return file.read_bytes() if file.exists() else None

@@ -52,8 +52,10 @@ class Lines:
         self._steps, self._said = steps, time.monotonic()
 
     def say(self, text: str) -> None:
-        with contextlib.suppress(BrokenPipeError):  # a reader who has left does not end the run
+        try:
             print(text, flush=True)
+        except OSError:  # a reader who has left, or a full disk, does not end the run: what is said is lost
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
     def progress(self, batch: Batch) -> None:
         now, done = time.monotonic(), int(batch.t[-1]) + 1
@@ -77,7 +79,8 @@ class Json:
     interactive = False
 
     def say(self, text: str) -> None:
-        print(text, file=sys.stderr, flush=True)
+        with contextlib.suppress(OSError):
+            print(text, file=sys.stderr, flush=True)
 
     def progress(self, batch: Batch) -> None:
         pass

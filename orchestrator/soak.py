@@ -48,6 +48,10 @@ CRASHED_STEPS = 5
 WARM_UP = 0.25
 """This part of the time is left out, but at least and at most so long."""
 LEAST_WARM_UP_S, LONGEST_WARM_UP_S = 10.0, 120.0
+LEAST_MINUTES = 0.25
+"""In less there is nothing to draw a line through."""
+YOUNG_S = 5.0
+"""A process that took another's place is not judged before it has taken part for so long: until then it learns."""
 ALONE = ("up", "nursery", "plant")
 HISTORY = 1000
 """Past steps that are kept for back-filling: with the 100,000 of a file that says nothing, memory grows until there are
@@ -55,7 +59,7 @@ so many."""
 START_DEADLINE_S = 60.0
 END_DEADLINE_S = 30.0
 
-GROWTH, GROWTH_MB = 0.05, 2.0
+GROWTH, GROWTH_MB = 0.03, 2.0
 """A process is flat if the line through its sizes rises by less than this part of their mean, or by less than so many
 MB, over the time that counts."""
 MORE = 2.0
@@ -135,7 +139,7 @@ def run_soak(
     wake = threading.Event()
     with Interrupts(wake.set) as interrupts, _up(file, folder, topology, options) as up:
         say(f"run folder {folder.path}")
-        entry = _entry(up, folder)
+        entry = _entry(up, folder, records="--no-record" not in options)
         samples = list(_samples(up, entry, minutes * 60, faults, lambda s: wake.wait(s) or interrupts.count > 0))
         up.send_signal(signal.SIGINT)
         with contextlib.suppress(subprocess.TimeoutExpired):
@@ -182,12 +186,17 @@ def _up(file: Path, folder: RunFolder, topology: Topology, options: Sequence[str
         file.unlink(missing_ok=True)
         with contextlib.suppress(OSError):
             said.replace(folder.logs / "up.log")
+        said.unlink(missing_ok=True)
 
 
-def _entry(up: subprocess.Popen[bytes], folder: RunFolder) -> registry.Entry:
-    """The run among those that run, once it has made a step."""
+def _entry(up: subprocess.Popen[bytes], folder: RunFolder, records: bool) -> registry.Entry:
+    """The run among those that run, once it has made a step and all of it is loaded."""
     until = time.monotonic() + START_DEADLINE_S
-    while not (folder.events.exists() and '"first_step"' in folder.events.read_text(encoding="utf-8")):
+    while not (
+        folder.events.exists()
+        and '"first_step"' in folder.events.read_text(encoding="utf-8")
+        and (folder.recording.exists() or not records)
+    ):
         if up.poll() is not None:
             log = folder.path.with_name(f".{folder.name}.log")
             raise HedgerowError(f"{folder.name}: ended at once: {log.read_text(encoding='utf-8').strip()[-500:]}")
@@ -207,24 +216,27 @@ def _samples(
     """Look at every process again and again, and kill an agent now and then, until the time is over or the run is."""
     every = max(EVERY_S, seconds / SAMPLES)
     began = time.monotonic()
-    crash_at = began + CRASH_EVERY_S
+    crash_at = began
     with Live(entry) as live:
         last = live.topology.process_count - 1
         while time.monotonic() - began < seconds and up.poll() is None:
             try:
-                step = int(live.status()["step"])
+                status = live.status()
                 if crashes and time.monotonic() > crash_at:
                     crash_at += CRASH_EVERY_S
                     live.fault.crash(process=last, at=1, restart_after=CRASHED_STEPS)
             except WireError:  # it is over, or busy
-                step = -1
-            if step >= 0:
-                yield from _look(psutil.Process(up.pid), time.monotonic() - began, step)
+                status = None
+            if status is not None:
+                looks = look(psutil.Process(up.pid), time.monotonic() - began, int(status["step"]))
+                absent = status["absent"].values()
+                yield from (one for one in looks if one.process not in absent)
             if interrupted(every):
                 return
 
 
-def _look(up: psutil.Process, t_s: float, step: int) -> Iterator[Sample]:
+def look(up: psutil.Process, t_s: float, step: int) -> Iterator[Sample]:
+    """Look at `up` and at every process of its run; one that has ended, and that nobody has asked yet how, is none."""
     for process in (up, *up.children(recursive=True)):
         with contextlib.suppress(psutil.NoSuchProcess, psutil.AccessDenied, psutil.ZombieProcess):
             memory = process.memory_full_info()
@@ -232,7 +244,8 @@ def _look(up: psutil.Process, t_s: float, step: int) -> Iterator[Sample]:
             if name.startswith("python"):
                 name = "nursery"
             pss, rss = getattr(memory, "pss", memory.rss) / 1e6, memory.rss / 1e6
-            yield Sample(t_s, step, name, process.pid, pss, rss, process.num_threads(), process.num_fds())
+            if rss:
+                yield Sample(t_s, step, name, process.pid, pss, rss, process.num_threads(), process.num_fds())
 
 
 def _write(path: Path, samples: Sequence[Sample]) -> None:
@@ -246,7 +259,7 @@ def trends_of(samples: Sequence[Sample]) -> list[Trend]:
     """A line through each thing that was measured, after the warm-up; none where there is too little of it."""
     if not samples:
         return []
-    later = [one for one in samples if one.t_s >= warm_up_s(samples[-1].t_s)]
+    later = [one for one in _grown(samples) if one.t_s >= warm_up_s(samples[-1].t_s)]
     trends = []
     for name in dict.fromkeys(one.process for one in later):
         own = [one for one in later if one.process == name]
@@ -258,6 +271,15 @@ def trends_of(samples: Sequence[Sample]) -> list[Trend]:
     t, pace = pace_of(later)
     trends += _trend("pace", "steps/s", t, pace, -SLOWER * float(pace.mean()) if len(pace) else 0.0)
     return trends
+
+
+def _grown(samples: Sequence[Sample]) -> list[Sample]:
+    """Without the looks at a process that had just taken another's place."""
+    seen: dict[int, float] = {}
+    for one in samples:
+        seen.setdefault(one.pid, one.t_s)
+    began = samples[0].t_s
+    return [one for one in samples if seen[one.pid] == began or one.t_s - seen[one.pid] >= YOUNG_S]
 
 
 def warm_up_s(seconds: float) -> float:

@@ -6,12 +6,11 @@ import signal
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from agents.view import View
 from orchestrator.assign import process_name
-from orchestrator.external import External
+from orchestrator.external import OWN_START_S, External
 from orchestrator.folder import RunFolder
 from orchestrator.nursery import Nursery
 from orchestrator.wiring import Wiring
@@ -87,19 +86,11 @@ class Processes:
         self._start(name, "agents", self._connect)
         self._names.append(name)
 
-    def start_plant(
-        self, truth: Truth, rate: float, deadline_s: float, listed: Path, external: External | None = None
-    ) -> None:
-        """Launch the plant, the router of the run if it has none, with a port for who is `external`.
-
-        Should we die, it removes what else would be left: our entry among running networks, the router's socket and
-        the credentials.
-        """
-        left = {"listed": listed, **self._wiring.left}
+    def start_plant(self, truth: Truth, rate: float, deadline_s: float, external: External | None = None) -> None:
+        """Launch the plant, the router of the run if it has none, with a port for who is `external`."""
         options = ["--rate", str(rate), "--deadline", str(deadline_s)]
-        options += [word for option, path in left.items() for word in (f"--{option}", str(path))]
         if external is not None:
-            options += ["--network", external.network, "--start", str(external.wait_s)]
+            options += ["--network", external.network, "--start", str(external.wait_s + OWN_START_S)]
         listen = external.listen if external and external.listen else self._wiring.endpoint
         options += ["--listen", listen] if self._wiring.listens else self._connect
         truth.write(self._folder.processes / f"{keys.PLANT}.npz")
@@ -109,8 +100,9 @@ class Processes:
     def _start(self, name: str, module: str, options: Sequence[str]) -> None:
         file = self._folder.processes / f"{name}.npz"
         arguments = [str(file), "--namespace", self._wiring.namespace, *options]
-        if self._wiring.credentials is not None:
-            arguments += ["--credentials", str(self._wiring.credentials / name)]
+        credentials = self._wiring.of(name)
+        if credentials is not None:
+            arguments += ["--credentials", str(credentials)]
         self._nursery.fork(name, module, arguments, self._folder.logs / f"{name}.log")
 
     def wait_until_started(self) -> dict[str, int]:

@@ -9,7 +9,7 @@
     edges down: 2-4, 3-5
     links down: 1->2, 3-5
     5 of 7 estimates right, 8 missing inputs, 32 lost messages, regret D 0.9384 (nominal 4.367),
-    cost regret +1.734, gain 9.271 (gamma* 2.974 is the oracle's)
+    cost regret +1.734, gain 9.271 (less V(x(0)): 0; gamma* 2.974 is the oracle's without faults)
     step 30: cut 2-4 from step 30 to 60 (fault 2)
 
 A wrong model is a word as well as a colour. Who is dead comes first, then who sent no input, then who is wrong; where
@@ -25,10 +25,10 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from datetime import timedelta
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from rich.cells import cell_len, set_cell_size
 from rich.console import Console
 from rich.live import Live
@@ -36,13 +36,13 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.text import Text
 
 from orchestrator.accounts import at_ends
+from orchestrator.certificate import storage
 from orchestrator.observe import Batch
 from orchestrator.screen import left_behind
 from orchestrator.verdict import INVALID, VALID, Verdict
+from orchestrator.words import gain_said
 from topologies.describe import describe, window
 from topologies.graph import Index, Mask
-from topologies.hinf import gamma_star
-from topologies.resolve import truth
 from topologies.schema import Topology
 
 REDRAW_S = 0.25
@@ -64,8 +64,10 @@ class Standing:
 
     def __init__(self, topology: Topology) -> None:
         self._topology = topology
-        self._ids = [str(node) for node in topology.ids]
+        self._ids = topology.ids
         self._ends = at_ends(topology.graph)
+        network = topology.network
+        self._v0 = float(storage(network.x0[None], network.a)[0])
         self._missing: Index = np.zeros(len(self._ids), dtype=np.int64)
         self._lost = 0
         self._last: Batch | None = None
@@ -124,16 +126,19 @@ class Standing:
         dead = missing & np.isnan(ahat) & np.isnan(batch.margin[-1]) & (batch.index[-1] < 0)
         silent, wrong = missing & ~dead, ~np.isnan(ahat) & (ahat != batch.a[-1])
         rank = np.select([dead, silent, wrong], [0, 1, 2], 3)
-        shown = order = np.argsort(rank, kind="stable")
         hidden: list[Text] = []
-        if room - 1 < len(order):
-            order = np.lexsort((-np.abs(x), rank))
-            shown, others = order[: room - 2], order[room - 2 :]
-            counts = [np.count_nonzero(mask[others]) for mask in (wrong, dead, silent)]
+        if room - 1 < len(rank):
+            shown = _worst(rank, np.abs(x), room - 2)
+            others = np.ones(len(rank), dtype=np.bool_)
+            others[shown] = False
+            counts = [np.count_nonzero(mask & others) for mask in (wrong, dead, silent)]
             what = zip(counts, ("wrong", "dead", "without input"), strict=True)
             said = ", ".join(f"{count} {name}" for count, name in what if count) or "none wrong"
-            hidden = [Text(f"... {len(others)} more: |x| <= {np.abs(x[others]).max():.4g}, {said}")]
-        names = [self._ids[k] for k in shown]
+            most = np.abs(x).max(where=others, initial=0.0)
+            hidden = [Text(f"... {len(rank) - len(shown)} more: |x| <= {most:.4g}, {said}")]
+        else:
+            shown = np.argsort(rank, kind="stable")
+        names = [str(self._ids[k]) for k in shown]
         broad = min(max(map(cell_len, [*names, "node"])), max(4, width // 4))
         columns: list[tuple[str, list[Cell]]] = [
             (set_cell_size("node", broad), [(set_cell_size(name, broad), "") for name in names]),
@@ -171,11 +176,11 @@ class Standing:
         return self._between(edge, "->", backwards=bool(lost[0]))
 
     def _between(self, edge: int, sign: str, backwards: bool = False) -> str:
-        i, j = (self._ids[k] for k in self._topology.graph.edges[edge])
+        i, j = (self._ids[k] for k in self._topology.graph.edges[edge].tolist())
         return f"{j}{sign}{i}" if backwards else f"{i}{sign}{j}"
 
     def _sums(self, batch: Batch) -> list[str]:
-        gain = float(batch.gain()[-1])
+        gain, less = (float(batch.gain(v0)[-1]) for v0 in (0.0, self._v0))
         said = [f"{batch.right[-1]} of {len(self._ids)} estimates right"]
         losses = ((self._missing.sum(), "missing inputs"), (self._lost, "lost messages"))
         return [
@@ -183,12 +188,20 @@ class Standing:
             *(f"{k} {what}" for k, what in losses if k),
             f"regret D {batch.regret_sum[-1]:.4g} (nominal {batch.nominal_regret_sum[-1]:.4g})",
             f"cost regret {batch.cost_regret[-1]:+.4g}",
-            f"gain {'undefined' if np.isnan(gain) else f'{gain:.4g}'} (gamma* {self._gamma_star:.4g} is the oracle's)",
+            gain_said(gain, less, self._topology.network.gamma_star_now, not np.isnan(batch.slack[-1])),
         ]
 
-    @cached_property
-    def _gamma_star(self) -> float:
-        return gamma_star(truth(self._topology), self._topology.b, self._topology.graph)
+
+def _worst(rank: Index, x: NDArray[np.float64], some: int) -> Index:
+    """So many nodes: those of the least rank, and of one rank those with the largest |x|, in this order."""
+    chosen: list[Index] = []
+    for one in range(4):
+        found = np.flatnonzero(rank == one)
+        if len(found) > some:  # of a million nodes, only a few need to be in order
+            found = found[np.sort(np.argpartition(-x[found], some - 1)[:some])] if some else found[:0]
+        chosen.append(found[np.argsort(-x[found], kind="stable")])
+        some -= len(found)
+    return np.concatenate(chosen)
 
 
 def _model(unknown: bool, wrong: bool) -> Cell:

@@ -14,49 +14,81 @@ from typing import Any
 import zenoh
 
 from orchestrator import registry
-from orchestrator.assign import Layout, places, truth_of, views_of
+from orchestrator.assign import Layout, places, process_name, truth_of, views_of
 from orchestrator.audit import audit
+from orchestrator.authority import host_of
 from orchestrator.control import ask
 from orchestrator.course import with_end, with_fault, with_loss
-from orchestrator.external import External, Meeting
+from orchestrator.external import External, Meeting, configs
 from orchestrator.folder import RunFolder
 from orchestrator.interrupts import Interrupts
 from orchestrator.nursery import Nursery
+from orchestrator.on_ray import Fleet, OnRay
+from orchestrator.round_trips import line
 from orchestrator.run import Run, Watching
 from orchestrator.screen import Screen
-from orchestrator.simulate import equals_reference
+from orchestrator.simulation import equals_reference
 from orchestrator.supervise import Dead, Processes, cause
 from orchestrator.verdict import Ending, Verdict
 from orchestrator.viewer import Viewer
-from orchestrator.wiring import wire
+from orchestrator.wiring import Wiring, wire
 from topologies.errors import HedgerowError
 from topologies.schema import Topology
 from wire import keys
-from wire.codec import Kind, Telemetry, decode_end, decode_event, decode_telemetry, encode_seen, kind_of
-from wire.session import CONNECT_TIMEOUT_S, WireError, close, open_client, publisher, subscriber
-from wire.stream import Inbox
+from wire.codec import (
+    Kind,
+    Telemetry,
+    decode_end,
+    decode_event,
+    decode_telemetry,
+    decode_trips,
+    encode_seen,
+    kind_of,
+    telemetry_bytes,
+)
+from wire.credentials import Credentials
+from wire.handshake import wait_for_room
+from wire.runtime import LONG_BYTES, keep_memory
+from wire.session import (
+    CONNECT_TIMEOUT_S,
+    RefusedError,
+    WireError,
+    close,
+    has_router,
+    open_client,
+    publisher,
+    subscriber,
+)
+from wire.stream import Inbox, rows_ahead
 
 TICK_S = 0.2
 """How often telemetry is taken in: in batches, off the loop's path."""
 WAKE_ROWS = 512
+"""Rows that are taken in at once, or half of those that the plant waits for, whichever is less."""
 PLANT_END_DEADLINE_S, AGENTS_END_DEADLINE_S = 5.0, 1.0
 """How long the plant has to end by itself once told, and the agents after it: they have nothing to lose."""
+ROUTER_GONE_S = 3.0
+"""How long a router of the user's may be gone where no step is to be lost: before the first, and after the last."""
+LOOK_S = 1.0
+"""How long our own session is tried for before we look whether there is still somebody to meet."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """How a network is run; nothing here changes its trajectory."""
+    """How a network is run; nothing here changes its trajectory, unless an agent is late by more than the deadline."""
 
     rate: float = 0.0
     """steps per second, 0 for as fast as possible"""
     deadline_s: float = 10.0
-    """how long the plant waits for an input before it gives up"""
+    """how long the plant waits for an input before it goes on without that agent"""
     router: str | None = None
     """an existing router's endpoint; None for one of our own"""
     keys: Path | None = None
     """credentials made beforehand, for a secure run over a router that is there"""
     external: External | None = None
     """who is started elsewhere, if anybody"""
+    ray: OnRay | None = None
+    """where Ray starts them"""
     watching: Watching = field(default_factory=Watching)
     verify: bool = False
     """compare with the in-process reference afterwards"""
@@ -81,24 +113,38 @@ class Network:
         self._screen, self._began = screen, began
         self._ending = Ending(run=folder.name, engine="zenoh", processes=len(shards))
         self._inbox = Inbox()
+        if telemetry_bytes(len(topology.ids), len(topology.edges)) > LONG_BYTES:
+            keep_memory()
+        self._wake_rows = min(WAKE_ROWS, rows_ahead(len(topology.ids), len(topology.edges)) // 2)
         self._wake = threading.Event()
         """something should be looked at before the next tick"""
         self._first_at: float | None = None
         self._repeated = False
         """the plant has said again what we have"""
         self._views = views_of(topology, shards)
-        self._wiring = (
-            options.external.wiring(options.router)
-            if options.external
-            else wire(folder, topology.secure, options.router, options.keys, places(self._views))
-        )
+        self._wiring = self._wire()
         self._meeting: Meeting | None = None
         """with those who are started elsewhere"""
+        self._fleet: Fleet | None = None
+        """those of them whom Ray has started"""
         self._asked_at: float | None = None
         """when the plant was first asked to stop"""
         self._answered = False
+        self._routed_at = time.monotonic()
+        """when we last had a router"""
+        self._cut_off = False
+        """it has been gone for too long"""
         self.interrupted = False
         """the user asked for the end"""
+
+    def _wire(self) -> Wiring:
+        secure, options = self._topology.secure, self._options
+        if options.external is None:
+            return wire(self._folder, secure, options.router, options.keys, places(self._views))
+        wiring = options.external.wiring(options.router, options.keys)
+        if secure and options.keys is None and options.ray is not None:
+            return wiring.with_keys_of_its_own(self._folder, host_of(options.ray.endpoint))
+        return wiring
 
     def run(self, on_first_step: Callable[[float], None] = lambda _: None) -> Verdict:
         """Launch, observe until the end or an interrupt, clean up, and judge.
@@ -107,19 +153,26 @@ class Network:
         """
         dead: list[Dead] = []
         self._nursery.on_end = self._wake.set
-        with Interrupts(self._wake.set) as interrupts, self._announced() as listed:
-            run = Run(self._topology, self._folder, self._options.watching, self._ending)
+        # Said before any of it exists: whenever we are killed, nothing of it stays.
+        self._nursery.leave_no([registry.entry_path(self._folder.name), *self._wiring.traces])
+        with Interrupts(self._wake.set) as interrupts, self._announced():
+            names = [process_name(view) for view in self._views]
+            run = Run(self._topology, self._folder, self._options.watching, self._ending, names)
             try:
                 with contextlib.ExitStack() as stack:
-                    processes, session = self._launch(stack, listed)
+                    processes, session = self._launch(stack, interrupts)
                     run.tell_faults()
                     try:
                         self._observe(run, session, processes, interrupts, on_first_step)
-                        processes.wait(PLANT_END_DEADLINE_S, AGENTS_END_DEADLINE_S)
+                        if not self._cut_off:  # else nobody of them has been told
+                            processes.wait(PLANT_END_DEADLINE_S, AGENTS_END_DEADLINE_S)
                     finally:
                         dead = processes.dead()
                         self._ending.restarts = processes.restarts
                         self._ending.down = [str(one) for one in processes.down]
+                        if self._fleet is not None:
+                            self._ending.restarts += self._fleet.restarts
+                            self._ending.down += self._fleet.down
             except (HedgerowError, OSError) as error:
                 self._ending.stopped = str(error)
             self.interrupted = interrupts.count > 0
@@ -129,6 +182,8 @@ class Network:
                 self._ending.reference_equal = equals_reference(run.topology, self._folder)
             verdict = run.close()
             self._warn(run)
+            if told := line(verdict.content["round_trips"] or {}):
+                self._screen.say(told)
             self._screen.verdict(verdict, self._folder.path)
             if run.viewer is not None:
                 self._serve(run.viewer, interrupts)
@@ -147,36 +202,67 @@ class Network:
     def _announced(self) -> contextlib.AbstractContextManager[Path]:
         wiring = self._wiring
         return registry.announced(
-            self._folder.name, self._folder.path, wiring.endpoint, wiring.namespace, wiring.credentials
+            self._folder.name,
+            self._folder.path,
+            wiring.endpoint,
+            wiring.namespace,
+            wiring.credentials,
+            wiring.traces,
         )
 
-    def _launch(self, stack: contextlib.ExitStack, listed: Path) -> tuple[Processes, zenoh.Session]:
+    def _launch(self, stack: contextlib.ExitStack, interrupts: Interrupts) -> tuple[Processes, zenoh.Session]:
         """Processes and our own session; each is undone when `stack` closes, however that comes."""
         wiring = self._wiring
         stack.enter_context(wiring.laid(places(self._views)))
         stack.callback(self._nursery.clear)
-        # Should we be killed while nobody else of the run is left: the plant sees to it otherwise.
-        self._nursery.leave_no([listed, *wiring.files])
         processes = Processes(self._nursery, self._folder, wiring)
         external = self._options.external
+        # Nobody need be started for a router that is not there.
+        session = None if wiring.listens else self._connect(processes, interrupts, stack)
         if external is None or not external.plant:
+            if session is not None:  # nor for one where another network runs
+                wait_for_room(session, wiring.namespace, self._screen.say, lambda: interrupts.count > 0)
+                if interrupts.count:
+                    raise HedgerowError(interrupts.name)
             truth = truth_of(self._topology, self._shards)
-            processes.start_plant(truth, self._options.rate, self._options.deadline_s, listed, external)
+            processes.start_plant(truth, self._options.rate, self._options.deadline_s, external)
         for view in self._views:
-            if external is None or view.shard not in external.shards:
+            if external is None or view.shard not in external:
                 processes.start_agent(view)
-        wait_s = external.wait_s if external and external.plant else CONNECT_TIMEOUT_S
-        session = open_client(wiring.endpoint, wiring.namespace, wiring.own, wait_s)
-        stack.callback(close, session)
+        session = session or self._connect(processes, interrupts, stack)
         pids = processes.wait_until_started()
         if external is not None:
             self._screen.say(f"waiting for {external} at {external.listen or wiring.endpoint}, {wiring.namespace}")
-            self._meeting = Meeting(external, session)
+            self._meeting = Meeting(external, session, self._folder.logs / f"{keys.PLANT}.log")
             stack.enter_context(self._meeting.watched())
             if external.plant:
                 self._meeting.introduce()
+        if external is not None and self._options.ray is not None:
+            told = configs(self._topology, self._shards, self._options.ray.endpoint, wiring.namespace)
+            self._fleet = Fleet(self._options.ray, self._folder, self._wake.set, self._screen.say)
+            own = [Credentials.read(where) if (where := wiring.of(one.process)) else None for one in told[1:]]
+            stack.enter_context(self._fleet.placed([*zip(told[1:], own, strict=True)], external.wait_s))
         self._folder.event("start", engine="zenoh", endpoint=wiring.endpoint, namespace=wiring.namespace, pids=pids)
         return processes, session
+
+    def _connect(self, processes: Processes, interrupts: Interrupts, stack: contextlib.ExitStack) -> zenoh.Session:
+        """Our own session while `stack` lasts; HedgerowError if no router comes in time, or who would be it died."""
+        wiring, external = self._wiring, self._options.external
+        wait_s = external.wait_s if external and external.plant else CONNECT_TIMEOUT_S
+        by = time.monotonic() + wait_s
+        own = Credentials.read(wiring.own) if wiring.own else None  # once: what is wrong with them is told once
+        while True:
+            try:
+                session = open_client(wiring.endpoint, wiring.namespace, own, LOOK_S)
+                stack.callback(close, session)
+                return session
+            except RefusedError:
+                raise
+            except WireError as error:
+                if interrupts.count or (dead := processes.dead()):
+                    raise HedgerowError(interrupts.name or cause(dead)) from None
+                if time.monotonic() > by:
+                    raise WireError(f"{error} (tried for {wait_s:g} s)") from None
 
     def _observe(
         self,
@@ -203,7 +289,14 @@ class Network:
                     self._ending.first_step_s = self._first_at - self._began
                     self._folder.event("first_step", after_s=round(self._ending.first_step_s, 3))
                     on_first_step(self._ending.first_step_s)
-                nobody_left = processes.ended(keys.PLANT) or self._asked_long_ago() or self._nobody_comes()
+                for refused in self._meeting.refused() if self._meeting else ():
+                    self._screen.say(refused)
+                nobody_left = (
+                    processes.ended(keys.PLANT)
+                    or self._asked_long_ago()
+                    or self._is_cut_off(session)
+                    or self._nobody_comes()
+                )
                 something = self._take_in(run, processes)
                 if something or self._repeated:
                     self._repeated = False
@@ -212,8 +305,10 @@ class Network:
                     return
                 for happened in processes.tend(tell_died):
                     self._folder.event(**happened)
-                if interrupts.count or processes.dead():
-                    self._ask_to_stop(session, interrupts.name)
+                # Without one of ours the first step never comes, whoever else does.
+                missed = processes.down if self._ending.first_step_s is None else []
+                if interrupts.count or processes.dead() or missed:
+                    self._ask_to_stop(session, interrupts.name or (cause(missed) if missed else ""))
 
     def _tick_s(self, processes: Processes) -> float:
         due = processes.next_due
@@ -228,7 +323,7 @@ class Network:
         if kind == Kind.TELEMETRY and self._first_at is None:
             self._first_at = time.monotonic()
             self._wake.set()
-        elif kind in (Kind.EVENT, Kind.END) or len(self._inbox) >= WAKE_ROWS:
+        elif kind in (Kind.EVENT, Kind.END) or len(self._inbox) >= self._wake_rows:
             self._wake.set()
 
     def _take_in(self, run: Run, processes: Processes) -> bool:
@@ -242,6 +337,9 @@ class Network:
                 case Kind.EVENT:
                     for message in some:
                         self._take_event(run, processes, decode_event(message))
+                case Kind.TRIPS:
+                    for message in some:
+                        run.take_trips(decode_trips(message, len(self._shards)))
                 case Kind.END:
                     run.finish(decode_end(next(some), n))
         return bool(messages)
@@ -308,11 +406,28 @@ class Network:
     def _asked_long_ago(self) -> bool:
         return self._asked_at is not None and time.monotonic() - self._asked_at > PLANT_END_DEADLINE_S
 
+    def _is_cut_off(self, session: zenoh.Session) -> bool:
+        """Whether a router of the user's is gone for too long; processes elsewhere are waited for longer (Meeting)."""
+        now = time.monotonic()
+        if self._wiring.listens or self._meeting is not None or has_router(session):
+            self._routed_at = now
+            return False
+        in_steps = self._first_at is not None and self._asked_at is None
+        patience_s = max(ROUTER_GONE_S, self._options.deadline_s) if in_steps else ROUTER_GONE_S
+        if now - self._routed_at > patience_s:
+            self._cut_off = True
+            gone = f"the router at {self._wiring.endpoint} is gone: not seen for {patience_s:g} s"
+            self._ending.stopped = self._ending.stopped or gone
+        return self._cut_off
+
     def _nobody_comes(self) -> bool:
         """Whether those who are started elsewhere are not there, and will not be."""
-        over = self._meeting is not None and self._meeting.is_over(self._ending.first_step_s is not None)
+        begun = self._ending.first_step_s is not None
+        over = self._meeting is not None and self._meeting.is_over(begun)
         if over and self._meeting is not None:
             self._ending.stopped = self._ending.stopped or self._meeting.reason
+        if self._fleet is not None and self._fleet.reason and not begun:
+            over, self._ending.stopped = True, self._ending.stopped or self._fleet.reason
         return over
 
     def _explain(self, run: Run, dead: list[Dead]) -> None:

@@ -10,6 +10,7 @@ from orchestrator.audit import CLAIM, Audit
 from orchestrator.checks import Worst
 from orchestrator.folder import versions
 from orchestrator.observe import Observer
+from orchestrator.words import gain_said
 from topologies.describe import describe
 from topologies.partition import cut, partition
 from topologies.schema import LAWS, Topology
@@ -48,6 +49,8 @@ class Ending:
     """processes that were started again"""
     audit: Audit | None = None
     """who heard what; None where nobody counted"""
+    round_trips: dict[str, dict[str, float | int | None]] | None = None
+    """how long each process took to answer; None where nothing crossed a wire"""
     down: list[str] = field(default_factory=list)
     """processes that ended, unplanned, and were not started again, each in words"""
 
@@ -77,10 +80,13 @@ class Verdict:
             if number := c[what]:
                 numbers.append(f"{number} {thing}{'s' if number > 1 else ''}")
         if m:
+            # What is no finite number grew too large; but of a disturbance that was 0 there is no gain.
+            large = math.nan if m["disturbance_energy"] == 0 else math.inf
+            gain, less = (large if m[name] is None else m[name] for name in ("gain", "gain_less_x0"))
             numbers += [
                 f"regret D {_number(m['regret'])} (nominal {_number(m['regret_nominal'])})",
                 f"cost regret {_number(m['cost_regret'], '+')}",
-                f"gain {_number(m['gain'])} (gamma* {m['gamma_star']:.4g} is the oracle's)",
+                gain_said(gain, less, m["gamma_star"], c["checks"]["oracle_certificate"]["steps"] == c["steps_done"]),
                 f"{m['nodes_right']} of {c['nodes']} estimates right",
             ]
         why = f" ({'; '.join(c['reasons'])})" if c["reasons"] else ""
@@ -88,7 +94,7 @@ class Verdict:
 
 
 def _number(value: float | None, sign: str = "") -> str:
-    return "undefined" if value is None else f"{value:{sign}.4g}"
+    return "too large" if value is None else f"{value:{sign}.4g}"
 
 
 def judge(topology: Topology, observer: Observer, ending: Ending) -> Verdict:
@@ -145,6 +151,7 @@ def judge(topology: Topology, observer: Observer, ending: Ending) -> Verdict:
         "elapsed_s": elapsed_s,
         "steps_per_s": done / elapsed_s if elapsed_s else None,
         "first_step_s": ending.first_step_s,
+        "round_trips": ending.round_trips,
         "lost_rows": len(observer.lost) * observer.graph.n,
         "missing_inputs": observer.accounts.missing_inputs,
         "lost_messages": observer.accounts.lost_messages,

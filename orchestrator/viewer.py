@@ -105,7 +105,7 @@ class Viewer:
 def choose(asked: str) -> str:
     """What `--viewer ASKED` comes to on this machine: native, web, none or an address.
 
-    Raises UserError when it is none of these, or native without a display.
+    Raises UserError when it is none of these, native without a display, or a page on a port that we cannot have.
     """
     match asked:
         case "auto":
@@ -117,7 +117,10 @@ def choose(asked: str) -> str:
             )
         case "native" | "web" | "none":
             return asked
-        case _ if _is_address(asked) or _is_page(asked):
+        case _ if _is_page(asked):
+            _check_free(asked)
+            return asked
+        case _ if _is_address(asked):
             return asked
         case _:
             raise UserError(
@@ -176,6 +179,17 @@ def _is_page(asked: str) -> bool:
         return parts.scheme == "http" and parts.path in ("", "/") and bool(parts.hostname and parts.port)
     except ValueError:
         return False
+
+
+def _check_free(page: str) -> None:
+    parts = urlsplit(page)
+    host = str(parts.hostname)
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    try:
+        socket.create_server((host, int(parts.port or 0)), family=family).close()
+    except OSError as error:
+        why = (error.strerror or str(error)).partition(" (while")[0]
+        raise UserError(f"--viewer {page}: no page there: {why}; choose another port, or an address of ours") from None
 
 
 def native(*options: str, port: int | None = None, memory: str = NATIVE_MEMORY) -> Viewer:

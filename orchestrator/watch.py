@@ -9,10 +9,11 @@ So it costs the run nothing but the reading of two files, may come late, and may
 
 from __future__ import annotations
 
+import contextlib
 import json
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,10 +24,12 @@ from orchestrator import registry
 from orchestrator.accounts import at_ends
 from orchestrator.folder import RunFolder
 from orchestrator.interrupts import Interrupts
+from orchestrator.kept import kept
 from orchestrator.observe import Observer
-from orchestrator.recorded import load_resolved, read_events, reading
 from orchestrator.registry import Entry
 from orchestrator.rerun_stream import RerunStream
+from orchestrator.round_trips import TABLE, processes_of, trips_in
+from orchestrator.run_files import load_resolved, read_events, reading
 from orchestrator.verdict import Verdict
 from orchestrator.viewer import Viewer, start
 from orchestrator.viewer_version import VERSION_DEADLINE_S, compare
@@ -135,7 +138,7 @@ class Trail:
         self._waiting = None
         t = nodes["step"].to_numpy()[::n]
         x, u, w = (_numbers(nodes, name).reshape(-1, n) for name in ("x", "u", "w"))
-        report = np.stack([_numbers(nodes, name).reshape(-1, n) for name in ("ahat", "index", "margin")], axis=2)
+        report = np.stack([_numbers(nodes, name).reshape(-1, n) for name in ("ahat", "margin")], axis=1)
         is_open, link_up = np.ones((len(t), e), np.uint8), np.ones((len(t), 2 * e), np.uint8)
         if edges is not None:
             is_open[:] = _numbers(edges, "open").reshape(-1, e)
@@ -197,8 +200,17 @@ class PatientStream(RerunStream):
     Whoever plays a run back has the time that a loop has not.
     """
 
-    def __init__(self, topology: Topology, observer: Observer, name: str, viewer: Viewer, say: Say, past: int) -> None:
-        super().__init__(topology, observer, name, None, viewer, past=past)
+    def __init__(
+        self,
+        topology: Topology,
+        observer: Observer,
+        name: str,
+        viewer: Viewer,
+        say: Say,
+        past: int,
+        processes: Sequence[str] = (),
+    ) -> None:
+        super().__init__(topology, observer, name, None, viewer, past=past, processes=processes)
         self._viewer, self._say = viewer, say
         self._complained = False
 
@@ -240,6 +252,11 @@ def watch(entry: Entry, choice: str, say: Say) -> None:
     wake = threading.Event()
     with Interrupts(wake.set) as interrupts:
         topology = load_resolved(folder.path)
+        if not (what := kept(topology)).whole:
+            raise UserError(
+                f"{entry.run}: keeps {what}, and can only be watched where all is kept; start it with --viewer, or see"
+                f" what it has so far with `orchestrator open {entry.folder}`"
+            )
         if (trail := _attached(entry, topology, wake, interrupts)) is None:
             return
         viewer = start(choice, MEMORY, MEMORY)
@@ -294,7 +311,11 @@ class _Watch:
         self._observer = Observer(topology)
         # Not the run's own name: two that show it in one viewer would be taken for one recording, its rows twice.
         name = f"{entry.run} watched at {time.strftime('%H:%M:%S')}-{time.monotonic_ns() % 1000:03}"
-        self._stream = PatientStream(topology, self._observer, name, viewer, say, trail.past)
+        processes = processes_of(folder.path, topology)
+        self._trips: ArrowTail | None = None
+        with contextlib.suppress(FileNotFoundError):  # nothing crosses a wire, or the run has just ended
+            self._trips = ArrowTail(folder.path / f"{TABLE}.arrows")
+        self._stream = PatientStream(topology, self._observer, name, viewer, say, trail.past, processes)
         self._happenings = Happenings(folder.events)
         self._file: tuple[int, int] | None = None
         """which topology.yaml was read"""
@@ -336,6 +357,8 @@ class _Watch:
                 self._stream.event(*line)
         if rows:
             self._stream.log(self._observer.take(rows))
+        while self._trips is not None and (batch := self._trips.next()) is not None:
+            self._stream.round_trips(trips_in(batch), time.time())
         if self._trail.end is not None and self._observer.end is None:
             self._observer.finish(self._trail.end)
             self._stream.end(self._observer)

@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import NoReturn
 
 from wire import anywhere  # before Zenoh and numpy are loaded
 
-from plant.process import Plant  # isort: skip
+from plant.process import LOG, Plant  # isort: skip
 from plant.truth import Truth
-from topologies.errors import UserError
+from topologies.errors import UserError, check_options
 from wire import config as configs
 from wire import keys
+from wire.child import stopped_by
 from wire.config import Config
+from wire.handshake import wait_for_room
 from wire.session import open_client, open_router
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
-    """Run the world of a network where it is started, to its last step."""
+    """Run the world of a network where it is started, to its last step, a SIGTERM or a Ctrl-C."""
     parser = anywhere.options("plant", main.__doc__ or "")
     parser.add_argument("--listen", metavar="ENDPOINT", help="be the router too, e.g. on tcp/0.0.0.0:7447")
     parser.add_argument(
@@ -27,21 +30,25 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     known = parser.parse_args(arguments)
 
     def find() -> Config:
+        check_options(rate=known.rate, deadline=known.deadline)
         config = configs.find(known.config, f"{keys.PLANT}.toml")
         if config.process != keys.PLANT:
             raise UserError(f"{known.config or configs.VARIABLE}: is of {config.process}; start it with `agent`")
         return config
 
-    def body(config: Config, endpoint: str) -> None:
+    def body(config: Config, endpoint: str, credentials: Path | None) -> None:
         truth = anywhere.told(config, Truth.from_dict)
         if known.listen:
-            session = open_router(known.listen, config.namespace)
+            session = open_router(known.listen, config.namespace, credentials)
         else:
-            session = open_client(endpoint, config.namespace, timeout_s=known.wait)
+            LOG.info("%s of %s: looking for %s", config.process, config.namespace, endpoint)
+            session = open_client(endpoint, config.namespace, credentials, known.wait)
+            wait_for_room(session, config.namespace, LOG.warning)
         plant = Plant(truth, session, known.rate, known.deadline, known.wait, config.network)
         try:
-            plant.run()
+            with stopped_by(plant.stop):  # the others are told; they may be far away
+                plant.run()
         finally:
             plant.close()
 
-    anywhere.main(find, known.router, known.check, body)
+    anywhere.main(find, known, body)

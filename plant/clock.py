@@ -28,7 +28,7 @@ class Clock:
     def set_rate(self, rate: float, t: int) -> None:
         """So many steps a second from step t on; 0 for as fast as possible."""
         self.rate = rate
-        self._period = 1 / rate if rate else 0.0
+        self._period = min(1 / rate, 1e9) if rate else 0.0
         self._base, self._base_t = time.monotonic(), t
 
     def pause(self) -> None:
@@ -37,18 +37,18 @@ class Clock:
 
     def resume(self, t: int) -> None:
         """Go on at the same rate from step t."""
-        self.paused = False
+        self.paused, self._allowed = False, 0
         self.set_rate(self.rate, t)
 
     def allow(self, steps: int) -> None:
-        """Pause, but make so many steps first."""
+        """Pause, but make so many steps first, at the same rate."""
         self.paused = True
         self._allowed += steps
 
     def wait_s(self, t: int) -> float:
         """How long state(t) must still be held; infinite while paused."""
         if self.paused:
-            return 0.0 if self._allowed else float("inf")
+            return self.sent_at + self._period - time.monotonic() if self._allowed else float("inf")
         return self._base + (t - self._base_t) * self._period - time.monotonic() if self._period else 0.0
 
     def sent(self) -> None:

@@ -1,28 +1,38 @@
 """What a running plant can be asked: where it is, to pause and go on, and to let faults come and go.
 
 Every command is a query on `control/NAME` with JSON in it and JSON in the reply; `error` there says what is wrong.
+Whoever asks may be anybody: what is no request is refused in words (plant.request).
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
 import logging
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import zenoh
 
+from plant import request as requests
+from plant.request import Request
 from topologies.effects import FOREVER, Effect
+from topologies.errors import UserError
 from wire import keys
 from wire.handshake import introduction, mismatch
+from wire.session import direct
 
 if TYPE_CHECKING:
     from plant.process import Plant
 
 LOG = logging.getLogger("plant")
-Request = Mapping[str, Any]
 Reply = dict[str, Any]
+FASTEST = 1e9
+"""steps per second"""
+CLAIM_S = 10.0
+"""How long a place is kept for who asked for it; it asks again before it takes it."""
 
 
 class Control:
@@ -45,17 +55,27 @@ class Control:
         self._declared = [self._declare(session, name, command) for name, command in commands.items()]
 
     def _declare(self, session: zenoh.Session, name: str, command: Callable[[Request], Reply]) -> object:
-        def answer(query: zenoh.Query) -> None:
-            try:
-                request = json.loads(query.payload.to_bytes()) if query.payload is not None else {}
-                with self._plant.changed:
-                    reply = command(request)
-                    self._plant.changed.notify_all()
-            except (ValueError, KeyError, TypeError, AttributeError) as error:
-                reply = {"error": f"no such request: {type(error).__name__}: {error}"}
-            query.reply(keys.control(name), json.dumps(reply))
+        # Each asks to join on a key of its own: the router of a secure run lets nobody ask for the place of another.
+        key = keys.join("*") if name == "join" else keys.control(name)
 
-        return session.declare_queryable(keys.control(name), zenoh.handlers.Callback(answer, indirect=False))
+        def answer(query: zenoh.Query) -> None:
+            asked = str(query.key_expr)
+            if "*" in asked:  # who looks around, as `**` does, wants nothing done
+                with contextlib.suppress(zenoh.ZError):
+                    query.reply_err(f"{name}: asked by {requests.shortened(asked)}; a command is asked by its own key")
+                return
+            try:
+                payload = query.payload.to_bytes() if query.payload is not None else b"{}"
+                request = requests.read(payload, self._plant.world.graph)
+                with self._plant.changed:
+                    reply = command({**request, "who": asked.rpartition("/")[2]} if name == "join" else request)
+                    self._plant.changed.notify_all()
+            except UserError as error:
+                reply = {"error": f"{name}: {error}"}
+            with contextlib.suppress(zenoh.ZError):  # whoever asked has left, or we are leaving
+                query.reply(asked if name == "join" else key, json.dumps(reply))
+
+        return session.declare_queryable(key, direct(answer))
 
     @property
     def _next(self) -> int:
@@ -76,12 +96,12 @@ class Control:
             "paused": plant.clock.paused,
             "rate": plant.clock.rate,
             "missing": plant.missing,
-            "lost": [plant.name(p) for p, shard in enumerate(plant.shards) if shard.fault is not None],
-            "absent": [plant.name(p) for p, shard in enumerate(plant.shards) if not shard.alive],
+            "lost": [shard.name for shard in plant.shards.all if shard.fault is not None],
+            "absent": {str(p): shard.name for p, shard in enumerate(plant.shards.all) if not shard.alive},
         }
 
     def _stop(self, _: Request) -> Reply:
-        self._plant.stopping = True
+        self._plant.stop()
         return {"step": self._plant.world.t}
 
     def _pause(self, _: Request) -> Reply:
@@ -95,16 +115,13 @@ class Control:
         return {"step": self._plant.world.t}
 
     def _step(self, request: Request) -> Reply:
-        if (steps := int(request["steps"])) < 1:
-            return {"error": f"{steps} steps cannot be made; give 1 or more"}
-        self._plant.clock.allow(steps)
+        self._plant.clock.allow(requests.integer(request, "steps", 1, FOREVER))
         return {"step": self._held}
 
     def _rate(self, request: Request) -> Reply:
-        if not 0 <= float(request["rate"]) < float("inf"):
-            return {"error": f"{request['rate']} is no rate; give steps per second, 0 for as fast as possible"}
-        self._plant.clock.set_rate(float(request["rate"]), self._plant.world.t)
-        self._plant.tell("rate", at=self._plant.world.t, rate=request["rate"])
+        rate = requests.number(request, "rate", 0, FASTEST)
+        self._plant.clock.set_rate(rate, self._plant.world.t)
+        self._plant.tell("rate", at=self._plant.world.t, rate=rate)
         return {"step": self._plant.world.t}
 
     def _fault(self, request: Request) -> Reply:
@@ -112,12 +129,12 @@ class Control:
         plant, start = self._plant, self._next
         if plant.over:
             return {"error": "the run is over"}
-        number = plant.fault_count
-        effects = [Effect.from_dict({**one, "fault": number}) for one in request["effects"]]
-        entry = shift_entry(request["entry"], start)
+        number = plant.world.fault_count
+        effects = requests.effects(request, plant.world.graph, number)
+        entry = shift_entry(requests.entry(request), start)
         shifted = [_shifted(one, start) for one in effects]
         plant.world.faults.add(shifted)
-        plant.fault_count += 1
+        plant.world.fault_count += 1
         start = min((one.start for one in shifted), default=start)
         plant.tell("fault", fault=number, entry=entry, at=start)
         return {"fault": number + 1, "step": start, "entry": entry}
@@ -125,10 +142,10 @@ class Control:
     def _heal(self, request: Request) -> Reply:
         """End a fault, by its number from 1, or all that are at work; a crashed agent needs one step to be told."""
         plant, at = self._plant, self._next
-        wanted = request.get("fault")
-        if wanted is not None and not 1 <= wanted <= plant.fault_count:
-            return {"error": f"there is no fault {wanted}; there are {plant.fault_count}"}
-        lost = {shard.fault for shard in plant.shards}
+        wanted = None if request.get("fault") is None else requests.integer(request, "fault", 1, FOREVER)
+        if wanted is not None and wanted > plant.world.fault_count:
+            raise UserError(f"there is no fault {wanted}; there are {plant.world.fault_count}")
+        lost = {shard.fault for shard in plant.shards.all}
         ended = {}
         for one in plant.world.faults.effects:
             stop = at + (one.kind == "crash")
@@ -143,24 +160,33 @@ class Control:
         return {"faults": [number + 1 for number in sorted(ended)], "step": at}
 
     def _died(self, request: Request) -> Reply:
-        self._plant.died(int(request["shard"]), int(request["life"]))
+        plant = self._plant
+        p = requests.integer(request, "shard", 0, len(plant.shards.all) - 1)
+        shard = plant.shards.all[p]
+        # A life may end before it was ever seen, but none that comes after that.
+        plant.died(p, requests.integer(request, "life", 0, max(shard.life, shard.died) + 1))
         return {}
 
     def _join(self, request: Request) -> Reply:
         """A process that nobody here started wants its place: the number of its life, or why it cannot have one."""
-        plant = self._plant
-        why = mismatch(plant.network, request)
+        plant, who = self._plant, requests.text(request, "process")
+        requests.text(request, "hedgerow"), requests.text(request, "network")
+        why = mismatch(plant.network, {**request, "codec": requests.integer(request, "codec", 0, FOREVER)})
         if why is not None:
-            LOG.warning("%s is refused: %s", request.get("process"), why)
-            plant.tell("refused", who=request.get("process"), cause=why)
+            LOG.warning("%s is refused: %s", who, why)
+            plant.tell("refused", who=who, cause=why)
             return {"error": why, **introduction(plant.network)}
-        if request.get("shard") is None:
+        if request["who"] == "observer":
             return introduction(plant.network)
-        shard = plant.shards[int(request["shard"])]
-        if shard.alive:
-            return {"error": f"{plant.name(int(request['shard']))} is there already", "wait": True}
-        shard.external = True
-        return {"life": shard.life + 1}
+        if plant.over:
+            return {"error": "the run is over", "wait": True}
+        p = requests.shard(request["who"], len(plant.shards.all))
+        shard = plant.shards.all[p]
+        number, now = requests.integer(request, "number", 0, FOREVER), time.monotonic()
+        if shard.alive or (shard.claim not in (-1, number) and now < shard.claimed_until):
+            return {"error": f"{shard.name} is there already", "wait": True}
+        shard.external, shard.claim, shard.claimed_until = True, number, now + CLAIM_S
+        return {"life": shard.life + 1, "plant": plant.number}
 
 
 def _shifted(effect: Effect, by: int) -> Effect:
@@ -176,7 +202,7 @@ def shift_entry(entry: Mapping[str, Any], by: int) -> dict[str, Any]:
     elif "at" not in entry:
         moved["steps"] = [by, FOREVER]
     if isinstance(at := entry.get("at"), int):
-        moved["at"] = at + by
+        moved["at"] = min(at + by, FOREVER)
     elif isinstance(at, Mapping):
         moved["at"] = {str(int(step) + by): pairs for step, pairs in at.items()}
     return moved

@@ -7,6 +7,7 @@ node at that step, at both ends: no old value is held, and no flow is one-sided 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import repeat
@@ -20,7 +21,7 @@ from plant.truth import Truth
 from topologies.effects import Effect
 from topologies.fast import kernels_for
 from topologies.graph import Array, Graph, Index, Mask, all_finite
-from wire.codec import ALL_UP, TAKEN, Flag, Flags, Record, Span, State, Telemetry
+from wire.codec import ALL_UP, TAKEN, Buffer, Flag, Flags, Record, Span, State, Telemetry, join
 from wire.history import History
 
 
@@ -74,6 +75,10 @@ class World:
         self.x = truth.x0
         self._steps = truth.steps
         self._disturbance = Disturbance(truth.disturbance, graph.n, truth.seed)
+        self._next_w: Array | None = None
+        """w(t), if it is known already"""
+        self.fault_count = truth.faults
+        """how many faults there are, those that came while the run goes on among them"""
         self.faults = Faults((Effect.from_dict(one) for one in truth.effects), graph, truth.seed)
         self.links = Links(graph, truth.history)
         self._record = History(truth.history, graph.n, graph.n, len(graph.edges))
@@ -99,6 +104,9 @@ class World:
         self._all_up: Flags = np.ones(2 * e, dtype=np.uint8)
         self._all_taken: Flags = np.full(2 * e, TAKEN, dtype=np.uint8)
         self._up_bytes = [bytes([ALL_UP]) * len(part.incidences) for part in self._parts]
+        self._taken_bytes = [bytes([TAKEN]) * len(part.incidences) for part in self._parts]
+        self.whole = True
+        """at the step before t all edges were open, all links up, and all was taken in"""
         self._open: Flags = self._all_open
         """edges that carried flow at t - 1, (E,)"""
         self._heard = self.links.whole
@@ -163,15 +171,17 @@ class World:
         spans = self._spans() if now.flags is not None else {}
         anybody_back = now.back is not self._nobody and bool(now.back.any())
         if now.flags is None:
-            return [(State(t, x[own], up), None) for own, up in zip(self._places, self._up_bytes, strict=True)]
+            return [(State(t, x[own], b""), None) for own in self._places]
         for p, part in enumerate(self._parts):
             own = x[self._places[p]]
             if not self.present(p):
                 told.append((None, None))
             else:
-                flags = now.flags[part.incidences].tobytes()
+                flags, own_spans = now.flags[part.incidences].tobytes(), spans.get(p, ())
+                if flags == self._up_bytes[p] and not own_spans:
+                    flags = b""
                 record = self._record_of(part) if anybody_back else None
-                told.append((State(t, own, flags, spans.get(p, ())), record))
+                told.append((State(t, own, flags, own_spans), record))
         return told
 
     @cached_property
@@ -199,27 +209,33 @@ class World:
         x, u = record.x(first, self.t)[:, nodes], record.u(first, self.t)[:, nodes]
         return Record(self.t, back, first, x.copy(), u.copy(), record.bits(first, self.t)[:, edges].copy())
 
+    def look_ahead(self) -> None:
+        """Compute w(t) while the inputs of t are awaited: it needs none of them."""
+        self._next_w = self._disturbance.at(self.t)
+
     # The second half: the inputs, and on to t + 1.
 
-    def step(self, u: Array, report: Array, took: bytes) -> Telemetry:
+    def step(self, u: Array, report: Array, took: Sequence[Buffer]) -> Telemetry:
         """Advance from t to t + 1 under u(t), NaN where an input is missing; what was, as telemetry.
 
-        u (n,), report (n, REPORT_WIDTH) and the Flag bits taken in are in the order of the shards.
+        u (n,), report (REPORT_ROWS, n) and, by shard, the Flag bits taken in are in the order of the shards.
         """
         now, graph, x, t = self._now, self.graph, self.x, self.t
         if not self._in_order:
-            u, report = u.take(self._place), report.take(self._place, axis=0)
+            u, report = u.take(self._place), report.take(self._place, axis=1)
         taken = self._taken(took)
         gone = self.faults.absent(t)
         edge_open, crossing, up = self._all_open, now.crossing, self._all_up
         if now.flags is not None or gone is not None or not all_finite(u):
             u, report, taken, edge_open, crossing, up = self._what_acts(u, report, taken, gone)
         self.links.commit(t, crossing)
-        w = self._disturbance.at(t)
+        w = self._disturbance.at(t) if self._next_w is None else self._next_w
+        self._next_w = None
         closed = None if edge_open is self._all_open else edge_open.view(np.bool_)
         self.x = dynamics(self.a, self.b, graph, x, u, w, closed)
         self._record.append(now.read, u, edge_open)
         self._open, self._heard = edge_open, crossing
+        self.whole = edge_open is self._all_open and up is self._all_up and taken is self._all_taken
         self.t += 1
         return Telemetry(t, x, u, w, report, edge_open, up, taken)
 
@@ -243,7 +259,7 @@ class World:
             if closed.any():
                 edge_open = np.where(closed, np.uint8(0), np.uint8(1))
         if absent.any():
-            report = np.where(absent[:, None], np.nan, report)
+            report = np.where(absent, np.nan, report)
             taken = np.where(absent[graph.node], np.uint8(0), taken)
             some = crossing.some & ~absent[graph.neighbour] & ~died[graph.node]
             crossing = Crossing(some, np.where(some, crossing.late, 0), np.where(some, crossing.back, 0))
@@ -257,12 +273,9 @@ class World:
         """Whether the shards, one after the other, hold the nodes in network order."""
         return bool((self.order[1:] > self.order[:-1]).all())
 
-    @cached_property
-    def _took_all(self) -> bytes:
-        return self._all_taken.tobytes()
-
-    def _taken(self, took: bytes) -> Flags:
-        if took == self._took_all:
+    def _taken(self, took: Sequence[Buffer]) -> Flags:
+        if not any(took):
             return self._all_taken
-        taken = np.frombuffer(took, np.uint8)
+        parts = (bits or everything for bits, everything in zip(took, self._taken_bytes, strict=True))
+        taken = np.frombuffer(join(parts), np.uint8)
         return taken if self._in_order else taken.take(self._incidence_place)

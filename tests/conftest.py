@@ -1,13 +1,29 @@
 """What all tests share: a place of their own, and how examples are tried."""
 
+from collections import Counter
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
 
+from tests.leftovers import nothing_lives_on
+
+__all__ = ["nothing_lives_on"]
+
 # How long an example may take says nothing on a busy machine: no deadline, unless a test is about time.
 settings.register_profile("hedgerow", deadline=None, max_examples=50, print_blob=True)
 settings.load_profile("hedgerow")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Files that run side by side (`-n 3 --dist loadfile`) are begun in our order, not in xdist's."""
+    config.option.loadscopereorder = False
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The files with the most slow tests come first: all processes end at about the same time."""
+    slow = Counter(item.path for item in items if item.get_closest_marker("slow"))
+    items.sort(key=lambda item: -slow[item.path])
 
 
 @pytest.fixture

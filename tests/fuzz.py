@@ -47,10 +47,10 @@ from orchestrator.assign import layout, truth_of, views_of
 from orchestrator.folder import create
 from orchestrator.observe import Observer
 from orchestrator.opening import _open
-from orchestrator.recorded import load_resolved
 from orchestrator.run import Watching
+from orchestrator.run_files import load_resolved
 from orchestrator.screen import Quiet
-from orchestrator.simulate import simulate
+from orchestrator.simulation import simulate_into
 from orchestrator.viewer import Viewer
 from orchestrator.watch import Happenings, Trail, told
 from plant.truth import Truth
@@ -243,7 +243,7 @@ def record_folder(directory: Path) -> Path:
     topology = resolve(load(str(text)))
     folder = create(topology, directory / "run")
     shards = layout(topology, 2)
-    simulate(topology, folder, shards, Watching(record=True), Quiet())
+    simulate_into(topology, folder, shards, Watching(record=True), Quiet())
     for view in views_of(topology, shards):
         view.write(folder.processes / f"shard-{view.shard}.npz")
     truth_of(topology, shards).write(folder.processes / "plant.npz")
@@ -435,21 +435,30 @@ class Payloads:
         far = codec.Link(7, 5, np.ones((3, 3)).tobytes(), np.ones((3, 3)).tobytes())
         ones, bits = np.ones(n), np.ones(e, np.uint8)
         row = codec.Telemetry(
-            4, ones, ones, ones, np.ones((n, 3)), bits, np.ones(2 * e, np.uint8), np.ones(2 * e, np.uint8)
+            4,
+            ones,
+            ones,
+            ones,
+            np.ones((codec.REPORT_ROWS, n)),
+            bits,
+            np.ones(2 * e, np.uint8),
+            np.ones(2 * e, np.uint8),
         )
         self._messages: list[bytes] = [
             codec.encode_state(7, x, flags),
             codec.encode_state(7, x, flags, [codec.Span(2, 1, 0, 0, 3)]),
             codec.encode_record(record),
-            codec.encode_input(7, x, np.ones((k, 3)), flags),
+            codec.encode_input(7, x, np.ones((codec.REPORT_ROWS, k)), flags),
             codec.encode_link(link, k),
             codec.encode_link(far, k),
-            codec.encode_telemetry(row),
+            codec.join(codec.encode_telemetry(row)),
+            codec.join(codec.encode_telemetry(row, whole=True)),
+            codec.encode_trips(codec.Trips(2, np.ones((3, k)))),
             codec.encode_end(codec.End(9, ones, 1.5)),
             codec.encode_seen(12),
             codec.encode_event(3, {"event": "kill", "shard": 1, "life": 0}),
             codec.encode_event(3, {"event": "x", "a": [[[{}]]]}),
-            codec.numbered(0, codec.encode_telemetry(row)),
+            codec.numbered(0, *codec.encode_telemetry(row)),
         ]
         self._decoders: tuple[Callable[[bytes], object], ...] = (
             lambda message: codec.decode_state(message, k, m),
@@ -457,6 +466,7 @@ class Payloads:
             lambda message: codec.decode_input(message, k, m),
             lambda message: codec.decode_link(message, k),
             lambda message: codec.decode_telemetry(message, n, e),
+            lambda message: codec.decode_trips(message, k),
             lambda message: codec.decode_end(message, n),
             lambda message: codec.decode_end(message, 0),
             codec.decode_seen,

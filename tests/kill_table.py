@@ -6,7 +6,8 @@
     when   at the start: it exists, and no step is made; in the middle: MIDDLE steps are recorded; at the end: the run
            was asked to end, and the process held still from just before, so that the signal meets it alive
 
-Each cell is a run of paper7 over real Zenoh. `--write` puts the table into docs/reliability.md.
+Each cell is a run of paper7 over real Zenoh; every other one is secure, and has keys and certificates to leave behind.
+`--write` puts the table into docs/reliability.md.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ import time
 import uuid
 import warnings
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -47,11 +49,13 @@ BEGIN, END = "<!-- kill table: python -m tests.kill_table --write -->\n", "<!-- 
 WHO = ("agent", "plant", "nursery", "up", "viewer", "router")
 WHAT = (signal.SIGTERM, signal.SIGKILL, signal.SIGINT, signal.SIGSTOP)
 WHEN = ("start", "middle", "end")
-RATE, STEPS, MIDDLE = 100, 1500, 100
+RATE, STEPS, MIDDLE = 20, 1500, 20
 STOPPED_S = 5.0
 RRD_S = 1.0
 """Of so many seconds before the signal, run.rrd may lack the steps: it is written in pieces."""
 DEADLINE_S = 90.0
+ENDED_S = 30.0
+"""so long after the signal the command must have ended"""
 GONE_S = 5.0
 """so long after the command has ended, nothing may be left"""
 MARK = "HEDGEROW_KILL_TABLE"
@@ -72,6 +76,19 @@ class Cell:
     who: str
     what: signal.Signals
     when: str
+
+    @property
+    def wire(self) -> str:
+        """How its processes find each other: of any two cells side by side in the table, one is secure."""
+        if self.who == "router":
+            return "TCP"
+        return ("socket", "TLS")[(WHAT.index(self.what) + WHEN.index(self.when)) % 2]
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """What the table says of the cell before it was tried."""
+        sent = f"{self.what.name}" + (f" {STOPPED_S:g} s" if self.what == signal.SIGSTOP else "")
+        return self.who, sent, self.when, self.wire
 
     def __str__(self) -> str:
         return f"{self.who}-{self.what.name}-{self.when}"
@@ -103,10 +120,14 @@ class Outcome:
 
 def run_cell(cell: Cell, directory: Path) -> Outcome:
     """Run a network in an empty directory, send the signal, wait for the end, and look at what is there."""
-    if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # as a shell has it for what runs in the background
-        signal.signal(signal.SIGINT, signal.default_int_handler)
     with contextlib.ExitStack() as stack:
         return _Run(cell, directory, stack).outcome()
+
+
+def mind_ctrl_c() -> None:
+    """Let SIGINT mean something to the processes that we start; a shell takes that from what runs in the background."""
+    if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 class _Run:
@@ -123,10 +144,12 @@ class _Run:
             "TMPDIR": str(self._temporary),
             MARK: self._mark,
         }
-        self._shared = set(os.listdir("/dev/shm"))
+        self._shared: set[Path] = set()
         self._router: subprocess.Popen[str] | None = None
         options = ["--viewer", "web" if cell.who == "viewer" else "none", "--processes", "3"]
         options += ["--rate", str(RATE), "--run-dir", str(self._folder)]
+        if cell.wire == "TLS":
+            options.append("--secure")
         if cell.who == "router":
             options += ["--router", self._start_router(stack)]
         self._output = directory / "output.txt"
@@ -146,7 +169,11 @@ class _Run:
         with socket.create_server(("127.0.0.1", 0)) as free:
             endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
         self._router = subprocess.Popen(
-            [sys.executable, "-c", ROUTER, endpoint], stdout=subprocess.PIPE, text=True, start_new_session=True
+            [sys.executable, "-c", ROUTER, endpoint],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+            start_new_session=True,
         )
         assert self._router.stdout is not None
         assert self._router.stdout.readline() == "open\n"
@@ -185,8 +212,9 @@ class _Run:
         target = {"start": self._at_start, "middle": self._in_the_middle, "end": self._at_the_end}[cell.when]()
         seen = self._recorded()
         sent = time.monotonic()
-        with contextlib.suppress(psutil.NoSuchProcess):
-            target.send_signal(cell.what)
+        if not target.is_running() or target.status() == psutil.STATUS_ZOMBIE:
+            raise TimeoutError(f"{cell}: the {cell.who} ended by itself before the signal: {self._output.read_text()}")
+        target.send_signal(cell.what)
         if cell.what == signal.SIGSTOP:
             threading.Event().wait(STOPPED_S)
         with contextlib.suppress(psutil.NoSuchProcess):
@@ -208,10 +236,10 @@ class _Run:
         """What goes on need not go on for long."""
         events = self._folder / "events.jsonl"
         self._wait_for(lambda: events.exists() and '"first_step"' in events.read_text(encoding="utf-8"), "a step")
-        start = json.loads(events.read_text(encoding="utf-8").splitlines()[0])
-        entry = Entry("run", str(self._folder), self._up.pid, start["endpoint"], start["namespace"], 0.0)
-        with contextlib.suppress(WireError), Live(entry) as live:
-            live.rate(0)
+        with contextlib.suppress(WireError, OSError):  # it may have come to its end
+            for listed in self._runtime.glob("*/*.json"):
+                with Live(Entry(**json.loads(listed.read_text(encoding="utf-8")))) as live:
+                    live.rate(0)
 
     def _at_start(self) -> psutil.Process:
         """The process, as soon as it is there; `up`, as soon as there is an agent."""
@@ -225,6 +253,7 @@ class _Run:
         target = self._target(self._cell.who)
         self._wait_for(lambda: self._recorded() >= MIDDLE, f"{MIDDLE} steps", 0.02)
         self._wait_for(lambda: self._shown() > 0, "a recording", 0.2)
+        self._shared = self._sharing()
         return target
 
     def _at_the_end(self) -> psutil.Process:
@@ -234,6 +263,8 @@ class _Run:
         self._up.send_signal(signal.SIGINT)
         events = self._folder / "events.jsonl"
         self._wait_for(lambda: '"stopping"' in events.read_text(encoding="utf-8"), "the end")
+        if self._cell.who == "up":
+            target.send_signal(signal.SIGSTOP)
         return target
 
     def _target(self, who: str) -> psutil.Process:
@@ -302,14 +333,23 @@ class _Run:
                     shown += chunk.to_record_batch().num_rows
         return shown
 
+    def _sharing(self) -> set[Path]:
+        """The shared memory of our processes, by its files."""
+        shared = set()
+        for process in self._ours():
+            with contextlib.suppress(psutil.Error, OSError):
+                paths = [Path(one.path) for one in process.memory_maps()]
+                shared |= {path for path in paths if path.is_relative_to("/dev/shm")}
+        return shared
+
     def _left(self) -> tuple[str, ...]:
         """Whatever of this run is still on the machine, besides what it recorded."""
         left = [f"process {one.pid}" for one in self._ours()]
         left += [f"socket {path.name}" for path in self._folder.glob("*.sock*")]
         left += [f"part {path.name}" for path in self._folder.rglob("*.part")]
         left += [f"temporary {path.name}" for path in self._temporary.iterdir()]
-        left += [f"listed {path.name}" for path in self._runtime.rglob("*.json")]
-        left += [f"shared memory {name}" for name in os.listdir("/dev/shm") if name not in self._shared]
+        left += [f"listed {path.name}" for path in self._runtime.glob("*/**/*")]  # certificates too
+        left += [f"shared memory {path.name}" for path in self._shared if path.exists()]
         return tuple(left)
 
 
@@ -330,6 +370,8 @@ def wrong(cell: Cell, outcome: Outcome) -> list[str]:
     codes = allowed(cell)
     if outcome.code not in codes:
         found.append(f"exit code {outcome.code}, not {' or '.join(map(str, codes))}")
+    if outcome.ended_s > ENDED_S:
+        found.append(f"ended after {outcome.ended_s:.0f} s")
     if outcome.code == 0 and (outcome.verdict != "valid" or outcome.kept != STEPS):
         found.append(f"exit code 0, but {outcome.verdict} with {outcome.kept} steps")
     if outcome.code == 3 and outcome.verdict != "unknown":
@@ -346,23 +388,29 @@ def allowed(cell: Cell) -> tuple[int, ...]:
             return (3,)
         case Cell("agent" | "viewer", _, _) | Cell(_, signal.SIGSTOP, _):
             return (0,)
+        case Cell("nursery", signal.SIGINT, _):  # Ctrl-C is for `up`
+            return (0,)
         case _:
             return (3,)
 
 
 def table(outcomes: dict[Cell, Outcome]) -> Iterator[str]:
     """The lines of a table, in Markdown."""
-    names = ("process", "signal", "when", "exit code", "verdict", "steps kept (there)", "in `run.rrd`")
+    names = ("process", "signal", "when", "wire", "exit code", "verdict", "steps kept (there)", "in `run.rrd`")
     yield f"| {' | '.join((*names, 'ended after', 'clean after', 'left'))} |"
-    yield f"|{'---|' * 10}"
+    yield f"|{'---|' * (len(names) + 3)}"
     for cell, one in outcomes.items():
-        sent = f"{cell.what.name}" + (f" {STOPPED_S:g} s" if cell.what == signal.SIGSTOP else "")
         code = signal.Signals(-one.code).name if one.code < 0 else one.code
         kept = f"{one.kept} ({one.seen})"
         yield (
-            f"| {cell.who} | {sent} | {cell.when} | {code} | {one.verdict} | {kept} | {one.kept_rrd}"
+            f"| {' | '.join(cell.columns)} | {code} | {one.verdict} | {kept} | {one.kept_rrd}"
             f" | {one.ended_s:.1f} s | {one.gone_s:.1f} s | {', '.join(one.left) or 'nothing'} |"
         )
+
+
+def _try(cell: Cell) -> Outcome:
+    with tempfile.TemporaryDirectory(prefix="kill-") as directory:
+        return run_cell(cell, Path(directory))
 
 
 def main() -> None:
@@ -370,13 +418,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m tests.kill_table", description=main.__doc__)
     parser.add_argument("--only", default="", help="cells whose name has this in it: agent-SIGTERM-start, …")
     parser.add_argument("--write", action="store_true", help="put the table into docs/reliability.md")
+    parser.add_argument("--jobs", type=int, default=1, help="so many cells at once")
     known = parser.parse_args()
+    if known.write and known.only:
+        parser.error("--write is for the whole table")
+    mind_ctrl_c()
     outcomes: dict[Cell, Outcome] = {}
     failed = 0
-    for cell in CELLS:
-        if known.only in str(cell):
-            with tempfile.TemporaryDirectory(prefix="kill-") as directory:
-                outcomes[cell] = one = run_cell(cell, Path(directory))
+    cells = [cell for cell in CELLS if known.only in str(cell)]
+    with ThreadPoolExecutor(known.jobs) as pool:
+        for cell, one in zip(cells, pool.map(_try, cells), strict=True):
+            outcomes[cell] = one
             bad = wrong(cell, one)
             failed += bool(bad)
             print(f"{cell}: {'; '.join(bad) or 'ok'}: {list(table({cell: one}))[-1]}", flush=True)

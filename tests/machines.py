@@ -23,6 +23,15 @@ with open_router(sys.argv[1]):
 """
 
 
+SECURE_ROUTER = """
+import signal, sys, zenoh
+with zenoh.open(zenoh.Config.from_file(sys.argv[1].removeprefix("--config="))):
+    print("open", flush=True)
+    signal.pause()
+"""
+"""As the router's image runs: by a file, in the folder of its keys."""
+
+
 def command(*words: str) -> None:
     """Run a command of the system; its complaint is the reason to skip."""
     if shutil.which(words[0]) is None:
@@ -40,8 +49,8 @@ class Machines:
         self._spaces = {name: f"{self._switch}-{name}" for name in names}
         self.address = {name: f"10.78.0.{number}" for number, name in enumerate(names, 1)}
 
-    def build(self) -> None:
-        """Make them; skip the test where that cannot be."""
+    def build(self, rto_min: str | None) -> None:
+        """Make them; skip the test where that cannot be. `rto_min` is how long TCP waits for an answer at first."""
         if os.geteuid() != 0:
             pytest.skip("network namespaces need root")
         command("ip", "netns", "add", self._switch)
@@ -60,9 +69,9 @@ class Machines:
             command("ip", "-n", space, "addr", "add", f"{self.address[name]}/24", "dev", "eth0")
             command("ip", "-n", space, "link", "set", "lo", "up")
             command("ip", "-n", space, "link", "set", "eth0", "up")
-            # TCP waits 200 ms before it repeats a packet; on a cable of a few microseconds 10 are plenty.
-            route = ("10.78.0.0/24", "dev", "eth0", "src", self.address[name], "rto_min", "10ms")
-            command("ip", "-n", space, "route", "change", *route)
+            if rto_min is not None:
+                route = ("10.78.0.0/24", "dev", "eth0", "src", self.address[name], "rto_min", rto_min)
+                command("ip", "-n", space, "route", "change", *route)
 
     def on(self, name: str) -> tuple[str, ...]:
         """What runs a command on that machine."""
@@ -82,11 +91,15 @@ class Machines:
 
 
 @contextlib.contextmanager
-def machines(*names: str) -> Iterator[Machines]:
-    """The machines of these names, while the block lasts."""
+def machines(*names: str, rto_min: str | None = "10ms") -> Iterator[Machines]:
+    """The machines of these names, while the block lasts.
+
+    TCP waits 200 ms before it repeats a packet, and twice as long each time; on a cable of a few microseconds 10 are
+    plenty, unless `rto_min` is None.
+    """
     lab = Machines(names)
     try:
-        lab.build()
+        lab.build(rto_min)
         yield lab
     finally:
         lab.tear_down()

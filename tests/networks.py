@@ -81,7 +81,7 @@ class Trajectory:
 
     @property
     def report(self) -> Array:
-        """(T, n, 4)"""
+        """(T, 2, n)"""
         return np.array([row.report for row in self.rows])
 
     def same_bits(self, other: Trajectory) -> bool:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import resource
+import signal
 import subprocess
 import sys
 import threading
@@ -13,21 +15,33 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+import psutil
+
+from orchestrator.live import Live
+from orchestrator.supervise import RESTARTS
+
 COMMAND = (sys.executable, "-P", "-m", "orchestrator")
 DEADLINE_S = 60.0
 
 
-def orchestrator(*arguments: str) -> subprocess.CompletedProcess[str]:
-    """Run the command to its end."""
-    return subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, timeout=DEADLINE_S * 3, check=False)
+def orchestrator(*arguments: str, largest: int = resource.RLIM_INFINITY) -> subprocess.CompletedProcess[str]:
+    """Run the command to its end; no file of it, or of its processes, grows past `largest` bytes: the disk is full."""
+    return subprocess.run(
+        [*COMMAND, *arguments],
+        capture_output=True,
+        text=True,
+        timeout=DEADLINE_S * 3,
+        check=False,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (largest, largest)),
+    )
 
 
-def parquet_bytes(folder: Path) -> tuple[bytes, bytes]:
+def parquet_bytes(folder: Path) -> tuple[bytes, ...]:
     """The tables of a run, byte for byte."""
-    return (folder / "telemetry.parquet").read_bytes(), (folder / "edges.parquet").read_bytes()
+    return tuple((folder / f"{name}.parquet").read_bytes() for name in ("telemetry", "edges", "summary"))
 
 
-def gone(processes: Mapping[str, int], within_s: float = 5.0) -> bool:
+def gone(processes: Mapping[str, int], within_s: float = 20.0) -> bool:
     """Whether all these processes end within the time; a zombie has ended."""
     deadline = time.monotonic() + within_s
     pause = threading.Event()
@@ -96,9 +110,11 @@ class Orchestrator:
 
     def wait_for_step(self, step: int) -> None:
         """Wait until the latest run has come so far."""
-        deadline = time.monotonic() + DEADLINE_S
-        while json.loads(orchestrator("status", "--json").stdout)["step"] < step:
-            assert time.monotonic() < deadline, self.output
+        deadline, pause = time.monotonic() + DEADLINE_S, threading.Event()
+        with Live() as live:
+            while live.status()["step"] < step:
+                assert time.monotonic() < deadline, self.output
+                pause.wait(0.01)
 
     def wait_for_log(self, name: str, text: str, times: int = 1) -> None:
         """Wait until a process of the latest run has logged `text` so often."""
@@ -121,9 +137,28 @@ class Orchestrator:
         """Of the command itself."""
         return self._process.pid
 
-    def send(self, signal: int) -> None:
+    def send(self, number: int) -> None:
         """Send the command's own process a signal."""
-        self._process.send_signal(signal)
+        self._process.send_signal(number)
+
+    def kill_until_it_stays_down(self, name: str) -> None:
+        """Kill an agent's process as often as it comes back."""
+        for life in range(1, RESTARTS + 2):
+            os.kill(self.children[name], signal.SIGKILL)
+            self.wait_for_event("died", life)
+            if life <= RESTARTS:
+                self.wait_for_event("restarted", life)
+
+    def kill_all_who_could_clean_up(self) -> dict[str, int]:
+        """Kill the command, its nursery and the plant at once; all processes of the run, which end by themselves."""
+        children = self.children
+        last = (psutil.Process(children["plant"]).ppid(), children["plant"])
+        for pid in last:
+            os.kill(pid, signal.SIGSTOP)
+        self.send(signal.SIGKILL)
+        for pid in last:
+            os.kill(pid, signal.SIGKILL)
+        return children
 
     def wait(self, timeout_s: float = DEADLINE_S) -> int:
         """The exit code, once it has ended and all its output is here."""
@@ -148,5 +183,6 @@ class Orchestrator:
 
 
 def _events() -> list[dict[str, Any]]:
-    text = (Path(os.getcwd()) / "runs/latest/events.jsonl").read_text(encoding="utf-8")
-    return [json.loads(line) for line in text.splitlines() if line.endswith("}")]
+    told = Path(os.getcwd()) / "runs/latest/events.jsonl"
+    lines = told.read_text(encoding="utf-8").splitlines() if told.exists() else []
+    return [json.loads(line) for line in lines if line.endswith("}")]

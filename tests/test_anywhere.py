@@ -7,17 +7,30 @@ from __future__ import annotations
 
 import contextlib
 import json
+import queue
+import re
+import shutil
 import signal
+import socket
 import subprocess
 import sys
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import pytest
+import zenoh
 
-from tests.processes import DEADLINE_S, Orchestrator, orchestrator, parquet_bytes
-from wire.session import open_router
+from agents.anywhere import PlaceRequest
+from agents.plant_watch import PlantWatch
+from agents.process import Joined
+from tests.processes import DEADLINE_S, Orchestrator, gone, orchestrator, parquet_bytes
+from topologies.errors import HedgerowError, UserError
+from wire import keys
+from wire.config import Config
+from wire.handshake import wait_for_room
+from wire.session import direct, open_client, open_router
 
 UP = ("--viewer", "none", "--no-record", "--verify")
 
@@ -159,6 +172,297 @@ def test_another_release_and_another_network_are_refused_at_both_ends(here: Path
         network.wait()
 
 
+def test_an_agent_that_a_killed_run_left_behind_makes_room_for_the_next(here: Path, endpoint: str, start: Any) -> None:
+    bundle(endpoint, "--steps", "300")
+    command = ("up", "lab/topology.yaml", "--external", "3", "--listen", endpoint, *UP)
+    left_behind = start("agents", "--config", "lab/agent-3.toml")
+    with Orchestrator(*command, "--rate", "5") as network:
+        network.wait_for("running")
+        children = network.children
+        network.send(signal.SIGKILL)
+        network.wait()
+    assert gone(children)
+    with Orchestrator(*command) as network:
+        code, said = left_behind.wait()
+        assert code == 1
+        assert "another run has begun here, and we are of the one before; start us again with the next run" in said
+        again = start("agents", "--config", "lab/agent-3.toml")
+        assert network.wait() == 0, network.output
+        assert again.wait()[0] == 0
+    assert verdict()["verdict"] == "valid"
+    assert verdict()["checks"]["reference"]["ok"]
+
+
+def test_an_agent_that_still_waited_when_its_run_ended_is_none_of_the_next(
+    here: Path, endpoint: str, start: Any
+) -> None:
+    def up(seed: int) -> Orchestrator:
+        bundle(endpoint, "--seed", str(seed))
+        return Orchestrator("up", "lab/topology.yaml", "--external", "3,5", "--listen", endpoint, *UP)
+
+    with up(1) as network:
+        of_seed_1 = start("agents", "--config", "lab/agent-3.toml")
+        of_seed_1.wait_for("has its place")
+        network.send(signal.SIGINT)
+        network.wait()
+    shutil.rmtree("lab")
+    with up(2) as network:
+        others = [start("agents", "--config", f"lab/agent-{name}.toml") for name in (5, 3)]
+        assert network.wait() == 0, network.output
+        assert [one.wait()[0] for one in others] == [0, 0]
+    # It was refused; or, where that run was over before it asked, it waits for the next.
+    of_seed_1.process.terminate()
+    assert "ready" not in of_seed_1.wait()[1]
+    assert verdict()["checks"]["reference"]["ok"]
+
+
+def test_of_two_that_want_one_place_before_anybody_is_ready_one_has_it(here: Path, endpoint: str, start: Any) -> None:
+    bundle(endpoint)
+    with Orchestrator("up", "lab/topology.yaml", "--external", "3,5", "--listen", endpoint, *UP) as network:
+        twice = [start("agents", "--config", "lab/agent-3.toml") for _ in range(2)]
+        network.wait_for("waiting for agent-3")
+        for one in twice:
+            one.wait_for("looking for")
+        five = start("agents", "--config", "lab/agent-5.toml")
+        assert network.wait() == 0, network.output
+        assert five.wait()[0] == 0
+    assert verdict()["verdict"] == "valid"
+    assert verdict()["checks"]["information"]["ok"], "nobody heard more than was said"
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["int", "term"])
+def test_a_plant_that_is_told_to_end_tells_all_the_others(here: Path, endpoint: str, start: Any, number: int) -> None:
+    bundle(endpoint, "--processes", "2", "--steps", "100000")
+    up = ("up", "lab/topology.yaml", "--external", "plant,all", "--router", endpoint, "--namespace", "hedgerow/paper7")
+    with open_router(endpoint), Orchestrator(*up, "--viewer", "none", "--no-record") as network:
+        plant = start("plant", "--config", "lab/plant.toml", "--rate", "20")
+        agents = [start("agents", "--config", f"lab/shard-{p}.toml") for p in (0, 1)]
+        network.wait_for("running")
+        plant.process.send_signal(number)
+        assert network.wait() == 3, network.output
+        assert [one.wait()[0] for one in (plant, *agents)] == [0, 0, 0]
+    assert re.search(r"unknown \(stopped at step [1-9][0-9]*: stopped on request\)", network.output), network.output
+
+
+def test_a_plant_that_is_started_anew_takes_nobody_of_the_run_before_for_ready(
+    here: Path, endpoint: str, start: Any
+) -> None:
+    """One agent process, elsewhere as all is: it is there when the second plant begins, and leaves."""
+    bundle(endpoint, "--processes", "1", "--steps", "20")
+    agent, plant = (("agents", "--config", "lab/shard-0.toml"), ("plant", "--config", "lab/plant.toml"))
+    with open_router(endpoint):
+        left_behind, first = start(*agent), start(*plant)
+        left_behind.wait_for("ready")
+        first.process.kill()
+        with Orchestrator(
+            *("up", "lab/topology.yaml", "--external", "plant,all", "--router", endpoint),
+            *("--namespace", "hedgerow/paper7", *UP),
+        ) as network:
+            others = [start(*plant), start(*agent)]
+            assert network.wait() == 0, network.output
+            assert [other.wait()[0] for other in others] == [0, 0]
+        code, said = left_behind.wait()
+    assert code == 1
+    assert "another run has begun here" in said
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)], ids=["int", "term"])
+@pytest.mark.parametrize(("module", "config"), [("agents", "agent-1"), ("plant", "plant")])
+def test_who_looks_for_a_router_that_is_not_there_ends_when_it_is_told(
+    here: Path, start: Any, module: str, config: str, number: int, code: int
+) -> None:
+    """Somebody else has its port, who does not say a word."""
+    with socket.create_server(("127.0.0.1", 0)) as mute:
+        mute.settimeout(DEADLINE_S)
+        bundle(f"tcp/127.0.0.1:{mute.getsockname()[1]}")
+        waiting = start(module, "--config", f"lab/{config}.toml")
+        waiting.wait_for("looking for")
+        connection, _ = mute.accept()
+        with connection:
+            waiting.process.send_signal(number)
+            assert waiting.wait()[0] == code
+
+
+@pytest.mark.slow
+def test_a_second_plant_waits_for_the_first_to_be_gone_and_disturbs_nothing(
+    here: Path, endpoint: str, start: Any
+) -> None:
+    bundle(endpoint, "--processes", "2", "--steps", "2000")
+    up = ("up", "lab/topology.yaml", "--router", endpoint, "--namespace", "hedgerow/paper7", *UP)
+    with open_router(endpoint), Orchestrator(*up, "--external", "1", "--rate", "10", "--run-dir", "first") as first:
+        agent = start("agents", "--config", "lab/shard-0.toml")
+        first.wait_for("running")
+        by_hand = start("plant", "--config", "lab/plant.toml")
+        with Orchestrator(*up, "--external", "all", "--run-dir", "second") as second:
+            for one in (second, by_hand):
+                one.wait_for("a plant is there already at hedgerow/paper7; waiting up to 30 s for its end")
+            second.send(signal.SIGINT)
+            by_hand.process.kill()
+            assert second.wait() != 0
+            assert "stopped at step 0: Ctrl-C" in second.output
+            assert orchestrator("rate", "0").returncode == 0
+            assert first.wait() == 0, first.output
+            assert agent.wait()[0] == 0
+    assert json.loads(Path("first/verdict.json").read_text())["checks"]["reference"]["ok"]
+
+
+def test_a_plant_that_stays_has_its_place_to_itself(here: Path, endpoint: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("wire.handshake.LEASE_S", 0.1)
+    with open_router(endpoint), open_client(endpoint, "here") as one, open_client(endpoint, "here") as other:
+        token = one.liveliness().declare_token(keys.alive(keys.PLANT, 7))
+        with pytest.raises(UserError, match="a plant is there already at here; end that run, or give another --name"):
+            wait_for_room(other, "here", list[str]().append)
+        told: list[str] = []
+        monkeypatch.setattr("wire.handshake.LEASE_S", DEADLINE_S)
+
+        def say(text: str) -> None:
+            told.append(text)
+            token.undeclare()  # type: ignore[no-untyped-call]
+
+        wait_for_room(other, "here", say)
+        assert told == ["a plant is there already at here; waiting up to 60 s for its end"]
+
+
+def test_an_agent_that_waits_for_its_place_goes_on_when_the_plant_leaves(endpoint: str) -> None:
+    """The first plant leaves it without an answer, as one does that is killed; the next gives it its place."""
+    place = PlaceRequest(Config("agent-3", "here", endpoint, "N", {}), 2, DEADLINE_S)
+
+    with open_router(endpoint), open_client(endpoint, "here") as session, ThreadPoolExecutor() as pool:
+        joined, left = pool.submit(place.take, session), []
+        for number in (7, 8):
+            with open_client(endpoint, "here") as plant:
+                asked = queue.Queue[zenoh.Query]()
+                declared = plant.declare_queryable(keys.join("*"), direct(asked.put))
+                token = plant.liveliness().declare_token(keys.alive(keys.PLANT, number))
+                left.append(asked.get(timeout=DEADLINE_S))
+                if number == 8:
+                    left[-1].reply(keys.join(2), json.dumps({"life": 4, "plant": number}))
+                    left.pop()  # which says that it was the only answer
+                    assert joined.result(DEADLINE_S) == Joined(4, number)
+                del declared, token
+
+
+@pytest.fixture
+def watched(
+    endpoint: str, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[tuple[zenoh.Session, zenoh.Session, queue.Queue[HedgerowError]]]:
+    """Sessions of an agent of plant 7 and of somebody else, and why the first gives up."""
+    monkeypatch.setattr("agents.plant_watch.PLANT_GONE_S", 0.1)
+    with open_router(endpoint), open_client(endpoint, "here") as session, open_client(endpoint, "here") as other:
+        yield session, other, queue.Queue()
+
+
+def plant(session: zenoh.Session, number: int) -> Any:
+    return session.liveliness().declare_token(keys.alive(keys.PLANT, number))
+
+
+@pytest.mark.parametrize("it_was_there", [True, False])
+def test_an_agent_whose_plant_is_gone_for_good_ends_by_name(watched: Any, it_was_there: bool) -> None:
+    session, other, why = watched
+    token = plant(other, 7) if it_was_there else None
+    with PlantWatch(session, 7, why.put):
+        if token is not None:
+            token.undeclare()
+        assert str(why.get(timeout=DEADLINE_S)).startswith("the plant is gone: not seen for 0.1 s")
+
+
+def test_an_agent_leaves_for_another_plant_only_once_its_own_is_gone(
+    watched: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("agents.plant_watch.PLANT_GONE_S", DEADLINE_S)
+    session, other, why = watched
+    stale, ours = plant(other, 6), plant(other, 7)
+    with PlantWatch(session, 7, why.put):
+        by_mistake = plant(other, 8)
+        stale.undeclare()
+        ours.undeclare()
+        assert str(why.get(timeout=DEADLINE_S)).startswith("another run has begun here, and we are of the one before")
+        by_mistake.undeclare()
+
+
+@pytest.mark.parametrize(("form", "protocol"), [((), "tcp"), (("--secure",), "tls")], ids=["open", "secure"])
+def test_a_bundle_tells_the_operator_to_listen_where_the_agents_look(
+    here: Path, form: tuple[str, ...], protocol: str
+) -> None:
+    bundle(f"{protocol}/localhost:8123", *form)
+    said = Path("lab/README.md").read_text()
+    assert said.count(f"--listen {protocol}/0.0.0.0:8123") == 2
+    assert "7447" not in said
+
+
+@pytest.mark.parametrize(
+    ("arguments", "option"),
+    [
+        (("up", "paper7", "--router", "bench"), "--router bench"),
+        (("up", "paper7", "--external", "3", "--listen", "bench:7447"), "--listen bench:7447"),
+        (("bundle", "paper7", "--router", "bench", "--out", "lab"), "--router bench"),
+    ],
+)
+def test_what_is_no_endpoint_is_said_at_once(here: Path, arguments: tuple[str, ...], option: str) -> None:
+    done = orchestrator(*arguments)
+    assert done.returncode == 2
+    assert done.stderr == f"error: {option}: is no endpoint; write tcp/HOST:PORT, or tls/HOST:PORT\n"
+    assert [*here.glob("[!.]*")] == []
+
+
+def test_a_certificate_names_no_address_in_brackets(here: Path) -> None:
+    """Zenoh would try for ever."""
+    done = orchestrator("keys", "paper7", "--out", "lab", "--router", "tls/[::1]:7447")
+    assert done.returncode == 2
+    assert "tls/[::1]:7447: Zenoh takes no IPv6 address for the name in a certificate; write a name\n" in done.stderr
+    assert [*here.glob("[!.]*")] == []
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "up paper7 --router tcp/bench:0",
+        "up paper7 --external 3 --listen tcp/0.0.0.0:65536",
+        "bundle paper7 --out lab --router tcp/bench",
+        "keys paper7 --out lab --router tls/bench:99999",
+    ],
+)
+def test_a_port_is_from_1_to_65535(here: Path, words: str) -> None:
+    done = orchestrator(*words.split())
+    assert done.returncode == 2
+    assert done.stderr == f"error: {' '.join(words.split()[-2:])}: write a port from 1 to 65535 after the host\n"
+    assert [*here.glob("[!.]*")] == []
+
+
+@pytest.mark.parametrize("namespace", ["", "a//b", "a/**", "a#b"])
+@pytest.mark.parametrize("command", ["up", "bundle --out lab", "compose"])
+def test_a_namespace_is_a_key_without_wildcards(here: Path, command: str, namespace: str) -> None:
+    done = orchestrator(*command.split(), "paper7", "--namespace", namespace)
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"error: --namespace {namespace}: is no key of Zenoh's; ")
+    assert [*here.glob("[!.]*")] == []
+
+
+@pytest.mark.parametrize(
+    ("module", "option", "number"),
+    [
+        *(("agents", "--wait", number) for number in ("nan", "inf", "-1", "0")),
+        ("plant", "--wait", "nan"),
+        ("plant", "--deadline", "nan"),
+        *(("plant", "--rate", number) for number in ("nan", "-5")),
+        *(("up", option, "nan") for option in ("--rate", "--deadline", "--wait")),
+        ("up", "--wait", "0"),
+        ("compose", "--rate", "nan"),
+    ],
+)
+def test_seconds_and_rates_are_numbers_that_can_be_waited_for(
+    here: Path, start: Any, module: str, option: str, number: str
+) -> None:
+    if module in ("up", "compose"):
+        done = orchestrator(module, "paper7", option, number)
+        code, said = done.returncode, done.stderr
+    else:
+        code, said = start(module, option, number).wait()
+    least = "from 0" if option == "--rate" else "above 0"
+    assert (code, said) == (2, f"error: {option} {number}: give a number {least}, and at most 1e+09\n")
+    assert [*here.glob("[!.]*")] == []
+
+
 def test_who_does_not_come_is_named(here: Path, endpoint: str) -> None:
     with Orchestrator("up", "paper7", "--external", "3,5", "--listen", endpoint, "--wait", "2", *UP) as network:
         assert network.wait() == 3, network.output
@@ -193,7 +497,8 @@ def test_what_cannot_work_is_said_at_once(here: Path, arguments: tuple[str, ...]
 def test_a_wrong_file_is_a_mistake_and_no_traceback(here: Path, start: Any, text: str | None, said: str) -> None:
     if text is not None:
         Path("lab.toml").write_text(text)
-    code, log = start("agents", "--config", "lab.toml").wait()
-    assert code == 2, log
-    assert said in log
-    assert "Traceback" not in log
+    for check in ((), ("--check",)):
+        code, log = start("agents", "--config", "lab.toml", *check).wait()
+        assert code == 2, log
+        assert said in log
+        assert "Traceback" not in log

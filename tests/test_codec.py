@@ -11,7 +11,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from wire import codec
-from wire.codec import End, Kind, Link, MessageError, Record, Span, State, Telemetry
+from wire.codec import End, Kind, Link, MessageError, Record, Span, State, Telemetry, Trips
 
 BITS = st.integers(0, 2**64 - 1)
 """Any eight bytes are a float: NaNs with payloads, -0.0, infinities and subnormals among them."""
@@ -25,14 +25,30 @@ class Message(NamedTuple):
     raw: bytes
     sent: tuple[Any, ...]
     read: Callable[[bytes], tuple[Any, ...]]
-    row: int = 0
-    """bytes of one of the rows, or spans, of which it holds as many as fill it; 0 where its length is fixed"""
+    fits: Callable[[int], bool] | None = None
+    """whether so many bytes may be such a message; None where its length is fixed"""
+
+
+def either(size: int, more: int) -> Callable[[int], bool]:
+    """A message of so many bytes, or of some more."""
+    return lambda found: found in (size, size + more)
+
+
+def rows(size: int, row: int, least: int = 0) -> Callable[[int], bool]:
+    """A message of so many bytes, and any number of rows behind them, at least some."""
+    return lambda found: found == size or (row > 0 and (found - size) % row == 0 and found >= size + least * row)
+
+
+def state_fits(size: int, n: int, m: int) -> bool:
+    """Without flags, or with flags and any number of spans."""
+    return size == 16 + 8 * n or rows(16 + 8 * n + m, 20)(size)
 
 
 @st.composite
 def messages(draw: st.DrawFn) -> Message:
     """Any message between processes that share n nodes and e edges (or incidences)."""
     n, e, t = draw(st.integers(0, 5)), draw(st.integers(0, 6)), draw(STEPS)
+    first = min(t, 2**62)
 
     def array(*shape: int) -> codec.Array:
         size = int(np.prod(shape))
@@ -45,34 +61,48 @@ def messages(draw: st.DrawFn) -> Message:
 
     def state() -> Message:
         spans = st.builds(Span, st.integers(0, e - 1), U32, U32, U32, U32) if e else st.nothing()
-        sent = State(t, array(n), flags(e).tobytes(), draw(st.lists(spans, max_size=3)) if e else [])
-        return Message(codec.encode_state(*sent), sent, lambda m: codec.decode_state(m, n, e), row=20)
+        said = flags(e).tobytes() if draw(st.booleans()) else b""
+        sent = State(t, array(n), said, draw(st.lists(spans, max_size=3)) if said else [])
+        raw = codec.encode_state(*sent)
+        return Message(raw, sent, lambda m: codec.decode_state(m, n, e), lambda size: state_fits(size, n, e))
 
     def record() -> Message:
         degrees = draw(st.lists(st.integers(0, 3), min_size=n, max_size=n))
         back = np.array(draw(st.lists(st.booleans(), min_size=n, max_size=n)), np.bool_)
         r, m = int(back.sum()), int(np.dot(back, degrees))
         steps = draw(st.integers(0, 4)) if r else 0
-        sent = Record(t, back, draw(STEPS), array(steps, r), array(steps, r), flags(steps, m))
-        return Message(codec.encode_record(sent), sent, lambda m: codec.decode_record(m, degrees), row=16 * r + m)
-
-    def input_() -> Message:
-        u, report, took = array(n), array(n, codec.REPORT_WIDTH), flags(e)
+        sent = Record(first + steps, back, first, array(steps, r), array(steps, r), flags(steps, m))
         return Message(
-            codec.encode_input(t, u, report, took), (t, u, report, took), lambda m: codec.decode_input(m, n, e)
+            codec.encode_record(sent), sent, lambda m: codec.decode_record(m, degrees), rows(24 + n, 16 * r + m)
         )
 
+    def input_() -> Message:
+        u, report, took = array(n), array(codec.REPORT_ROWS, n), flags(e if draw(st.booleans()) else 0)
+        raw = codec.encode_input(t, u, report, took)
+        read = (t, u, *report, took)
+        return Message(raw, read, lambda m: codec.decode_input(m, n, e), either(16 + 24 * n, e))
+
     def link() -> Message:
-        rows, boundary = draw(st.integers(1, 4)), n + 1
-        x, u = array(rows, boundary).tobytes(), array(rows, boundary).tobytes()
-        sent = Link(t, draw(STEPS), x, u)
+        steps, boundary = draw(st.integers(1, 4)), n + 1
+        x, u = array(steps, boundary).tobytes(), array(steps, boundary).tobytes()
+        sent = Link(first + steps - 1 + draw(st.integers(0, 3)), first, x, u)
         raw = codec.encode_link(sent, boundary)
-        return Message(raw, sent, lambda m: codec.decode_link(m, boundary), row=16 * boundary)
+        return Message(raw, sent, lambda m: codec.decode_link(m, boundary), rows(24, 16 * boundary, least=1))
 
     def telemetry() -> Message:
-        x, u, w, report = array(n), array(n), array(n), array(n, codec.REPORT_WIDTH)
-        sent = Telemetry(t, x, u, w, report, flags(e), flags(2 * e), flags(2 * e))
-        return Message(codec.encode_telemetry(sent), sent, lambda m: codec.decode_telemetry(m, n, e))
+        x, u, w, report = array(n), array(n), array(n), array(codec.REPORT_ROWS, n)
+        whole = draw(st.booleans())
+        everything = (np.full(c, bit, np.uint8) for c, bit in ((e, 1), (2 * e, 1), (2 * e, codec.TAKEN)))
+        bits = everything if whole else (flags(e), flags(2 * e), flags(2 * e))
+        sent = Telemetry(t, x, u, w, report, *bits)
+        raw = codec.join(codec.encode_telemetry(sent, whole))
+        return Message(raw, sent, lambda m: codec.decode_telemetry(m, n, e), either(16 + 40 * n, 5 * e))
+
+    def trips() -> Message:
+        sent = Trips(t, array(draw(st.integers(1, 4)), n + 1))
+        return Message(
+            codec.encode_trips(sent), sent, lambda m: codec.decode_trips(m, n + 1), rows(16, 8 * (n + 1), least=1)
+        )
 
     def end() -> Message:
         sent = End(t, array(n), draw(st.floats(0, 1e9)), draw(STEPS))
@@ -81,14 +111,14 @@ def messages(draw: st.DrawFn) -> Message:
     def seen() -> Message:
         return Message(codec.encode_seen(t), (t,), lambda m: (codec.decode_seen(m),))
 
-    message: Message = draw(st.sampled_from([state, record, input_, link, telemetry, end, seen]))()
+    message: Message = draw(st.sampled_from([state, record, input_, link, telemetry, trips, end, seen]))()
     return message
 
 
 def same(sent: Any, arrived: Any) -> bool:
     """Every bit and the shape, where the receiver leaves it in its bytes these alone."""
-    if isinstance(arrived, bytes):
-        return (sent if isinstance(sent, bytes) else np.asarray(sent).tobytes()) == arrived
+    if isinstance(arrived, bytes | memoryview):
+        return (sent if isinstance(sent, bytes) else np.asarray(sent).tobytes()) == bytes(arrived)
     if isinstance(arrived, np.ndarray):
         return np.shape(sent) == arrived.shape and np.asarray(sent).tobytes() == arrived.tobytes()
     return sent == arrived or (not sent and not arrived)
@@ -102,10 +132,10 @@ def test_what_is_sent_is_what_arrives(message: Message) -> None:
 
 @given(messages(), st.data())
 def test_a_message_of_another_length_is_refused(message: Message, data: st.DataObject) -> None:
-    """Cut short anywhere, or with bytes behind it; but for rows that are whole: any number of those is a message."""
+    """Cut short anywhere, or with bytes behind it; but for what may be left out, and any number of whole rows."""
     size = data.draw(st.integers(0, len(message.raw) + 50))
     change = size - len(message.raw)
-    assume(change % message.row if message.row else change)
+    assume(change and not (message.fits and message.fits(size)))
     raw = message.raw[:size] + b"?" * change
     with pytest.raises(MessageError, match=r"bytes are too short|expected [A-Z]+ \(\d\) with"):
         message.read(raw)
@@ -113,7 +143,7 @@ def test_a_message_of_another_length_is_refused(message: Message, data: st.DataO
 
 @given(messages(), st.integers(0, 255).filter(lambda version: version != codec.VERSION))
 def test_another_version_is_refused(message: Message, version: int) -> None:
-    with pytest.raises(MessageError, match=f"version {version}, and this process speaks 2"):
+    with pytest.raises(MessageError, match=f"version {version}, and this process speaks {codec.VERSION}"):
         message.read(bytes([version]) + message.raw[1:])
 
 
@@ -193,23 +223,35 @@ def header(kind: int, n: int) -> bytes:
 def test_no_bytes_do_more_than_be_refused(raw: bytes, n: int, e: int) -> None:
     """Random bytes are the message that was expected, to its last byte, or a MessageError."""
     k = max(1, n)
-    readers: dict[Kind, tuple[Callable[[], tuple[Any, ...]], int, int]] = {
-        Kind.STATE: (lambda: codec.decode_state(raw, n, e), 8 * n + e, 20),
-        Kind.RECORD: (lambda: codec.decode_record(raw, [e] * n), 8 + n, 1),
-        Kind.INPUT: (lambda: codec.decode_input(raw, n, e), 32 * n + e, 0),
-        Kind.LINK: (lambda: codec.decode_link(raw, k), 8 + 16 * k, 16 * k),
-        Kind.TELEMETRY: (lambda: codec.decode_telemetry(raw, n, e), 48 * n + 5 * e, 0),
-        Kind.END: (lambda: codec.decode_end(raw, n), 8 * n + 16, 0),
+    readers: dict[Kind, tuple[Callable[[], tuple[Any, ...]], Callable[[int], bool]]] = {
+        Kind.STATE: (lambda: codec.decode_state(raw, n, e), lambda size: state_fits(size, n, e)),
+        Kind.RECORD: (lambda: codec.decode_record(raw, [e] * n), rows(24 + n, 1)),
+        Kind.INPUT: (lambda: codec.decode_input(raw, n, e), either(16 + 24 * n, e)),
+        Kind.LINK: (lambda: codec.decode_link(raw, k), rows(24, 16 * k, least=1)),
+        Kind.TELEMETRY: (lambda: codec.decode_telemetry(raw, n, e), either(16 + 40 * n, 5 * e)),
+        Kind.TRIPS: (lambda: codec.decode_trips(raw, k), rows(16, 8 * k, least=1)),
+        Kind.END: (lambda: codec.decode_end(raw, n), either(32 + 8 * n, 0)),
     }
-    for kind, (decode, size, row) in readers.items():
+    for kind, (decode, fits) in readers.items():
         try:
             message = decode()
         except MessageError:
             continue
-        more = len(raw) - 16 - size
-        assert (raw[0], raw[1], more % row if row else more) == (codec.VERSION, kind, 0)
+        assert (raw[0], raw[1]) == (codec.VERSION, kind)
+        assert fits(len(raw))
         assert message[0] >= 0
         assert codec.kind_of(raw) == kind
+
+
+@pytest.mark.parametrize(("t", "first"), [(2, -1), (2, 2), (2, 5), (0, 0), (2**62, -(2**63))])
+def test_rows_are_of_steps_that_were(t: int, first: int) -> None:
+    """Two rows of a link message end with its step at the latest, and two of a record with the step before it."""
+    two = np.zeros((2, 1))
+    with pytest.raises(MessageError, match=f"2 rows from step {first} on, in a link message of step {t}"):
+        codec.decode_link(codec.encode_link(Link(t, first, two.tobytes(), two.tobytes()), 1), 1)
+    record = Record(t, np.ones(1, np.bool_), first, two, two, np.zeros((2, 3), np.uint8))
+    with pytest.raises(MessageError, match=f"2 steps from {first} on, in a record up to step {t}"):
+        codec.decode_record(codec.encode_record(record), [3])
 
 
 def test_the_layout_of_a_message_is_the_documented_one() -> None:
@@ -217,10 +259,10 @@ def test_the_layout_of_a_message_is_the_documented_one() -> None:
     one, two = (np.array([value]).tobytes() for value in (1.0, -2.0))
     raw = codec.encode_link(Link(258, 257, one, two), 1)
     assert raw.hex(" ", 4) == (
-        "02020000 01000000 02010000 00000000 01010000 00000000 00000000 0000f03f 00000000 000000c0"
+        "03020000 01000000 02010000 00000000 01010000 00000000 00000000 0000f03f 00000000 000000c0"
     )
     raw = codec.encode_state(1, np.array([0.5]), np.array([7, 3], np.uint8), [Span(1, 2, 3, 4, 5)])
     assert raw.hex(" ", 2) == (
-        "0200 0000 0100 0000 0100 0000 0000 0000 0000 0000 0000 e03f 0703"
+        "0300 0000 0100 0000 0100 0000 0000 0000 0000 0000 0000 e03f 0703"
         " 0100 0000 0200 0000 0300 0000 0400 0000 0500 0000"
     )

@@ -5,6 +5,7 @@ There need be no container engine: each service runs its command, with its envir
 
 from __future__ import annotations
 
+import base64
 import json
 import os
 import random
@@ -25,8 +26,14 @@ import jsonschema
 import pytest
 import yaml
 
-from tests.machines import ROOT, ROUTER, Machines, Program, machines, scripts
+from orchestrator.assign import layout, places, views_of
+from orchestrator.authority import to_carry
+from orchestrator.containers import containers, provide_keys
+from tests.machines import ROOT, ROUTER, SECURE_ROUTER, Machines, Program, machines, scripts
 from tests.processes import DEADLINE_S, orchestrator, parquet_bytes
+from topologies.errors import UserError
+from topologies.load import load
+from topologies.resolve import resolve
 
 FILE = ROOT / "docker-compose.yml"
 
@@ -34,6 +41,16 @@ FILE = ROOT / "docker-compose.yml"
 @pytest.fixture(scope="module")
 def services() -> dict[str, Any]:
     found: dict[str, Any] = unescaped(yaml.safe_load(FILE.read_text()))["services"]
+    return found
+
+
+@pytest.fixture
+def secure(here: Path) -> dict[str, Any]:
+    """What `compose --secure` prints, in the folder where its keys are."""
+    done = orchestrator("compose", "paper7", "--secure", "--out", "secure.yml")
+    assert done.returncode == 0, done.stderr
+    assert (here / "secure.yml").stat().st_mode & 0o777 == 0o600
+    found: dict[str, Any] = unescaped(yaml.safe_load(Path("secure.yml").read_text()))
     return found
 
 
@@ -82,6 +99,14 @@ def test_docker_stack_deploy_takes_it_too(services: dict[str, Any]) -> None:
         assert "container_name" not in service, name
 
 
+@pytest.mark.parametrize("form", ["compose", "kubernetes"])
+def test_images_are_pulled_from_where_they_were_pushed(here: Path, form: str) -> None:
+    made = orchestrator("compose", "paper7", "--format", form, "--registry", "registry.example/team/").stdout
+    images = set(re.findall(r"image: (\S+)", made))
+    pushed = {f"registry.example/team/{name}:{version('hedgerow')}" for name in ("hedgerow", "hedgerow-agent")}
+    assert images == {*pushed, f"eclipse/zenoh:{version('eclipse-zenoh')}"}
+
+
 def test_one_port_is_published_and_every_service_says_how_it_is(services: dict[str, Any]) -> None:
     assert [port for service in services.values() for port in service.get("ports", [])] == ["9090:9090"]
     for name, service in services.items():
@@ -99,6 +124,100 @@ def test_no_agent_is_told_what_is_not_its_own(services: dict[str, Any]) -> None:
         assert "disturbance" not in told
 
 
+def test_a_secure_file_is_valid_and_its_services_have_their_own_keys(here: Path, secure: dict[str, Any]) -> None:
+    vendor = resources.files("check_jsonschema") / "builtin_schemas/vendor/compose-spec.json"
+    jsonschema.validate(secure, json.loads(vendor.read_text(encoding="utf-8")))
+    seen: set[str] = set()
+    for name, service in secure["services"].items():
+        folders = {"orchestrator": {"observer", "operator"}}.get(name, {name})
+        targets = [Path(one["target"]) for one in service["secrets"]]
+        assert {target.parent.name for target in targets} == folders, name
+        for one, target in zip(service["secrets"], targets, strict=True):
+            file = here / secure["secrets"][one["source"]]["file"]
+            assert file == here / target.relative_to("/"), "what is mounted is what its own folder has"
+        assert service["user"] == f"{os.getuid()}:{os.getgid()}", "who may read them"
+        seen |= {one["source"] for one in service["secrets"]}
+    assert seen == secure["secrets"].keys()
+    assert "PRIVATE KEY" not in Path("secure.yml").read_text()
+    again = orchestrator("compose", "paper7", "--secure")
+    assert again.stdout == Path("secure.yml").read_text(), "the same keys, used again"
+    other = orchestrator("compose", "ring6", "--secure")
+    assert other.returncode == 2
+    assert "made for another network" in other.stderr
+
+
+def test_the_keys_lie_beside_the_file_that_names_them(here: Path) -> None:
+    (here / "lab").mkdir()
+    done = orchestrator("compose", "paper7", "--secure", "--out", "lab/secure.yml")
+    assert done.returncode == 0, done.stderr
+    files = [Path(one["file"]) for one in yaml.safe_load(Path("lab/secure.yml").read_text())["secrets"].values()]
+    assert files
+    assert all((here / "lab" / file).is_file() for file in files)
+
+
+def test_keys_that_are_there_do_not_change_how_long_they_hold(here: Path) -> None:
+    words = ("compose", "paper7", "--secure", "--days", "2")
+    assert orchestrator(*words).returncode == 0
+    again = orchestrator(*words)
+    assert again.returncode == 2
+    assert again.stderr == "error: --days 2: the keys in keys are there already; name a new folder, --keys DIR\n"
+
+
+@pytest.mark.parametrize("words", ["keys {} --out", "bundle {} --secure --out", "compose {} --secure --keys"])
+def test_a_place_that_cannot_hold_keys_is_named(here: Path, words: str) -> None:
+    (here / "file").touch()
+    done = orchestrator(*words.format("paper7").split(), "file/keys")
+    assert done.returncode == 2
+    assert done.stderr == "error: file/keys: Not a directory; choose another folder\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "largest"),
+    [
+        ("keys paper7 --out k", 1000),
+        ("bundle paper7 --secure --out k", 1000),
+        ("bundle paper7 --out k", 500),
+        ("compose paper7 --secure --keys k", 1000),
+        ("compose paper7 --out k", 10),
+    ],
+)
+def test_a_full_disk_leaves_no_half_of_anything(here: Path, words: str, largest: int) -> None:
+    done = orchestrator(*words.split(), largest=largest)
+    assert done.returncode == 2
+    assert re.fullmatch(r"error: (--out )?k: File too large; choose another (folder|name)\n", done.stderr)
+    assert [*here.iterdir()] == []
+
+
+def test_keys_that_are_interrupted_are_none_and_can_be_made_again(here: Path) -> None:
+    def interrupted(_: Path) -> None:
+        raise KeyboardInterrupt
+
+    topology = resolve(load("paper7"))
+    made = places(views_of(topology, layout(topology, 7)))
+    for folder in (here / "new", here):
+        with pytest.raises(KeyboardInterrupt):
+            to_carry(folder, made, "hedgerow/x", "tls/bench:7447", 1, interrupted)
+        assert [*here.iterdir()] == []
+    names = to_carry(here, made, "hedgerow/x", "tls/bench:7447", 1)
+    assert sorted(path.name for path in here.iterdir()) == sorted(names)
+
+
+@pytest.mark.parametrize("command", ["keys", "bundle --secure"])
+def test_a_host_that_no_certificate_can_name_is_said_before_anything_is_written(here: Path, command: str) -> None:
+    done = orchestrator(*command.split(), "paper7", "--out", "k", "--router", "tls/bänch:7447")
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: --router tls/bänch:7447: a certificate cannot name bänch; ")
+    assert [*here.iterdir()] == []
+
+
+@pytest.mark.skipif(shutil.which("docker-compose") is None, reason="there is no docker-compose")
+def test_docker_compose_takes_a_secure_one(here: Path, secure: dict[str, Any]) -> None:
+    environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+    words = ("docker-compose", "-f", "secure.yml", "config", "--quiet")
+    done = subprocess.run(words, capture_output=True, text=True, env=environment, check=False)
+    assert done.returncode == 0, done.stderr
+
+
 def until(ready: Callable[[], bool], what: str) -> None:
     by = time.monotonic() + DEADLINE_S
     while not ready():
@@ -109,20 +228,35 @@ def until(ready: Callable[[], bool], what: str) -> None:
 class Engine:
     """Runs the services of a Compose file, each on a machine of its own."""
 
-    def __init__(self, services: dict[str, Any], lab: Machines, folder: Path) -> None:
-        self.services, self.lab, self.folder = services, lab, folder
+    def __init__(self, file: dict[str, Any], lab: Machines, folder: Path) -> None:
+        self.services: dict[str, Any] = {
+            name: self._mounted(file, service, folder / name) for name, service in file["services"].items()
+        }
+        self.lab, self.folder = lab, folder
         path = f"{scripts(folder / 'bin')}{os.pathsep}{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
         self.environment = {"PATH": path, "PYTHONPATH": str(ROOT), "XDG_RUNTIME_DIR": str(folder)}
         self.programs: dict[str, Program] = {}
+
+    @staticmethod
+    def _mounted(file: dict[str, Any], service: dict[str, Any], folder: Path) -> dict[str, Any]:
+        """The service with all that is mounted in a container under a folder of its own, which it finds there."""
+        for volume in service.get("volumes", []):
+            (folder / Path(volume.partition(":")[2]).name).mkdir(parents=True)
+        for one in service.get("secrets", []):
+            target = folder / one["target"].lstrip("/")
+            target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(file["secrets"][one["source"]]["file"], target)
+        return json.loads(re.sub(r"(?<![\w.])/keys\b", str(folder / "keys"), json.dumps(service)))  # type: ignore[no-any-return]
 
     def start(self, name: str) -> None:
         service = self.services[name]
         words = service["command"]
         if service["image"].startswith("eclipse/zenoh:"):
-            listen = next(word.partition("=")[2] for word in words if word.startswith("--listen="))
-            words = [sys.executable, "-c", ROUTER, listen]
+            listen = [word.partition("=")[2] for word in words if word.startswith("--listen=")]
+            words = [sys.executable, "-c", *((ROUTER, *listen) if listen else (SECURE_ROUTER, *words))]
         environment = self.environment | service.get("environment", {})
-        self.programs[name] = Program(self.lab.on(name), words, self.folder / name, environment)
+        place = Path(service.get("working_dir", self.folder / name))
+        self.programs[name] = Program(self.lab.on(name), words, place, environment)
 
     def is_healthy(self, name: str) -> bool:
         service = self.services[name]
@@ -138,10 +272,12 @@ class Engine:
             program.end()
 
 
-@pytest.fixture
-def engine(here: Path, services: dict[str, Any]) -> Iterator[Engine]:
-    with machines(*services) as lab:
-        engine = Engine(services, lab, here)
+@pytest.fixture(params=["open", "secure"])
+def engine(here: Path, request: pytest.FixtureRequest) -> Iterator[Engine]:
+    is_open = request.param == "open"
+    file = unescaped(yaml.safe_load(FILE.read_text())) if is_open else request.getfixturevalue("secure")
+    with machines(*file["services"]) as lab:
+        engine = Engine(file, lab, here)
         try:
             yield engine
         finally:
@@ -208,6 +344,41 @@ def test_the_manifests_are_valid_by_the_schemas_of_kubernetes(here: Path, words:
         assert mounted == [job["metadata"]["name"]], "a process is told its own and no more"
 
 
+def test_secure_manifests_are_valid_and_give_everybody_its_own_secret(here: Path) -> None:
+    validator = pytest.importorskip("kubernetes_validate")
+    words = ("compose", "paper7", "--secure", "--format", "kubernetes")
+    printed = orchestrator(*words)
+    assert printed.returncode == 2
+    assert "the manifests hold all keys; --out FILE" in printed.stderr
+    done = orchestrator(*words, "--out", "network.yaml")
+    assert done.returncode == 0, done.stderr
+    assert (here / "network.yaml").stat().st_mode & 0o777 == 0o600
+    documents = list(yaml.safe_load_all(Path("network.yaml").read_text()))
+    held = {}
+    for document in documents:
+        validator.validate(document, "1.33", strict=True)
+        if document["kind"] == "Secret":
+            name = document["metadata"]["name"]
+            held[name] = {file: base64.b64decode(text) for file, text in document["data"].items()}
+            assert all((here / "keys" / name / file).read_bytes() == text for file, text in held[name].items())
+    assert held.keys() == {path.name for path in (here / "keys").iterdir()}
+    assert len({files["key.pem"] for files in held.values()}) == len(held)
+    for document in documents:
+        if document["kind"] not in ("Job", "Deployment"):
+            continue
+        name, spec = document["metadata"]["name"], document["spec"]["template"]["spec"]
+        volumes = {one["name"]: one["secret"] for one in spec["volumes"] if "secret" in one}
+        own = ["observer", "operator"] if name == "orchestrator" else [name]
+        assert [one["secretName"] for one in volumes.values()] == own
+        assert {one["defaultMode"] for one in volumes.values()} == {0o440}
+        mounts = [one for one in spec["containers"][0]["volumeMounts"] if one["name"] in volumes]
+        assert [one["mountPath"] for one in mounts] == [f"/keys/{one}" for one in own]
+        assert all(one["readOnly"] for one in mounts)
+    told = next(one for one in documents if one["kind"] == "ConfigMap" and one["metadata"]["name"] == "agent-3")
+    assert 'credentials = "/keys/agent-3"' in told["data"]["told.toml"]
+    assert not any(b"PRIVATE KEY" in yaml.dump(one).encode() for one in documents if one["kind"] != "Secret")
+
+
 def test_what_is_too_large_for_an_environment_is_said(here: Path) -> None:
     Path("big.yaml").write_text(
         "name: big\nb: 0.1\nsteps: 3\nseed: 1\ndefaults: {candidates: {random: 5}, a: random}\n"
@@ -216,3 +387,12 @@ def test_what_is_too_large_for_an_environment_is_said(here: Path) -> None:
     done = orchestrator("compose", "big.yaml", "--processes", "2")
     assert done.returncode == 2
     assert "a container at most 100000: use more --processes, or `orchestrator bundle`" in done.stderr
+
+
+def test_rules_that_are_too_large_for_a_secret_are_said(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    topology = resolve(load("paper7"), Path())
+    shards = layout(topology, None)
+    provide_keys(Path("keys"), places(views_of(topology, shards)), "here", 1)
+    monkeypatch.setattr("orchestrator.containers.MOST_SECRET_BYTES", 10_000)
+    with pytest.raises(UserError, match=r"the router's rules are \d+ bytes, a secret holds at most 10000: use fewer"):
+        containers(topology, shards, "here", 10, 100_000, Path("keys"))

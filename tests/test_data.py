@@ -43,7 +43,7 @@ from orchestrator.observe import Batch, Observer
 from orchestrator.record import Recorder, to_parquet
 from orchestrator.run import Run, Watching
 from orchestrator.screen import Quiet
-from orchestrator.simulate import simulate as simulate_into
+from orchestrator.simulation import simulate_into
 from orchestrator.verdict import Ending
 from tests import networks
 from tests.networks import Trajectory, observe, read
@@ -111,7 +111,19 @@ def same(one: Any, other: Any) -> bool:
 
 OBSERVED = ("x", "u", "w", "x_oracle", "x_nominal", "regret", "nominal_gap")
 """Of these the RecordedRun may have the final state too."""
-COMPUTED = ("a", "ahat", "index", "a_ls", "right", "cost", "cost_oracle", "cost_sum", "cost_oracle_sum", "energy_sum")
+COMPUTED = (
+    "a",
+    "ahat",
+    "index",
+    "a_ls",
+    "beta",
+    "right",
+    "cost",
+    "cost_oracle",
+    "cost_sum",
+    "cost_oracle_sum",
+    "energy_sum",
+)
 
 
 def assert_as_live(run: RecordedRun, live: Batch, observer: Observer) -> None:
@@ -143,6 +155,15 @@ def test_every_array_is_what_was_computed_live(topology: Topology) -> None:
         assert_as_live(run, live, observer)
         ended = {name: None if value is None else float(value) for name, value in run.metrics.items()}
         assert ended == run.verdict["metrics"]
+
+
+def test_what_is_identifiable_is_estimated(paper7: RecordedRun) -> None:
+    """Where nothing is missing, (7) chooses the candidate nearest a_LS; and that is a + beta."""
+    known = np.isfinite(paper7.a_ls)
+    assert (paper7.identifiable == (paper7.ahat == paper7.a))[known].all()
+    assert 0 < paper7.identifiable[known].sum() < known.sum()
+    np.testing.assert_allclose(paper7.a_ls[known], (paper7.a + paper7.beta)[known], rtol=1e-12)
+    assert paper7.faultless
 
 
 def test_a_run_says_who_heard_whom(run: RecordedRun) -> None:
@@ -216,8 +237,8 @@ def test_csv_is_read_back_to_the_bit(run: RecordedRun, tmp_path: Path) -> None:
     """By Arrow, polars and pandas, and each number by Python's float."""
     pandas, polars = importlib.import_module("pandas"), importlib.import_module("polars")
     files = export(run, "csv", tmp_path / "tables")
-    assert [file.name for file in files] == ["telemetry.csv", "edges.csv"]
-    for file, arrow in zip(files, (run.telemetry(), run.edges_table()), strict=True):
+    assert [file.name for file in files] == ["telemetry.csv", "edges.csv", "summary.csv"]
+    for file, arrow in zip(files, (run.telemetry(), run.edges_table(), run.summary()), strict=True):
         types = pa.csv.ConvertOptions(column_types=arrow.schema, null_values=[""], strings_can_be_null=False)
         if len(arrow):
             assert pa.csv.read_csv(file, convert_options=types).equals(arrow)
@@ -416,7 +437,7 @@ def test_a_stream_cut_short_is_whole_up_to_its_last_batch(kept: float, tmp_path:
     assert run.T in (4, 9, 11)
     assert kept < 1 or run.T == 11
     assert same(run.x, ran.x[: run.T + 1])
-    assert same(run.ahat, ran.report[: run.T, :, 0])
+    assert same(run.ahat, ran.report[: run.T, 0])
     observer = Observer(topology)
     live = observer.take(ran.rows[: run.T])
     assert same(run.regret_sum[:-1], live.regret_sum)
@@ -530,6 +551,21 @@ def test_a_file_that_is_not_of_this_run_is_noticed(paper7: RecordedRun, here: Pa
         load_run(paper7.folder)
 
 
+def test_a_text_that_came_to_harm_is_not_read_from_elsewhere(paper7: RecordedRun) -> None:
+    """An Arrow stream says where each text begins: by a number that is too large, in memory that is somebody else's."""
+    table, stream = paper7.telemetry(), paper7.folder / "telemetry.arrows"
+    table = table.set_column(1, "node", table["node"].cast(pa.string()))  # as of nodes that have names
+    with pa.ipc.new_stream(str(stream), table.schema) as writer:
+        writer.write_table(table)
+    begins = np.arange(8, dtype=np.int32).tobytes()  # of the first texts, one character each
+    content = stream.read_bytes()
+    assert begins in content
+    stream.write_bytes(content.replace(begins, begins[:4] + b"\xff\xff\xff\x7f" + begins[8:]))
+    without(paper7.folder, "telemetry.parquet")
+    with pytest.raises(UserError, match=r"telemetry.arrows: cannot be read: .* damaged"):
+        load_run(paper7.folder)
+
+
 def test_a_run_of_no_whole_step_says_so(here: Path) -> None:
     """One row is there, and the state after it is not."""
     topology = NETWORKS["paper7"]()
@@ -603,12 +639,36 @@ def test_a_full_disk_leaves_nothing_half_written(to: str, paper7: RecordedRun, h
 # What it costs to have it.
 
 
+def test_a_run_is_made_as_by_the_command(paper7: RecordedRun, here: Path) -> None:
+    run = package.simulate("paper7", "steps=30", run_dir="mine")
+    assert run.folder == here / "mine"
+    assert all(
+        (run.folder / name).read_bytes() == (paper7.folder / name).read_bytes()
+        for name in ("topology.yaml", "telemetry.parquet", "edges.parquet")
+    )
+    with pytest.raises(UserError, match="mine: holds something already"):
+        package.simulate("paper7", run_dir="mine")
+
+
+def test_a_run_of_no_step_is_none(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (here / "bad.py").write_text(
+        "from agents.law import Minimax\n\nclass Bad(Minimax):\n    def act(self, x): raise ValueError('no')\n",
+        encoding="utf-8",
+    )
+    monkeypatch.syspath_prepend(here)
+    with pytest.raises(HedgerowError, match=r"stopped at step 0: law bad:Bad: act\(\) of node .* ValueError: no"):
+        package.simulate("paper7", "law=bad:Bad")
+    with pytest.raises(UserError, match=r"law bad:Good: cannot be loaded"):
+        package.simulate("paper7", "law=bad:Good", run_dir="never")
+    assert not (here / "never").exists()
+
+
 def test_the_package_itself_loads_nothing() -> None:
     """Every command and every process imports it."""
     program = "import sys; before = set(sys.modules); import orchestrator; print(sorted(set(sys.modules) - before))"
     loaded = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert set(eval(loaded.stdout)) <= {"orchestrator", "__future__"}
-    assert package.__all__ == ["RecordedRun", "load_run"]
+    assert package.__all__ == ["RecordedRun", "load_run", "simulate"]
     with pytest.raises(AttributeError, match="module 'orchestrator' has no attribute 'load_runs'"):
         _ = package.load_runs
 
@@ -619,7 +679,14 @@ def test_the_package_itself_loads_nothing() -> None:
 def test_the_page_names_every_array_and_its_shape(run: RecordedRun) -> None:
     """The table of arrays is that of the files, and of load_run."""
     rows = {row["name"]: row["shape"] for row in table("data.md", "Arrays")}
-    sizes = {"T": run.T, "n": len(run.ids), "E": len(run.edges), "M": run.candidates.shape[1], "L": len(run.lost)}
+    sizes = {
+        "T": run.T,
+        "n": len(run.ids),
+        "E": len(run.edges),
+        "M": run.candidates.shape[1],
+        "L": len(run.lost),
+        "K": len(run.steps),
+    }
     assert tuple(rows) == NAMES
     for name, values in arrays(run).items():
         shape = eval(rows[name], {}, sizes) if rows[name] != "—" else ()
@@ -630,7 +697,8 @@ def test_the_page_names_every_attribute() -> None:
     """What a RecordedRun has beside the arrays."""
     public = {name for name in vars(RecordedRun) if not name.startswith("_")}
     public |= RecordedRun.__dataclass_fields__.keys()
-    named = {row["attribute"].split("(")[0] for row in table("data.md", "In Python")}
+    tables = (table("data.md", "In Python"), table("data.md", "Runs of which not all is kept"))
+    named = {row["attribute"].split("(")[0] for rows in tables for row in rows}
     assert named == public - set(NAMES)
 
 

@@ -8,11 +8,14 @@ import re
 import shutil
 import subprocess
 import sys
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import pytest
 from dockerfile_parse import DockerfileParser
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 from tests.machines import ROOT
 from tests.processes import Orchestrator, orchestrator
@@ -60,6 +63,29 @@ def test_what_is_copied_is_there_and_sent_to_the_engine(stages: dict[str, list[I
     assert all((ROOT / name).exists() for name in copied)
 
 
+def needed(name: str, extras: set[str], found: set[str]) -> set[str]:
+    """`found`, and what else a package with some extras needs, by what is installed here."""
+    for said in metadata.distribution(name).requires or ():
+        one = Requirement(said)
+        other = canonicalize_name(one.name)
+        if other not in found and (
+            one.marker is None or any(one.marker.evaluate({"extra": extra}) for extra in extras | {""})
+        ):
+            found.add(other)
+            needed(other, one.extras, found)
+    return found
+
+
+PINNED = dict(line.split("==") for line in (ROOT / "constraints.txt").read_text().splitlines() if line[:1] != "#")
+
+
+def test_all_that_the_images_hold_is_pinned(stages: dict[str, list[Instruction]]) -> None:
+    assert PINNED.keys() == needed("hedgerow", {"agent", "orchestrator"}, set())
+    installs = [run for run in values(stages["build"], "RUN") if "install" in run]
+    assert len(installs) == 2
+    assert all("-c constraints.txt" in run for run in installs)
+
+
 def build(stages: dict[str, list[Instruction]], root: Path) -> dict[str, str]:
     """Run the steps of the build, below `root` in the place of /; what the environment of its programs is."""
     for copy in values(stages["build"], "COPY"):
@@ -101,7 +127,9 @@ def test_its_steps_make_an_agent_of_numpy_and_zenoh_and_no_more(
     listed = run(
         str(here / "image/python/bin/pip"), "--python", str(where["agent"] / "python"), "list", "--format=json"
     )
-    assert {one["name"] for one in json.loads(listed.stdout)} == {"hedgerow", "eclipse-zenoh", "numpy"}
+    there = {one["name"]: one["version"] for one in json.loads(listed.stdout)}
+    assert there.keys() == {"hedgerow", "eclipse-zenoh", "numpy"}
+    assert all(there[name] == PINNED[name] for name in ("eclipse-zenoh", "numpy"))
     assert not (where["agent"] / "pip").exists()
 
     refused = run(str(where["agent"] / "orchestrator"), "up", "paper7")

@@ -22,7 +22,7 @@ from orchestrator.folder import create
 from orchestrator.observe import Observer
 from orchestrator.run import Run, Watching
 from orchestrator.screen import Quiet
-from orchestrator.simulate import simulate as simulate_into
+from orchestrator.simulation import simulate_into
 from orchestrator.verdict import Ending, Verdict, judge
 from plant.faults import strikes
 from plant.world import dynamics
@@ -114,7 +114,7 @@ class Recount:
     def _crash(self, t: int, i: int) -> list[str]:
         if self.absent(i, t - 1):
             return ["masked"]
-        gone = np.isnan(self.rows[t].u[i]) and np.isnan(self.rows[t].report[i]).all()
+        gone = np.isnan(self.rows[t].u[i]) and np.isnan(self.rows[t].report[:, i]).all()
         return ["fired", "seen"] if gone else []
 
     def _jump(self, *_: int) -> list[str]:
@@ -299,7 +299,7 @@ def test_a_drop_that_its_receiver_did_not_notice_is_noticed() -> None:
 
 def test_one_that_should_be_dead_and_reports_is_noticed() -> None:
     topology = with_faults(PAPER, [{"kind": "crash", "node": 4, "at": 10, "restart_after": 4}])
-    bad = verdict(topology, changed(simulate(topology), 12, "report", 3, 0.5))
+    bad = verdict(topology, changed(simulate(topology), 12, "report", (0, 3), 0.5))
     assert bad.content["reasons"] == ["faults fails at step 12"]
 
 
@@ -390,7 +390,7 @@ def test_truth_twins_and_least_squares_go_by_the_a_that_holds(topology: Topology
                 a[one.targets[0]], certified = one.a, False
         certified = certified and bool(row.edge_open.all())
         assert batch.a[t].tolist() == a.tolist()
-        assert batch.right[t] == (row.report[:, 0] == a).sum()
+        assert batch.right[t] == (row.report[0] == a).sum()
         assert batch.x_oracle[t].tolist() == x_oracle.tolist()
         assert batch.x_nominal[t].tolist() == x_nominal.tolist()
         assert certified == (not np.isnan(batch.slack[t]))

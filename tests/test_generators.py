@@ -17,7 +17,7 @@ from orchestrator.assign import layout
 from orchestrator.folder import create
 from orchestrator.run import Watching, same_tables
 from orchestrator.screen import Quiet
-from orchestrator.simulate import simulate as simulate_into
+from orchestrator.simulation import simulate_into
 from tests.networks import read, simulate
 from topologies import hinf, resolve
 from topologies.errors import TopologyError
@@ -269,7 +269,7 @@ PAIR = np.array([[0, 1]])
         ({"edges": [[0.0, 1.0]], "x0": [1, 2]}, "of whole numbers"),
         ({"edges": PAIR, "ids": [1, 1]}, "`ids` has one of them twice"),
         ({"edges": PAIR, "ids": ["a b", "c"]}, "`ids` are not a list of names"),
-        ({"edges": PAIR, "a": [0.5, np.nan]}, "`a` holds a number that is not finite, in row 1"),
+        ({"edges": PAIR, "a": [0.5, np.nan]}, "`a` holds a number that is not finite, or beyond 1e+100, in row 1"),
         ({"edges": PAIR, "a": [0.5, 0.999]}, "`a` breaks condition (3) at node 1, of degree 1"),
         ({"edges": PAIR, "ids": [1, 2], "a": [0.5]}, "`a` has the shape (1,)"),
         ({"edges": PAIR, "candidates": [[0.5], [np.nan]]}, "a list that is empty"),
@@ -316,6 +316,17 @@ def test_few_edges_of_a_shuffled_ring_are_cut() -> None:
     place = np.random.default_rng(1).permutation(n)
     graph = Graph(n, place[rule("ring", n).edges(1)])
     assert cut(graph, partition(graph, 2)) <= 4
+
+
+@pytest.mark.parametrize("kind", ["tree", "random_tree"])
+def test_few_edges_of_a_shuffled_forest_are_cut(kind: str) -> None:
+    """All that hangs below a node goes along with it: the ways from a root to two cuts are short."""
+    n = 2000
+    place = np.random.default_rng(1).permutation(2 * n)
+    trees = np.concatenate([rule(kind, n).edges(1), n + rule(kind, n).edges(2)])
+    graph = Graph(2 * n, place[trees])
+    assert cut(graph, partition(graph, 2)) <= 1
+    assert cut(graph, partition(graph, 3)) <= 100
 
 
 def test_a_layout_by_the_graph_gives_the_same_bits() -> None:

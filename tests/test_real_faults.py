@@ -116,6 +116,7 @@ def test_a_link_that_loses_packets_costs_time_and_nothing_else(lab: Lab, percent
     lab.lose(percent)
     with lab.up("--steps", "30") as network:
         assert network.wait() == 0, network.output
+        print(network.output)  # `pytest -rP` shows what it does to the round trips
         assert gone(network.children)
     assert complete(Path("runs/latest"))["missing_inputs"] == 0
 
@@ -145,7 +146,9 @@ def test_a_link_that_stays_down_ends_the_run_by_name_with_what_was_recorded(lab:
         network.wait_for("running")
         lab.link("down")
         assert network.wait() == 3, network.output
-        assert "no input from agent 1" in network.output, network.output
+        # Whoever notices first: the plant that nobody answers, or `up` that has no router any more.
+        named = ("no input from agent ", "the router at tcp/10.77.0.1:7447 is gone")
+        assert any(cause in network.output for cause in named), network.output
         assert gone(network.children)
     steps = json.loads(Path("runs/latest/verdict.json").read_text())["steps_done"]
     assert steps > 0

@@ -15,6 +15,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -40,7 +41,7 @@ from orchestrator.report.style import RED, look, save
 from orchestrator.report.timeline import rows
 from orchestrator.run import Watching
 from orchestrator.screen import Quiet
-from orchestrator.simulate import simulate
+from orchestrator.simulation import simulate_into
 from tests.networks import read
 from topologies.errors import UserError
 from topologies.load import load, parse
@@ -54,7 +55,7 @@ PAPERS = {"2": "x", "3": "x_oracle", "4": "regret", "5": "nominal_gap"}
 
 def ran(topology: Topology, folder: Path) -> RecordedRun:
     """A run in this process, read back from its folder."""
-    simulate(topology, create(topology, folder), layout(topology, 1), Watching(record=False), Quiet())
+    simulate_into(topology, create(topology, folder), layout(topology, 1), Watching(record=False), Quiet())
     return load_run(folder)
 
 
@@ -252,24 +253,48 @@ def test_names_that_mean_something_to_matplotlib_stay_names(folder: Path) -> Non
     assert "…" in shown[2]
 
 
-def test_a_law_without_estimates_has_no_such_figure(folder: Path) -> None:
+def test_a_law_without_estimates_has_no_such_figure(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing is estimated, nothing was disturbed: the gain is undefined, and the page is written all the same."""
     (folder / "still.py").write_text(
         "import numpy as np\n\nclass Still:\n    def __init__(self, b, candidates):\n"
         "        self.n, self.memory = candidates.shape[1], np.zeros((1, candidates.shape[1]))\n"
         "    def act(self, x): return np.zeros(len(x))\n    def learn(self, x, flow, x_next): pass\n"
-        "    def report(self): return np.full((self.n, 3), np.nan)\n",
+        "    def report(self): return np.full((2, self.n), np.nan)\n",
         encoding="utf-8",
     )
-    sys.path.insert(0, str(folder))
-    try:
-        run = ran(read("{name: s, b: 0.1, steps: 4, law: 'still:Still', nodes: [1], edges: []}"), folder / "still")
-    finally:
-        sys.path.remove(str(folder))
+    monkeypatch.syspath_prepend(folder)
+    run = ran(read("{name: s, b: 0.1, steps: 4, law: 'still:Still', nodes: [1], edges: []}"), folder / "still")
     assert not KINDS["estimates"].has([run])
     page = report([run], folder / "still-report", "gain")[0].read_text(encoding="utf-8")
     assert "undefined" in page
     assert "The law is still:Still, which must be importable." in page
+    assert "estimates are the truth" not in page
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+@pytest.mark.parametrize("steps", [160, 2000])
+def test_a_law_that_lets_the_network_run_away_is_drawn_and_told(
+    steps: int, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its states are numbers for 161 steps, their squares for half as many."""
+    (folder / "wild.py").write_text(
+        "from agents.law import Minimax\n\nclass Wild(Minimax):\n    def act(self, x): return -180 * x\n",
+        encoding="utf-8",
+    )
+    monkeypatch.syspath_prepend(folder)
+    run = ran(resolve(load("paper7", [f"steps={steps}", "law=wild:Wild"])), folder / f"wild-{steps}")
+    assert run.T in (steps, 161)
+    path, *_ = report([run], folder / f"wild-{steps}-report")
+    assert "D is too large for a number" in "".join(page(path).text)
+
+
+def test_gamma_star_is_no_promise_once_an_a_jumped(folder: Path) -> None:
+    jump = "{kind: jump, node: 1, at: 8, a: 0.3}"
+    text = "{name: jump, b: 0.1, steps: 20, defaults: {a: 0.8, candidates: [0.8, 0.3]}, nodes: [1, 2], edges: [[1, 2]],"
+    run = ran(read(f"{text} faults: [{jump}], law: hinf}}"), folder / "jumped")
+    path, *_ = report([run], folder / "jumped-report", "gain")
+    assert "0.8000, 0.3000 from step 8" in "".join(page(path).text)
+    assert run.faultless is False
 
 
 # Files
@@ -409,6 +434,12 @@ def test_the_file_in_the_page_repeats_the_run(paper: RecordedRun, written: dict[
     again = ran(resolve(parse(text, "paper.yaml", folder)), folder / "again")
     for table in ("telemetry.parquet", "edges.parquet"):
         assert (again.folder / table).read_bytes() == (paper.folder / table).read_bytes()
+
+
+def test_what_repeats_a_run_that_was_stopped_stops_there_too(paper: RecordedRun, folder: Path) -> None:
+    longer = paper.topology.model_copy(update={"steps": 1000})
+    path, *_ = report([replace(paper, topology=longer)], folder / "stopped-report", "gain")
+    assert "orchestrator simulate paper.yaml --steps 30\n" in "".join(page(path).text)
 
 
 def test_names_are_text(paper: RecordedRun, folder: Path) -> None:

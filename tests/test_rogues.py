@@ -9,23 +9,26 @@ import struct
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 import pytest
 import zenoh
 
 from orchestrator.assign import layout, places, views_of
 from orchestrator.authority import Authority, for_this_run
+from orchestrator.recorded import load_run
+from plant.request import BYTES_PER_INCIDENCE, LEAST_BYTES
 from tests.processes import Orchestrator, orchestrator, parquet_bytes
 from topologies.load import load
 from topologies.resolve import resolve
 from wire import keys
-from wire.access import OBSERVER, OPERATOR, rights
+from wire.access import MOST_JOINS_PER_S, MOST_PER_S, OBSERVER, OPERATOR, ROUTER, Place, rights
 from wire.codec import VERSION, Link, encode_input, encode_link, encode_state
-from wire.session import WireError, close, free_port, open_client, open_router
+from wire.session import WireError, close, direct, free_port, open_client, open_router
 
 QUIET = ("--viewer", "none", "--no-record")
 NAMESPACE = "hedgerow/rogues"
@@ -48,11 +51,11 @@ WILD = ["**", "link/**", "link/*/1", "state/*"]
 class Secure:
     """The router of a secure paper7, without its processes: everybody who connects is the test's."""
 
-    def __init__(self, folder: Path, stack: contextlib.ExitStack) -> None:
+    def __init__(self, folder: Path, stack: contextlib.ExitStack, processes: Sequence[Place] = PLACES) -> None:
         self.folder, self._stack = folder, stack
         self.endpoint = f"tls/127.0.0.1:{free_port()}"
-        stack.enter_context(for_this_run(folder, PLACES, NAMESPACE))
-        self.router = open_router(self.endpoint, NAMESPACE, folder / keys.PLANT)
+        stack.enter_context(for_this_run(folder, processes, NAMESPACE, "127.0.0.1"))
+        self.router = open_router(self.endpoint, NAMESPACE, folder / ROUTER)
         stack.callback(close, self.router)
 
     def client(self, credentials: Path | None) -> zenoh.Session:
@@ -103,8 +106,11 @@ def test_of_all_pairs_of_writer_key_and_reader_exactly_the_allowed_ones_succeed(
     declared = [heard.listen(name, session, [*KEYS, *WILD]) for name, session in sessions.items()]
     declared.append(heard.listen(keys.PLANT, secure.router, KEYS))
     for name, session in sessions.items():
-        for key in sorted([*KEYS, *WILD], key=lambda key: key in RIGHTS[name].says):
-            session.put(key, name, congestion_control=zenoh.CongestionControl.BLOCK)
+        for keys_of in ([key for key in [*KEYS, *WILD] if key not in RIGHTS[name].says], RIGHTS[name].says):
+            for key in keys_of:
+                session.put(key, name, congestion_control=zenoh.CongestionControl.BLOCK)
+            # What was said on `**` counts on every key: a message on one of them right behind it would be one too many.
+            list(session.get(keys.control("status"), timeout=DEADLINE_S))
         list(session.get(keys.control("status"), timeout=DEADLINE_S))  # an answer, or none: it is behind them
     for name in sessions:
         heard.wait(keys.PLANT, {(name, key) for key in RIGHTS[name].says})
@@ -128,7 +134,7 @@ def test_of_all_pairs_of_writer_key_and_reader_exactly_the_allowed_ones_succeed(
 
 
 def test_tokens_and_commands_are_their_owners(secure: Secure) -> None:
-    """Nobody can claim that another is alive, and an agent cannot command the plant."""
+    """Nobody can claim that another is alive, or ask for another's place, and an agent cannot command the plant."""
     tokens: set[str] = set()
     came = threading.Condition()
 
@@ -145,31 +151,83 @@ def test_tokens_and_commands_are_their_owners(secure: Secure) -> None:
     for command in keys.COMMANDS:
         callback = zenoh.handlers.Callback(answer, indirect=False)
         declared.append(secure.router.declare_queryable(keys.control(command), callback))
+    callback = zenoh.handlers.Callback(answer, indirect=False)
+    declared.append(secure.router.declare_queryable(keys.join("*"), callback))
     names = [*(keys.shard_name(p) for p in range(N)), keys.PLANT]
-    obeyed = set()
+    declared += [secure.router.liveliness().declare_token(keys.alive(name)) for name in names]
+    commands = [*keys.COMMANDS, *(f"join/{who}" for who in (*range(N), OBSERVER))]
+    obeyed, seen = set(), set()
     for name in RIGHTS:
         if name == keys.PLANT:
             continue
         session = secure.client(secure.folder / name)
         own = RIGHTS[name].shows
+        for one in names:  # before it claims to be them all
+            there = session.liveliness().get(keys.alive(one, "*"), timeout=DEADLINE_S)
+            seen |= {(name, one) for reply in there if reply.ok is not None}
         for one in sorted(names, key=lambda one: keys.alive(one, "*") in own):
             declared.append(session.liveliness().declare_token(keys.alive(one, 3)))
-        for command in keys.COMMANDS:
+        for command in commands:
             if any(reply.ok is not None for reply in session.get(keys.control(command), timeout=DEADLINE_S)):
                 obeyed.add((name, command))
+    tokens_of_shards = {keys.alive(keys.shard_name(p), 3) for p in range(N)}
     with came:
-        assert came.wait_for(lambda: len(tokens) >= N, DEADLINE_S)
-    assert tokens == {keys.alive(keys.shard_name(p), 3) for p in range(N)}
-    assert obeyed == {(OBSERVER, "died"), (OBSERVER, "stop")} | {
+        assert came.wait_for(lambda: tokens_of_shards <= tokens, DEADLINE_S)
+    assert tokens == tokens_of_shards | {keys.alive(name) for name in names}
+    assert obeyed == {(OBSERVER, "died"), (OBSERVER, "stop"), (OBSERVER, "status")} | {
         (OPERATOR, command) for command in keys.COMMANDS if command != "died"
+    } | {(OBSERVER, "join/observer")} | {(f"agent-{p + 1}", f"join/{p}") for p in range(N)}
+    agents = [f"agent-{p + 1}" for p in range(N)]
+    assert seen == {(name, keys.PLANT) for name in (*agents, OBSERVER)} | {
+        (name, keys.shard_name(p)) for p, name in enumerate(agents)
     }
+
+
+def test_who_asks_for_its_place_without_end_is_heard_now_and_then(secure: Secure) -> None:
+    """Each question costs the plant an answer, and a refusal is told to everybody; others are heard all the same."""
+    asked, began = Counter[str](), time.monotonic()
+
+    def answer(query: zenoh.Query) -> None:
+        asked[str(query.key_expr)] += 1
+        query.reply(str(query.key_expr), b"{}")
+
+    declared = secure.router.declare_queryable(keys.join("*"), direct(answer))
+    one, other = (secure.client(secure.folder / name) for name in ("agent-1", "agent-2"))
+    for _ in range(500):
+        list(one.get(keys.join(0), timeout=DEADLINE_S))
+    assert any(reply.ok is not None for reply in other.get(keys.join(1), timeout=DEADLINE_S))
+    assert 1 <= asked[keys.join(0)] <= 1 + MOST_JOINS_PER_S * (time.monotonic() - began) < 500
+    asked.clear()
+    assert not list(secure.client(secure.folder / "agent-3").get(keys.join(2), payload=bytes(8192), timeout=DEADLINE_S))
+    assert not asked
+    del declared
+
+
+def test_the_largest_command_gets_to_the_plant_where_agents_say_little(tmp_path: Path) -> None:
+    """Without back-filling no agent has more than some hundred bytes to say; a fault may name a link at each step."""
+    network = resolve(load("paper7", ["backfill=false"]))
+    small = places(views_of(network, layout(network, None)))
+    command = bytes(LEAST_BYTES + BYTES_PER_INCIDENCE * 2 * len(network.edges))
+    assert max(place.largest for place in small) < len(command) / 100
+    with contextlib.ExitStack() as stack:
+        secure = Secure(tmp_path / "keys", stack, small)
+
+        def answer(query: zenoh.Query) -> None:
+            query.reply(str(query.key_expr), str(len(query.payload or b"")))
+
+        declared = secure.router.declare_queryable(keys.control("fault"), direct(answer))
+        operator = secure.client(secure.folder / OPERATOR)
+        (reply,) = operator.get(keys.control("fault"), payload=command, timeout=DEADLINE_S)
+        assert reply.ok is not None
+        assert int(reply.ok.payload.to_string()) == len(command)
+        del declared
 
 
 def test_who_has_no_certificate_of_this_run_is_not_let_in(secure: Secure, tmp_path: Path) -> None:
     (tmp_path / "other").mkdir()
     Authority().issue(tmp_path / "other/agent-1", "agent-1")
     for credentials in (None, tmp_path / "other/agent-1"):
-        with pytest.raises(WireError, match="no router"):
+        with pytest.raises(WireError, match=r"no router|it is of another authority"):
             secure.client(credentials)
 
 
@@ -179,7 +237,7 @@ def test_a_name_that_is_nobodys_may_do_nothing(secure: Secure, tmp_path: Path) -
         authority = Authority()
         endpoint = f"tls/127.0.0.1:{free_port()}"
         authority.issue(tmp_path / "plant", keys.PLANT, host="127.0.0.1")
-        (tmp_path / "plant/access.json").write_text((secure.folder / "plant/access.json").read_text())
+        (tmp_path / "plant/access.json").write_text((secure.folder / "router/access.json").read_text())
         router = open_router(endpoint, NAMESPACE, tmp_path / "plant")
         stack.callback(close, router)
         heard = Heard()
@@ -219,7 +277,7 @@ def garbage(good: bytes) -> list[bytes]:
         struct.pack("<BBHIq", version, kind, 0, n + 1, t) + good[16:],
         struct.pack("<BBHIq", version, 99, 0, n, t) + good[16:],
         struct.pack("<BBHIq", version, kind, 0, n, -1) + good[16:],
-        good[:-1],
+        good[:-2],
         good + b"\0",
         np.random.default_rng(1).bytes(len(good)),
     ]
@@ -232,7 +290,7 @@ def link(t: int, value: float = 1.0) -> bytes:
 
 def input_(t: int, value: float = 1.0) -> bytes:
     """From an agent of one neighbour, as agent 1 of paper7 is."""
-    return encode_input(t, struct.pack("<d", value), struct.pack("<3d", value, 0, 1), bytes([3]))
+    return encode_input(t, struct.pack("<d", value), struct.pack("<2d", value, 0), bytes([3]))
 
 
 def state(t: int, value: float = 1.0, m: int = 3) -> bytes:
@@ -240,6 +298,7 @@ def state(t: int, value: float = 1.0, m: int = 3) -> bytes:
 
 
 FLOOD = 100_000
+FLOOD_S = 1.5
 
 
 class Victim:
@@ -262,24 +321,36 @@ class Victim:
         self._stack.callback(close, session)
         return session
 
+    def step(self) -> int:
+        """The one that it is at."""
+        return int(json.loads(orchestrator("status", "--json").stdout)["step"])
+
     def wait_for_refusal(self, name: str, key: str) -> None:
         self.network.wait_for_log(name, f"{key}: refused")
 
-    def end(self) -> dict[str, Any]:
-        """Its verdict, once it made its last step; its numbers are those of a run that nobody disturbed."""
+    @property
+    def run(self) -> Path:
+        return self._here / "runs/latest"
+
+    def verdict(self) -> dict[str, Any]:
+        """Its verdict, once it made its last step."""
         assert orchestrator("rate", "0").returncode == 0
         assert orchestrator("resume").returncode == 0
         self.network.wait()
+        verdict: dict[str, Any] = json.loads((self.run / "verdict.json").read_text())
+        return verdict
+
+    def end(self) -> dict[str, Any]:
+        """The same, and its numbers are those of a run that nobody disturbed."""
+        verdict = self.verdict()
         reference = orchestrator("simulate", "paper7", "--steps", str(STEPS), "--no-record", "--run-dir", "reference")
         assert reference.returncode == 0
-        run = self._here / "runs/latest"
-        assert parquet_bytes(run) == parquet_bytes(self._here / "reference"), self.network.output
-        verdict: dict[str, Any] = json.loads((run / "verdict.json").read_text())
+        assert parquet_bytes(self.run) == parquet_bytes(self._here / "reference"), self.network.output
         return verdict
 
     def named(self) -> Counter[str]:
         """How often the logs of all processes name a key whose message was refused."""
-        logs = (self._here / "runs/latest/logs").glob("*.log")
+        logs = (self.run / "logs").glob("*.log")
         lines = [line for log in logs for line in log.read_text().splitlines() if ": refused: " in line]
         return Counter(line.split(" wire: ")[1].split(": refused")[0] for line in lines)
 
@@ -304,13 +375,9 @@ def test_a_stolen_certificate_is_worth_what_its_agent_may_do_and_no_more(victim:
         allowed_origin=zenoh.Locality.REMOTE,
     )
     own = {*RIGHTS["agent-1"].says}
-    began = time.monotonic()
-    for key, message, times in ((keys.link(1, 2), link(0), FLOOD), (keys.link(0, 1), b"", FLOOD // 10)):
-        flood = rogue.declare_publisher(key, congestion_control=zenoh.CongestionControl.BLOCK)
-        for _ in range(times):
-            flood.put(message)
-    per_second = FLOOD * 1.1 / (time.monotonic() - began)
-    print(f"flooded with {per_second:.0f} messages/s")
+    flood = rogue.declare_publisher(keys.link(1, 2), congestion_control=zenoh.CongestionControl.BLOCK)
+    for _ in range(FLOOD):
+        flood.put(link(0))
     for key in [*KEYS, *WILD]:
         if key not in own:
             for good in (link(100), input_(100), state(100), state(100, m=1)):
@@ -318,10 +385,11 @@ def test_a_stolen_certificate_is_worth_what_its_agent_may_do_and_no_more(victim:
     tokens = [rogue.liveliness().declare_token(keys.alive(keys.shard_name(p), 5)) for p in range(1, N)]
     for command in keys.COMMANDS:
         assert not [reply for reply in rogue.get(keys.control(command), payload=b"{}", timeout=1.0) if reply.ok]
+    slowly = threading.Event()
     for key, good in ((keys.link(0, 1), link(0)), (keys.input_(0), input_(0))):
         for bad in garbage(good):
-            for _ in range(1 if len(bad) > 1000 else 100):
-                put(rogue, key, bad)
+            put(rogue, key, bad)
+            slowly.wait(100 / MOST_PER_S)
     running.wait_for_refusal("agent-2", keys.link(0, 1))
     running.wait_for_refusal("plant", keys.input_(0))
     close(rogue)
@@ -329,10 +397,66 @@ def test_a_stolen_certificate_is_worth_what_its_agent_may_do_and_no_more(victim:
     assert verdict["verdict"] == "valid", verdict["reasons"]
     assert set(overheard) <= {keys.link(1, 0), keys.state(0)}
     refused = {one["key"]: one["refused"] for one in verdict["information"]["channels"] if one["refused"]}
-    assert refused == {keys.link(0, 1): 901 + FLOOD // 10, keys.input_(0): 901}
+    # The router takes nothing so large in from an agent as the 16 MB, nor, on a busy machine, one right behind another.
+    assert refused.keys() == {keys.link(0, 1), keys.input_(0)}
+    assert max(refused.values()) <= 9
     assert running.named() == {keys.link(0, 1): 1, keys.input_(0): 1}
-    assert per_second > 10_000, per_second
     del eavesdropper, tokens
+
+
+def test_a_stolen_certificate_may_lie_of_its_own_agent_which_the_audit_finds(victim: Callable[..., Victim]) -> None:
+    """Inputs of this step and of the next, well formed, that agent 1 never gave; one that is no number is missing."""
+    running = victim("--secure")
+    rogue = running.rogue("agent-1")
+    now, slowly = running.step(), threading.Event()
+    for t in (now - 1, now, now + 1, now + 1000):
+        for value in (float("nan"), float("inf"), 1e300):
+            put(rogue, keys.link(0, 1), link(t, value))
+            put(rogue, keys.input_(0), input_(t, value))
+            slowly.wait(100 / MOST_PER_S)
+    close(rogue)
+    verdict = running.verdict()
+    wrong = " ".join(verdict["checks"]["information"]["why"])
+    assert verdict["verdict"] == "INVALID"
+    assert "agent-2 heard" in wrong
+    assert "messages on link/0/1, of which agent-1 said" in wrong
+    assert "messages on input/0, of which agent-1 said" in wrong
+    assert verdict["steps_done"] == STEPS
+    assert np.isfinite(load_run(running.run).x).all()
+
+
+def test_who_floods_its_own_channels_holds_nobody_up(victim: Callable[..., Victim]) -> None:
+    """As many messages on each as it can say, and one of 64 MB, while the run goes on: a trickle is let through.
+
+    Nobody is late, no edge is closed, nothing grows; what is no message is refused, and named once.
+    """
+    running = victim("--secure")
+    rogue = running.rogue("agent-1")
+    assert orchestrator("rate", "4").returncode == 0
+    assert orchestrator("resume").returncode == 0
+    before, began, said = running.step(), time.monotonic(), 0
+    for key in (keys.link(0, 1), keys.input_(0)):
+        flood = rogue.declare_publisher(key, congestion_control=zenoh.CongestionControl.BLOCK)
+        flood.put(bytes(64 * 2**20))
+        until = time.monotonic() + FLOOD_S
+        while time.monotonic() < until:
+            flood.put(b"")
+            said += 1
+    running.wait_for_refusal("agent-2", keys.link(0, 1))
+    running.wait_for_refusal("plant", keys.input_(0))
+    steps, took_s = running.step() - before, time.monotonic() - began
+    assert orchestrator("pause").returncode == 0
+    assert steps >= took_s, f"{steps} steps in {took_s:.1f} s, and 4 are due in one"
+    sizes = {name: psutil.Process(pid).memory_info().rss for name, pid in running.network.children.items()}
+    assert max(sizes.values()) < 100e6, sizes
+    close(rogue)
+    verdict = running.end()
+    assert verdict["verdict"] == "valid", verdict["reasons"]
+    assert verdict["missing_inputs"] == 0
+    refused = {one["key"]: one["refused"] for one in verdict["information"]["channels"] if one["refused"]}
+    assert refused.keys() == {keys.link(0, 1), keys.input_(0)}
+    assert max(refused.values()) < min(MOST_PER_S * took_s, said / 2)
+    assert running.named() == {keys.link(0, 1): 1, keys.input_(0): 1}
 
 
 def test_on_an_open_router_what_is_no_message_changes_nothing_and_what_is_one_is_found_out(

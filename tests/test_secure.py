@@ -70,6 +70,20 @@ def test_everybody_heard_what_was_said_to_them_and_nothing_else(here: Path) -> N
     ]
 
 
+def test_what_is_said_again_passes_a_router_that_drops_what_comes_too_often(here: Path) -> None:
+    """While one agent is frozen, all others say something again with every state that the plant repeats."""
+    with Orchestrator("up", "paper7", "--secure", "--steps", "200", "--rate", "200", *QUIET) as network:
+        network.wait_for("running")
+        os.kill(network.children["agent-3"], signal.SIGSTOP)
+        network.wait_for_log("plant", "repeated, still without shards", 4)
+        os.kill(network.children["agent-3"], signal.SIGCONT)
+        assert network.wait() == 0, network.output
+    everything = verdict_of(here / "runs/latest")["information"]["channels"]
+    channels = [one for one in everything if one["speaker"] not in ("plant", "agent-3")]
+    assert all(one["heard"] >= one["said"] - 1 for one in channels), channels
+    assert min(one["said"] for one in channels) >= 200 + 4
+
+
 @pytest.fixture
 def network(here: Path) -> Iterator[Orchestrator]:
     """A secure paper7 running for ever."""
@@ -82,7 +96,7 @@ def test_keys_are_their_users_alone_short_lived_and_in_no_log(here: Path, networ
     found = secrets(here)
     files = [path for path in found if path.is_file()]
     assert {path.parent.name for path in files} == {
-        "plant",
+        "router",
         "observer",
         "operator",
         *(f"agent-{i}" for i in range(1, 8)),
@@ -109,22 +123,29 @@ def test_keys_are_their_users_alone_short_lived_and_in_no_log(here: Path, networ
 
 def test_a_killed_up_leaves_no_key(here: Path, network: Orchestrator) -> None:
     children = network.children
+    nursery = psutil.Process(children["plant"]).ppid()
     network.send(signal.SIGKILL)
-    assert gone(children)
+    assert gone({**children, "nursery": nursery})
     assert secrets(here) == []
     assert [*(here / f"hedgerow-{os.getuid()}").iterdir()] == []
 
 
+def test_a_nursery_that_hears_of_its_children_first_leaves_no_key_either(here: Path, network: Orchestrator) -> None:
+    """It wakes up, and there is nobody left to tell that they have died."""
+    children = network.children
+    nursery = psutil.Process(children["plant"]).ppid()
+    os.kill(nursery, signal.SIGSTOP)
+    network.send(signal.SIGKILL)
+    network.wait()
+    assert psutil.wait_procs([psutil.Process(pid) for pid in children.values()], 0)[1]  # it reaps them
+    os.kill(nursery, signal.SIGCONT)
+    assert gone({**children, "nursery": nursery})
+    assert secrets(here) == []
+
+
 def test_whoever_looks_for_networks_removes_the_keys_of_dead_ones(here: Path, network: Orchestrator) -> None:
     """`up`, its nursery and the plant killed at once: nobody of the run is left to do it."""
-    children = network.children
-    last = (psutil.Process(children["plant"]).ppid(), children["plant"])
-    for pid in last:
-        os.kill(pid, signal.SIGSTOP)
-    network.send(signal.SIGKILL)
-    for pid in last:
-        os.kill(pid, signal.SIGKILL)
-    assert gone(children)
+    assert gone(network.kill_all_who_could_clean_up())
     assert secrets(here) != []
     assert orchestrator("ps").stdout == "no network is running\n"
     assert secrets(here) == []
@@ -145,16 +166,24 @@ def test_a_router_elsewhere_keeps_the_same_rules(here: Path) -> None:
             done = orchestrator("up", "paper7", "--secure", "--keys", "keys", "--verify", *QUIET)
             assert done.returncode == 0, done.stdout + done.stderr
             assert verdict_of(here / "runs/latest")["information"]["silent"] == []
+            assert "chmod" not in done.stderr
+            (here / "keys/observer/key.pem").chmod(0o644)
             with Orchestrator("up", "paper7", "--secure", "--keys", "keys", "--steps", "100000", *QUIET) as network:
                 network.wait_for("running")
                 assert orchestrator("stop").returncode == 0
                 assert network.wait() == 3
+            assert "keys/observer/key.pem: everybody here may read it" in network.output
         finally:
             router.kill()
     assert (here / "keys/agent-1/key.pem").exists()  # theirs who made them
     other = orchestrator("up", "ring6", "--secure", "--keys", "keys", *QUIET)
     assert other.returncode == 2
     assert "made for another network" in other.stderr
+
+
+def test_the_command_that_uses_keys_can_be_copied(here: Path) -> None:
+    made = orchestrator("keys", "paper7", "--out", "our keys", "--processes", "2")
+    assert made.stdout.endswith("then: orchestrator up paper7 --secure --keys 'our keys' --processes 2\n")
 
 
 @pytest.mark.parametrize(

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
-import importlib.util
 import json
 import math
+import os
 import signal
 import threading
 import time
@@ -198,6 +199,29 @@ def test_a_sweep_that_is_stopped_and_killed_goes_on_to_the_same_bytes(here: Path
     assert (out / "sweep.parquet").read_bytes() == undisturbed
 
 
+def is_a_worker_that_takes_ctrl_c(pid: int) -> bool:
+    """Whether its interpreter is so far that SIGINT would be a KeyboardInterrupt, if it came through."""
+    with contextlib.suppress(psutil.Error, OSError):
+        caught = Path(f"/proc/{pid}/status").read_text().partition("SigCgt:")[2].split()[0]
+        return "spawn_main" in " ".join(psutil.Process(pid).cmdline()) and bool(
+            int(caught, 16) & 1 << signal.SIGINT - 1
+        )
+    return False
+
+
+def test_ctrl_c_finds_a_worker_deaf_from_its_first_instruction_on(here: Path) -> None:
+    pause = threading.Event()
+    with Orchestrator(*LONG, "--jobs", "2", "--out", "out") as sweeping:
+        deadline = time.monotonic() + DEADLINE_S
+        while not any(map(is_a_worker_that_takes_ctrl_c, workers(sweeping).values())):
+            assert time.monotonic() < deadline, sweeping.output
+            pause.wait(0.001)
+        os.killpg(sweeping.pid, signal.SIGINT)  # as a terminal does
+        assert sweeping.wait() == 3, sweeping.output
+    assert "the same command goes on" in sweeping.output
+    assert "Traceback" not in sweeping.output
+
+
 def test_a_killed_worker_costs_nothing(here: Path, undisturbed: bytes) -> None:
     with Orchestrator(*LONG, "--jobs", "2", "--out", "out") as sweeping:
         wait_for_runs(here / "out", 2)
@@ -295,6 +319,28 @@ def test_nothing_else_is_written_into(tmp_path: Path) -> None:
         pass
 
 
+@pytest.mark.parametrize("damage", ['{"setting": 0}', "[]", "precious"])
+def test_a_damaged_line_is_named(tmp_path: Path, damage: str) -> None:
+    made(of(seeds="0:2"), tmp_path / "out")
+    with (tmp_path / "out/runs.jsonl").open("a", encoding="utf-8") as file:
+        file.write(f"{damage}\n")
+    with (
+        pytest.raises(UserError, match=r"runs\.jsonl: line 3 is no run; name a new folder"),
+        SweepFolder(of(seeds="0:3"), tmp_path / "out"),
+    ):
+        pass
+
+
+def test_a_disk_that_fills_up_keeps_what_was_done_and_the_same_command_goes_on(here: Path, undisturbed: bytes) -> None:
+    command = (*LONG, "--jobs", "1", "--out", "out")
+    done = orchestrator(*command, largest=10_000)
+    assert done.returncode == 2
+    assert "File too large; make room, then the same command goes on" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert orchestrator(*command).returncode == 0
+    assert (here / "out/sweep.parquet").read_bytes() == undisturbed
+
+
 def test_two_sweeps_do_not_share_a_folder(tmp_path: Path) -> None:
     one, two = SweepFolder(of(), tmp_path / "out"), SweepFolder(of(), tmp_path / "out")
     with one, pytest.raises(UserError, match="a sweep is writing there"), two:
@@ -330,7 +376,7 @@ def test_columns_are_numbers_where_all_values_are() -> None:
 def test_metrics_do_not_depend_on_how_telemetry_was_batched(monkeypatch: pytest.MonkeyPatch) -> None:
     network = read((Path(__file__).parents[1] / "topologies/paper7.yaml").read_text(encoding="utf-8"))
     whole = run_here(network)["metrics"]
-    monkeypatch.setattr("orchestrator.sweep.runs.BATCH_STEPS", 7)
+    monkeypatch.setattr("orchestrator.observe.ROWS", 7)
     assert run_here(network)["metrics"] == whole
 
 
@@ -359,20 +405,3 @@ def test_the_summary_and_the_boxes_are_the_quartiles_of_the_table(here: Path) ->
 
 
 # Over a cluster.
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(importlib.util.find_spec("ray") is None, reason="Ray is not installed: pip install 'hedgerow[ray]'")
-def test_the_same_over_ray_is_the_same_table(here: Path) -> None:
-    command = ("sweep", "paper7", "--seeds", "0:60", "--set", "law=minimax,nominal")
-    for out, on in (("ray", ["--on", "ray"]), ("here", [])):
-        said = orchestrator(*command, "--out", out, *on)
-        assert said.returncode == 0, said.stderr
-    assert (here / "ray/sweep.parquet").read_bytes() == (here / "here/sweep.parquet").read_bytes()
-
-
-@pytest.mark.skipif(importlib.util.find_spec("ray") is not None, reason="Ray is installed")
-def test_without_ray_the_sweep_says_what_to_install(here: Path) -> None:
-    said = orchestrator("sweep", "paper7", "--seeds", "0:2", "--on", "ray")
-    assert said.returncode == 2
-    assert said.stderr == "error: --on ray: Ray is not installed; install it with: pip install 'hedgerow[ray]'\n"

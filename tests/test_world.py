@@ -21,7 +21,7 @@ from topologies.hinf import contraction, gamma_star, q_solver
 from topologies.network import groups_of, padded
 from topologies.resolve import truth
 from topologies.schema import Topology
-from wire.codec import REPORT_WIDTH, TAKEN
+from wire.codec import REPORT_ROWS
 
 SEED = 2**63 - 1
 
@@ -110,7 +110,7 @@ def test_the_world_moves_by_equation_1(topology: Topology) -> None:
     for i, j in edges:
         laplacian[[i, j], [i, j]] += 1
         laplacian[[i, j], [j, i]] -= 1
-    report, took = np.zeros((n, REPORT_WIDTH)), bytes([TAKEN]) * 2 * len(edges)
+    report, took = np.zeros((REPORT_ROWS, n)), [b""] * n
     for t in range(topology.steps):
         x, u = world.x, np.cos(np.arange(n) + t)
         world.begin()

@@ -1,4 +1,4 @@
-"""Who may say and hear what: the information structure of the paper, as rules that the router of a run keeps.
+"""Who may say and hear what, and how much: the information structure of the paper, as rules that a router keeps.
 
 Everything that is not allowed here is refused (docs/security.md).
 """
@@ -21,6 +21,10 @@ class Place(NamedTuple):
     shard: int
     peers: Sequence[int]
     """the shards with neighbours of its nodes"""
+    largest: int = 0
+    """bytes of the largest message that it ever says"""
+    incidences: int = 0
+    """ends of edges at its nodes"""
 
 
 class Rights(NamedTuple):
@@ -43,18 +47,25 @@ def rights(places: Sequence[Place]) -> dict[str, Rights]:
         name: Rights(
             says=[keys.input_(p), *(keys.link(p, q) for q in peers)],
             hears=[keys.state(p), *(keys.link(q, p) for q in peers)],
+            asks=[keys.join(p)],
             shows=[keys.alive(keys.shard_name(p), "*")],
+            watches=[keys.alive(keys.shard_name(p), "*"), keys.alive(keys.PLANT, "*")],
         )
-        for name, p, peers in places
+        for name, p, peers, *_ in places
     }
     plant = Rights(
         says=[*map(keys.state, shards), keys.TELEMETRY],
         hears=[*map(keys.input_, shards), keys.SEEN],
-        answers=[*map(keys.control, keys.COMMANDS)],
+        answers=[*map(keys.control, keys.COMMANDS), keys.join("*")],
         shows=[keys.alive(keys.PLANT, "*")],
         watches=[keys.ALIVE],
     )
-    observer = Rights(says=[keys.SEEN], hears=[keys.TELEMETRY], asks=[keys.control("died"), keys.control("stop")])
+    observer = Rights(
+        says=[keys.SEEN],
+        hears=[keys.TELEMETRY],
+        asks=[*map(keys.control, ("died", "stop", "status")), keys.join(OBSERVER)],
+        watches=[keys.alive(keys.PLANT, "*")],
+    )
     operator = Rights(asks=[keys.control(command) for command in keys.COMMANDS if command != "died"])
     return {**agents, keys.PLANT: plant, OBSERVER: observer, OPERATOR: operator}
 
@@ -72,6 +83,49 @@ _MESSAGES: Mapping[str, Mapping[str, Sequence[str]]] = {
 
 Who says something is told that somebody listens, or it would never begin.
 """
+
+
+MOST_PER_S = 20_000.0
+"""Messages that an agent may say on a key in a second. It says one a step, and none before all of the step before are
+there: a loop that were as fast would still be let through."""
+MOST_JOINS_PER_S, JOIN_BYTES = 10.0, 4096
+"""How often an agent may ask for its place, which it does twice a second, and at what length: the plant's lock is held,
+and a refusal is told to everybody."""
+
+
+def rules(places: Sequence[Place], namespace: str, plant_is_client: bool, request_bytes: int = 0) -> dict[str, Any]:
+    """What the router of a secure run is to keep, by its settings: who may say what, how often, and how much at once.
+
+    Where the plant is the router, nobody comes in by its name; and a command to it has at most `request_bytes`.
+    """
+    granted = rights(places)
+    said = [(place, [f"{namespace}/{key}" for key in granted[place.name].says]) for place in places]
+    if not plant_is_client:
+        del granted[keys.PLANT]
+    joins = [f"{namespace}/{keys.join(place.shard)}" for place in places]
+    settings: dict[str, Any] = {
+        "access_control": access_control(granted, namespace),
+        "downsampling": [
+            _often(["put", "delete"], [key for _, some in said for key in some], MOST_PER_S),
+            _often(["query"], joins, MOST_JOINS_PER_S),
+        ],
+        "low_pass_filter": [
+            *(_large(place.name, "put", some, place.largest) for place, some in said),
+            _large("joins", "query", joins, JOIN_BYTES),
+        ],
+    }
+    if not plant_is_client:  # or its records and telemetry would come in, too
+        settings["transport/link/rx/max_message_size"] = 2 * max(request_bytes, *(place.largest for place in places))
+    return settings
+
+
+def _often(messages: Sequence[str], said_on: Sequence[str], most_per_s: float) -> dict[str, Any]:
+    rules = [{"key_expr": key, "freq": most_per_s} for key in said_on]
+    return {"flows": [IN], "messages": messages, "rules": rules}
+
+
+def _large(name: str, message: str, said_on: Sequence[str], most_bytes: int) -> dict[str, Any]:
+    return {"id": name, "flows": [IN], "messages": [message], "key_exprs": said_on, "size_limit": most_bytes}
 
 
 def access_control(granted: Mapping[str, Rights], namespace: str) -> dict[str, Any]:

@@ -17,11 +17,11 @@ for _name, _value in runtime_environment().items():
 
 import zenoh  # noqa: E402
 
-from topologies.errors import DeadlineError, UserError  # noqa: E402
+from topologies.errors import DeadlineError, UserError, check_options  # noqa: E402
 from wire import keys  # noqa: E402
 from wire.child import run_alone  # noqa: E402
 from wire.config import Config  # noqa: E402
-from wire.session import close, open_client  # noqa: E402
+from wire.session import close, direct, open_client  # noqa: E402
 
 WAIT_S = 600.0
 """How long a process waits for the others, who may be started by hand."""
@@ -34,22 +34,34 @@ def options(program: str, what: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog=program, description=what)
     parser.add_argument("--config", type=Path, help="what `orchestrator bundle` wrote for it [$HEDGEROW_CONFIG]")
     parser.add_argument("--router", metavar="ENDPOINT", help="in place of the config's router, e.g. tcp/bench:7447")
+    parser.add_argument(
+        "--credentials", type=Path, metavar="DIR", help="its keys in a secure network, in place of the config's"
+    )
     parser.add_argument("--wait", type=float, default=WAIT_S, metavar="S", help="seconds to wait for all others [600]")
     parser.add_argument("--check", action="store_true", help="say whether it takes part, by the exit code, and leave")
     return parser
 
 
-def main(find: Callable[[], Config], router: str | None, check: bool, body: Callable[[Config, str], None]) -> NoReturn:
-    """Run `body(config, endpoint)` as the whole of this process, or look whether another process does."""
+def main(
+    find: Callable[[], Config], known: argparse.Namespace, body: Callable[[Config, str, Path | None], None]
+) -> NoReturn:
+    """Run `body(config, endpoint, credentials)` as the whole of this process, or look whether another process does.
+
+    `known` are the `options`; the credentials are None where the network is open.
+    """
 
     def whole() -> None:
+        check_options(wait=known.wait)
         config = find()
-        endpoint = router or config.router
-        if check:
-            _check(config, endpoint)
+        endpoint = known.router or config.router
+        credentials = known.credentials or (Path(config.credentials) if config.credentials else None)
+        if credentials is None and endpoint.startswith("tls/"):
+            raise UserError(f"--router {endpoint}: the network is secure; --credentials says where its keys lie")
+        if known.check:
+            _check(config, endpoint, credentials)
         else:
             share_the_cores()
-            body(config, endpoint)
+            body(config, endpoint, credentials)
 
     run_alone(whole)
 
@@ -77,18 +89,19 @@ def wait_for(session: zenoh.Session, name: str, within_s: float) -> None:
     def on_token(_: zenoh.Sample) -> None:
         there.set()
 
-    listener = zenoh.handlers.Callback(on_token, indirect=False)
+    listener = direct(on_token)
     with session.liveliness().declare_subscriber(keys.alive(name, "*"), listener, history=True):
         if not there.wait(within_s):
             raise DeadlineError(
-                f"{name}: not there after {within_s:g} s; is it started, with the same router and namespace?"
+                f"{name}: not there after {round(within_s, 1):g} s; is it started, with the same router and namespace?"
             )
 
 
-def _check(config: Config, endpoint: str) -> None:
-    session = open_client(endpoint, config.namespace, timeout_s=CHECK_S)
+def _check(config: Config, endpoint: str, credentials: Path | None) -> None:
+    name = told(config, lambda known: token(config.process, known))
+    session = open_client(endpoint, config.namespace, credentials, CHECK_S)
     try:
-        wait_for(session, token(config.process, config.told), CHECK_S)
+        wait_for(session, name, CHECK_S)
     finally:
         close(session)
     print(f"{config.process} takes part")

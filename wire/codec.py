@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from topologies.errors import HedgerowError
 
-VERSION = 2
-REPORT_WIDTH = 3
-"""Numbers that a node reports about itself: ahat, its index, the margin J_(2) - J_(1)."""
+VERSION = 3
+REPORT_ROWS = 2
+"""Numbers that a node reports about itself: ahat and the margin J_(2) - J_(1)."""
 
 _HEADER = struct.Struct("<BBHIq")
 """version, kind, 0, how many nodes, step"""
@@ -35,7 +35,7 @@ _LINK_HEADER = struct.Struct(_HEADER.format + "q")
 Array = NDArray[np.float64]
 Flags = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
-Buffer = bytes | NDArray[Any]
+Buffer = bytes | memoryview | NDArray[Any]
 
 
 class Kind(IntEnum):
@@ -49,6 +49,7 @@ class Kind(IntEnum):
     SEEN = 5
     RECORD = 6
     EVENT = 7
+    TRIPS = 8
 
 
 class Flag(IntEnum):
@@ -92,7 +93,8 @@ class Span(NamedTuple):
 class State(NamedTuple):
     """Plant to shard, at t: x (k,), NaN without a reading, and a byte of Flag bits per incidence of the shard (m,).
 
-    A link that is up and has no span carries the row of its own step alone.
+    Without flags all of them are set, ALL_UP, and there are no spans. A link that is up and has no span carries the row
+    of its own step alone.
     """
 
     t: int
@@ -118,14 +120,15 @@ class Record(NamedTuple):
 
 
 class Input(NamedTuple):
-    """Shard to plant, at t: u (k,), NaN where there is none; what its nodes report about themselves
-    (k, REPORT_WIDTH); and the Flag bits of what they took in of t - 1 (m,). See `gather`.
+    """Shard to plant, at t: u (k,), NaN where there is none; what its nodes report about themselves, ahat and margin
+    (k,); and the Flag bits of what they took in of t - 1 (m,), none where that is all of it. See `gather`.
     """
 
     t: int
-    u: bytes
-    report: bytes
-    took: bytes
+    u: Buffer
+    ahat: Buffer
+    margin: Buffer
+    took: Buffer
 
 
 class Link(NamedTuple):
@@ -141,7 +144,7 @@ class Link(NamedTuple):
 
 
 class Telemetry(NamedTuple):
-    """Plant to observer, at t: x, u, w (n,), report (n, REPORT_WIDTH), edges open (E,), links up (2E,).
+    """Plant to observer, at t: x, u, w (n,), report (REPORT_ROWS, n), edges open (E,), links up (2E,).
 
     u is NaN where no input came, the report where nobody was there. `took` (2E,), of step t - 1, is what the nodes
     themselves say that they took in, in Flag bits.
@@ -157,6 +160,13 @@ class Telemetry(NamedTuple):
     took: Flags
 
 
+class Trips(NamedTuple):
+    """Plant to observer: how long each of P shards took to answer [s], from step t on, (S, P); NaN for no answer."""
+
+    t: int
+    seconds: Array
+
+
 class End(NamedTuple):
     """Plant to everybody, after the last step: the final state (n,), and no more comes."""
 
@@ -169,11 +179,16 @@ class End(NamedTuple):
 
 
 def _pack(kind: int, n: int, t: int, *arrays: Buffer) -> bytes:
-    return b"".join((_HEADER.pack(VERSION, kind, 0, n, t), *arrays))  # type: ignore[arg-type]  # arrays are buffers
+    return join((_HEADER.pack(VERSION, kind, 0, n, t), *arrays))
 
 
 def _count(doubles: Buffer) -> int:
     return (len(doubles) if isinstance(doubles, bytes) else doubles.nbytes) // 8
+
+
+def join(parts: Iterable[Buffer]) -> bytes:
+    """All parts, one after the other."""
+    return b"".join(parts)  # type: ignore[arg-type]  # arrays are buffers
 
 
 def gather(parts: Iterable[Buffer]) -> Array:
@@ -181,7 +196,7 @@ def gather(parts: Iterable[Buffer]) -> Array:
 
     They stay bytes until all of a step are here: one look at many costs what a look at each would.
     """
-    return np.frombuffer(b"".join(parts), _F8)  # type: ignore[arg-type]  # arrays are buffers
+    return np.frombuffer(join(parts), _F8)
 
 
 def kind_of(message: bytes) -> int:
@@ -223,10 +238,11 @@ def encode_state(t: int, x: Buffer, flags: Buffer, spans: Sequence[Span] = ()) -
 
 def decode_state(message: bytes, k: int, m: int) -> State:
     """A State of k nodes and m incidences."""
-    end = _SIZE + 8 * k + m
-    if len(message) == end:
-        t = _open(message, _STATE, k, end - _SIZE)
-        return _new(State, (t, np.frombuffer(message, _F8, k, _SIZE), message[end - m :], ()))
+    end = _SIZE + 8 * k
+    if len(message) in (end, end + m):
+        t = _open(message, _STATE, k, len(message) - _SIZE)
+        return _new(State, (t, np.frombuffer(message, _F8, k, _SIZE), message[end:], ()))
+    end += m
     count = max(0, len(message) - end) // _SPAN.size
     t = _open(message, _STATE, k, 8 * k + m + count * _SPAN.size)
     x, flags = _floats(message, k), message[end - m : end]
@@ -254,6 +270,8 @@ def decode_record(message: bytes, degrees: Sequence[int] | NDArray[np.int64]) ->
     steps = (len(message) - _SIZE - fixed) // row if row else 0
     t = _open(message, Kind.RECORD, k, fixed + steps * row)
     (first,) = _STEP.unpack_from(message, _SIZE)
+    if first < 0 or first + steps != t:
+        raise MessageError(f"{steps} steps from {first} on, in a record up to step {t}")
     at = _SIZE + fixed
     x, u = np.frombuffer(message, _F8, 2 * steps * r, at).reshape(2, steps, r)
     edge_open = np.frombuffer(message, _U1, steps * m, at + 16 * steps * r).reshape(steps, m)
@@ -261,16 +279,17 @@ def decode_record(message: bytes, degrees: Sequence[int] | NDArray[np.int64]) ->
 
 
 def encode_input(t: int, u: Buffer, report: Buffer, took: Buffer) -> bytes:
-    """An Input message."""
+    """An Input message; report is ahat and margin."""
     return _pack(_INPUT, _count(u), t, u, report, took)
 
 
 def decode_input(message: bytes, k: int, m: int) -> Input:
     """An Input of k nodes with m incidences."""
-    reported = 8 * k * (1 + REPORT_WIDTH)
-    t = _open(message, _INPUT, k, reported + m)
-    at = _SIZE + reported
-    return _new(Input, (t, message[_SIZE : _SIZE + 8 * k], message[_SIZE + 8 * k : at], message[at:]))
+    size, whole = 8 * k, memoryview(message)
+    numbers = size * (1 + REPORT_ROWS)
+    t = _open(message, _INPUT, k, numbers if len(message) == _SIZE + numbers else numbers + m)
+    u, ahat, margin, took = _SIZE, _SIZE + size, _SIZE + 2 * size, _SIZE + 3 * size
+    return _new(Input, (t, whole[u:ahat], whole[ahat:margin], whole[margin:took], whole[took:]))
 
 
 def encode_link(link: Link, n: int) -> bytes:
@@ -284,36 +303,49 @@ def decode_link(message: bytes, n: int) -> Link:
     size = max(1, (len(message) - _LINK_HEADER.size) // (16 * n)) * 16 * n
     t = _open(message, _LINK, n, 8 + size)
     (first,) = _STEP.unpack_from(message, _SIZE)
+    rows = size // (16 * n)
+    if not 0 <= first <= t + 1 - rows:
+        raise MessageError(f"{rows} rows from step {first} on, in a link message of step {t}")
     at, middle = _SIZE + 8, _SIZE + 8 + size // 2
     return _new(Link, (t, first, message[at:middle], message[middle:]))
 
 
-def encode_telemetry(row: Telemetry) -> bytes:
-    """A Telemetry message."""
-    return _pack(
-        Kind.TELEMETRY,
-        len(row.x),
-        row.t,
-        row.x,
-        row.u,
-        row.w,
-        row.report,
-        row.edge_open,
-        row.link_up,
-        row.took,
-    )
+def encode_telemetry(row: Telemetry, whole: bool = False) -> tuple[Buffer, ...]:
+    """A Telemetry message, in parts: it is long, and goes out behind a number.
+
+    `whole` says that all edges are open, all links up and all is taken in, which is left out.
+    """
+    t, x, u, w, report, *bits = row
+    return (_HEADER.pack(VERSION, _TELEMETRY, 0, len(x), t), x, u, w, report, *(() if whole else bits))
 
 
 def decode_telemetry(message: bytes, n: int, e: int) -> Telemetry:
     """A Telemetry row of n nodes and e edges."""
-    floats = 3 + REPORT_WIDTH
-    t = _open(message, Kind.TELEMETRY, n, 8 * n * floats + 5 * e)
-    values = _floats(message, n * floats)
-    bits = np.frombuffer(message, _U1, 5 * e, _SIZE + 8 * n * floats)
-    report = values[3 * n :].reshape(n, REPORT_WIDTH)
-    return Telemetry(
-        t, values[:n], values[n : 2 * n], values[2 * n : 3 * n], report, bits[:e], bits[e : 3 * e], bits[3 * e :]
-    )
+    rows = 3 + REPORT_ROWS
+    size = 8 * n * rows
+    whole = len(message) == _SIZE + size
+    t = _open(message, _TELEMETRY, n, size if whole else size + 5 * e)
+    values = _floats(message, n * rows).reshape(rows, n)
+    if whole:
+        edge_open, link_up, took = (
+            np.broadcast_to(np.uint8(bit), c) for bit, c in ((1, e), (1, 2 * e), (TAKEN, 2 * e))
+        )
+    else:
+        bits = np.frombuffer(message, _U1, 5 * e, _SIZE + size)
+        edge_open, link_up, took = bits[:e], bits[e : 3 * e], bits[3 * e :]
+    return Telemetry(t, values[0], values[1], values[2], values[3:], edge_open, link_up, took)
+
+
+def encode_trips(trips: Trips) -> bytes:
+    """A Trips message."""
+    return _pack(Kind.TRIPS, trips.seconds.shape[1], trips.t, trips.seconds)
+
+
+def decode_trips(message: bytes, p: int) -> Trips:
+    """The Trips of p shards, of one step or more."""
+    size = max(1, (len(message) - _SIZE) // (8 * p)) * 8 * p
+    t = _open(message, Kind.TRIPS, p, size)
+    return Trips(t, _floats(message, size // 8).reshape(-1, p))
 
 
 def encode_end(end: End) -> bytes:
@@ -328,9 +360,14 @@ def decode_end(message: bytes, n: int) -> End:
     return End(t, _floats(message, n), float(_floats(message, 1, n)[0]), forgotten)
 
 
-def numbered(number: int, message: bytes) -> bytes:
-    """A message of the stream from plant to observer, with its number before it."""
-    return _STEP.pack(number) + message
+def telemetry_bytes(n: int, e: int) -> int:
+    """How long a Telemetry message of n nodes and e edges is at most."""
+    return _SIZE + 8 * n * (3 + REPORT_ROWS) + 5 * e
+
+
+def numbered(number: int, *message: Buffer) -> bytes:
+    """A message of the stream from plant to observer, in its parts, with its number before it."""
+    return join((_STEP.pack(number), *message))
 
 
 def read_number(whole: bytes) -> tuple[int, bytes]:

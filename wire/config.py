@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import os
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from topologies import toml
 from topologies.errors import UserError
 
+FILE = "told.toml"
+"""Its name in a folder of the process's own."""
 VARIABLE = "HEDGEROW_CONFIG"
 """The environment variable that holds the text itself, for containers."""
 
@@ -28,10 +30,13 @@ class Config:
     """the fingerprint of the network, the same in all its processes"""
     told: dict[str, Any]
     """agents.view.View or plant.truth.Truth, as its `to_dict` writes it"""
+    credentials: str = ""
+    """the folder of its keys, from that of the text, where the network is secure"""
 
     def to_toml(self) -> str:
         """The text that `parse` reads."""
-        return toml.dumps({key: value for key, value in asdict(self).items() if key != "told"} | self.told)
+        head = {key: value for key, value in asdict(self).items() if key != "told" and value}
+        return toml.dumps(head | self.told)
 
     @classmethod
     def parse(cls, text: str, source: str) -> Config:
@@ -41,16 +46,23 @@ class Config:
         missing = [key for key, value in head.items() if not isinstance(value, str)]
         if missing:
             raise UserError(f"{source}: does not say {', '.join(missing)}; take what `orchestrator bundle` wrote")
-        return cls(**head, told=told)
+        return cls(**head, credentials=str(told.pop("credentials", "")), told=told)
 
 
 def find(path: Path | None, otherwise: str) -> Config:
     """The config in a file, else in the environment, else in the file `otherwise`; UserError if there is none."""
     if path is None and (text := os.environ.get(VARIABLE)):
         return Config.parse(text, VARIABLE)
-    path = path or Path(otherwise)
+    path = _file(path or Path(otherwise))
     try:
-        return Config.parse(path.read_text(encoding="utf-8"), str(path))
+        config = Config.parse(path.read_text(encoding="utf-8"), str(path))
     except (OSError, UnicodeDecodeError) as error:
         why = getattr(error, "strerror", None) or "is not a text"
         raise UserError(f"{path}: {why}; `orchestrator bundle` writes it, --config says where it is") from None
+    return replace(config, credentials=config.credentials and str(path.parent / config.credentials))
+
+
+def _file(path: Path) -> Path:
+    """In a secure network each has a folder, with its keys: NAME and NAME.toml stand for NAME/told.toml."""
+    folder = path.with_suffix("") if path.suffix == ".toml" and not path.exists() else path
+    return folder / FILE if folder.is_dir() else path

@@ -2,20 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import time
+from collections.abc import Callable, Mapping
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
+import zenoh
+
+from topologies.errors import UserError
+from wire import keys
 from wire.codec import VERSION
+from wire.session import LEASE_S
+
+LOOK_AGAIN_S = 0.5
 
 
 def introduction(network: str) -> dict[str, Any]:
     """What a process says of itself: the format it speaks, its release, and the fingerprint of its network."""
+    return {"codec": VERSION, "hedgerow": _release(), "network": network}
+
+
+@cache  # it is looked up on the disk, and the plant is asked under its lock
+def _release() -> str:
     try:
-        release = version("hedgerow")
+        return version("hedgerow")
     except PackageNotFoundError:  # run from a folder of sources
-        release = "unknown"
-    return {"codec": VERSION, "hedgerow": release, "network": network}
+        return "unknown"
 
 
 def mismatch(network: str, theirs: Mapping[str, Any]) -> str | None:
@@ -34,3 +47,20 @@ def mismatch(network: str, theirs: Mapping[str, Any]) -> str | None:
     else:
         cure = "install the same release on both machines"
     return f"{'; '.join(different)}: {cure}"
+
+
+def wait_for_room(
+    session: zenoh.Session, namespace: str, say: Callable[[str], object], stopped: Callable[[], bool] = lambda: False
+) -> None:
+    """Return once no plant is there, or `stopped()`; UserError where one stays for longer than the token of a dead one.
+
+    Two plants in one namespace would end each other's networks.
+    """
+    there, by, said = f"a plant is there already at {namespace}", time.monotonic() + LEASE_S, False
+    while not stopped() and any(reply.ok for reply in session.liveliness().get(keys.alive(keys.PLANT, "*"))):
+        if time.monotonic() > by:
+            raise UserError(f"{there}; end that run, or give another --namespace")
+        if not said:
+            say(f"{there}; waiting up to {LEASE_S:g} s for its end")
+            said = True
+        time.sleep(LOOK_AGAIN_S)

@@ -81,7 +81,8 @@ class History:
 
     def _span(self, start: int, stop: int) -> slice:
         self._settle()
-        return slice(self._at + max(start, self.first) - self.first, self._at + min(stop, self.next) - self.first)
+        begin, end = (min(max(step, self.first), self.next) - self.first for step in (start, stop))
+        return slice(self._at + begin, self._at + end)
 
     def x(self, start: int, stop: int) -> Array:
         """The states of steps start .. stop - 1, as far as they are here, (S, states); a view."""

@@ -30,9 +30,17 @@ def control(command: str) -> str:
     return f"control/{command}"
 
 
-def alive(name: str, life: int | str = 0) -> str:
-    """The liveliness token of a process that is ready; who is started again says so in its next life, `*` for any."""
-    return f"alive/{name}/{life}"
+def join(who: int | str) -> str:
+    """A process that nobody forked to plant, a query: may it take part? `who` is its shard, or `observer`."""
+    return control(f"join/{who}")
+
+
+def alive(name: str, life: int | str = 0, plant: int = -1) -> str:
+    """The liveliness token of a process that is ready; who is started again says so in its next life, `*` for any.
+
+    `plant` is the number of the plant that gave it its place, if it asked one.
+    """
+    return f"alive/{name}/{life}" + ("" if plant < 0 else f"-{plant}")
 
 
 def shard_name(shard: int) -> str:

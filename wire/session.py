@@ -5,32 +5,71 @@ from __future__ import annotations
 import contextlib
 import json
 import logging
-import queue
+import re
 import shutil
 import socket
 import threading
-from collections.abc import Callable, Iterable, Sequence
-from functools import partial
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import zenoh
 
-from topologies.errors import DeadlineError, HedgerowError
+from topologies.errors import DeadlineError, HedgerowError, UserError
 from wire.codec import MessageError
+from wire.credentials import Credentials, router_tls
+from wire.runtime import keep_thread
 
 LOG = logging.getLogger("wire")
 MAX_SESSIONS = 100_000
+MOST_PORT = 65535
 CONNECT_TIMEOUT_S = 10.0
+LEASE_S = 30.0
+"""How long a process may be silent before the others take it for gone, if nothing else says so."""
+LOOK_S, MOST_LOOK_S = 2.0, 30.0
+"""How long a secure router is tried before a look at whether it refuses us: at first, and at most."""
+PAUSE_S = 0.05
+"""Between two tries."""
 LISTEN_TIMEOUT_S = 60.0
-PRIVATE_KEY, CERTIFICATE, CA, ACCESS = "key.pem", "cert.pem", "ca.pem", "access.json"
-"""What the credentials of a process are, file by file; the rules are the router's."""
+ACCESS = "access.json"
+"""The rules of access, beside the credentials of the router."""
 STRANGE_KEYS = 16
 """how many keys are remembered that should not have been heard of"""
 
 
 class WireError(HedgerowError):
     """A session that could not be opened, or a peer that never came."""
+
+
+class RefusedError(WireError):
+    """A router that will not have us, or that we will not have: to wait does not help."""
+
+
+def check_endpoint(endpoint: str, option: str = "--router") -> None:
+    """Raise UserError for what is no endpoint of Zenoh's, or none that a client could connect to (`--router`)."""
+    try:
+        zenoh.Config().insert_json5("connect/endpoints", json.dumps([endpoint]))
+    except zenoh.ZError:
+        raise UserError(f"{option} {endpoint}: is no endpoint; write tcp/HOST:PORT, or tls/HOST:PORT") from None
+    port = endpoint.partition("#")[0].partition("?")[0].rpartition(":")[2]
+    if endpoint.startswith(("tcp/", "tls/")) and not (re.fullmatch("[0-9]+", port) and 1 <= int(port) <= MOST_PORT):
+        raise UserError(f"{option} {endpoint}: write a port from 1 to {MOST_PORT} after the host")
+    if option == "--router" and endpoint.startswith("tls/["):  # "invalid dns name", and it would try for ever
+        raise UserError(f"{option} {endpoint}: Zenoh takes no IPv6 address for the name in a certificate; write a name")
+
+
+def check_namespace(namespace: str) -> None:
+    """Raise UserError for what keys cannot stand under."""
+    try:
+        wild = "*" in str(zenoh.KeyExpr(namespace))
+    except zenoh.ZError:
+        wild = True
+    if wild:
+        raise UserError(
+            f"--namespace {namespace}: is no key of Zenoh's; write words with / between, without * $ ? and #"
+        )
 
 
 def base_settings() -> dict[str, object]:
@@ -40,6 +79,8 @@ def base_settings() -> dict[str, object]:
         "scouting/gossip/enabled": False,
         "timestamping/enabled": False,
         "transport/shared_memory/enabled": False,
+        # TCP looks for a cable that was pulled after 6, 13 and 25 s: a session that is given up before loses messages.
+        "transport/link/tx/lease": int(1000 * LEASE_S),
         # All messages are of one priority: a queue for each of eight costs time and memory.
         "transport/unicast/qos/enabled": False,
     }
@@ -53,19 +94,10 @@ def _config(namespace: str | None, settings: dict[str, object]) -> zenoh.Config:
     return config
 
 
-def tls(side: str, credentials: Path) -> dict[str, object]:
-    """Settings of a link whose two ends show each other a certificate; `side` is `listen` or `connect`."""
-    return {
-        "root_ca_certificate": str(credentials / CA),
-        f"{side}_private_key": str(credentials / PRIVATE_KEY),
-        f"{side}_certificate": str(credentials / CERTIFICATE),
-        "enable_mtls": True,
-        "verify_name_on_connect": True,
-    }
-
-
-def router_settings(endpoint: str, credentials: Path | None = None, access: object = None) -> dict[str, object]:
-    """The settings of the router of a run: with `credentials` it lets nobody in but as `access` says."""
+def router_settings(
+    endpoint: str, credentials: Path | None = None, rules: Mapping[str, object] | None = None
+) -> dict[str, object]:
+    """The settings of the router of a run: with `credentials` it lets nobody in but by the `rules` of wire.access."""
     settings: dict[str, object] = {
         "mode": "router",
         "listen/endpoints": [endpoint],
@@ -74,7 +106,7 @@ def router_settings(endpoint: str, credentials: Path | None = None, access: obje
         "scouting/delay": 0,
     }
     if credentials is not None:
-        settings |= {"transport/link/tls": tls("listen", credentials), "access_control": access}
+        settings |= {"transport/link/tls": router_tls(credentials), **(rules or {})}
     return settings
 
 
@@ -84,11 +116,32 @@ def open_router(endpoint: str, namespace: str | None = None, credentials: Path |
     With `credentials`, a folder with its certificate and the rules of access, it is the router of a secure run.
     Raises WireError.
     """
-    access = json.loads((credentials / ACCESS).read_text(encoding="utf-8")) if credentials is not None else None
+    rules = None
+    if credentials is not None:
+        rules = _rules_in(credentials)
+        from wire.refusal import log_refusals  # noqa: PLC0415
+
+        log_refusals()
     try:
-        return zenoh.open(_config(namespace, router_settings(endpoint, credentials, access)))
+        return zenoh.open(_config(namespace, router_settings(endpoint, credentials, rules)))
     except zenoh.ZError as error:
-        raise WireError(f"no router on {endpoint}: {error}") from None
+        raise WireError(f"no router on {endpoint}: {_why(error)}") from None
+
+
+def _rules_in(credentials: Path) -> Mapping[str, object]:
+    """What the router of a secure run keeps; one that kept nothing would let everybody in to everything."""
+    whole = "take the folder `router`, whole, with --credentials"
+    try:
+        rules: Any = json.loads((credentials / ACCESS).read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or error
+        raise WireError(f"{credentials}: no keys of a router: {ACCESS}: {why}; {whole}") from None
+    control = rules.get("access_control") if isinstance(rules, dict) else None
+    if not (
+        isinstance(control, dict) and control.get("enabled") is True and control.get("default_permission") == "deny"
+    ):
+        raise UserError(f"{credentials / ACCESS}: does not refuse what it does not allow (`access_control`); {whole}")
+    return cast("Mapping[str, object]", rules)
 
 
 def remove_socket(socket: Path) -> None:
@@ -109,32 +162,75 @@ def free_port() -> int:
         return int(listener.getsockname()[1])
 
 
-def remove_secrets(folder: Path) -> None:
-    """Remove the certificates and private keys of a run, if they are there."""
-    shutil.rmtree(folder, ignore_errors=True)
+def remove_trace(path: Path | str) -> None:
+    """Remove what must not outlive a run, a file or a whole folder, if it is there: its socket, its private keys."""
+    with contextlib.suppress(OSError):
+        Path(path).unlink()
+    shutil.rmtree(path, ignore_errors=True)
 
 
 def open_client(
-    endpoint: str, namespace: str, credentials: Path | None = None, timeout_s: float = CONNECT_TIMEOUT_S
+    endpoint: str, namespace: str, credentials: Credentials | Path | None = None, timeout_s: float = CONNECT_TIMEOUT_S
 ) -> zenoh.Session:
-    """A client of the router at `endpoint`; its keys stand under `namespace`. Raises WireError past `timeout_s`.
+    """A client of the router at `endpoint`; its keys stand under `namespace`.
 
-    With `credentials`, a folder with its certificate, it shows that and demands the router's.
+    Raises UserError for what is no endpoint, RefusedError where certificates do not fit, WireError past `timeout_s`.
+    With `credentials`, or the folder where they lie, it shows its certificate and demands the router's.
     """
+    check_endpoint(endpoint)
+    if isinstance(credentials, Path):
+        credentials = Credentials.read(credentials)
     settings: dict[str, object] = {
         "mode": "client",
         "connect/endpoints": [endpoint],
-        "connect/timeout_ms": int(timeout_s * 1000),
         "connect/exit_on_failure": True,
         # A router that begins or comes back finds its clients there at once, or within half a second.
         "connect/retry": {"period_init_ms": 10, "period_max_ms": 500, "period_increase_factor": 2},
     }
     if credentials is not None:
-        settings["transport/link/tls"] = tls("connect", credentials)
-    try:
-        return zenoh.open(_config(namespace, settings))
-    except zenoh.ZError as error:
-        raise WireError(f"no router at {endpoint} after {timeout_s:g} s: {error}") from None
+        if not endpoint.startswith("tls/"):
+            raise RefusedError(f"--router {endpoint}: a secure network needs a router that speaks TLS: tls/HOST:PORT")
+        settings["transport/link/tls"] = credentials.tls()
+    by = time.monotonic() + timeout_s
+    patience_s = timeout_s if credentials is None else LOOK_S
+    while True:
+        left = max(0.0, by - time.monotonic())
+        settings["connect/timeout_ms"] = int(1000 * min(left, patience_s))
+        try:
+            return _open_aside(_config(namespace, settings))
+        except zenoh.ZError as error:
+            patience_s = min(2 * patience_s, MOST_LOOK_S)
+            # Zenoh would try until the time is over, whatever the router thinks of our certificate.
+            if credentials is not None and (why := _refusal(endpoint, credentials)) is not None:
+                raise RefusedError(f"{why}; take keys that were made together with the router's") from None
+            if time.monotonic() >= by:
+                raise WireError(f"no router at {endpoint} after {timeout_s:g} s: {_why(error)}") from None
+            time.sleep(PAUSE_S)  # some mistakes are found at once, again and again
+
+
+def _open_aside(config: zenoh.Config) -> zenoh.Session:
+    """Open a session on a thread of its own: a signal is handled by the main thread, which Zenoh would hold till then.
+
+    Shorter tries would never reach a router that is slow to answer.
+    """
+    with ThreadPoolExecutor(1) as pool:
+        return pool.submit(zenoh.open, config).result()
+
+
+def _why(error: zenoh.ZError) -> str:
+    """What Zenoh says, without where in its sources it says so."""
+    return re.sub(r"\s+at /\S+\.rs:\d+\b\.?", "", str(error))
+
+
+def _refusal(endpoint: str, credentials: Credentials) -> str | None:
+    from wire.refusal import refusal  # noqa: PLC0415
+
+    return refusal(endpoint, credentials)
+
+
+def has_router(session: zenoh.Session) -> bool:
+    """Whether a client has its router; it looks for one that is gone for as long as it lives."""
+    return bool(session.info.routers_zid())
 
 
 def close(session: zenoh.Session) -> None:
@@ -159,18 +255,18 @@ def publisher(session: zenoh.Session, key: str) -> zenoh.Publisher:
 def wait_for_listeners(publishers: Sequence[zenoh.Publisher], timeout_s: float = LISTEN_TIMEOUT_S) -> None:
     """Return once every publisher has a subscriber, so that nothing said from now on is lost.
 
-    Raises DeadlineError past `timeout_s`.
+    Raises DeadlineError if one has none `timeout_s` from now.
     """
-    heard = threading.Event()
+    heard, by = threading.Event(), time.monotonic() + timeout_s
 
     def on_change(_: zenoh.MatchingStatus) -> None:
         heard.set()
 
-    listener = zenoh.handlers.Callback(on_change, indirect=False)
+    listener = direct(on_change)
     for one in publishers:
         with one.declare_matching_listener(listener):
             while not _has_listener(one):
-                if not heard.wait(timeout_s):
+                if not heard.wait(max(0.0, by - time.monotonic())):
                     raise DeadlineError(
                         f"nobody listens on {one.key_expr} after {timeout_s:g} s; see that process's log"
                     )
@@ -183,13 +279,19 @@ def _has_listener(one: zenoh.Publisher) -> bool:
     return bool(status.matching)
 
 
+def direct(take: Callable[[Any], None]) -> zenoh.handlers.Callback[Any]:
+    """A handler that calls `take` on the network thread, where it must not wait for anything."""
+
+    def on_network(what: Any) -> None:
+        keep_thread()
+        take(what)
+
+    return zenoh.handlers.Callback(on_network, indirect=False)
+
+
 def subscriber(session: zenoh.Session, key: str, take: Callable[[bytes], None]) -> zenoh.Subscriber[None]:
     """Call `take(payload)` for each message, on the network thread: it must not wait for anything."""
-
-    def on_sample(sample: zenoh.Sample) -> None:
-        take(sample.payload.to_bytes())
-
-    return session.declare_subscriber(key, zenoh.handlers.Callback(on_sample, indirect=False))
+    return session.declare_subscriber(key, direct(lambda sample: take(sample.payload.to_bytes())))
 
 
 class Voice:
@@ -206,23 +308,16 @@ class Voice:
         self._put(message)
 
 
-Mail = queue.SimpleQueue[Callable[[], None]]
-"""Work that the network thread leaves to another."""
-
-
 class Ear:
     """A subscriber that counts what it heard; `take` raises MessageError for what is no message of its key."""
 
-    def __init__(
-        self, session: zenoh.Session, key: str, take: Callable[[bytes], None], mail: Mail | None = None
-    ) -> None:
-        """`take` is called on the network thread, where it must not wait; or by who takes things out of `mail`."""
+    def __init__(self, session: zenoh.Session, key: str, take: Callable[[bytes], None]) -> None:
+        """`take` is called on the network thread, where it must not wait."""
         self.key, self.heard, self.refused = key, 0, 0
         self.strange: dict[str, int] = {}
         """messages that came on another key, which has a `*` in it: nobody of the run speaks so"""
         self._take = take
-        on_sample = self._on_sample if mail is None else lambda sample: mail.put(partial(self._on_sample, sample))
-        self._declared = session.declare_subscriber(key, zenoh.handlers.Callback(on_sample, indirect=False))
+        self._declared = session.declare_subscriber(key, direct(self._on_sample))
 
     def _on_sample(self, sample: zenoh.Sample) -> None:
         if (key := str(sample.key_expr)) != self.key:

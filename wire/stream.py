@@ -7,12 +7,19 @@ import time
 from collections import deque
 from collections.abc import Callable
 
-from wire.codec import MessageError, numbered, read_number
+from wire.codec import Buffer, MessageError, numbered, read_number, telemetry_bytes
 
 REPEAT_AFTER_S = 2.0
 """What the observer has not taken in for so long is sent again."""
 REPEAT_MOST = 1024
 """messages at a time"""
+AHEAD_BYTES, AHEAD_ROWS = 32 * 2**20, 4096
+"""How much telemetry the plant may send before the observer has taken it in; it bounds the memory of both."""
+
+
+def rows_ahead(n: int, e: int) -> int:
+    """How many rows of telemetry the plant may send before the observer has taken them in."""
+    return max(2, min(AHEAD_ROWS, AHEAD_BYTES // telemetry_bytes(n, e)))
 
 
 class Outbox:
@@ -30,11 +37,11 @@ class Outbox:
         """How many messages the receiver has not taken in."""
         return len(self._unseen)
 
-    def send(self, message: bytes) -> None:
-        """Send the next message."""
+    def send(self, *message: Buffer) -> None:
+        """Send the next message, in its parts."""
         if not self._unseen:
             self.progress_at = time.monotonic()
-        whole = numbered(self._next, message)
+        whole = numbered(self._next, *message)
         self._next += 1
         self._unseen.append(whole)
         self._put(whole)

@@ -17,4 +17,4 @@ class Damped:
         pass
 
     def report(self) -> Array:
-        return np.full((len(self.gain), 3), np.nan)
+        return np.full((2, len(self.gain)), np.nan)

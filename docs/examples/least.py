@@ -24,4 +24,4 @@ class LeastSquares:
         self.memory += np.where(np.isfinite(flow), [x * x, x * y], 0.0)
 
     def report(self) -> Array:
-        return np.column_stack([self.a, np.full((len(self.a), 2), np.nan)])
+        return np.stack([self.a, np.full(len(self.a), np.nan)])

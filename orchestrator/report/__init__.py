@@ -28,6 +28,8 @@ def report(
     """
     if not 1 <= len(runs) <= RUNS:
         raise UserError(f"{len(runs)} runs: a report is of 1 to {RUNS}")
+    for run in runs:
+        run.need_all("a report")
     try:
         from orchestrator.report import figures as known  # noqa: PLC0415
         from orchestrator.report.page import page  # noqa: PLC0415

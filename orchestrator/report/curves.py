@@ -22,6 +22,8 @@ NODES = 12
 STEPS = 1000
 """longer runs are drawn in bins of steps"""
 BINS = 500
+UNSHOWN = 1e150
+"""what is larger has no place on an axis: its square is no number"""
 _NAME = 16
 """characters of a name that a legend has room for"""
 _LINE = 66
@@ -60,6 +62,12 @@ def highest(values: Array) -> tuple[Index, Array]:
     filled = np.where(np.isfinite(values), values, -np.inf)
     rows = [int(part[filled[part].argmax()]) for part in parts]
     return np.array(rows), values[rows]
+
+
+def extremes(*shown: Array | float) -> tuple[float, float]:
+    """The least and the largest number that an axis can show; a network that is not stable has others too."""
+    known = [some for one in shown if len(some := (values := np.atleast_1d(one))[np.abs(values) < UNSHOWN])]
+    return min((float(one.min()) for one in known), default=0.0), max((float(one.max()) for one in known), default=0.0)
 
 
 def stairs(axis: Axes, values: Array, **style: Any) -> StepPatch:

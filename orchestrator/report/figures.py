@@ -35,7 +35,9 @@ class Kind:
         """What it shows of some runs, and what was done to make that fit."""
         said = self.shows + self.more(runs)
         if self.array and any(as_quantiles(run, getattr(run, self.array)) for run in runs):
-            said += " Quantiles over all nodes stand for lines that could not be told apart."
+            said += (
+                " Quantiles over all nodes stand for lines that could not be told apart, in bins over their steps too."
+            )
         if any(run.T > STEPS for run in runs):
             said += f" Runs beyond {STEPS} steps are drawn in {BINS} bins of steps, by the extremes of each."
         return said
@@ -115,8 +117,9 @@ FIGURES = (
         key="gain",
         file="gain",
         title="Gain",
-        shows="√(Σ cost / Σ |w|²) so far, as it is and less V(x(0)), what the start may have cost. γ* is the oracle's"
-        " number, the least gain that can be promised when every a is known; it is no guarantee of the adaptive law.",
+        shows="√(Σ cost / Σ |w|²) so far, as it is and less V(x(0)), what the start may have cost the oracle. γ* is the"
+        " oracle's number, the least gain that can be promised when every a is known and no edge is closed; it is no"
+        " guarantee of the adaptive law.",
         draw=totals.gain,
         more=totals.beyond,
     ),

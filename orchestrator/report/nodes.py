@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from orchestrator.recorded import RecordedRun
-from orchestrator.report.curves import called, draw_nodes, legend, letter, steps_axis
+from orchestrator.report.curves import called, draw_nodes, extremes, legend, letter, steps_axis
 from orchestrator.report.style import sheet
 
 Runs = Sequence[RecordedRun]
@@ -59,8 +59,7 @@ def _panels(runs: Runs, name: str, label: str, limits: tuple[float, float]) -> F
 
 def _limits(runs: Runs, *names: str) -> tuple[float, float]:
     """Axes that have room for some arrays of all runs; from 0 for what is never negative."""
-    arrays = [getattr(run, name) for run in runs for name in names]
-    low, high = min(float(np.nanmin(one)) for one in arrays), max(float(np.nanmax(one)) for one in arrays)
+    low, high = extremes(*(getattr(run, name) for run in runs for name in names))
     room = 0.04 * (high - low) or 1.0
     return (0.0 if low >= 0 else low - room), high + room
 

@@ -154,7 +154,7 @@ def _nodes(run: RecordedRun) -> list[Markup]:
             [
                 node,
                 ", ".join(neighbours[node]) or "none",
-                f"{run.a[0, k]:.4f}",
+                _truth(run, k),
                 ", ".join(f"{value:.4f}" for value in own.candidates or ()),
                 ends,
                 f"{of_node[k]:.4g}",
@@ -169,6 +169,13 @@ def _nodes(run: RecordedRun) -> list[Markup]:
             0, tag("p", f"The {NODES} of {len(run.ids)} nodes whose regret is largest, in the order of the file.")
         )
     return parts_
+
+
+def _truth(run: RecordedRun, k: int) -> str:
+    """The a of a node, and what it jumped to."""
+    a = run.a[:, k]
+    jumps = np.flatnonzero(a[1:] != a[:-1]) + 1
+    return ", ".join([f"{a[0]:.4f}", *(f"{a[t]:.4f} from step {t}" for t in jumps)])
 
 
 def _faults(run: RecordedRun, behind: str) -> list[Markup]:
@@ -197,8 +204,11 @@ def _repeat(runs: Runs) -> list[Markup]:
             where = join([tag("a", name, download=name, href=link), " holds every number that was drawn."])
         else:
             where = join([tag("code", name), " stands for topology.yaml in the run's folder, too large for this page."])
+        stopped = f" --steps {run.T}" if run.topology.steps > run.T else ""
         processes = f" --processes {run.verdict['processes']}" if run.verdict.get("processes") else ""
-        commands = f"orchestrator simulate {_quoted(name)}\norchestrator up {_quoted(name)}{processes}"
+        commands = (
+            f"orchestrator simulate {_quoted(name)}{stopped}\norchestrator up {_quoted(name)}{stopped}{processes}"
+        )
         own = f" The law is {run.law}, which must be importable." if ":" in run.law else ""
         parts += [
             tag("p", where, " With the same versions either command gives the same trajectory, to the bit.", own),

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from orchestrator.recorded import RecordedRun
 from orchestrator.schedule import Schedule
 
@@ -18,7 +20,7 @@ METRICS = {
     "cost_ratio": "C / C*",
     "disturbance_energy": "Σ |w|²",
     "gain": "√(C / Σ |w|²), gain",
-    "gain_less_x0": "the same less V(x(0))",
+    "gain_less_x0": "the same less V(x(0)), what x(0) may have cost the oracle",
     "gamma_star": "γ*, the oracle's optimal gain",
     "rho": "ρ, contraction",
 }
@@ -26,8 +28,9 @@ METRICS = {
 
 
 def metrics(run: RecordedRun) -> Mapping[str, Any]:
-    """The numbers of the verdict, else of what is recorded so far."""
-    return run.verdict.get("metrics") or run.metrics
+    """The numbers of the verdict if it has them all, else of what is recorded so far."""
+    told: Mapping[str, Any] = run.verdict.get("metrics", {})
+    return told if METRICS.keys() <= told.keys() else run.metrics
 
 
 def number(value: Any) -> str:
@@ -38,29 +41,34 @@ def number(value: Any) -> str:
 def sentences(run: RecordedRun) -> list[str]:
     """What the numbers of a run say, and what they do not."""
     m, n, right = metrics(run), len(run.ids), run.right[run.right >= 0]
-    said = [_estimates(int(m["nodes_right"]), n, int(right.max()), run.T)]
+    said = [_estimates(int(m["nodes_right"]), n, int(right.max()), run.T)] if np.isfinite(run.ahat).any() else []
     if run.law == "hinf":
         said.append("The law is the oracle's: there is nothing to regret.")
+    elif m["regret"] is None:
+        said.append("D is too large for a number: the law let the network run away.")
     elif run.law != "nominal":
-        nearer = m["regret"] < m["regret_nominal"]
+        nearer = "nearer to the oracle than that" if m["regret"] < m["regret_nominal"] else "no nearer to it than a"
         said.append(
-            f"D is {m['regret']:.4g}, and {m['regret_nominal']:.4g} under the nominal controller: the law was "
-            + (
-                "nearer to the oracle than that fixed guess."
-                if nearer
-                else "no nearer to the oracle than a fixed guess."
-            )
+            f"D is {m['regret']:.4g}, and {m['regret_nominal']:.4g} under the nominal controller: the law was {nearer}"
+            " fixed guess."
         )
-    sign = "more" if m["cost_regret"] > 0 else "less"
     if m["cost_regret"]:
+        sign = "more" if m["cost_regret"] > 0 else "less"
         said.append(f"It cost {abs(m['cost_regret']):.4g} {sign} than the oracle; either sign is possible.")
     if m["gain_less_x0"] is not None:
-        side = "above" if m["gain_less_x0"] > m["gamma_star"] else "not above"
-        said.append(
-            f"The gain less V(x(0)) is {m['gain_less_x0']:.4g}, {side} γ* = {m['gamma_star']:.4g}. γ* is the oracle's"
-            " number; nothing bounds the gain of the adaptive law by it."
-        )
+        said.append(_gain(m["gain_less_x0"], m["gamma_star"], run))
     return said
+
+
+def _gain(less: float, gamma_star: float, run: RecordedRun) -> str:
+    said = (
+        f"The gain less V(x(0)), which is what x(0) may have cost the oracle, is {less:.4g}, and γ* = {gamma_star:.4g}."
+    )
+    if not run.faultless:
+        return f"{said} γ* is the oracle's while all edges are open and no a jumps: here they were not, or one did."
+    if run.law == "hinf":
+        return f"{said} No disturbance makes the oracle's larger than γ*."
+    return f"{said} γ* is the oracle's number; nothing bounds the gain of this law by it."
 
 
 def _estimates(right: int, n: int, most: int, steps: int) -> str:

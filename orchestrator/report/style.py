@@ -8,8 +8,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import matplotlib.style
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_pdf import FigureCanvasPdf
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 BLUE, ORANGE, GREEN, RED, SKY, PINK, BLACK = COLOURS = (
@@ -48,8 +52,13 @@ def save(figure: Figure, folder: Path, name: str, title: str) -> bytes:
     """Write NAME.pdf and NAME.png, and return the same as SVG; no file says when it was made."""
     figure.draw_without_rendering()
     figure.set_layout_engine("none")  # what has been laid out stays, in all three
-    figure.savefig(folder / f"{name}.pdf", metadata={"Title": title, "CreationDate": None, "Producer": None})
-    figure.savefig(folder / f"{name}.png", metadata={"Title": title, "Software": None})
+    # Not by savefig, which draws everything once more each time, to see how large it is.
+    pdf: Any = FigureCanvasPdf(figure)
+    pdf.print_pdf(folder / f"{name}.pdf", metadata={"Title": title, "CreationDate": None, "Producer": None})
     drawn = io.BytesIO()
-    figure.savefig(drawn, format="svg", metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
+    svg: Any = FigureCanvasSVG(figure)
+    svg.print_svg(drawn, metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
+    figure.dpi = matplotlib.rcParams["savefig.dpi"]
+    png: Any = FigureCanvasAgg(figure)
+    png.print_png(folder / f"{name}.png", metadata={"Title": title, "Software": None})
     return drawn.getvalue()

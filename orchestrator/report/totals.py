@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from orchestrator.recorded import RecordedRun
-from orchestrator.report.curves import Entries, called, law, legend, stairs, steps_axis, thin
+from orchestrator.report.curves import Entries, called, extremes, law, legend, stairs, steps_axis, thin
 from orchestrator.report.style import BLACK, BLUE, GREY, ORANGE, colour, sheet
 from topologies.graph import Array
 
@@ -71,7 +71,7 @@ def sums(runs: Runs) -> Figure:
     """D of the run, and of its nominal twin."""
     listed = [Series("", lambda run: run.regret_sum, BLUE), Series("nominal", _nominal_sum, ORANGE, "--")]
     figure, axis = _one(runs, "$D(t)$ [units of $x^2$]", listed)
-    axis.set_ylim(bottom=0)
+    axis.set_ylim(0, 1.05 * extremes(*(series.of(run) for run in runs for series in listed))[1] or 1.0)
     return figure
 
 
@@ -83,8 +83,7 @@ def cost(runs: Runs) -> Figure:
     """R, with its sign."""
     figure, axis = _one(runs, "$R(t)$ [units of $x^2$]", [Series("", lambda run: run.cost_regret, BLUE)])
     axis.axhline(0, color=GREY, lw=0.5, zorder=1)
-    low = min(0.0, *(float(np.nanmin(run.cost_regret)) for run in runs))
-    high = max(0.0, *(float(np.nanmax(run.cost_regret)) for run in runs))
+    low, high = extremes(0.0, *(run.cost_regret for run in runs))
     room = 0.06 * (high - low) or 1.0
     axis.set_ylim(low - room, high + room)
     return figure
@@ -106,8 +105,8 @@ def gain(runs: Runs) -> Figure:
 
 def ceiling(runs: Runs) -> float:
     """Room for all but the start of the gain, which an x(0) may make as large as it likes."""
-    shown = [np.nanmax([run.gamma_star, run.gain[-1], np.nanmax(run.gain_less_x0, initial=0)]) for run in runs]
-    return 2 * float(max(shown))
+    shown = [(run.gamma_star, run.gain[-1], run.gain_less_x0) for run in runs]
+    return 2 * extremes(*(one for of_run in shown for one in of_run))[1]
 
 
 def beyond(runs: Runs) -> str:

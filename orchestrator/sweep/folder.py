@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import hashlib
 import json
@@ -44,15 +45,22 @@ class SweepFolder:
         except OSError:
             self._file.close()
             raise UserError(f"--out {self.path}: a sweep is writing there; wait for it, or name another") from None
-        if not self._about.exists():
-            write_json(self._about, self.plan.identity)
-        self._read()
+        try:
+            if not self._about.exists():
+                write_json(self._about, self.plan.identity)
+            self._read()
+        except BaseException as error:
+            self._file.close()
+            if isinstance(error, OSError):
+                raise UserError(f"--out {self.path}: {error.strerror}; make room, or name another folder") from None
+            raise
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._file.close()
+        with contextlib.suppress(OSError):  # of a full disk `append` has told
+            self._file.close()
 
     def _refuse_another(self) -> None:
         wanted = self.plan.identity
@@ -74,8 +82,11 @@ class SweepFolder:
         for line in self._file:
             if not line.endswith(b"\n"):
                 break
-            row = json.loads(line)
-            self.rows[row["setting"], row["seed"]] = row
+            try:
+                row = json.loads(line)
+                self.rows[row["setting"], row["seed"]] = row
+            except (ValueError, LookupError, TypeError):
+                raise UserError(f"{self._lines}: line {len(self.rows) + 1} is no run; name a new folder") from None
             whole += len(line)
         self._file.truncate(whole)
 
@@ -116,8 +127,12 @@ class SweepFolder:
         for name in ("verdict", "reasons"):
             columns[name] = pa.array([row[name] for row in rows], pa.string())
         part = self.table.with_name(self.table.name + ".part")
-        pq.write_table(pa.table(columns), part)
-        part.replace(self.table)
+        try:
+            pq.write_table(pa.table(columns), part)
+            part.replace(self.table)
+        except OSError as error:
+            part.unlink(missing_ok=True)
+            raise UserError(f"{self.table}: {error.strerror}; make room, then the same command goes on") from None
 
 
 def _difference(there: dict[str, Any], wanted: dict[str, Any]) -> str:

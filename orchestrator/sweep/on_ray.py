@@ -2,52 +2,38 @@
 
 from __future__ import annotations
 
-import logging
-import os
 from collections.abc import Generator, Iterable
 from typing import Any
 
+from orchestrator.ray_cluster import joined
 from orchestrator.sweep.plan import Chunk, Plan
 from orchestrator.sweep.runs import Answer, answer
 from orchestrator.sweep.workers import LOOK_EVERY_S
-from topologies.errors import HedgerowError, UserError
+from topologies.errors import HedgerowError
 
 
 def over_ray(
     plan: Plan, chunks: Iterable[Chunk], address: str, jobs: int | None
 ) -> Generator[Answer | None, None, None]:
     """As `over_processes`; `address` is ray://HOST:PORT, or `ray`: the cluster that we are part of, or this machine."""
-    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-    try:
-        import ray  # noqa: PLC0415
-    except ModuleNotFoundError:
-        raise UserError("--on ray: Ray is not installed; install it with: pip install 'hedgerow[ray]'") from None
-    try:
-        ray.init(
-            address=None if address == "ray" else address,
-            logging_level=logging.ERROR,
-            log_to_driver=False,
-            include_dashboard=False,
-        )
-    except (ConnectionError, OSError, RuntimeError, ValueError) as error:
-        reason = str(error).strip().splitlines()[0]
-        raise UserError(f"--on {address}: no cluster: {reason}; is `ray start --head` running there?") from None
-    try:
-        task, told = ray.remote(answer), ray.put(plan)
-        # Twice as many as run at once, so that no core waits for us.
-        limit = jobs or 2 * max(1, int(ray.cluster_resources().get("CPU", 1)))
-        waiting = iter(chunks)
-        going: list[Any] = []
-        while True:
-            while len(going) < limit and (chunk := next(waiting, None)) is not None:
-                going.append(task.remote(told, chunk))
-            if not going:
-                return
-            ready, going = ray.wait(going, timeout=LOOK_EVERY_S)
-            if not ready:
-                yield None
-            yield from ray.get(ready)
-    except ray.exceptions.RayError as error:
-        raise HedgerowError(f"--on {address}: {str(error).strip().splitlines()[0]}; the same command goes on") from None
-    finally:
-        ray.shutdown()
+    with joined(address) as cluster:
+        ray = cluster.ray
+        try:
+            task, told = ray.remote(answer), ray.put(plan)
+            # Twice as many as run at once, so that no core waits for us.
+            limit = jobs or 2 * max(1, int(ray.cluster_resources().get("CPU", 1)))
+            waiting = iter(chunks)
+            going: list[Any] = []
+            while True:
+                while len(going) < limit and (chunk := next(waiting, None)) is not None:
+                    going.append(task.remote(told, chunk))
+                if not going:
+                    return
+                ready, going = ray.wait(going, timeout=LOOK_EVERY_S)
+                if not ready:
+                    yield None
+                yield from ray.get(ready)
+        except ray.exceptions.RayError as error:
+            raise HedgerowError(
+                f"--on {address}: {str(error).strip().splitlines()[0]}; the same command goes on"
+            ) from None

@@ -13,7 +13,7 @@ from typing import Any
 from agents.shard import LawError
 from orchestrator import in_process
 from orchestrator.assign import layout, truth_of, views_of
-from orchestrator.observe import Observer
+from orchestrator.observe import Observer, rows_at_once
 from orchestrator.sweep.plan import Chunk, Plan
 from orchestrator.verdict import Ending, judge
 from topologies.errors import HedgerowError, TopologyError, UserError
@@ -27,7 +27,6 @@ METRICS = (
     *("gain", "gain_less_x0", "gamma_star", "rho", "nodes_right"),
 )
 """Of verdict.json."""
-BATCH_STEPS = 1024
 
 
 @dataclass(frozen=True)
@@ -74,7 +73,7 @@ def run_here(topology: Topology) -> dict[str, Any]:
     ending = Ending(run=topology.name, engine="in-process", processes=0)
     telemetry = in_process.run(truth_of(topology, shards), views_of(topology, shards))
     try:
-        while rows := list(itertools.islice(telemetry, BATCH_STEPS)):
+        while rows := list(itertools.islice(telemetry, rows_at_once(observer.graph.n))):
             if steps := [row for row in rows if isinstance(row, Telemetry)]:
                 observer.take(steps)
             if isinstance(end := rows[-1], End):

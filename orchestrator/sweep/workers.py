@@ -13,10 +13,12 @@ import signal
 import threading
 from collections import deque
 from collections.abc import Generator, Iterable
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 
 from orchestrator.sweep.plan import Chunk, Plan
 from orchestrator.sweep.runs import Answer, Failure, answer
+from wire.runtime import let_numbers_overflow
 
 LOOK_EVERY_S = 0.2
 TRIES = 3
@@ -30,7 +32,9 @@ class _Worker:
     def __init__(self, plan: Plan) -> None:
         self.connection, theirs = _SPAWN.Pipe()
         self.process = _SPAWN.Process(target=_serve, args=(theirs, plan), daemon=True)
-        # A Ctrl-C in the terminal is for us: it finds the worker deaf from its first instruction on.
+        # A Ctrl-C in the terminal is for us: it finds the worker deaf from its first instruction on. The tracker, which
+        # the first start would start, leaves SIGINT unblocked.
+        resource_tracker.ensure_running()
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
             self.process.start()
@@ -118,6 +122,7 @@ def _died(plan: Plan, worker: _Worker, again: deque[tuple[Chunk, int]]) -> Answe
 
 def _serve(connection: Connection, plan: Plan) -> None:
     """Be a worker."""
+    let_numbers_overflow()
     signal.signal(signal.SIGTERM, _leave)
     signal.signal(signal.SIGINT, _stay)  # a handler, unlike a mask, is not handed down to a network's processes
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})

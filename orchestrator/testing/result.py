@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.accounts import at_ends
+from orchestrator.kept import kept
 from orchestrator.verdict import Verdict
 from topologies.describe import describe
 from topologies.errors import HedgerowError, UserError
@@ -77,6 +78,8 @@ class Result:
         except FileNotFoundError as error:
             raise UserError(f"{folder}: holds no run that is over: there is no {Path(error.filename).name}") from None
         topology = load(str(folder))
+        if not (what := kept(topology)).whole:
+            raise UserError(f"{folder}: kept {what}, and a Result has all; `orchestrator.load_run` reads what is there")
         steps, n, e = content["steps_done"], len(topology.ids), len(topology.edges)
         if len(table) != (steps + 1) * n:
             raise HedgerowError(f"{folder}: {len(table)} rows of telemetry, not {(steps + 1) * n}: some were lost")

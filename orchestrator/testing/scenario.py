@@ -21,10 +21,9 @@ from topologies.errors import UserError
 from topologies.faults import Fault
 from topologies.load import find, parse
 from topologies.resolve import resolve, to_yaml
-from topologies.schema import Topology
+from topologies.schema import Record, Topology
 from wire.codec import End, Telemetry
 
-BATCH_STEPS = 256
 RUN_DEADLINE_S = 120.0
 LIVE_STEPS = 1_000_000
 
@@ -51,8 +50,9 @@ class Scenario(FaultVerbs["Scenario"]):
 
     @cached_property
     def topology(self) -> Topology:
-        """The network, resolved: what will run."""
-        drawn = resolve(parse(self.text, self.name, self.folder, self.settings), self.folder)
+        """The network, resolved: what will run, all of it recorded, for a test to look at."""
+        read = parse(self.text, self.name, self.folder, self.settings)
+        drawn = resolve(read.model_copy(update={"record": Record(nodes="all")}), self.folder)
         return resolve(drawn.model_copy(update={"faults": (*drawn.faults, *self.faults)}))
 
     def set(self, *settings: str) -> Scenario:
@@ -125,7 +125,7 @@ def _run_here(topology: Topology, path: Path) -> Result:
     run.tell_faults()
     shards = layout(topology, topology.processes if isinstance(topology.processes, int) else 1)
     rows = in_process.run(truth_of(topology, shards), views_of(topology, shards))
-    for batch in _batches(rows):
+    for batch in _batches(rows, run.rows_at_once):
         if steps := [row for row in batch if isinstance(row, Telemetry)]:
             run.take(steps)
         if isinstance(batch[-1], End):
@@ -134,8 +134,8 @@ def _run_here(topology: Topology, path: Path) -> Result:
     return Result.read(path)
 
 
-def _batches(rows: Iterator[Telemetry | End]) -> Iterator[list[Telemetry | End]]:
-    while batch := list(itertools.islice(rows, BATCH_STEPS)):
+def _batches(rows: Iterator[Telemetry | End], size: int) -> Iterator[list[Telemetry | End]]:
+    while batch := list(itertools.islice(rows, size)):
         yield batch
 
 

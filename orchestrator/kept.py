@@ -1,0 +1,81 @@
+"""What of a run gets rows: some steps, some nodes, and the edges at these nodes; by `record:` of the topology."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from topologies.graph import Graph, Index
+from topologies.schema import Topology
+
+
+@dataclass(frozen=True, eq=False)
+class Kept:
+    """Which steps, nodes and edges of a network with n nodes have rows."""
+
+    graph: Graph
+    every: int
+    steps: int
+    """T of the run, where it is not stopped"""
+    nodes: Index
+    """positions, ascending, (k,)"""
+
+    @property
+    def all_nodes(self) -> bool:
+        return len(self.nodes) == self.graph.n
+
+    @property
+    def whole(self) -> bool:
+        """Whether nothing is left out."""
+        return self.every == 1 and self.all_nodes
+
+    @cached_property
+    def edges(self) -> Index:
+        """Which edges lead to or from one of the nodes, ascending, (e,)."""
+        if self.all_nodes:
+            return np.arange(len(self.graph.edges))
+        kept = np.zeros(self.graph.n, dtype=np.bool_)
+        kept[self.nodes] = True
+        return np.flatnonzero(kept[self.graph.edges].any(axis=1))
+
+    def rows(self, t: Index) -> Index:
+        """Which of some steps have rows: every so manieth, and the last at which something acts."""
+        if self.every == 1:
+            return np.arange(len(t))
+        return np.flatnonzero((t % self.every == 0) | (t == self.steps - 1))
+
+    def __str__(self) -> str:
+        steps = "every step" if self.every == 1 else f"every {self.every}th step and the last"
+        n = self.graph.n
+        nodes = f"all {n} nodes" if self.all_nodes else f"{len(self.nodes)} of {n} nodes and their edges"
+        return f"{steps} of {nodes}"
+
+
+def kept(topology: Topology) -> Kept:
+    """What has rows in a run of a resolved topology."""
+    n, chosen = len(topology.ids), topology.record.nodes
+    match chosen:
+        case int():
+            nodes = evenly(n, chosen)
+        case tuple():
+            nodes = np.unique(np.array([topology.position(node) for node in chosen], dtype=np.int64))
+        case _:
+            nodes = np.arange(n)
+    return Kept(topology.graph, topology.record.every, topology.steps, nodes)
+
+
+def evenly(n: int, some: int) -> Index:
+    """So many positions of n, evenly spread, the first among them; all where there are no more."""
+    return np.arange(n) if some >= n else np.arange(some) * n // max(some, 1)
+
+
+def told(topology: Topology) -> Sequence[str]:
+    """What is not written down of a run and how all of it would be, a line; nothing where all is."""
+    what = kept(topology)
+    if what.whole and topology.record.summary:
+        return []
+    also = "a summary of all at every step" if topology.record.summary else "no summary"
+    return [f"recorded: {what}, and {also}; all of it with --set 'record={{nodes: all}}'"]

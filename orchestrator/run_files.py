@@ -1,0 +1,126 @@
+"""The files of a run's folder but its tables: found, read, and refused in words where they came to harm."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+from pydantic import BaseModel, ValidationError
+
+from topologies.errors import UserError
+from topologies.load import load
+from topologies.schema import Topology
+
+
+def find_run(run: str | Path) -> Path:
+    """The folder of a run; raises UserError."""
+    stamp = re.compile(re.escape(str(run)) + r"-\d{8}-\d{6}(-\d+)?")
+    try:
+        there = sorted(path for path in Path("runs").glob("*") if path.is_dir())
+        named = [path for path in there if stamp.fullmatch(path.name)]
+        for path in (Path(run), Path("runs") / run, *named[-1:]):
+            if path.is_dir():
+                if not (path / "topology.yaml").is_file():
+                    raise UserError(f"{path}: is no folder of a run: there is no topology.yaml in it")
+                return path.resolve()
+    except OSError as error:
+        raise UserError(f"{run}: {error.strerror}; check the path and its permissions") from None
+    listed = f"; runs/ has {', '.join(path.name for path in there[-6:])}" if there else ""
+    raise UserError(f"{run}: there is no such run; name its folder, or its name in runs/{listed}")
+
+
+def load_resolved(folder: Path) -> Topology:
+    """The topology in a run's folder; UserError if it is another than the resolved one that belongs there."""
+    topology = load(str(folder))
+    try:
+        assert topology.network
+    except (TypeError, ValueError, AttributeError, AssertionError):
+        file = folder / "topology.yaml"
+        raise UserError(f"{file}: leaves numbers to chance, so it is not the resolved file of this run") from None
+    return topology
+
+
+@contextlib.contextmanager
+def reading(file: Path) -> Iterator[None]:
+    """Say in words what is wrong with a file that came to harm, or that is another's; FileNotFoundError passes."""
+    try:
+        yield
+    except FileNotFoundError:
+        raise
+    except (OSError, ValueError, LookupError, TypeError, RecursionError, MemoryError, pa.ArrowException) as error:
+        said = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise UserError(f"{file}: cannot be read: {said}; it is damaged, or no file of a run") from None
+
+
+class _Check(BaseModel):
+    ok: bool
+    claim: str
+    steps: int | None = None
+    step: int | None = None
+    excess: float | None = None
+
+
+class _Fault(BaseModel):
+    what: str
+    scheduled: int | None = None
+    fired: int | None = None
+    masked: int | None = None
+    seen: int | None = None
+    beyond: int | None = None
+
+
+class _Verdict(BaseModel):
+    """What readers of verdict.json go by."""
+
+    verdict: str
+    reasons: list[str]
+    processes: int
+    steps_per_s: float | None
+    missing_inputs: int
+    lost_messages: int
+    forgotten_rows: int
+    restarts: int
+    faults: list[_Fault]
+    checks: dict[str, _Check]
+    metrics: dict[str, float | None]
+    versions: dict[str, str]
+
+
+def read_verdict(folder: Path) -> dict[str, Any]:
+    file = folder / "verdict.json"
+    try:
+        with reading(file):
+            content: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+        _Verdict.model_validate(content)
+    except FileNotFoundError:
+        return {}
+    except ValidationError as error:
+        wrong = error.errors(include_url=False)[0]
+        place = ".".join(map(str, wrong["loc"])) or "all of it"
+        raise UserError(
+            f"{file}: is no verdict of this version: {place}: {wrong['msg']}; the run can be read without the file"
+        ) from None
+    return content
+
+
+def load_events(folder: Path) -> list[dict[str, Any]]:
+    file = folder / "events.jsonl"
+    try:
+        with reading(file):
+            return read_events(file.read_bytes())
+    except FileNotFoundError:
+        return []
+
+
+def read_events(text: bytes) -> list[dict[str, Any]]:
+    """The events of whole lines, a killed writer leaves a piece of one; ValueError for what is none."""
+    events = [json.loads(line) for line in text[: text.rfind(b"\n") + 1].split(b"\n")[:-1]]
+    for number, event in enumerate(events, 1):
+        if not isinstance(event, dict) or not isinstance(event.get("event"), str):
+            raise ValueError(f"line {number} is no event")
+    return events

@@ -1,0 +1,149 @@
+"""What a query asks of the plant, read with suspicion: who asks may be anybody, and what is wrong with it is said.
+
+Every function here raises UserError, in words that are the answer.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any, NoReturn
+
+from topologies.effects import FOREVER, Effect
+from topologies.errors import UserError
+from topologies.graph import Graph
+
+Request = Mapping[str, Any]
+
+LEAST_BYTES, BYTES_PER_INCIDENCE = 2**20, 64
+"""A fault may strike every link of the network, and name each."""
+TEXT = 200
+"""characters of a name; what is refused is not said back at greater length either"""
+EFFECTS = 2
+"""of one fault: a partition that cuts has two"""
+MOST_LATE = 10**6
+
+
+def read(payload: bytes, graph: Graph) -> Request:
+    """The JSON object in a query."""
+    most = LEAST_BYTES + BYTES_PER_INCIDENCE * len(graph.node)
+    if len(payload) > most:
+        raise UserError(f"{len(payload)} bytes are no request; the most for this network is {most}")
+    try:
+        request = json.loads(payload, parse_constant=_no_constant)
+    except (ValueError, RecursionError) as error:
+        raise UserError(f"no JSON: {shortened(error)}") from None
+    if not isinstance(request, dict):
+        raise UserError(f"{shortened(request)} is no JSON object")
+    return request
+
+
+def _no_constant(name: str) -> NoReturn:
+    raise ValueError(f"{name} is no number")
+
+
+def shortened(what: object) -> str:
+    """What was asked, as it can be said back: in one line that is not long."""
+    said = ascii(what) if not isinstance(what, Exception) else ascii(str(what))[1:-1]
+    return said if len(said) <= TEXT else f"{said[:TEXT]}…"
+
+
+def integer(request: Request, key: str, low: int, high: int) -> int:
+    """An integer of low, …, high."""
+    value = request.get(key)
+    if type(value) is not int or not low <= value <= high:
+        raise UserError(f"{key}: {shortened(value)} is no integer from {low} to {high}")
+    return value
+
+
+def number(request: Request, key: str, low: float, high: float) -> float:
+    """A number from low to high."""
+    value = request.get(key)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
+        raise UserError(f"{key}: {shortened(value)} is no number from {low:g} to {high:g}")
+    return float(value)
+
+
+def text(request: Request, key: str) -> str | None:
+    """A name that can be printed, or none."""
+    value = request.get(key)
+    if value is None or (isinstance(value, str) and len(value) <= TEXT and value.isprintable()):
+        return value
+    raise UserError(f"{key}: {shortened(value)} is no name")
+
+
+def effects(request: Request, graph: Graph, fault: int) -> list[Effect]:
+    """What a fault does, as the fault of this number."""
+    written = request.get("effects")
+    if not isinstance(written, list) or len(written) > EFFECTS or not all(isinstance(one, dict) for one in written):
+        raise UserError(f"effects: {shortened(written)} is no list of {EFFECTS} effects at most")
+    return [_effect(one, graph, fault) for one in written]
+
+
+def _effect(one: Request, graph: Graph, fault: int) -> Effect:
+    n, e = graph.n, len(graph.edges)
+    among = {"drop": 2 * e, "delay": 2 * e, "cut": e, "sensor": n, "actuator": n, "crash": n, "jump": n}
+    kind = one.get("kind")
+    if not isinstance(kind, str) or kind not in among:
+        raise UserError(f"kind: {shortened(kind)} is none of {', '.join(among)}")
+    targets, table = _targets("targets", one.get("targets"), among[kind]), None
+    if kind == "jump" and len(targets) != 1:
+        raise UserError(f"targets: a jump is of one node, and not of {len(targets)}")
+    if one.get("table") is not None:
+        table = _table(one["table"], among[kind])
+    return Effect(
+        fault,
+        kind,
+        targets,
+        integer(one, "start", 0, FOREVER),
+        integer(one, "stop", 0, FOREVER),
+        number({"probability": 1.0, **one}, "probability", 0, 1),
+        integer({"by": 0, **one}, "by", 0, MOST_LATE),
+        number({"a": 0.0, **one}, "a", -1, 1),
+        table,
+    )
+
+
+def _targets(key: str, value: object, size: int) -> tuple[int, ...]:
+    if isinstance(value, list) and all(type(one) is int and 0 <= one < size for one in value):
+        if len({*value}) == len(value):
+            return tuple(value)
+        raise UserError(f"{key}: {shortened(value)} names one twice")
+    raise UserError(f"{key}: {shortened(value)} is no list of integers below {size}")
+
+
+def _table(value: object, size: int) -> dict[int, tuple[int, ...]]:
+    if not isinstance(value, dict):
+        raise UserError(f"table: {shortened(value)} is no object of targets by step")
+    return {_step(key): _targets(f"table: {shortened(key)}", struck, size) for key, struck in value.items()}
+
+
+def _step(key: str) -> int:
+    if not (key.isascii() and key.isdecimal() and len(key) <= len(str(FOREVER))) or int(key) > FOREVER:
+        raise UserError(f"table: {shortened(key)} is no step")
+    return int(key)
+
+
+def entry(request: Request) -> Mapping[str, Any]:
+    """A fault as a file spells it: an object whose steps can be counted on from."""
+    value = request.get("entry")
+    if not isinstance(value, dict) or text(value, "kind") is None:
+        raise UserError(f"entry: {shortened(value)} is no fault as a file spells it")
+    window, at = value.get("steps"), value.get("at")
+    if "steps" in value and not (
+        isinstance(window, list) and len(window) == 2 and all(type(step) is int and step >= 0 for step in window)
+    ):
+        raise UserError(f"entry: steps: {shortened(window)} is no window of steps")
+    if isinstance(at, dict):
+        for key in at:
+            _step(key)
+    elif "at" in value:
+        integer(value, "at", 0, FOREVER)
+    return value
+
+
+def shard(who: str, shards: int) -> int:
+    """Which of so many shards asks, by the last chunk of its key."""
+    if not who.isascii() or not who.isdecimal() or len(who) > 9 or int(who) >= shards:
+        raise UserError(f"{shortened(who)} is none of the {shards} agent processes")
+    return int(who)
