@@ -18,8 +18,8 @@ import time
 from pathlib import Path
 
 from wire import keys
-from wire.codec import REPORT_WIDTH
-from wire.runtime import runtime_environment, share_the_cores
+from wire.codec import REPORT_ROWS
+from wire.runtime import one_network_thread, runtime_environment, share_the_cores
 from wire.session import open_client, open_router, publisher, subscriber, wait_for_listeners
 
 HEADER = 16
@@ -48,8 +48,8 @@ def agent(endpoint: str, me: int, neighbours: list[int]) -> None:
         heard.pop(t - 1, None)
         waiting.clear()
         for link in links:
-            link.put(_stamp(t, 16))
-        inputs.put(_stamp(t, 8 * (1 + REPORT_WIDTH)))
+            link.put(_stamp(t, 24))
+        inputs.put(_stamp(t, 8 * (1 + REPORT_ROWS)))
 
     def on_state(message: bytes) -> None:
         t = _step(message)
@@ -65,6 +65,7 @@ def agent(endpoint: str, me: int, neighbours: list[int]) -> None:
         if waiting:
             go()
 
+    one_network_thread()
     with open_client(endpoint, "bare") as session:
         subscribers = [subscriber(session, keys.link(neighbour, me), on_link) for neighbour in neighbours]
         subscribers.append(subscriber(session, keys.state(me), on_state))
@@ -76,15 +77,14 @@ def agent(endpoint: str, me: int, neighbours: list[int]) -> None:
         del token
 
 
-def plant(endpoint: str, degrees: list[int], steps: int, edges: int) -> float:
+def plant(endpoint: str, n: int, steps: int) -> float:
     """Send states, wait for every input, `steps` times; return steps per second."""
-    n = len(degrees)
     done, arrived = threading.Event(), 0
     t = 0
 
     def send() -> None:
-        for state, degree in zip(states, degrees, strict=True):
-            state.put(_stamp(t, 8 + degree))
+        for state in states:
+            state.put(_stamp(t, 8))
 
     def on_input(_: bytes) -> None:
         nonlocal arrived, t
@@ -96,7 +96,7 @@ def plant(endpoint: str, degrees: list[int], steps: int, edges: int) -> float:
             done.set()
         else:
             send()
-        telemetry.put(_stamp(t, 8 * n * (3 + REPORT_WIDTH) + 3 * edges))
+        telemetry.put(_stamp(t, 8 + 8 * n * (3 + REPORT_ROWS)))
 
     with open_router(endpoint, "bare") as session:
         telemetry = publisher(session, keys.TELEMETRY)
@@ -125,8 +125,7 @@ def run(n: int, edges: Edges, steps: int) -> float:
         agents = [
             subprocess.Popen([*base, "agent", str(i), *map(str, neighbours[i])], env=environment) for i in range(n)
         ]
-        numbers = [steps, len(edges), *map(len, neighbours)]
-        command = [*base, "plant", *map(str, numbers)]
+        command = [*base, "plant", str(n), str(steps)]
         plant = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True)
         observer = stack.enter_context(open_client(endpoint, "bare"))
         stack.enter_context(subscriber(observer, keys.TELEMETRY, lambda _: None))
@@ -137,7 +136,7 @@ def run(n: int, edges: Edges, steps: int) -> float:
 
 
 def main() -> None:
-    """One process of the loop: `ENDPOINT agent ME NEIGHBOUR…` or `ENDPOINT plant STEPS EDGES DEGREE…`."""
+    """One process of the loop: `ENDPOINT agent ME NEIGHBOUR…` or `ENDPOINT plant N STEPS`."""
     parser = argparse.ArgumentParser()
     parser.add_argument("endpoint")
     parser.add_argument("role", choices=["agent", "plant"])
@@ -148,7 +147,7 @@ def main() -> None:
     if known.role == "agent":
         agent(known.endpoint, first, rest)
     else:
-        print(plant(known.endpoint, rest[1:], first, rest[0]))
+        print(plant(known.endpoint, first, rest[0]))
     sys.stdout.flush()
     os._exit(0)
 

@@ -31,6 +31,7 @@ GRAPHS = {
     "ring": "kind: ring",
     "random_regular": "kind: random_regular, degree: 3",
     "grid": "kind: grid",
+    "random_tree": "kind: random_tree, max_degree: 3",
     "scale_free": "kind: scale_free, attach: 2, max_degree: 10",
 }
 STAGES = ("load", "resolve", "partition", "gamma*", "write", "read", "load again")

@@ -262,14 +262,22 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--rounds", type=int, default=3, help="[%(default)s]")
     quick = f"one round of {QUICK_STEPS} steps: does it all still work? Writes no file that is not asked for"
     parser.add_argument("--quick", action="store_true", help=quick)
-    parser.add_argument("--results", type=Path, metavar="FOLDER", help="where DATE.json goes [benchmarks/results]")
-    parser.add_argument("--plot", type=Path, metavar="FILE", help="an .svg or .png file [docs/images/peers.svg]")
+    parser.add_argument(
+        "--results", type=Path, metavar="FOLDER", help="where DATE.json, or DATE-SIZES.json, goes [benchmarks/results]"
+    )
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="an .svg or .png file [docs/images/peers.svg of all]")
     parser.add_argument("--from", dest="result", type=Path, metavar="JSON", help="run nothing: show that result")
     known = parser.parse_args()
     if not known.quick and known.result is None:
         known.results = known.results or HERE / "results"
-        known.plot = known.plot or HERE.parent / "docs/images/peers.svg"
+        if _of_all(known):
+            known.plot = known.plot or HERE.parent / "docs/images/peers.svg"
     return known
+
+
+def _of_all(known: argparse.Namespace) -> bool:
+    """Whether all peers are measured at the sizes of the table in docs/performance.md."""
+    return known.only is None and known.nodes == ",".join(map(str, NODES))
 
 
 def _names(only: str | None) -> list[str]:
@@ -311,7 +319,8 @@ def main() -> None:
     result = json.loads(known.result.read_text(encoding="utf-8")) if known.result else _run(known)
     if known.results and not known.result:
         known.results.mkdir(parents=True, exist_ok=True)
-        file = known.results / f"{result['date']}.json"
+        more = "" if _of_all(known) else f"-{known.nodes.replace(',', '-')}"
+        file = known.results / f"{result['date']}{more}.json"
         file.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
         print(file, file=sys.stderr)
     rounds = [Round(**one) for one in result["rounds"]]

@@ -40,6 +40,7 @@ class Peer:
 
 
 _OURS = ("eclipse-zenoh",)
+_PER_NODE = "up --processes per-node"
 PEERS = {
     "numpy": Peer("numpy in one process, no messages", "arrays", "floor"),
     "datagrams": Peer("unix datagrams, hand-written", "agent to agent", "datagrams"),
@@ -50,7 +51,7 @@ PEERS = {
     "dora": Peer("dora", "by its daemon", "dora_loop", "dora", ("dora-rs", "dora-rs-cli")),
     "ray": Peer("Ray compiled graph", "agent to agent", "ray_loop", "ray", ("ray",)),
     "mango": Peer("mango", "agent to agent", "mango_loop", "mango", ("mango-agents",)),
-    "ours": Peer("Hedgerow, a process a node", "by its router", "ours", distributions=_OURS, variant="up"),
+    "ours": Peer("Hedgerow, a process a node", "by its router", "ours", distributions=_OURS, variant=_PER_NODE),
     "ours-2": Peer("Hedgerow, two processes", "by its router", "ours", distributions=_OURS, variant="up --processes 2"),
     "simulate": Peer("Hedgerow, in-process engine", "arrays", "ours", variant="simulate"),
 }

@@ -15,7 +15,7 @@ from functools import partial
 
 from benchmarks.peers.network import MESSAGE, PLANT, STOP, Agent, Done, Lockstep, Network, Plant
 from wire import keys
-from wire.runtime import runtime_environment
+from wire.runtime import one_network_thread, runtime_environment
 from wire.session import open_client, open_router, publisher, subscriber, wait_for_listeners
 
 RUN = "peers"
@@ -42,6 +42,7 @@ def _agent(network: Network, me: int, endpoint: str) -> None:
             for out in outs:
                 out.put(message)
 
+    one_network_thread()
     with open_client(endpoint, RUN) as session:
         listening = [subscriber(session, keys.link(j, me), take) for j in agent.neighbours]
         listening.append(subscriber(session, keys.state(me), take))

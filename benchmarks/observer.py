@@ -1,0 +1,108 @@
+"""What observing a large network costs: CPU seconds a step of the loop, and of what `up` does beside it.
+
+python -m benchmarks.observer --kinds ring,grid --nodes 10000,100000,1000000 --steps 5
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import resource
+import tempfile
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from orchestrator import in_process
+from orchestrator.assign import layout, truth_of, views_of
+from orchestrator.certificate import Certificate
+from orchestrator.observe import Observer
+from orchestrator.record import Recorder
+from orchestrator.rerun_stream import RerunStream
+from orchestrator.twins import Twins
+from topologies.load import parse
+from topologies.resolve import resolve
+from wire.codec import Telemetry
+
+PARTS = ("loop", "twins", "certificate", "other metrics and checks", "tables", "run.rrd")
+
+
+class Clock:
+    """CPU seconds of this thread, by part; a part within another is not counted as the other's."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = defaultdict(float)
+        self._within = [0.0]
+
+    @contextmanager
+    def of(self, part: str) -> Iterator[None]:
+        """What the block takes."""
+        began = time.thread_time()
+        self._within.append(0.0)
+        yield
+        took = time.thread_time() - began
+        self.seconds[part] += took - self._within.pop()
+        self._within[-1] += took
+
+    def wrap(self, owner: type, name: str, part: str) -> None:
+        """Count a method."""
+        method: Callable[..., Any] = getattr(owner, name)
+
+        def timed(*args: Any) -> Any:
+            with self.of(part):
+                return method(*args)
+
+        setattr(owner, name, timed)
+
+
+def measure(kind: str, nodes: int, steps: int) -> dict[str, Any]:
+    """One network: seconds a step by part, once for gamma*, and the memory at most [MB]."""
+    text = {"name": kind, "b": 0.1, "steps": steps, "seed": 1, "graph": {"kind": kind, "nodes": nodes}}
+    text["defaults"] = {"x0": 5, "candidates": {"random": 5}, "disturbance": {"kind": "white", "std": 0.5}}
+    topology = resolve(parse(json.dumps(text).encode(), kind, Path()))
+    clock = Clock()
+    clock.wrap(Twins, "run", "twins")
+    clock.wrap(Certificate, "take", "certificate")
+    observer, shards = Observer(topology), layout(topology, 1)
+    rows = in_process.run(truth_of(topology, shards), views_of(topology, shards))
+    with tempfile.TemporaryDirectory(prefix="hedgerow-") as folder:
+        recorder = Recorder(topology, Path(folder))
+        stream = RerunStream(topology, observer, "measured", Path(folder) / "run.rrd", None)
+        for _ in range(steps):
+            with clock.of("loop"):
+                row = next(rows)
+            assert isinstance(row, Telemetry)
+            with clock.of("other metrics and checks"):
+                batch = observer.take([row])
+            with clock.of("tables"):
+                recorder.write(batch)
+            with clock.of("run.rrd"):
+                stream.log(batch)
+        stream.close(5.0)
+    with clock.of("gamma*"):
+        _ = observer.gamma_star
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    seconds = {part: clock.seconds[part] / steps for part in PARTS}
+    return {"graph": kind, "nodes": nodes, **seconds, "gamma*": clock.seconds["gamma*"], "memory": memory}
+
+
+def main() -> None:
+    """Print a table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--kinds", default="ring,grid")
+    parser.add_argument("--nodes", default="10000,100000,1000000")
+    parser.add_argument("--steps", type=int, default=5)
+    chosen = parser.parse_args()
+    print(f"| graph | nodes | {' | '.join(PARTS)} | gamma*, once | memory [MB] |\n|{'---|' * (len(PARTS) + 4)}")
+    for kind, nodes in itertools.product(chosen.kinds.split(","), map(int, chosen.nodes.split(","))):
+        found = measure(kind, nodes, chosen.steps)
+        seconds = " | ".join(f"{found[part]:.4f}" for part in (*PARTS, "gamma*"))
+        print(f"| {kind} | {nodes:,} | {seconds} | {found['memory']:.0f} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
