@@ -55,7 +55,7 @@ def two_smallest(rows: Array) -> tuple[Array, Array]:
     """The smallest and the second smallest number of each column of two rows or more."""
     if rows.size <= FEW:
         ordered = rows.copy()
-        ordered.partition(1, axis=0)
+        ordered.sort(axis=0)
         return ordered[0], ordered[1]
     least, second = np.minimum(rows[0], rows[1]), np.maximum(rows[0], rows[1])
     for row in rows[2:]:

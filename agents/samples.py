@@ -54,6 +54,7 @@ class Samples:
 
     def __init__(self, law: Law, most: int, row: Index, ends: Index, width: int) -> None:
         self._law, self._row, self._ends, self._most = law, row, ends, most
+        self._own, self._other = ends
         self._blank = law.memory.copy()
         self.k, m = self._blank.shape[-1], len(row)
         self._history = History(most, self.k, width, m)
@@ -224,8 +225,7 @@ class Samples:
         """The flow f of one step, (k,), from inputs (width,) of which none is missing, over edges that are all open."""
         if (kernels := kernels_for(self.k)) is not None:
             return kernels.flow(self._first, self._ends[1], u)  # type: ignore[no-any-return]
-        own, other = u[self._ends]
-        return self._sums(own - other)
+        return self._sums(u[self._own] - u[self._other])
 
     @cached_property
     def _first(self) -> Index:
