@@ -315,15 +315,15 @@ class Network:
         return TICK_S if due is None else min(TICK_S, max(0.0, due - time.monotonic()))
 
     def _put(self, whole: bytes) -> None:
-        """Take a message, on the network thread, and wake up for what should not wait for the next tick."""
-        message = self._inbox.put(whole)
-        if message is None:  # what we said to have seen was lost
+        """Take a batch, on the network thread, and wake up for what should not wait for the next tick."""
+        messages = self._inbox.put(whole)
+        if not messages:  # what we said to have seen was lost
             self._repeated = True
-        kind = kind_of(message) if message is not None else -1
-        if kind == Kind.TELEMETRY and self._first_at is None:
+        kinds = set(map(kind_of, messages))
+        if Kind.TELEMETRY in kinds and self._first_at is None:
             self._first_at = time.monotonic()
             self._wake.set()
-        elif kind in (Kind.EVENT, Kind.END) or len(self._inbox) >= self._wake_rows:
+        elif kinds & {Kind.EVENT, Kind.END} or len(self._inbox) >= self._wake_rows:
             self._wake.set()
 
     def _take_in(self, run: Run, processes: Processes) -> bool:

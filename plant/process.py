@@ -108,6 +108,7 @@ class Plant:
         self._session = session
         self._telemetry = publisher(session, keys.TELEMETRY)
         self._outbox = Outbox(self._telemetry.put)
+        self._send_row = self._outbox.send_soon if telemetry_bytes(n, e) <= LONG_BYTES else self._outbox.send
         self.shards = Shards(truth, self.world, session, self.tell)
         nothing = (np.full(len(one.nodes), np.nan).tobytes() for one in self.shards.all)
         self._silence = [
@@ -207,7 +208,7 @@ class Plant:
         if self.stopping:
             self.running = False
             return 0.0
-        self._outbox.repeat_if_due()
+        self._outbox.tend()
         self.shards.call_the_lost()
         if self.shards.deserted:
             return self._look_for_anybody()
@@ -280,7 +281,7 @@ class Plant:
         self._prepare()
         if self.running:
             self.world.look_ahead()
-        self._outbox.send(*encode_telemetry(row, self.world.whole))
+        self._send_row(*encode_telemetry(row, self.world.whole))
         if tell:
             self._tell_trips()
 
@@ -312,7 +313,7 @@ class Plant:
             self._outbox.send(encode_end(end))
             by = time.monotonic() + END_DEADLINE_S
             while self._outbox and (left := by - time.monotonic()) > 0:
-                self._outbox.repeat_if_due()
+                self._outbox.tend()
                 self.changed.wait(min(left, RESEND_AFTER_S))
         refused = sum(ear.refused for ear in self._ears)
         LOG.info("end at step %d of %d, %d messages refused", self.world.t, self.truth.steps, refused)

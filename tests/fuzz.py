@@ -458,7 +458,7 @@ class Payloads:
             codec.encode_seen(12),
             codec.encode_event(3, {"event": "kill", "shard": 1, "life": 0}),
             codec.encode_event(3, {"event": "x", "a": [[[{}]]]}),
-            codec.numbered(0, *codec.encode_telemetry(row)),
+            codec.encode_batch(0, [codec.encode_telemetry(row), (codec.encode_seen(12),)]),
         ]
         self._decoders: tuple[Callable[[bytes], object], ...] = (
             lambda message: codec.decode_state(message, k, m),
@@ -471,7 +471,7 @@ class Payloads:
             lambda message: codec.decode_end(message, 0),
             codec.decode_seen,
             codec.decode_event,
-            codec.read_number,
+            codec.decode_batch,
             codec.kind_of,
             lambda message: Inbox().put(message),
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -180,13 +181,31 @@ def test_a_span_of_no_incidence_is_refused(m: int, incidence: int) -> None:
         codec.decode_state(raw, 1, m)
 
 
-@given(messages(), STEPS)
-def test_a_number_stands_before_a_message_of_the_stream(message: Message, number: int) -> None:
-    """The message behind it is as it was; a number with less than a header behind it is refused."""
-    whole = codec.numbered(number, message.raw)
-    assert codec.read_number(whole) == (number, message.raw)
-    with pytest.raises(MessageError, match=r"too short for a number and a header"):
-        codec.read_number(whole[:23])
+@given(st.lists(messages(), min_size=1, max_size=4), STEPS)
+def test_the_messages_of_a_batch_are_as_they_were(sent: list[Message], number: int) -> None:
+    whole = codec.encode_batch(number, [(message.raw[:5], message.raw[5:]) for message in sent])
+    assert codec.decode_batch(whole) == (number, [message.raw for message in sent])
+
+
+@given(st.lists(messages(), min_size=1, max_size=3), st.data())
+def test_a_batch_of_another_length_is_refused(sent: list[Message], data: st.DataObject) -> None:
+    """But for one that ends with one of its messages: it is a batch too."""
+    whole = codec.encode_batch(7, [(message.raw,) for message in sent])
+    size = data.draw(st.integers(0, len(whole) + 20).filter(lambda size: size != len(whole)))
+    raw = whole[:size] + b"?" * (size - len(whole))
+    ends = itertools.accumulate((8 + len(message.raw) for message in sent), initial=8)
+    if size in list(ends)[1:]:
+        assert len(codec.decode_batch(raw)[1]) < len(sent)
+        return
+    with pytest.raises(MessageError, match=r"no number with messages behind it"):
+        codec.decode_batch(raw)
+
+
+@given(messages(), st.integers(-(2**63), 15))
+def test_a_message_of_a_batch_is_a_header_long_at_least(message: Message, length: int) -> None:
+    whole = codec.encode_batch(7, [(message.raw,)])
+    with pytest.raises(MessageError, match=r"no number with messages behind it"):
+        codec.decode_batch(whole[:8] + length.to_bytes(8, "little", signed=True) + whole[16:])
 
 
 JSON = st.dictionaries(st.text(), st.integers() | st.text() | st.booleans() | st.lists(st.floats(allow_nan=False)))
@@ -259,10 +278,10 @@ def test_the_layout_of_a_message_is_the_documented_one() -> None:
     one, two = (np.array([value]).tobytes() for value in (1.0, -2.0))
     raw = codec.encode_link(Link(258, 257, one, two), 1)
     assert raw.hex(" ", 4) == (
-        "03020000 01000000 02010000 00000000 01010000 00000000 00000000 0000f03f 00000000 000000c0"
+        "04020000 01000000 02010000 00000000 01010000 00000000 00000000 0000f03f 00000000 000000c0"
     )
     raw = codec.encode_state(1, np.array([0.5]), np.array([7, 3], np.uint8), [Span(1, 2, 3, 4, 5)])
     assert raw.hex(" ", 2) == (
-        "0300 0000 0100 0000 0100 0000 0000 0000 0000 0000 0000 e03f 0703"
+        "0400 0000 0100 0000 0100 0000 0000 0000 0000 0000 0000 e03f 0703"
         " 0100 0000 0200 0000 0300 0000 0400 0000 0500 0000"
     )

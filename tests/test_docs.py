@@ -327,9 +327,9 @@ def test_the_byte_tables_are_the_codec(name: str) -> None:
     assert packed_by(name, values, len(TEXT) if name == "event" else S) == message
 
 
-def test_what_is_left_out_and_what_stands_before() -> None:
-    """A state may end before its spans, or before its flags, and others before their bits; a number stands before
-    what goes to the observer."""
+def test_what_is_left_out_and_what_goes_in_a_batch() -> None:
+    """A state may end before its spans, or before its flags, and others before their bits; a batch has one message, or
+    several, in one part or in more."""
     whole, _ = MESSAGES["state"]
     assert codec.encode_state(T, X[:K], FLAGS["flags"]) == whole[: -20 * S]
     assert codec.encode_state(T, X[:K], b"") == whole[: -20 * S - M]
@@ -337,15 +337,16 @@ def test_what_is_left_out_and_what_stands_before() -> None:
     told = codec.Telemetry(T, X, U, W, REPORT, *(np.ones(size, np.uint8) for size in (E, 2 * E, 2 * E)))
     assert codec.join(codec.encode_telemetry(told, whole=True)) == MESSAGES["telemetry"][0][: -5 * E]
     message = np.frombuffer(whole, np.uint8)
-    packed = packed_by("The number of a message", {"number": np.array(T), "message": message}, len(message))
-    assert packed == codec.numbered(T, whole)
+    packed = packed_by("batch", {"number": np.array(T), "message": message}, len(message))
+    assert packed == codec.encode_batch(T, [(whole,)])
+    assert packed + packed[8:] == codec.encode_batch(T, [(whole,), (whole[:16], whole[16:])])
 
 
 def test_every_message_has_a_table() -> None:
     """Each encoder of wire.codec, and each kind, is in docs/wire.md."""
     encoders = {name.removeprefix("encode_") for name in vars(codec) if name.startswith("encode_")}
-    assert encoders == MESSAGES.keys()
-    assert {kind.name.lower() for kind in codec.Kind} == encoders
+    assert encoders == {*MESSAGES, "batch"}
+    assert {kind.name.lower() for kind in codec.Kind} == MESSAGES.keys()
     bits = {row["name"]: int(row["bit"]) for row in table("wire.md", "state", 1)}
     assert bits == {flag.name: flag.value for flag in codec.Flag}
     assert [row["number of a span"] for row in table("wire.md", "state", 2)] == [*codec.Span._fields]

@@ -85,11 +85,11 @@ class Scene:
 
     def _observe(self, whole: bytes) -> None:
         with self._changed:
-            message = self._inbox.put(whole)
-            if message is not None and kind_of(message) == Kind.EVENT:
-                self.events.append({**decode_event(message)})
-            elif message is not None and kind_of(message) == Kind.END:
-                self._operator.put(keys.SEEN, encode_seen(self._inbox.last))
+            for message in self._inbox.put(whole):
+                if kind_of(message) == Kind.EVENT:
+                    self.events.append({**decode_event(message)})
+                elif kind_of(message) == Kind.END:
+                    self._operator.put(keys.SEEN, encode_seen(self._inbox.last))
             self._changed.notify_all()
 
     def join(self, p: int, life: int = 0) -> None:

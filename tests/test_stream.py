@@ -2,14 +2,37 @@
 
 from __future__ import annotations
 
-from hypothesis import given
+from types import SimpleNamespace
+
+import pytest
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from wire.stream import Inbox, Outbox
+from wire.stream import TOGETHER_S, Inbox, Outbox
+
+ACTIONS = ["send", "lossy send", "soon", "lossy soon", "wait", "tend", "lossy repeat", "repeat", "seen", "garbage"]
 
 
-@given(st.lists(st.sampled_from(["send", "lossy send", "seen", "lossy repeat", "repeat", "garbage"]), max_size=60))
-def test_every_message_arrives_once_and_in_order(actions: list[str]) -> None:
+class Clock:
+    """Time that passes when we say so."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.now_s = 100.0
+        monkeypatch.setattr("wire.stream.time", SimpleNamespace(monotonic=lambda: self.now_s))
+
+
+def numbered(number: int) -> bytes:
+    return b"%16d" % number + b"." * (number % 3)
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    return Clock(monkeypatch)
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(actions=st.lists(st.sampled_from(ACTIONS), max_size=60))
+def test_every_message_arrives_once_and_in_order(clock: Clock, actions: list[str]) -> None:
     losing = False
     inbox = Inbox()
 
@@ -24,8 +47,15 @@ def test_every_message_arrives_once_and_in_order(actions: list[str]) -> None:
         losing = action.startswith("lossy")
         match action.split()[-1]:
             case "send":
-                outbox.send(b"%16d" % sent + b"." * (sent % 3))
+                outbox.send(numbered(sent))
                 sent += 1
+            case "soon":
+                outbox.send_soon(numbered(sent))
+                sent += 1
+            case "wait":
+                clock.now_s += TOGETHER_S / 2
+            case "tend":
+                outbox.tend()
             case "repeat":
                 outbox.repeat()
             case "garbage":
@@ -33,9 +63,34 @@ def test_every_message_arrives_once_and_in_order(actions: list[str]) -> None:
             case _:
                 outbox.seen(inbox.last)
         got += inbox.drain()
+        assert len(outbox) <= sent
     losing = False
+    clock.now_s += 2 * TOGETHER_S
+    outbox.tend()
     outbox.repeat()
     got += inbox.drain()
     assert [int(message.rstrip(b".")) for message in got] == list(range(sent))
     outbox.seen(inbox.last)
     assert len(outbox) == 0
+
+
+def test_what_is_sent_soon_goes_together(clock: Clock) -> None:
+    """The first at once; then those of TOGETHER_S, with the last of them or by `tend`; and all before what must go."""
+    inbox, batches = Inbox(), list[int]()
+    outbox = Outbox(lambda whole: batches.append(len(inbox.put(whole))))
+    for number in range(7):
+        outbox.send_soon(numbered(number))
+        clock.now_s += 0.3 * TOGETHER_S
+    assert batches == [1, 4]
+    outbox.tend()
+    assert batches == [1, 4]
+    clock.now_s += TOGETHER_S
+    outbox.tend()
+    assert batches == [1, 4, 2]
+    outbox.send_soon(numbered(7))
+    outbox.send(numbered(8))
+    assert batches == [1, 4, 2, 2]
+    assert [int(message.rstrip(b".")) for message in inbox.drain()] == list(range(9))
+    assert len(outbox) == 9
+    outbox.seen(1)
+    assert len(outbox) == 4

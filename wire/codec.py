@@ -10,6 +10,7 @@ import json
 import struct
 from collections.abc import Iterable, Mapping, Sequence
 from enum import IntEnum
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 
 from topologies.errors import HedgerowError
 
-VERSION = 3
+VERSION = 4
 REPORT_ROWS = 2
 """Numbers that a node reports about itself: ahat and the margin J_(2) - J_(1)."""
 
@@ -182,8 +183,12 @@ def _pack(kind: int, n: int, t: int, *arrays: Buffer) -> bytes:
     return join((_HEADER.pack(VERSION, kind, 0, n, t), *arrays))
 
 
+def _length(part: Buffer) -> int:
+    return len(part) if isinstance(part, bytes) else part.nbytes
+
+
 def _count(doubles: Buffer) -> int:
-    return (len(doubles) if isinstance(doubles, bytes) else doubles.nbytes) // 8
+    return _length(doubles) // 8
 
 
 def join(parts: Iterable[Buffer]) -> bytes:
@@ -327,13 +332,18 @@ def decode_telemetry(message: bytes, n: int, e: int) -> Telemetry:
     t = _open(message, _TELEMETRY, n, size if whole else size + 5 * e)
     values = _floats(message, n * rows).reshape(rows, n)
     if whole:
-        edge_open, link_up, took = (
-            np.broadcast_to(np.uint8(bit), c) for bit, c in ((1, e), (1, 2 * e), (TAKEN, 2 * e))
-        )
+        edge_open, link_up, took = _whole(e)
     else:
         bits = np.frombuffer(message, _U1, 5 * e, _SIZE + size)
         edge_open, link_up, took = bits[:e], bits[e : 3 * e], bits[3 * e :]
     return Telemetry(t, values[0], values[1], values[2], values[3:], edge_open, link_up, took)
+
+
+@cache
+def _whole(e: int) -> tuple[Flags, Flags, Flags]:
+    """That all of e edges are open, all links up and all is taken in."""
+    edge_open, link_up, took = (np.broadcast_to(np.uint8(bit), c) for bit, c in ((1, e), (1, 2 * e), (TAKEN, 2 * e)))
+    return edge_open, link_up, took
 
 
 def encode_trips(trips: Trips) -> bytes:
@@ -365,16 +375,26 @@ def telemetry_bytes(n: int, e: int) -> int:
     return _SIZE + 8 * n * (3 + REPORT_ROWS) + 5 * e
 
 
-def numbered(number: int, *message: Buffer) -> bytes:
-    """A message of the stream from plant to observer, in its parts, with its number before it."""
-    return join((_STEP.pack(number), *message))
+def encode_batch(number: int, messages: Iterable[Sequence[Buffer]]) -> bytes:
+    """Messages that go from plant to observer together, each in its parts."""
+    parts: list[Buffer] = [_STEP.pack(number)]
+    for message in messages:
+        parts += (_STEP.pack(sum(map(_length, message))), *message)
+    return join(parts)
 
 
-def read_number(whole: bytes) -> tuple[int, bytes]:
-    """The number of such a message, and the message."""
-    if len(whole) < _STEP.size + _SIZE:
-        raise MessageError(f"{len(whole)} bytes are too short for a number and a header")
-    return _STEP.unpack_from(whole)[0], whole[_STEP.size :]
+def decode_batch(whole: bytes) -> tuple[int, list[bytes]]:
+    """The number of a batch, and its messages, one or more."""
+    stop, messages = _STEP.size, list[bytes]()
+    while (start := stop + _STEP.size) <= len(whole):
+        (size,) = _STEP.unpack_from(whole, stop)
+        if not _SIZE <= size <= len(whole) - start:
+            break
+        stop = start + size
+        messages.append(whole[start:stop])
+    if not messages or stop != len(whole):
+        raise MessageError(f"{len(whole)} bytes are no number with messages behind it, each behind its length")
+    return _STEP.unpack_from(whole)[0], messages
 
 
 def encode_seen(number: int) -> bytes:
