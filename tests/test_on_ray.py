@@ -5,6 +5,7 @@ The cluster has two machines, network namespaces with an address each, so that w
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 import json
 import os
@@ -97,7 +98,8 @@ def cut_off(program: Program) -> None:
     own = psutil.Process(program.process.pid)
     everybody = [*own.children(recursive=True), own]
     for one in everybody:
-        one.kill()
+        with contextlib.suppress(psutil.NoSuchProcess):
+            one.kill()
     program.end()
     assert gone({str(one.pid): one.pid for one in everybody})
 

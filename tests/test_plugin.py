@@ -303,10 +303,11 @@ def processes_of(folder: Path) -> list[psutil.Process]:
     """Every process of runs in this folder or below it: they keep their list of running networks beside the run."""
     found = []
     for process in psutil.process_iter():
-        with contextlib.suppress(psutil.Error):
-            if process.environ().get("XDG_RUNTIME_DIR", "").startswith(str(folder.resolve())):
+        with contextlib.suppress(psutil.Error, OSError):  # it ends while it is looked at
+            inside = process.environ().get("XDG_RUNTIME_DIR", "").startswith(str(folder.resolve()))
+            if inside and process.status() != psutil.STATUS_ZOMBIE:
                 found.append(process)
-    return [process for process in found if process.is_running() and process.status() != psutil.STATUS_ZOMBIE]
+    return found
 
 
 def wait_until(holds: Callable[[], bool], what: str, within_s: float = 60.0) -> None:

@@ -316,7 +316,7 @@ def decode_link(message: bytes, n: int) -> Link:
 
 
 def encode_telemetry(row: Telemetry, whole: bool = False) -> tuple[Buffer, ...]:
-    """A Telemetry message, in parts: it is long, and goes out behind a number.
+    """A Telemetry message, in parts: it is long, and goes out in a batch.
 
     `whole` says that all edges are open, all links up and all is taken in, which is left out.
     """
