@@ -53,7 +53,7 @@ class Samples:
     """
 
     def __init__(self, law: Law, most: int, row: Index, ends: Index, width: int) -> None:
-        self._law, self._row, self._ends, self._most = law, row, ends, most
+        self._law, self._row, self._most = law, row, most
         self._own, self._other = ends
         self._blank = law.memory.copy()
         self.k, m = self._blank.shape[-1], len(row)
@@ -152,7 +152,7 @@ class Samples:
         for c, first, stop, inputs in came:
             bits = history.bits(first, stop)[:, c]
             if inputs is not None:
-                history.u(first, stop)[:, self._ends[1, c]] = inputs[len(inputs) - len(bits) :]
+                history.u(first, stop)[:, self._other[c]] = inputs[len(inputs) - len(bits) :]
             waited = np.flatnonzero(bits == _OPEN)
             bits |= _HEAR
             if len(waited):
@@ -224,7 +224,7 @@ class Samples:
     def _whole_flow(self, u: Array) -> Array:
         """The flow f of one step, (k,), from inputs (width,) of which none is missing, over edges that are all open."""
         if (kernels := kernels_for(self.k)) is not None:
-            return kernels.flow(self._first, self._ends[1], u)  # type: ignore[no-any-return]
+            return kernels.flow(self._first, self._other, u)  # type: ignore[no-any-return]
         return self._sums(u[self._own] - u[self._other])
 
     @cached_property
@@ -233,8 +233,7 @@ class Samples:
 
     def _flow(self, u: Array, bits: Flags) -> Array:
         """The flow f of one step, (k,), from inputs (width,) and Flag bits (m,); NaN where an input is missing."""
-        own, other = u.take(self._ends)
-        difference = own - other
+        difference = u[self._own] - u[self._other]
         difference[bits & _HEAR == 0] = np.nan
         difference[bits & _OPEN == 0] = 0.0
         return self._sums(difference).astype(float, copy=False)  # of no incidences at all they are integers
