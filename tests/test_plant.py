@@ -92,6 +92,13 @@ class Scene:
                     self._operator.put(keys.SEEN, encode_seen(self._inbox.last))
             self._changed.notify_all()
 
+    def get_under_way(self) -> None:
+        """The plant and both agents, ten steps on."""
+        self.start(0.0, NEVER_S)
+        for p in (0, 1):
+            self.join(p)
+        self.wait_for(lambda: len(self.states) >= 10)
+
     def join(self, p: int, life: int = 0) -> None:
         """An agent process, which answers every state at once."""
         session = self._agents[p] = self._open()
@@ -163,10 +170,7 @@ def test_a_step_is_paced_by_the_rate_and_by_nothing_else(scene: Scene, monkeypat
 
 @pytest.mark.parametrize("back", [[0], [0, 1]])
 def test_a_network_that_all_had_left_goes_on_with_whoever_is_back(scene: Scene, back: list[int]) -> None:
-    scene.start(0.0, NEVER_S)
-    for p in (0, 1):
-        scene.join(p)
-    scene.wait_for(lambda: len(scene.states) >= 10)
+    scene.get_under_way()
     for p in (0, 1):
         scene.die(p)
     scene.wait_for(scene.happened("lost", 2))
@@ -196,10 +200,7 @@ def test_nothing_is_said_while_an_agent_of_the_run_before_could_answer(scene: Sc
 def test_a_network_that_nobody_comes_back_to_ends_by_name(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     """Even if an input of who has died is still on its way: that one is not back."""
     monkeypatch.setattr("plant.process.START_DEADLINE_S", 2.0)
-    scene.start(0.0, NEVER_S)
-    for p in (0, 1):
-        scene.join(p)
-    scene.wait_for(lambda: len(scene.states) >= 10)
+    scene.get_under_way()
     for p in (0, 1):
         scene.die(p)
     scene.wait_for(scene.happened("lost", 2))
@@ -209,10 +210,7 @@ def test_a_network_that_nobody_comes_back_to_ends_by_name(scene: Scene, monkeypa
 
 
 def test_one_that_dies_for_good_when_it_is_hardly_back_is_lost_again(scene: Scene) -> None:
-    scene.start(0.0, NEVER_S)
-    for p in (0, 1):
-        scene.join(p)
-    scene.wait_for(lambda: len(scene.states) >= 10)
+    scene.get_under_way()
     scene.die(1)
     scene.wait_for(scene.happened("lost"))
     scene.ask("pause")
