@@ -11,7 +11,6 @@ Every round runs each in turn; the table gives medians over the rounds, of CPU t
 from __future__ import annotations
 
 import argparse
-import json
 import platform
 import statistics
 import subprocess
@@ -24,6 +23,7 @@ import numpy as np
 import scipy.sparse
 
 from agents.view import View
+from benchmarks.table import show
 from orchestrator import in_process
 from orchestrator.assign import HISTORY_BYTES
 from plant.truth import Truth
@@ -190,15 +190,7 @@ def main() -> None:
         return
     loops = "compiled loops" if kernels_for(LARGE) is not None else "numpy alone: numba is not installed"
     print(f"{platform.machine()}, Python {platform.python_version()}, numpy {np.__version__}, {loops}", file=sys.stderr)
-    rows = []
-    for n in known.nodes:
-        rows.append(measure(n, known.rounds))
-        if not known.json:
-            if len(rows) == 1:
-                print("".join(f"{name:>20}" for name in rows[0]))
-            print("".join(f"{value:>20.4g}" for value in rows[-1].values()), flush=True)
-    if known.json:
-        print(json.dumps(rows, indent=2))
+    show((measure(n, known.rounds) for n in known.nodes), 20, known.json)
 
 
 if __name__ == "__main__":

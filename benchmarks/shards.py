@@ -10,7 +10,6 @@ Every round runs each in turn; the table gives medians over the rounds, of wall 
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import platform
 import statistics
@@ -27,6 +26,7 @@ import numpy as np
 import psutil
 
 from agents.view import View
+from benchmarks.table import show
 from orchestrator import in_process
 from orchestrator.assign import truth_of, views_of
 from plant.truth import Truth
@@ -179,16 +179,8 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--json", action="store_true")
     known = parser.parse_args()
-    rows = []
     print(f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}", file=sys.stderr)
-    for n in known.nodes:
-        rows.append(measure(n, known.processes, known.rounds))
-        if not known.json:
-            if len(rows) == 1:
-                print("".join(f"{name:>26}" for name in rows[0]))
-            print("".join(f"{value:>26.4g}" for value in rows[-1].values()), flush=True)
-    if known.json:
-        print(json.dumps(rows, indent=2))
+    show((measure(n, known.processes, known.rounds) for n in known.nodes), 26, known.json)
 
 
 if __name__ == "__main__":
