@@ -20,7 +20,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from wire.session import free_port
+from wire.ports import free_port
 
 UP = (sys.executable, "-P", "-m", "orchestrator")
 AGENT = (sys.executable, "-P", "-c", "from agents.anywhere import main; main()")

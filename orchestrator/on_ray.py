@@ -265,12 +265,12 @@ def chosen(
     """What `--on ON` means, while we are joined to that cluster; UserError where it cannot be."""
     from orchestrator import external, wiring  # noqa: PLC0415
     from orchestrator.ray_cluster import joined  # noqa: PLC0415
-    from wire.session import free_port  # noqa: PLC0415
+    from wire.ports import LOOPBACK, free_port  # noqa: PLC0415
 
     with joined(on) as cluster:
         # Nobody else is let in where there is nobody else.
-        here = "127.0.0.1" if cluster.machines <= {cluster.here} else cluster.here
-        listens = None if router else listen or f"{'tls' if topology.secure else 'tcp'}/{here}:{free_port()}"
+        here = LOOPBACK if cluster.machines <= {cluster.here} else cluster.here
+        listens = None if router else listen or f"{'tls' if topology.secure else 'tcp'}/{here}:{free_port(here)}"
         meet = namespace or wiring.namespace_of(topology.name)
         share = share_of(len(shards), cluster.free_cpus, len(cluster.machines))
         everybody = external.chosen("all", topology, shards, router, listens, meet, wait_s or WAIT_S)

@@ -30,8 +30,8 @@ from urllib.parse import quote, urlsplit
 import psutil
 
 from topologies.errors import HedgerowError, UserError
+from wire.ports import LOOPBACK, free_port
 
-LOOPBACK = "127.0.0.1"
 NATIVE_MEMORY = "1GB"
 """what the native viewer keeps of a run; it drops the oldest steps beyond"""
 SERVER_MEMORY = "256MiB"
@@ -194,12 +194,12 @@ def _check_free(page: str) -> None:
 
 def native(*options: str, port: int | None = None, memory: str = NATIVE_MEMORY) -> Viewer:
     """A viewer in a window of its own, at a free port; `options` are more of rerun's, such as --headless for none."""
-    port = _free_port() if port is None else port
+    port = free_port() if port is None else port
     return Viewer(_url(port), process=_begin("--port", str(port), "--memory-limit", memory, *options))
 
 
 def _web(memory: str) -> Viewer:
-    port, page = _free_port(), _free_port()
+    port, page = free_port(), free_port()
     ports = ("--port", str(port), "--web-viewer-port", str(page))
     process = _begin("--serve-web", *ports, server_memory=memory, first=_end_with_parent)
     # The colours of the network's picture are those of the dark theme; a browser would choose by its own.
@@ -209,7 +209,7 @@ def _web(memory: str) -> Viewer:
 
 def _published(address: str, memory: str) -> Viewer:
     """The page and its data on one port (orchestrator.one_port), which others than we can reach."""
-    port, page, parts = _free_port(), _free_port(), urlsplit(address)
+    port, page, parts = free_port(), free_port(), urlsplit(address)
     process = _begin(
         *("--port", str(port), "--web-viewer-port", str(page), "--serve-web"),
         server_memory=memory,
@@ -271,12 +271,6 @@ def executable() -> Path:
     if sys.platform == "darwin" and bundle.exists():
         return bundle
     return folder / ("rerun.exe" if sys.platform == "win32" else "rerun")
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind((LOOPBACK, 0))
-        return int(probe.getsockname()[1])
 
 
 def listening(pid: int) -> set[tuple[str, int]]:

@@ -15,7 +15,8 @@ from orchestrator.folder import RunFolder
 from topologies.errors import UserError
 from wire.access import OBSERVER, ROUTER, Place
 from wire.keys import PLANT
-from wire.session import check_endpoint, check_namespace, free_port, remove_socket
+from wire.ports import free_port
+from wire.session import check_endpoint, check_namespace, remove_socket
 
 MAX_SOCKET_PATH = 100
 """Bytes; the kernel's limit for a Unix socket is 108 with its end."""

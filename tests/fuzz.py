@@ -20,7 +20,6 @@ import re
 import resource
 import shutil
 import signal
-import socket
 import struct
 import subprocess
 import sys
@@ -60,6 +59,7 @@ from topologies.load import bundled, find, load
 from topologies.resolve import resolve
 from wire import codec
 from wire.codec import MessageError
+from wire.ports import free_port
 from wire.stream import Inbox
 
 ROOT = Path(__file__).parent.parent
@@ -301,11 +301,8 @@ class Files:
         """Something that takes what a viewer takes."""
         import rerun as rr  # noqa: PLC0415
 
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            port = probe.getsockname()[1]
         self._server = rr.RecordingStream("fuzz")
-        return Viewer(self._server.serve_grpc(grpc_port=port, server_memory_limit="16MB"))
+        return Viewer(self._server.serve_grpc(grpc_port=free_port(), server_memory_limit="16MB"))
 
     def try_one(self, number: int) -> str:
         """What became of a case: `refused` or `good`, and of what; raises what it should not."""

@@ -18,7 +18,6 @@ import itertools
 import json
 import os
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
@@ -41,6 +40,7 @@ from orchestrator.rrd_file import parts
 from orchestrator.watch import ArrowTail
 from tests.processes import COMMAND
 from topologies.errors import HedgerowError
+from wire.ports import LOOPBACK, free_port
 from wire.session import WireError
 
 DOCUMENT = Path(__file__).parent.parent / "docs/reliability.md"
@@ -166,8 +166,7 @@ class _Run:
         stack.callback(self._clear)
 
     def _start_router(self, stack: contextlib.ExitStack) -> str:
-        with socket.create_server(("127.0.0.1", 0)) as free:
-            endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+        endpoint = f"tcp/{LOOPBACK}:{free_port()}"
         self._router = subprocess.Popen(
             [sys.executable, "-c", ROUTER, endpoint],
             stdout=subprocess.PIPE,

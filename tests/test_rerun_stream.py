@@ -39,6 +39,7 @@ from topologies.errors import HedgerowError, UserError
 from topologies.load import load
 from topologies.resolve import resolve
 from topologies.schema import Topology
+from wire.ports import free_port
 
 Array = NDArray[np.float64]
 ROWS = 120_000
@@ -261,8 +262,7 @@ def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
 
 
 def test_where_nobody_listens_nothing_waits_and_nothing_is_lost(tmp_path: Path) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as closed:
-        url = f"rerun+http://127.0.0.1:{closed.getsockname()[1]}/proxy"
+    url = f"rerun+http://127.0.0.1:{free_port()}/proxy"
     observer = Observer(paper7())
     stream = RerunStream(observer.topology, observer, "story", tmp_path / "run.rrd", Viewer(url))
     batches = batches_of(observer, 7)
@@ -342,8 +342,7 @@ def test_a_viewer_keeps_a_run_that_ended_before_it_had_started(headless: Viewer)
 
 
 def test_a_viewer_may_come_late_and_come_back() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as closed:
-        port = int(closed.getsockname()[1])
+    port = free_port()
     url = f"rerun+http://127.0.0.1:{port}/proxy"
     observer = Observer(paper7())
     stream = RerunStream(observer.topology, observer, "story", None, Viewer(url))

@@ -28,7 +28,8 @@ from topologies.resolve import resolve
 from wire import keys
 from wire.access import MOST_JOINS_PER_S, MOST_PER_S, OBSERVER, OPERATOR, ROUTER, Place, rights
 from wire.codec import VERSION, Link, encode_input, encode_link, encode_state
-from wire.session import WireError, close, direct, free_port, open_client, open_router
+from wire.ports import free_port
+from wire.session import WireError, close, direct, open_client, open_router
 
 QUIET = ("--viewer", "none", "--no-record")
 NAMESPACE = "hedgerow/rogues"

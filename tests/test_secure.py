@@ -18,7 +18,7 @@ from cryptography import x509
 
 from orchestrator.authority import LIFE_DAYS, SLACK
 from tests.processes import COMMAND, Orchestrator, gone, orchestrator
-from wire.session import free_port
+from wire.ports import free_port
 
 QUIET = ("--viewer", "none", "--no-record")
 ROUTER = """

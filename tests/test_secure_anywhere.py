@@ -24,8 +24,9 @@ from wire.access import access_control
 from wire.anywhere import wait_for
 from wire.credentials import CA, CERTIFICATE, PRIVATE_KEY
 from wire.handshake import wait_for_room
+from wire.ports import free_port
 from wire.refusal import refused
-from wire.session import WireError, close, free_port, open_client, open_router
+from wire.session import WireError, close, open_client, open_router
 
 __all__ = ["start"]
 

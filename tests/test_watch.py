@@ -49,6 +49,7 @@ from tests.test_view import Seen
 from topologies.errors import HedgerowError, UserError
 from topologies.load import load
 from topologies.resolve import resolve
+from wire.ports import free_port
 
 pytestmark = pytest.mark.filterwarnings("ignore:RRD file has no footer")  # its writer was ended
 
@@ -71,8 +72,7 @@ class Saver:
     """A viewer that draws nothing, and writes down all that it is sent."""
 
     def __init__(self, path: Path) -> None:
-        with socket.create_server(("127.0.0.1", 0)) as free:
-            port = int(free.getsockname()[1])
+        port = free_port()
         self.path, self.url = path, f"rerun+http://127.0.0.1:{port}/proxy"
         command = [str(executable()), "--bind", "127.0.0.1", "--port", str(port), "--save", str(path)]
         self.process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
@@ -529,8 +529,7 @@ def test_a_viewer_that_is_not_there_is_named_with_its_cure() -> None:
     assert nobody.returncode == 2
     assert "there is no display" in nobody.stderr
     assert f"copy {folder / 'run.rrd'}" in nobody.stderr
-    with socket.create_server(("127.0.0.1", 0)) as closed:
-        port = closed.getsockname()[1]
+    port = free_port()
     with pytest.raises(HedgerowError, match=rf"nobody listens there; start a viewer .* `rerun --port {port}"):
         Viewer(f"rerun+http://127.0.0.1:{port}/proxy").wait_until_it_listens(0.1)
 

@@ -7,7 +7,6 @@ import json
 import logging
 import re
 import shutil
-import socket
 import threading
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -148,18 +147,6 @@ def remove_socket(socket: Path) -> None:
     """Remove what a router that was killed leaves of its Unix socket, if anything."""
     for path in (socket, Path(f"{socket}.lock")):
         path.unlink(missing_ok=True)
-
-
-def free_port() -> int:
-    """A TCP port of this machine that nobody uses, and that the kernel gives to nobody else for a minute.
-
-    A connection that was closed on it keeps it out of the kernel's choice (TIME_WAIT); who asks for it by its number
-    gets it.
-    """
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        with socket.create_connection(listener.getsockname()):
-            listener.accept()[0].close()
-        return int(listener.getsockname()[1])
 
 
 def remove_trace(path: Path | str) -> None:
