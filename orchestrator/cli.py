@@ -207,7 +207,7 @@ def up(
         on_ray = stack.enter_context(chosen_on_ray(on, topology, shards, router, listen, namespace, wait))
         elsewhere = on_ray.external
     folder = folders.create(topology, run_dir)
-    display = screen(topology, as_json, plain, watched=viewer != "none")
+    display = stack.enter_context(contextlib.closing(screen(topology, as_json, plain, watched=viewer != "none")))
     _introduce(topology, len(shards), folder.name, display)
     watching = Watching(record, viewer, split_recording)
     options = Options(rate, deadline, router, keys, elsewhere, on_ray, watching, verify)
@@ -218,9 +218,10 @@ def up(
             display.say(f"running in the background; `orchestrator stop {folder.name}` ends it")
             _let_go_of_terminal(folder.logs / "up.log")
 
-    with stack, contextlib.closing(display), contextlib.closing(_NURSERY or Nursery()) as nursery:
+    with stack:
+        nursery = stack.enter_context(contextlib.closing(_NURSERY or Nursery()))
         network = Network(topology, folder, shards, options, display, nursery, _BEGAN)
-        return network.run(on_first_step).exit_code
+        return network.run(on_first_step, stack).exit_code
 
 
 def _check_cluster(on: str, external: str | None) -> None:

@@ -146,16 +146,21 @@ class Network:
             return wiring.with_keys_of_its_own(self._folder, host_of(options.ray.endpoint))
         return wiring
 
-    def run(self, on_first_step: Callable[[float], None] = lambda _: None) -> Verdict:
+    def run(
+        self,
+        on_first_step: Callable[[float], None] = lambda _: None,
+        at_last: contextlib.AbstractContextManager[object] = contextlib.nullcontext(),  # noqa: B008 (it has no state)
+    ) -> Verdict:
         """Launch, observe until the end or an interrupt, clean up, and judge.
 
-        `on_first_step` is called with the seconds from the command to the first step, once it is done.
+        `on_first_step` is called with the seconds from the command to the first step, once it is done. `at_last` is
+        left when all is over, while a signal still asks for no more than the end.
         """
         dead: list[Dead] = []
         self._nursery.on_end = self._wake.set
         # Said before any of it exists: whenever we are killed, nothing of it stays.
         self._nursery.leave_no([registry.entry_path(self._folder.name), *self._wiring.traces])
-        with Interrupts(self._wake.set) as interrupts, self._announced():
+        with Interrupts(self._wake.set) as interrupts, at_last, self._announced():
             names = [process_name(view) for view in self._views]
             run = Run(self._topology, self._folder, self._options.watching, self._ending, names)
             try:

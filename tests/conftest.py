@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+from tests.ctrl_c import mind_ctrl_c
 from tests.leftovers import nothing_lives_on
 
 __all__ = ["nothing_lives_on"]
@@ -18,6 +19,7 @@ settings.load_profile("hedgerow")
 def pytest_configure(config: pytest.Config) -> None:
     """Files that run side by side (`-n 3 --dist loadfile`) are begun in our order, not in xdist's."""
     config.option.loadscopereorder = False
+    mind_ctrl_c()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

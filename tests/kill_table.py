@@ -4,7 +4,8 @@
            (an external one)
     what   SIGTERM, SIGKILL, SIGINT, and SIGSTOP for STOPPED_S
     when   at the start: it exists, and no step is made; in the middle: MIDDLE steps are recorded; at the end: the run
-           was asked to end, and the process held still from just before, so that the signal meets it alive
+           was asked to end, and the process held still from just before, or `up` from just after, so that the signal
+           meets it alive
 
 Each cell is a run of paper7 over real Zenoh; every other one is secure, and has keys and certificates to leave behind.
 `--write` puts the table into docs/reliability.md.
@@ -38,6 +39,7 @@ from orchestrator.recorded import load_run
 from orchestrator.registry import Entry
 from orchestrator.rrd_file import parts
 from orchestrator.watch import ArrowTail
+from tests.ctrl_c import mind_ctrl_c
 from tests.processes import COMMAND
 from topologies.errors import HedgerowError
 from wire.ports import LOOPBACK, free_port
@@ -122,12 +124,6 @@ def run_cell(cell: Cell, directory: Path) -> Outcome:
     """Run a network in an empty directory, send the signal, wait for the end, and look at what is there."""
     with contextlib.ExitStack() as stack:
         return _Run(cell, directory, stack).outcome()
-
-
-def mind_ctrl_c() -> None:
-    """Let SIGINT mean something to the processes that we start; a shell takes that from what runs in the background."""
-    if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 class _Run:
@@ -257,13 +253,15 @@ class _Run:
 
     def _at_the_end(self) -> psutil.Process:
         target = self._in_the_middle()
-        if self._cell.who != "up":
-            target.send_signal(signal.SIGSTOP)
+        # `up` itself must hear Ctrl-C first, and ends only after the plant.
+        awaited = self._target("plant") if self._cell.who == "up" else target
+        awaited.send_signal(signal.SIGSTOP)
         self._up.send_signal(signal.SIGINT)
         events = self._folder / "events.jsonl"
         self._wait_for(lambda: '"stopping"' in events.read_text(encoding="utf-8"), "the end")
-        if self._cell.who == "up":
+        if awaited is not target:
             target.send_signal(signal.SIGSTOP)
+            awaited.send_signal(signal.SIGCONT)
         return target
 
     def _target(self, who: str) -> psutil.Process:

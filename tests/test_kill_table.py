@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.kill_table import BEGIN, CELLS, DOCUMENT, END, WHAT, WHEN, WHO, Cell, mind_ctrl_c, run_cell, wrong
+from tests.kill_table import BEGIN, CELLS, DOCUMENT, END, WHAT, WHEN, WHO, Cell, run_cell, wrong
 
 TRIED = [
     Cell("agent", signal.SIGTERM, "middle"),
@@ -33,7 +33,6 @@ def test_the_part_has_something_of_everything() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("cell", TRIED, ids=str)
 def test_whoever_is_killed_leaves_nothing_but_what_was_recorded(cell: Cell, tmp_path: Path) -> None:
-    mind_ctrl_c()
     outcome = run_cell(cell, tmp_path)
     assert not wrong(cell, outcome), outcome
 

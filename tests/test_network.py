@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -21,8 +22,16 @@ import pytest
 
 from agents.view import View
 from orchestrator import load_run
+from orchestrator.assign import layout
+from orchestrator.folder import create
+from orchestrator.nursery import Nursery
+from orchestrator.run import Watching
+from orchestrator.screen import Quiet
+from orchestrator.up import Network, Options
 from tests.networks import VECTORS, vector_file
 from tests.processes import COMMAND, DEADLINE_S, Orchestrator, gone, orchestrator, parquet_bytes
+from topologies.load import load
+from topologies.resolve import resolve
 from wire.session import open_router
 
 QUIET = ("--viewer", "none", "--no-record")
@@ -156,6 +165,24 @@ def test_ctrl_c_ends_cleanly_with_what_was_recorded(here: Path, paper7: Orchestr
     assert pq.read_metadata(folder / "telemetry.parquet").num_rows == 7 * (verdict["steps_done"] + 1)
     assert not list(folder.glob("*.sock*"))
     assert gone(paper7.children)
+
+
+def test_a_signal_after_the_last_word_changes_nothing(here: Path) -> None:
+    """All is written, and what is left is to end the processes: who is told to end then has done so already."""
+    topology = resolve(load("paper7"), here)
+    options, shards = Options(watching=Watching(record=False)), layout(topology, 2)
+    heard: list[int] = []
+    before = signal.signal(signal.SIGTERM, lambda number, _: heard.append(number))
+    try:
+        with contextlib.ExitStack() as stack:
+            nursery = stack.enter_context(contextlib.closing(Nursery()))
+            stack.callback(signal.raise_signal, signal.SIGTERM)
+            network = Network(topology, create(topology, None), shards, options, Quiet(), nursery, time.monotonic())
+            verdict = network.run(at_last=stack)
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert verdict.content["verdict"] == "valid", verdict.content
+    assert heard == []
 
 
 def test_ctrl_c_twice_ends_at_once_even_with_a_frozen_plant(here: Path, paper7: Orchestrator) -> None:

@@ -1,0 +1,11 @@
+"""Ctrl-C, where a shell has taken it from what runs in the background."""
+
+from __future__ import annotations
+
+import signal
+
+
+def mind_ctrl_c() -> None:
+    """Let SIGINT mean something to the processes that we start."""
+    if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
