@@ -133,6 +133,12 @@ edges:
         ("{a: 0.6}", "5", 8, "node 2: 5 is not a mapping"),
         ("1: {}", "1.5: {}", 7, "nodes: 1.5 is no node id; use names or whole numbers"),
         ("1: {}", "true: {}", 7, "nodes: true is no node id"),
+        (
+            "nodes:\n  1: {}\n  2: {a: 0.6}",
+            "nodes: [{id: 1}, {id: 2}]",
+            6,
+            'nodes: {"id": 1} is no node id; write `ID: {…}`',
+        ),
         ("1: {}", "99999999999999999999: {}", 7, "nodes: 99999999999999999999 is no node id"),
         ("1: {}", '"a b": {}', 7, "a name has 1 to 64 letters"),
         ("2: {a: 0.6}", "2: {}\n  2: {}", 9, "nodes: 2 stands here twice (first on line 8)"),

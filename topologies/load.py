@@ -164,9 +164,8 @@ def _nodes_as_mapping(source: Source) -> None:
         line = source.line(("nodes", k if isinstance(nodes, list) else written))
         node = node_id(written)
         if not (isinstance(node, str) or (type(node) is int and -(2**63) <= node < 2**63)):
-            source.problems.append(
-                Problem(line, "nodes", f"{_shown(node)} is no node id", "use names or whole numbers")
-            )
+            cure = "write `ID: {…}`" if isinstance(node, dict) else "use names or whole numbers"
+            source.problems.append(Problem(line, "nodes", f"{_shown(node)} is no node id", cure))
         elif node in mapping:
             first = f"first on line {lines['nodes', node]}"
             source.problems.append(
@@ -189,6 +188,8 @@ def _validate(source: Source) -> tuple[Topology | None, list[Problem]]:
         return Topology.model_validate(source.value), []
     except ValidationError as error:
         found = error.errors(include_url=False)
+    if any(problem.place == "nodes" for problem in source.problems):  # those that were left out are not missing
+        found = [one for one in found if (one["loc"], one["type"]) != (("nodes",), "too_short")]
     problems = [(_no_fault if details["type"] == "fault" else _problem)(source, details) for details in found]
     if not isinstance(source.value.get("nodes", {}), dict) or any(
         details["loc"][:1] == ("graph",) for details in found
