@@ -47,7 +47,7 @@ from wire.codec import (
     telemetry_bytes,
 )
 from wire.credentials import Credentials
-from wire.handshake import wait_for_room
+from wire.handshake import room
 from wire.runtime import LONG_BYTES, keep_memory
 from wire.session import (
     CONNECT_TIMEOUT_S,
@@ -226,7 +226,7 @@ class Network:
         session = None if wiring.listens else self._connect(processes, interrupts, stack)
         if external is None or not external.plant:
             if session is not None:  # nor for one where another network runs
-                wait_for_room(session, wiring.namespace, self._screen.say, lambda: interrupts.count > 0)
+                stack.enter_context(room(session, wiring.namespace, self._screen.say, lambda: interrupts.count > 0))
                 if interrupts.count:
                     raise HedgerowError(interrupts.name)
             truth = truth_of(self._topology, self._shards)

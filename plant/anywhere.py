@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
@@ -15,8 +16,8 @@ from wire import config as configs
 from wire import keys
 from wire.child import stopped_by
 from wire.config import Config
-from wire.handshake import wait_for_room
-from wire.session import open_client, open_router
+from wire.handshake import room
+from wire.session import close, open_client, open_router
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
@@ -38,17 +39,17 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
 
     def body(config: Config, endpoint: str, credentials: Path | None) -> None:
         truth = anywhere.told(config, Truth.from_dict)
-        if known.listen:
-            session = open_router(known.listen, config.namespace, credentials)
-        else:
-            LOG.info("%s of %s: looking for %s", config.process, config.namespace, endpoint)
-            session = open_client(endpoint, config.namespace, credentials, known.wait)
-            wait_for_room(session, config.namespace, LOG.warning)
-        plant = Plant(truth, session, known.rate, known.deadline, known.wait, config.network)
-        try:
-            with stopped_by(plant.stop):  # the others are told; they may be far away
-                plant.run()
-        finally:
-            plant.close()
+        with contextlib.ExitStack() as stack:
+            if known.listen:
+                session = open_router(known.listen, config.namespace, credentials)
+                stack.callback(close, session)
+            else:
+                LOG.info("%s of %s: looking for %s", config.process, config.namespace, endpoint)
+                session = open_client(endpoint, config.namespace, credentials, known.wait)
+                stack.callback(close, session)
+                stack.enter_context(room(session, config.namespace, LOG.warning))
+            plant = Plant(truth, session, known.rate, known.deadline, known.wait, config.network)
+            stack.enter_context(stopped_by(plant.stop))  # the others are told; they may be far away
+            plant.run()
 
     anywhere.main(find, known, body)

@@ -46,7 +46,6 @@ from wire.codec import (
     kind_of,
     telemetry_bytes,
 )
-from wire.handshake import wait_for_room
 from wire.runtime import LONG_BYTES, keep_memory
 from wire.session import (
     Ear,
@@ -400,7 +399,6 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
             session = open_router(known.listen, known.namespace, known.credentials)
         else:
             session = open_client(known.connect, known.namespace, known.credentials)
-            wait_for_room(session, known.namespace, LOG.warning)
         plant = Plant(Truth.read(known.truth), session, known.rate, known.deadline, known.start, known.network)
         try:
             plant.run()

@@ -14,6 +14,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -29,7 +30,7 @@ from tests.processes import DEADLINE_S, Orchestrator, gone, orchestrator, parque
 from topologies.errors import HedgerowError, UserError
 from wire import keys
 from wire.config import Config
-from wire.handshake import wait_for_room
+from wire.handshake import room
 from wire.session import direct, open_client, open_router
 
 UP = ("--viewer", "none", "--no-record", "--verify")
@@ -310,8 +311,11 @@ def test_a_plant_that_stays_has_its_place_to_itself(here: Path, endpoint: str, m
     monkeypatch.setattr("wire.handshake.LEASE_S", 0.1)
     with open_router(endpoint), open_client(endpoint, "here") as one, open_client(endpoint, "here") as other:
         token = one.liveliness().declare_token(keys.alive(keys.PLANT, 7))
-        with pytest.raises(UserError, match="a plant is there already at here; end that run, or give another --name"):
-            wait_for_room(other, "here", list[str]().append)
+        with (
+            pytest.raises(UserError, match="a plant is there already at here; end that run, or give another --name"),
+            room(other, "here", list[str]().append),
+        ):
+            raise AssertionError("it went on")
         told: list[str] = []
         monkeypatch.setattr("wire.handshake.LEASE_S", DEADLINE_S)
 
@@ -319,8 +323,57 @@ def test_a_plant_that_stays_has_its_place_to_itself(here: Path, endpoint: str, m
             told.append(text)
             token.undeclare()  # type: ignore[no-untyped-call]
 
-        wait_for_room(other, "here", say)
-        assert told == ["a plant is there already at here; waiting up to 60 s for its end"]
+        with room(other, "here", say):
+            assert told == ["a plant is there already at here; waiting up to 60 s for its end"]
+
+
+def test_of_plants_that_begin_at_once_one_goes_on_and_the_next_when_it_is_over(
+    endpoint: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever numbers they draw, and however they come between each other's looks."""
+    monkeypatch.setattr("wire.handshake.LOOK_AGAIN_S", 0.01)
+    monkeypatch.setattr("wire.handshake.LEASE_S", DEADLINE_S)
+    together, inside, order = threading.Barrier(4), threading.Lock(), list[int]()
+
+    def begin(who: int) -> None:
+        with open_client(endpoint, "here") as session:
+            together.wait(DEADLINE_S)
+            with room(session, "here", list[str]().append):
+                assert inside.acquire(blocking=False)
+                order.append(who)
+                list(session.liveliness().get(keys.alive("nobody", "*")))  # a while, as long as a look
+                inside.release()
+
+    with open_router(endpoint), ThreadPoolExecutor(4) as pool:
+        list(pool.map(begin, range(4)))
+    assert sorted(order) == [0, 1, 2, 3]
+
+
+@pytest.mark.slow
+def test_of_two_networks_that_begin_at_once_in_one_place_the_second_waits(here: Path, endpoint: str) -> None:
+    up = (
+        "up",
+        "paper7",
+        "--router",
+        endpoint,
+        "--namespace",
+        "hedgerow/paper7",
+        *UP,
+        "--external",
+        "1",
+        "--rate",
+        "50",
+    )
+    waiting = "a plant is there already at hedgerow/paper7"
+    with open_router(endpoint), contextlib.ExitStack() as stack:
+        two = [stack.enter_context(Orchestrator(*up, "--run-dir", name)) for name in ("one", "other")]
+        for network in two:
+            network.wait_for("waiting ")  # for the other's end, or for agent 1
+        assert sorted(waiting in network.output for network in two) == [False, True]
+        for network in sorted(two, key=lambda one: waiting in one.output):
+            network.wait_for("waiting for agent-1")
+            network.send(signal.SIGINT)
+            assert network.wait() == 3, network.output
 
 
 def test_an_agent_that_waits_for_its_place_goes_on_when_the_plant_leaves(endpoint: str) -> None:

@@ -359,6 +359,7 @@ def test_the_keys_are_those_of_the_code() -> None:
         "input_": keys.input_(0).replace("0", "{p}"),
         "link": keys.link(0, 1).replace("0", "{p}").replace("1", "{q}"),
         "alive": keys.alive("{name}", "{life}"),
+        "ROOM": keys.alive(keys.ROOM, "{number}"),
         "control": keys.control("{command}"),
         "join": keys.join("{p}"),
         "TELEMETRY": keys.TELEMETRY,

@@ -23,7 +23,7 @@ from topologies.errors import UserError
 from wire.access import access_control
 from wire.anywhere import wait_for
 from wire.credentials import CA, CERTIFICATE, PRIVATE_KEY
-from wire.handshake import wait_for_room
+from wire.handshake import room
 from wire.ports import free_port
 from wire.refusal import refused
 from wire.session import WireError, close, open_client, open_router
@@ -115,7 +115,8 @@ def test_plant_and_observer_may_see_that_a_plant_is_there(here: Path, port: int,
         with open_client(f"tls/localhost:{port}", "hedgerow/paper7", Path("lab/observer"), DEADLINE_S) as session:
             wait_for(session, "plant", DEADLINE_S)
             told: list[str] = []
-            wait_for_room(session, "hedgerow/paper7", told.append, lambda: bool(told))
+            with room(session, "hedgerow/paper7", told.append, lambda: bool(told)):
+                assert told
         start("plant", "--config", "lab/plant").wait_for("a plant is there already at hedgerow/paper7")
         assert first.process.poll() is None
     finally:

@@ -57,14 +57,15 @@ def rights(places: Sequence[Place]) -> dict[str, Rights]:
         says=[*map(keys.state, shards), keys.TELEMETRY],
         hears=[*map(keys.input_, shards), keys.SEEN],
         answers=[*map(keys.control, keys.COMMANDS), keys.join("*")],
-        shows=[keys.alive(keys.PLANT, "*")],
+        shows=[keys.alive(keys.PLANT, "*"), keys.alive(keys.ROOM, "*")],
         watches=[keys.ALIVE],
     )
     observer = Rights(
         says=[keys.SEEN],
         hears=[keys.TELEMETRY],
         asks=[*map(keys.control, ("died", "stop", "status")), keys.join(OBSERVER)],
-        watches=[keys.alive(keys.PLANT, "*")],
+        shows=[keys.alive(keys.ROOM, "*")],
+        watches=[keys.alive(keys.PLANT, "*"), keys.alive(keys.ROOM, "*")],
     )
     operator = Rights(asks=[keys.control(command) for command in keys.COMMANDS if command != "died"])
     return {**agents, keys.PLANT: plant, OBSERVER: observer, OPERATOR: operator}

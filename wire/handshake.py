@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+import secrets
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
@@ -49,18 +51,43 @@ def mismatch(network: str, theirs: Mapping[str, Any]) -> str | None:
     return f"{'; '.join(different)}: {cure}"
 
 
-def wait_for_room(
+@contextlib.contextmanager
+def room(
     session: zenoh.Session, namespace: str, say: Callable[[str], object], stopped: Callable[[], bool] = lambda: False
-) -> None:
-    """Return once no plant is there, or `stopped()`; UserError where one stays for longer than the token of a dead one.
+) -> Iterator[None]:
+    """Have the namespace for one plant while the block lasts, once nobody else has; or begin it when `stopped()`.
 
-    Two plants in one namespace would end each other's networks.
+    UserError where another stays for longer than the token of a dead plant. Two plants in one namespace would end each
+    other's networks. So whoever wants to begin one shows a token, looks again, and goes on if it is alone. One that
+    sees a smaller number withdraws: of two who see each other one is left, and one who began unseen is never disturbed.
     """
+    ours, shown = keys.alive(keys.ROOM, f"{secrets.randbelow(10**10):010d}"), None
     there, by, said = f"a plant is there already at {namespace}", time.monotonic() + LEASE_S, False
-    while not stopped() and any(reply.ok for reply in session.liveliness().get(keys.alive(keys.PLANT, "*"))):
-        if time.monotonic() > by:
-            raise UserError(f"{there}; end that run, or give another --namespace")
-        if not said:
-            say(f"{there}; waiting up to {LEASE_S:g} s for its end")
-            said = True
-        time.sleep(LOOK_AGAIN_S)
+    try:
+        while not stopped():
+            others = _there(session) - {ours}
+            if not others and shown is not None:
+                break
+            if not others:
+                shown = session.liveliness().declare_token(ours)
+                continue
+            if shown is not None and min(others) < ours:  # a plant's token, too
+                shown.undeclare()  # type: ignore[no-untyped-call]
+                shown = None
+            if time.monotonic() > by:
+                raise UserError(f"{there}; end that run, or give another --namespace")
+            if not said:
+                say(f"{there}; waiting up to {LEASE_S:g} s for its end")
+                said = True
+            time.sleep(LOOK_AGAIN_S)
+        yield
+    finally:
+        if shown is not None:
+            with contextlib.suppress(zenoh.ZError):  # the session may be closed
+                shown.undeclare()  # type: ignore[no-untyped-call]
+
+
+def _there(session: zenoh.Session) -> set[str]:
+    """The tokens of plants that are there, and of who is to begin one."""
+    looked = (session.liveliness().get(keys.alive(name, "*")) for name in (keys.PLANT, keys.ROOM))
+    return {str(reply.ok.key_expr) for replies in looked for reply in replies if reply.ok is not None}

@@ -6,6 +6,8 @@ TELEMETRY = "telemetry"
 SEEN = "seen"
 ALIVE = "alive/**"
 PLANT = "plant"
+ROOM = "room"
+"""whoever is to begin a plant shows that there is no room for another"""
 COMMANDS = ("status", "stop", "pause", "resume", "step", "rate", "fault", "heal", "died")
 """what a plant can be asked; `died` is for `up` alone"""
 
