@@ -191,7 +191,7 @@ def carried(folder: Path, places: Sequence[Place]) -> tuple[str, str]:
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise UserError(f"--keys {folder}: no folder of keys: {type(error).__name__}: {error}; {again}") from None
     if made_for != _digest(rules(places, namespace, plant_is_client=True)):
-        raise UserError(f"--keys {folder}: made for another network, or other processes; {again}")
+        raise UserError(f"--keys {folder}: made for another network, other processes, or by another release; {again}")
     if datetime.now(UTC) > until:
         raise UserError(f"--keys {folder}: they held until {until:%Y-%m-%d %H:%M} UTC; {again}")
     return endpoint, namespace
