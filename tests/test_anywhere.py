@@ -16,7 +16,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import Any
 
@@ -364,16 +364,19 @@ def test_of_two_networks_that_begin_at_once_in_one_place_the_second_waits(here: 
         "--rate",
         "50",
     )
-    waiting = "a plant is there already at hedgerow/paper7"
-    with open_router(endpoint), contextlib.ExitStack() as stack:
+    with open_router(endpoint), contextlib.ExitStack() as stack, ThreadPoolExecutor() as pool:
         two = [stack.enter_context(Orchestrator(*up, "--run-dir", name)) for name in ("one", "other")]
-        for network in two:
-            network.wait_for("waiting ")  # for the other's end, or for agent 1
-        assert sorted(waiting in network.output for network in two) == [False, True]
-        for network in sorted(two, key=lambda one: waiting in one.output):
-            network.wait_for("waiting for agent-1")
-            network.send(signal.SIGINT)
-            assert network.wait() == 3, network.output
+        goes_on = {pool.submit(network.wait_for, "waiting for agent-1"): network for network in two}
+        done, _ = wait(goes_on, return_when=FIRST_COMPLETED)
+        (first,) = (goes_on.pop(one) for one in done)
+        ((in_the_end, other),) = goes_on.items()
+        other.wait_for("a plant is there already at hedgerow/paper7")
+        assert not in_the_end.done()
+        first.send(signal.SIGINT)
+        assert first.wait() == 3, first.output
+        in_the_end.result(DEADLINE_S)
+        other.send(signal.SIGINT)
+        assert other.wait() == 3, other.output
 
 
 def test_an_agent_that_waits_for_its_place_goes_on_when_the_plant_leaves(endpoint: str) -> None:

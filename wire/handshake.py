@@ -76,7 +76,7 @@ def room(
                 shown = None
             if time.monotonic() > by:
                 raise UserError(f"{there}; end that run, or give another --namespace")
-            if not said:
+            if shown is None and not said:
                 say(f"{there}; waiting up to {LEASE_S:g} s for its end")
                 said = True
             time.sleep(LOOK_AGAIN_S)
