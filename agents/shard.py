@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from agents.law import Array, Law, Minimax
 from agents.samples import Came, Samples
 from agents.view import View
-from topologies.errors import UserError
+from topologies.errors import Code, UserError
 from topologies.graph import all_finite
 from wire.codec import ALL_UP, REPORT_ROWS, TAKEN, Flag, Link, Mask, Record, State, gather
 
@@ -29,7 +29,9 @@ _SILENCE = struct.pack("<d", math.nan)
 
 
 class LawError(UserError):
-    """A law that failed while it ran: whose law it is mends it, and to start its agent again would not."""
+    """A law that failed while it ran; a restart of its agent would not help."""
+
+    default_code = Code.LAW
 
 
 def new_law(view: View) -> Law:

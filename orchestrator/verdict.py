@@ -12,11 +12,12 @@ from orchestrator.folder import versions
 from orchestrator.observe import Observer
 from orchestrator.words import gain_said
 from topologies.describe import describe
+from topologies.errors import Exit
 from topologies.partition import cut, partition
 from topologies.schema import LAWS, Topology
 
 VALID, INVALID, UNKNOWN = "valid", "INVALID", "unknown"
-EXIT_CODES = {VALID: 0, INVALID: 1, UNKNOWN: 3}
+EXIT_CODES = {VALID: Exit.VALID, INVALID: Exit.INVALID, UNKNOWN: Exit.UNKNOWN}
 
 CLAIMS = {
     "dynamics": "every x(t+1) is equation (1) of x, u, w and the open edges, to the bit",

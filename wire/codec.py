@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from topologies.errors import HedgerowError
+from topologies.errors import Code, HedgerowError
 
 VERSION = 4
 REPORT_ROWS = 2
@@ -75,6 +75,8 @@ _new = tuple.__new__
 
 class MessageError(HedgerowError):
     """Bytes that are not the message which their key promises."""
+
+    default_code = Code.MESSAGE
 
 
 class Span(NamedTuple):

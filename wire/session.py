@@ -16,7 +16,7 @@ from typing import Any, cast
 
 import zenoh
 
-from topologies.errors import DeadlineError, HedgerowError, UserError
+from topologies.errors import Code, DeadlineError, HedgerowError, UserError
 from wire.codec import MessageError
 from wire.credentials import Credentials, router_tls
 from wire.runtime import keep_thread
@@ -41,9 +41,13 @@ STRANGE_KEYS = 16
 class WireError(HedgerowError):
     """A session that could not be opened, or a peer that never came."""
 
+    default_code = Code.WIRE
+
 
 class RefusedError(WireError):
     """A router that will not have us, or that we will not have: to wait does not help."""
+
+    default_code = Code.REFUSED
 
 
 def check_endpoint(endpoint: str, option: str = "--router") -> None:
