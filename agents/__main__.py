@@ -1,3 +1,3 @@
-from agents.process import main
+from hedgerow.agents.process import main
 
 main()

@@ -10,20 +10,20 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-from wire import anywhere  # before Zenoh and numpy are loaded
+from hedgerow.wire import anywhere  # before Zenoh and numpy are loaded
 
 import zenoh  # isort: skip
 
-from agents.plant_watch import PlantWatch
-from agents.process import LOG, Agent, Begin, Joined
-from agents.view import View
-from topologies.errors import DeadlineError, UserError
-from wire import config as configs
-from wire import keys
-from wire.config import Config
-from wire.credentials import Credentials
-from wire.handshake import introduction
-from wire.session import WireError
+from hedgerow.agents.plant_watch import PlantWatch
+from hedgerow.agents.process import LOG, Agent, Begin, Joined
+from hedgerow.agents.view import View
+from hedgerow.topologies.errors import DeadlineError, UserError
+from hedgerow.wire import config as configs
+from hedgerow.wire import keys
+from hedgerow.wire.config import Config
+from hedgerow.wire.credentials import Credentials
+from hedgerow.wire.handshake import introduction
+from hedgerow.wire.session import WireError
 
 TRIES = 2
 """How often a plant whose token is there may leave us without an answer: one that leaves does so once."""

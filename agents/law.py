@@ -15,8 +15,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from topologies.fast import kernels_for
-from topologies.graph import FEW, all_finite
+from hedgerow.topologies.fast import kernels_for
+from hedgerow.topologies.graph import FEW, all_finite
 
 Array = NDArray[np.float64]
 

@@ -8,9 +8,9 @@ from types import TracebackType
 
 import zenoh
 
-from topologies.errors import HedgerowError
-from wire import keys
-from wire.session import direct
+from hedgerow.topologies.errors import HedgerowError
+from hedgerow.wire import keys
+from hedgerow.wire.session import direct
 
 PLANT_GONE_S = 60.0
 """How long the plant may be out of sight; a cable that was pulled is put back sooner."""

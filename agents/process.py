@@ -25,12 +25,12 @@ from typing import NamedTuple, NoReturn
 
 import zenoh
 
-from agents.shard import Shard
-from agents.view import View
-from wire import keys
-from wire.access import MOST_PER_S
-from wire.child import run_child
-from wire.codec import (
+from hedgerow.agents.shard import Shard
+from hedgerow.agents.view import View
+from hedgerow.wire import keys
+from hedgerow.wire.access import MOST_PER_S
+from hedgerow.wire.child import run_child
+from hedgerow.wire.codec import (
     REPORT_ROWS,
     Kind,
     MessageError,
@@ -44,9 +44,9 @@ from wire.codec import (
     encode_link,
     kind_of,
 )
-from wire.credentials import Credentials
-from wire.runtime import LONG_BYTES, keep_memory, one_network_thread
-from wire.session import (
+from hedgerow.wire.credentials import Credentials
+from hedgerow.wire.runtime import LONG_BYTES, keep_memory, one_network_thread
+from hedgerow.wire.session import (
     CONNECT_TIMEOUT_S,
     LISTEN_TIMEOUT_S,
     Ear,
@@ -288,8 +288,8 @@ def _say(messages: Sequence[tuple[Voice, bytes]]) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
-    """`python -m agents VIEW --namespace RUN --connect ENDPOINT`: run one shard until the plant says END."""
-    parser = argparse.ArgumentParser(prog="python -m agents", description=main.__doc__)
+    """`python -m hedgerow.agents VIEW --namespace RUN --connect ENDPOINT`: run one shard until the plant says END."""
+    parser = argparse.ArgumentParser(prog="python -m hedgerow.agents", description=main.__doc__)
     parser.add_argument("view", type=Path, help="the local view, a .npz file")
     parser.add_argument("--namespace", required=True, help="the Zenoh namespace of the run")
     parser.add_argument("--connect", required=True, help="the router, a Zenoh endpoint")

@@ -14,11 +14,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.law import Array, Law
-from topologies.fast import kernels_for
-from topologies.graph import all_finite, starts
-from wire.codec import TAKEN, Flag, Flags, Mask, Record
-from wire.history import History
+from hedgerow.agents.law import Array, Law
+from hedgerow.topologies.fast import kernels_for
+from hedgerow.topologies.graph import all_finite, starts
+from hedgerow.wire.codec import TAKEN, Flag, Flags, Mask, Record
+from hedgerow.wire.history import History
 
 Index = NDArray[np.int64]
 

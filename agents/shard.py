@@ -13,12 +13,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.law import Array, Law, Minimax
-from agents.samples import Came, Samples
-from agents.view import View
-from topologies.errors import Code, UserError
-from topologies.graph import all_finite
-from wire.codec import ALL_UP, REPORT_ROWS, TAKEN, Flag, Link, Mask, Record, State, gather
+from hedgerow.agents.law import Array, Law, Minimax
+from hedgerow.agents.samples import Came, Samples
+from hedgerow.agents.view import View
+from hedgerow.topologies.errors import Code, UserError
+from hedgerow.topologies.graph import all_finite
+from hedgerow.wire.codec import ALL_UP, REPORT_ROWS, TAKEN, Flag, Link, Mask, Record, State, gather
 
 Index = NDArray[np.int64]
 

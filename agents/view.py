@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topologies import archive
+from hedgerow.topologies import archive
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

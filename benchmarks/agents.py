@@ -28,7 +28,7 @@ def main() -> None:
     """Run paper7 slowly, look at its agents, and print."""
     with tempfile.TemporaryDirectory(prefix="hedgerow-") as scratch:
         folder = Path(scratch) / "run"
-        command = [sys.executable, "-m", "orchestrator", "up", "paper7", "--steps", "100000", "--rate", "50"]
+        command = [sys.executable, "-m", "hedgerow.orchestrator", "up", "paper7", "--steps", "100000", "--rate", "50"]
         command += ["--viewer", "none", "--no-record", "--run-dir", str(folder)]
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as up:
             assert up.stdout is not None
@@ -43,7 +43,7 @@ def main() -> None:
     pss, rss = (max(getattr(each, kind) for each in memory) / 2**20 for kind in ("pss", "rss"))
     print(f"an agent of {len(agents)}: PSS {pss:.1f} MB, RSS {rss:.1f} MB")
     print(f"foreign libraries mapped: {[name for name in FOREIGN if any(name in parts for parts in loaded)] or 'none'}")
-    print(f"an interpreter that loads an agent's modules: {import_seconds('agents.process'):.2f} s")
+    print(f"an interpreter that loads an agent's modules: {import_seconds('hedgerow.agents.process'):.2f} s")
 
 
 if __name__ == "__main__":

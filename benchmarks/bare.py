@@ -17,10 +17,10 @@ import threading
 import time
 from pathlib import Path
 
-from wire import keys
-from wire.codec import REPORT_ROWS
-from wire.runtime import one_network_thread, runtime_environment, share_the_cores
-from wire.session import open_client, open_router, publisher, subscriber, wait_for_listeners
+from hedgerow.wire import keys
+from hedgerow.wire.codec import REPORT_ROWS
+from hedgerow.wire.runtime import one_network_thread, runtime_environment, share_the_cores
+from hedgerow.wire.session import open_client, open_router, publisher, subscriber, wait_for_listeners
 
 HEADER = 16
 STEP = struct.Struct("<q")

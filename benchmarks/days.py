@@ -21,15 +21,15 @@ from typing import Any
 
 import psutil
 
-from orchestrator.assign import layout, truth_of, views_of
-from orchestrator.folder import RunFolder, create
-from orchestrator.in_process import run as run_in_process
-from orchestrator.run import Run, Watching
-from orchestrator.verdict import Ending
-from topologies.load import load
-from topologies.resolve import resolve
-from topologies.schema import Topology
-from wire.codec import End, Telemetry
+from hedgerow.orchestrator.assign import layout, truth_of, views_of
+from hedgerow.orchestrator.folder import RunFolder, create
+from hedgerow.orchestrator.in_process import run as run_in_process
+from hedgerow.orchestrator.run import Run, Watching
+from hedgerow.orchestrator.verdict import Ending
+from hedgerow.topologies.load import load
+from hedgerow.topologies.resolve import resolve
+from hedgerow.topologies.schema import Topology
+from hedgerow.wire.codec import End, Telemetry
 
 SHORT, BATCH = 2048, 256
 MARKS = (0.1, 0.5, 1.0)
@@ -100,8 +100,8 @@ def opened(folder: RunFolder, steps: int) -> dict[str, float]:
     """Open a recorded run in a viewer without a window, until that has its last step."""
     from rerun.experimental import ViewerClient  # noqa: PLC0415
 
-    from orchestrator.opening import open_runs  # noqa: PLC0415
-    from orchestrator.viewer import native  # noqa: PLC0415
+    from hedgerow.orchestrator.opening import open_runs  # noqa: PLC0415
+    from hedgerow.orchestrator.viewer import native  # noqa: PLC0415
 
     viewer = native("--headless", memory="75%")
     assert viewer.process is not None

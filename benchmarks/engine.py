@@ -22,15 +22,15 @@ from typing import NamedTuple
 import numpy as np
 import scipy.sparse
 
-from agents.view import View
 from benchmarks.table import show
-from orchestrator import in_process
-from orchestrator.assign import HISTORY_BYTES
-from plant.truth import Truth
-from topologies.fast import LARGE, kernels_for
-from topologies.graph import Array, Graph
-from topologies.network import Group
-from wire.codec import Telemetry
+from hedgerow.agents.view import View
+from hedgerow.orchestrator import in_process
+from hedgerow.orchestrator.assign import HISTORY_BYTES
+from hedgerow.plant.truth import Truth
+from hedgerow.topologies.fast import LARGE, kernels_for
+from hedgerow.topologies.graph import Array, Graph
+from hedgerow.topologies.network import Group
+from hedgerow.wire.codec import Telemetry
 
 B = 0.1
 CANDIDATES = 3

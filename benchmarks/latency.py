@@ -20,10 +20,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from wire.ports import free_port
+from hedgerow.wire.ports import free_port
 
-UP = (sys.executable, "-P", "-m", "orchestrator")
-AGENT = (sys.executable, "-P", "-c", "from agents.anywhere import main; main()")
+UP = (sys.executable, "-P", "-m", "hedgerow.orchestrator")
+AGENT = (sys.executable, "-P", "-c", "from hedgerow.agents.anywhere import main; main()")
 AGENTS = range(1, 8)
 
 

@@ -28,8 +28,8 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import bare
-from orchestrator.viewer import Viewer, has_display, native
-from topologies.load import load
+from hedgerow.orchestrator.viewer import Viewer, has_display, native
+from hedgerow.topologies.load import load
 
 FREEZE_AFTER_S = 1.0
 """from the first step until a viewer is frozen: it has the first steps by then, and its connection"""
@@ -57,7 +57,7 @@ def ring(nodes: int, folder: Path) -> str:
 def ours(network: str, *options: str, viewer: str = "none", on_say: Say = lambda _: None) -> dict[str, Any]:
     """The verdict of one `orchestrator up`; `on_say` is told every line it says on the way."""
     with tempfile.TemporaryDirectory(prefix="hedgerow-") as folder:
-        command = [sys.executable, "-m", "orchestrator", "up", network, "--viewer", viewer]
+        command = [sys.executable, "-m", "hedgerow.orchestrator", "up", network, "--viewer", viewer]
         command += ["--json", "--run-dir", str(Path(folder) / "run"), *options]
         with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
             assert process.stdout is not None

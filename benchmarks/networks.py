@@ -17,15 +17,15 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from agents.shard import Shard
-from agents.view import View
-from orchestrator.assign import truth_of, views_of
-from plant.truth import Truth
-from plant.world import World
-from topologies.hinf import gamma_star
-from topologies.load import load
-from topologies.partition import cut, partition
-from topologies.resolve import resolve, save
+from hedgerow.agents.shard import Shard
+from hedgerow.agents.view import View
+from hedgerow.orchestrator.assign import truth_of, views_of
+from hedgerow.plant.truth import Truth
+from hedgerow.plant.world import World
+from hedgerow.topologies.hinf import gamma_star
+from hedgerow.topologies.load import load
+from hedgerow.topologies.partition import cut, partition
+from hedgerow.topologies.resolve import resolve, save
 
 GRAPHS = {
     "ring": "kind: ring",

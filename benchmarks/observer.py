@@ -17,16 +17,16 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from orchestrator import in_process
-from orchestrator.assign import layout, truth_of, views_of
-from orchestrator.certificate import Certificate
-from orchestrator.observe import Observer
-from orchestrator.record import Recorder
-from orchestrator.rerun_stream import RerunStream
-from orchestrator.twins import Twins
-from topologies.load import parse
-from topologies.resolve import resolve
-from wire.codec import Telemetry
+from hedgerow.orchestrator import in_process
+from hedgerow.orchestrator.assign import layout, truth_of, views_of
+from hedgerow.orchestrator.certificate import Certificate
+from hedgerow.orchestrator.observe import Observer
+from hedgerow.orchestrator.record import Recorder
+from hedgerow.orchestrator.rerun_stream import RerunStream
+from hedgerow.orchestrator.twins import Twins
+from hedgerow.topologies.load import parse
+from hedgerow.topologies.resolve import resolve
+from hedgerow.wire.codec import Telemetry
 
 PARTS = ("loop", "twins", "certificate", "other metrics and checks", "tables", "run.rrd")
 

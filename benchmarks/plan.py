@@ -20,17 +20,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agents.shard import Shard
-from agents.view import View
-from orchestrator.assign import truth_of, views_of
-from plant.truth import Truth
-from plant.world import World
-from topologies.graph import Graph
-from topologies.load import load
-from topologies.partition import partition
-from topologies.resolve import resolve
-from topologies.schema import Topology
-from wire.codec import REPORT_ROWS, encode_input, encode_state, telemetry_bytes
+from hedgerow.agents.shard import Shard
+from hedgerow.agents.view import View
+from hedgerow.orchestrator.assign import truth_of, views_of
+from hedgerow.plant.truth import Truth
+from hedgerow.plant.world import World
+from hedgerow.topologies.graph import Graph
+from hedgerow.topologies.load import load
+from hedgerow.topologies.partition import partition
+from hedgerow.topologies.resolve import resolve
+from hedgerow.topologies.schema import Topology
+from hedgerow.wire.codec import REPORT_ROWS, encode_input, encode_state, telemetry_bytes
 
 GRAPHS = {"grid": 0.5, "random_regular": 1.0}
 """By graph: the power of its size that the border of a part grows with."""

@@ -1,6 +1,6 @@
 """`python -m benchmarks.shards`: a ring in agent processes over Zenoh, beside the same ring in one process, by size.
 
-The engine is `orchestrator.in_process`: plant and agents in one process, and nothing that observes. The shards are the
+The engine is `hedgerow.orchestrator.in_process`: plant and agents in one process, and nothing that observes. The shards are the
 plant and the agents as `orchestrator up` starts them, with telemetry taken in, and nothing made of it: the loop with
 its messages, and not what is computed of a run. Both give the same last state, bit for bit, which is checked.
 
@@ -25,21 +25,21 @@ from typing import NamedTuple
 import numpy as np
 import psutil
 
-from agents.view import View
 from benchmarks.table import show
-from orchestrator import in_process
-from orchestrator.assign import truth_of, views_of
-from plant.truth import Truth
-from topologies.graph import Array
-from topologies.load import load
-from topologies.partition import partition
-from topologies.resolve import resolve
-from topologies.schema import Topology
-from wire import keys
-from wire.codec import Kind, Telemetry, decode_end, encode_seen, kind_of
-from wire.runtime import keep_memory, runtime_environment
-from wire.session import WireError, close, open_client, publisher, subscriber
-from wire.stream import Inbox
+from hedgerow.agents.view import View
+from hedgerow.orchestrator import in_process
+from hedgerow.orchestrator.assign import truth_of, views_of
+from hedgerow.plant.truth import Truth
+from hedgerow.topologies.graph import Array
+from hedgerow.topologies.load import load
+from hedgerow.topologies.partition import partition
+from hedgerow.topologies.resolve import resolve
+from hedgerow.topologies.schema import Topology
+from hedgerow.wire import keys
+from hedgerow.wire.codec import Kind, Telemetry, decode_end, encode_seen, kind_of
+from hedgerow.wire.runtime import keep_memory, runtime_environment
+from hedgerow.wire.session import WireError, close, open_client, publisher, subscriber
+from hedgerow.wire.stream import Inbox
 
 SIZES = [10**2, 10**3, 10**4, 10**5, 10**6]
 NODE_STEPS = 4_000_000

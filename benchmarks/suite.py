@@ -35,12 +35,12 @@ import psutil
 from benchmarks.loop import ring
 from benchmarks.peers import PEERS
 from benchmarks.peers.network import BEGAN, Array, Network
-from orchestrator import in_process
-from orchestrator.assign import truth_of, views_of
-from topologies.load import load
-from topologies.resolve import resolve
-from wire.codec import Telemetry
-from wire.runtime import runtime_environment
+from hedgerow.orchestrator import in_process
+from hedgerow.orchestrator.assign import truth_of, views_of
+from hedgerow.topologies.load import load
+from hedgerow.topologies.resolve import resolve
+from hedgerow.wire.codec import Telemetry
+from hedgerow.wire.runtime import runtime_environment
 
 HERE = Path(__file__).parent
 BESIDE = "pyzmq"

@@ -25,10 +25,10 @@ import yaml
 from pydantic import AfterValidator
 from pydantic.fields import FieldInfo
 
-from topologies import faults, generators, schema
-from topologies.base import Model
-from topologies.load import bundled, find, load, parse
-from topologies.resolve import resolve
+from hedgerow.topologies import faults, generators, schema
+from hedgerow.topologies.base import Model
+from hedgerow.topologies.load import bundled, find, load, parse
+from hedgerow.topologies.resolve import resolve
 
 DOCS = Path(__file__).parent
 TEMPLATE, RESULT = DOCS / "topology.md.in", DOCS / "topology.md"
@@ -341,7 +341,10 @@ class Scratch:
         """The resolved form of a file, as a run leaves it."""
         arguments = ["simulate", file, "--no-record", "--run-dir", "drawn"]
         subprocess.run(
-            [sys.executable, "-P", "-m", "orchestrator", *arguments], cwd=self.folder, capture_output=True, check=True
+            [sys.executable, "-P", "-m", "hedgerow.orchestrator", *arguments],
+            cwd=self.folder,
+            capture_output=True,
+            check=True,
         )
         return f"```yaml\n{(self.folder / 'drawn' / 'topology.yaml').read_text(encoding='utf-8')}```"
 

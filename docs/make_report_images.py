@@ -14,16 +14,16 @@ from pathlib import Path
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
-from orchestrator.assign import layout
-from orchestrator.folder import create
-from orchestrator.recorded import RecordedRun, load_run
-from orchestrator.report.figures import FIGURES
-from orchestrator.report.style import look
-from orchestrator.run import Watching
-from orchestrator.screen import Quiet
-from orchestrator.simulation import simulate_into
-from topologies.load import load
-from topologies.resolve import resolve
+from hedgerow.orchestrator.assign import layout
+from hedgerow.orchestrator.folder import create
+from hedgerow.orchestrator.recorded import RecordedRun, load_run
+from hedgerow.orchestrator.report.figures import FIGURES
+from hedgerow.orchestrator.report.style import look
+from hedgerow.orchestrator.run import Watching
+from hedgerow.orchestrator.screen import Quiet
+from hedgerow.orchestrator.simulation import simulate_into
+from hedgerow.topologies.load import load
+from hedgerow.topologies.resolve import resolve
 
 IMAGES = Path(__file__).parent / "images"
 PICTURES = {

@@ -13,12 +13,12 @@ import numpy as np
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 
-from orchestrator.assign import layout, truth_of, views_of
-from orchestrator.in_process import run
-from orchestrator.observe import Batch, Observer
-from topologies.load import load
-from topologies.resolve import resolve
-from wire.codec import End, Telemetry
+from hedgerow.orchestrator.assign import layout, truth_of, views_of
+from hedgerow.orchestrator.in_process import run
+from hedgerow.orchestrator.observe import Batch, Observer
+from hedgerow.topologies.load import load
+from hedgerow.topologies.resolve import resolve
+from hedgerow.wire.codec import End, Telemetry
 
 HERE = Path(__file__).parent
 NODE = 2  # the position of node 3

@@ -15,14 +15,14 @@ from pathlib import Path
 from PIL import Image
 from rerun.experimental import ViewerClient
 
-from orchestrator import in_process
-from orchestrator.assign import layout, truth_of, views_of
-from orchestrator.observe import Observer
-from orchestrator.rerun_stream import RerunStream
-from orchestrator.viewer import native
-from topologies.load import load
-from topologies.resolve import resolve
-from wire.codec import End, Telemetry
+from hedgerow.orchestrator import in_process
+from hedgerow.orchestrator.assign import layout, truth_of, views_of
+from hedgerow.orchestrator.observe import Observer
+from hedgerow.orchestrator.rerun_stream import RerunStream
+from hedgerow.orchestrator.viewer import native
+from hedgerow.topologies.load import load
+from hedgerow.topologies.resolve import resolve
+from hedgerow.wire.codec import End, Telemetry
 
 STEPS = 60
 IMAGES = Path(__file__).parent / "images"

@@ -1,15 +1,15 @@
 """The operator: launches a network, observes it, records it, and judges the run.
 
-from orchestrator import load_run    # what a run left, as arrays and tables (docs/data.md)
-from orchestrator import simulate    # a run in this process, and what it left
+from hedgerow.orchestrator import load_run    # what a run left, as arrays and tables (docs/data.md)
+from hedgerow.orchestrator import simulate    # a run in this process, and what it left
 """
 
 from __future__ import annotations
 
 TYPE_CHECKING = False  # the one of typing, which takes a while to load: every command and every process comes by here
 if TYPE_CHECKING:
-    from orchestrator.recorded import RecordedRun, load_run
-    from orchestrator.simulation import simulate
+    from hedgerow.orchestrator.recorded import RecordedRun, load_run
+    from hedgerow.orchestrator.simulation import simulate
 
 __all__ = ["RecordedRun", "load_run", "simulate"]
 
@@ -19,8 +19,8 @@ def __getattr__(name: str) -> object:
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     if name == "simulate":
-        from orchestrator import simulation as module  # noqa: PLC0415
+        from hedgerow.orchestrator import simulation as module  # noqa: PLC0415
     else:
-        from orchestrator import recorded as module  # type: ignore[no-redef]  # noqa: PLC0415
+        from hedgerow.orchestrator import recorded as module  # type: ignore[no-redef]  # noqa: PLC0415
 
     return getattr(module, name)

@@ -21,10 +21,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from orchestrator.checks import Worst
-from orchestrator.schedule import Instances, Schedule
-from topologies.graph import Graph, Index, Mask
-from wire.codec import TAKEN, Flag, Flags
+from hedgerow.orchestrator.checks import Worst
+from hedgerow.orchestrator.schedule import Instances, Schedule
+from hedgerow.topologies.graph import Graph, Index, Mask
+from hedgerow.wire.codec import TAKEN, Flag, Flags
 
 _OPEN, _HEAR = np.uint8(Flag.OPEN), np.uint8(Flag.HEAR)
 

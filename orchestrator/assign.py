@@ -6,17 +6,17 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from agents.view import Ids, Peer, View
-from plant.truth import Truth
-from topologies.archive import id_array
-from topologies.errors import UserError
-from topologies.faults import effects
-from topologies.graph import Array, Index
-from topologies.partition import partition
-from topologies.schema import Topology
-from wire import keys
-from wire.access import Place
-from wire.codec import REPORT_ROWS
+from hedgerow.agents.view import Ids, Peer, View
+from hedgerow.plant.truth import Truth
+from hedgerow.topologies.archive import id_array
+from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.faults import effects
+from hedgerow.topologies.graph import Array, Index
+from hedgerow.topologies.partition import partition
+from hedgerow.topologies.schema import Topology
+from hedgerow.wire import keys
+from hedgerow.wire.access import Place
+from hedgerow.wire.codec import REPORT_ROWS
 
 Layout = Sequence[Sequence[int] | Index]
 """Per agent process: the positions of its nodes, ascending."""

@@ -9,8 +9,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from wire import keys
-from wire.access import Place
+from hedgerow.wire import keys
+from hedgerow.wire.access import Place
 
 CLAIM = "every message that a process took in was said to it, by the one process that may speak on its key"
 

@@ -12,13 +12,13 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from orchestrator.folder import whole_folder
-from plant.request import BYTES_PER_INCIDENCE, LEAST_BYTES
-from topologies.errors import UserError
-from wire import keys
-from wire.access import OBSERVER, ROUTER, Place, rights, rules
-from wire.credentials import CA, CERTIFICATE, PRIVATE_KEY
-from wire.session import ACCESS, base_settings, remove_trace, router_settings
+from hedgerow.orchestrator.folder import whole_folder
+from hedgerow.plant.request import BYTES_PER_INCIDENCE, LEAST_BYTES
+from hedgerow.topologies.errors import UserError
+from hedgerow.wire import keys
+from hedgerow.wire.access import OBSERVER, ROUTER, Place, rights, rules
+from hedgerow.wire.credentials import CA, CERTIFICATE, PRIVATE_KEY
+from hedgerow.wire.session import ACCESS, base_settings, remove_trace, router_settings
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from orchestrator.authority import host_of, to_carry, write_private
-from topologies.resolve import to_yaml
-from topologies.schema import Topology
-from wire import keys
-from wire.access import Place
-from wire.config import FILE, Config
+from hedgerow.orchestrator.authority import host_of, to_carry, write_private
+from hedgerow.topologies.resolve import to_yaml
+from hedgerow.topologies.schema import Topology
+from hedgerow.wire import keys
+from hedgerow.wire.access import Place
+from hedgerow.wire.config import FILE, Config
 
 README = """# {name}, on your machines
 
@@ -114,6 +114,6 @@ def _write_rest(
 
 def release() -> str:
     """Our own version."""
-    from wire.handshake import introduction  # noqa: PLC0415
+    from hedgerow.wire.handshake import introduction  # noqa: PLC0415
 
     return str(introduction("")["hedgerow"])

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from orchestrator.checks import ROUNDING, TINY, Worst
-from topologies.graph import Array, Graph, Index, Mask
-from topologies.hinf import supply_rate
+from hedgerow.orchestrator.checks import ROUNDING, TINY, Worst
+from hedgerow.topologies.graph import Array, Graph, Index, Mask
+from hedgerow.topologies.hinf import supply_rate
 
 
 def running(before: Array | np.float64, increments: Array) -> Array:

@@ -18,19 +18,19 @@ from typing import Any
 import numpy as np
 import psutil
 
-from orchestrator.assign import layout
-from orchestrator.check import count
-from orchestrator.folder import create
-from orchestrator.interrupts import EndNowError
-from orchestrator.nursery import Nursery
-from orchestrator.run import Watching
-from orchestrator.screen import Quiet
-from orchestrator.up import Network, Options
-from topologies.errors import TopologyError
-from topologies.hinf import allowed_interval
-from topologies.load import parse
-from topologies.resolve import resolve, to_yaml
-from topologies.schema import Topology
+from hedgerow.orchestrator.assign import layout
+from hedgerow.orchestrator.check import count
+from hedgerow.orchestrator.folder import create
+from hedgerow.orchestrator.interrupts import EndNowError
+from hedgerow.orchestrator.nursery import Nursery
+from hedgerow.orchestrator.run import Watching
+from hedgerow.orchestrator.screen import Quiet
+from hedgerow.orchestrator.up import Network, Options
+from hedgerow.topologies.errors import TopologyError
+from hedgerow.topologies.hinf import allowed_interval
+from hedgerow.topologies.load import parse
+from hedgerow.topologies.resolve import resolve, to_yaml
+from hedgerow.topologies.schema import Topology
 
 MAX_STEPS = 30
 SHRINK_S = 120.0

@@ -7,11 +7,11 @@ import itertools
 from rich.console import Console
 from rich.table import Table
 
-from orchestrator.assign import candidates_of
-from topologies.hinf import allowed_interval, contraction, gamma_star
-from topologies.partition import cut, partition, pieces
-from topologies.resolve import truth
-from topologies.schema import LAWS, Component, Topology
+from hedgerow.orchestrator.assign import candidates_of
+from hedgerow.topologies.hinf import allowed_interval, contraction, gamma_star
+from hedgerow.topologies.partition import cut, partition, pieces
+from hedgerow.topologies.resolve import truth
+from hedgerow.topologies.schema import LAWS, Component, Topology
 
 MAX_ROWS = 200
 

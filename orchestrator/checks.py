@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from topologies.graph import Array, Index, Mask
+from hedgerow.topologies.graph import Array, Index, Mask
 
 TINY = 1e-300
 """keeps 0 / 0 from being asked"""

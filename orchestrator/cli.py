@@ -18,16 +18,25 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from orchestrator import cli_files, cli_keys, cli_live, cli_machines, cli_report, cli_soak, cli_sweep, cli_watch
-from orchestrator.cli_options import AsJson, File, Law, RunDir, Seed, Sets, Steps
-from orchestrator.nursery import Nursery
-from topologies.errors import DeadlineError, HedgerowError, TopologyError, UserError, check_options
-from wire.runtime import let_numbers_overflow
+from hedgerow.orchestrator import (
+    cli_files,
+    cli_keys,
+    cli_live,
+    cli_machines,
+    cli_report,
+    cli_soak,
+    cli_sweep,
+    cli_watch,
+)
+from hedgerow.orchestrator.cli_options import AsJson, File, Law, RunDir, Seed, Sets, Steps
+from hedgerow.orchestrator.nursery import Nursery
+from hedgerow.topologies.errors import DeadlineError, HedgerowError, TopologyError, UserError, check_options
+from hedgerow.wire.runtime import let_numbers_overflow
 
 # What a topology needs takes most of a second to load: each command loads what it needs itself.
 if TYPE_CHECKING:
-    from orchestrator.screen import Screen
-    from topologies.schema import Topology
+    from hedgerow.orchestrator.screen import Screen
+    from hedgerow.topologies.schema import Topology
 
 app = typer.Typer(
     name="orchestrator",
@@ -71,7 +80,7 @@ def run_command(began: float, nursery: Nursery | None) -> None:
         code = 2
     except HedgerowError as error:
         _complain(f"error: {error}")
-        from orchestrator.verdict import EXIT_CODES, UNKNOWN  # noqa: PLC0415
+        from hedgerow.orchestrator.verdict import EXIT_CODES, UNKNOWN  # noqa: PLC0415
 
         code = EXIT_CODES[UNKNOWN]
     except typer.Abort:
@@ -104,16 +113,16 @@ def _leave(code: int) -> None:
 
 def _importable(topology: Topology) -> Topology:
     """The topology, whose law is code: a module that fails to load is better known before a run begins."""
-    from agents.shard import law_class  # noqa: PLC0415
-    from orchestrator.assign import law_of  # noqa: PLC0415
+    from hedgerow.agents.shard import law_class  # noqa: PLC0415
+    from hedgerow.orchestrator.assign import law_of  # noqa: PLC0415
 
     law_class(law_of(topology))
     return topology
 
 
 def read(file: str, sets: list[str] | None, **replace: object) -> Topology:
-    from topologies.load import find, load  # noqa: PLC0415
-    from topologies.resolve import resolve  # noqa: PLC0415
+    from hedgerow.topologies.load import find, load  # noqa: PLC0415
+    from hedgerow.topologies.resolve import resolve  # noqa: PLC0415
 
     overrides = [*(f"{key}={json.dumps(value)}" for key, value in replace.items() if value is not None), *(sets or [])]
     return resolve(load(file, overrides), find(file).parent)
@@ -170,13 +179,13 @@ def up(
         )
     if lifeline:
         threading.Thread(target=_end_with_standard_input, name="lifeline", daemon=True).start()
-    from orchestrator import folder as folders  # noqa: PLC0415
-    from orchestrator.assign import layout, places, views_of  # noqa: PLC0415
-    from orchestrator.run import Watching  # noqa: PLC0415
-    from orchestrator.screen import screen  # noqa: PLC0415
-    from orchestrator.up import Network, Options  # noqa: PLC0415
-    from orchestrator.wiring import check as check_security  # noqa: PLC0415
-    from orchestrator.wiring import meeting_place  # noqa: PLC0415
+    from hedgerow.orchestrator import folder as folders  # noqa: PLC0415
+    from hedgerow.orchestrator.assign import layout, places, views_of  # noqa: PLC0415
+    from hedgerow.orchestrator.run import Watching  # noqa: PLC0415
+    from hedgerow.orchestrator.screen import screen  # noqa: PLC0415
+    from hedgerow.orchestrator.up import Network, Options  # noqa: PLC0415
+    from hedgerow.orchestrator.wiring import check as check_security  # noqa: PLC0415
+    from hedgerow.orchestrator.wiring import meeting_place  # noqa: PLC0415
 
     check_options(rate=rate, deadline=deadline, wait=wait)
     count_of: object = int(processes) if processes and processes.lstrip("-").isdecimal() else processes
@@ -190,7 +199,7 @@ def up(
     if on is not None:
         _check_cluster(on, external)
     elif external is not None:
-        from orchestrator.external import chosen, namespace_of  # noqa: PLC0415
+        from hedgerow.orchestrator.external import chosen, namespace_of  # noqa: PLC0415
 
         meet = namespace or namespace_of(topology)
         elsewhere = chosen(external, topology, shards, router, listen, meet, wait or 600.0)
@@ -202,7 +211,7 @@ def up(
     stack = contextlib.ExitStack()
     on_ray = None
     if on is not None:
-        from orchestrator.on_ray import chosen as chosen_on_ray  # noqa: PLC0415
+        from hedgerow.orchestrator.on_ray import chosen as chosen_on_ray  # noqa: PLC0415
 
         on_ray = stack.enter_context(chosen_on_ray(on, topology, shards, router, listen, namespace, wait))
         elsewhere = on_ray.external
@@ -226,7 +235,7 @@ def up(
 
 def _check_cluster(on: str, external: str | None) -> None:
     """Raise UserError for what does not go together with a cluster, and for what names none."""
-    from orchestrator.ray_cluster import check  # noqa: PLC0415
+    from hedgerow.orchestrator.ray_cluster import check  # noqa: PLC0415
 
     if external is not None:
         raise UserError("--external --on: choose one; on a cluster, Ray starts all agents")
@@ -235,8 +244,8 @@ def _check_cluster(on: str, external: str | None) -> None:
 
 def _introduce(topology: Topology, processes: int, run: str, display: Screen) -> None:
     """Say what is run, and what of it is written down."""
-    from orchestrator.check import count  # noqa: PLC0415
-    from orchestrator.kept import told  # noqa: PLC0415
+    from hedgerow.orchestrator.check import count  # noqa: PLC0415
+    from hedgerow.orchestrator.kept import told  # noqa: PLC0415
 
     what = f"{count(len(topology.ids), 'node')} in {count(processes, 'process', 'es')}, {topology.steps} steps"
     display.say(f"{topology.name}: {what}, run {run}")
@@ -269,7 +278,13 @@ def _start_detached() -> int:
 
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, end)
-    command = [sys.executable, "-P", "-m", "orchestrator", *(word for word in sys.argv[1:] if word != "--detach")]
+    command = [
+        sys.executable,
+        "-P",
+        "-m",
+        "hedgerow.orchestrator",
+        *(word for word in sys.argv[1:] if word != "--detach"),
+    ]
     process = subprocess.Popen(
         command,
         stdin=subprocess.DEVNULL,
@@ -310,7 +325,7 @@ def _let_go_of_terminal(log: Path) -> None:
 def _viewer(asked: str) -> str:
     if asked == "none":
         return asked
-    from orchestrator.viewer import choose  # noqa: PLC0415
+    from hedgerow.orchestrator.viewer import choose  # noqa: PLC0415
 
     return choose(asked)
 
@@ -330,12 +345,12 @@ def simulate(
     as_json: AsJson = False,
 ) -> int:
     """Run the same network in this one process, without Zenoh: the reference, and the quick way."""
-    from orchestrator import folder as folders  # noqa: PLC0415
-    from orchestrator.assign import layout  # noqa: PLC0415
-    from orchestrator.kept import told  # noqa: PLC0415
-    from orchestrator.run import Watching  # noqa: PLC0415
-    from orchestrator.screen import screen  # noqa: PLC0415
-    from orchestrator.simulation import simulate_into  # noqa: PLC0415
+    from hedgerow.orchestrator import folder as folders  # noqa: PLC0415
+    from hedgerow.orchestrator.assign import layout  # noqa: PLC0415
+    from hedgerow.orchestrator.kept import told  # noqa: PLC0415
+    from hedgerow.orchestrator.run import Watching  # noqa: PLC0415
+    from hedgerow.orchestrator.screen import screen  # noqa: PLC0415
+    from hedgerow.orchestrator.simulation import simulate_into  # noqa: PLC0415
 
     topology = _importable(read(file, sets, steps=steps, seed=seed, law=law))
     folder = folders.create(topology, run_dir)
@@ -360,7 +375,7 @@ def check(
     ] = False,
 ) -> int:
     """Validate a topology file and show what it says, node by node; exit code 2 and every mistake if it is wrong."""
-    from orchestrator.check import table  # noqa: PLC0415
+    from hedgerow.orchestrator.check import table  # noqa: PLC0415
 
     topology = read(file, sets, steps=steps, seed=seed, law=law)
     print(table(_importable(topology) if import_law else topology))
@@ -370,7 +385,7 @@ def check(
 @app.command()
 def schema() -> int:
     """Print the JSON Schema of topology files, for editors."""
-    from topologies.schema import Topology  # noqa: PLC0415
+    from hedgerow.topologies.schema import Topology  # noqa: PLC0415
 
     print(json.dumps(Topology.model_json_schema(), indent=2))
     return 0
@@ -379,7 +394,7 @@ def schema() -> int:
 @app.command()
 def ps(as_json: AsJson = False) -> int:
     """List the networks that are running."""
-    from orchestrator import registry  # noqa: PLC0415
+    from hedgerow.orchestrator import registry  # noqa: PLC0415
 
     entries = registry.running()
     if as_json:
@@ -396,7 +411,7 @@ def ps(as_json: AsJson = False) -> int:
 @app.command()
 def status(run: RunName = None, as_json: AsJson = False) -> int:
     """Say how far a running network is."""
-    from orchestrator.live import Live, where  # noqa: PLC0415
+    from hedgerow.orchestrator.live import Live, where  # noqa: PLC0415
 
     with Live(run) as live:
         answer = live.status()
@@ -410,9 +425,9 @@ def stop(
     deadline: Annotated[float, typer.Option(metavar="S", help="seconds to wait for its end")] = 20.0,
 ) -> int:
     """End a running network cleanly, as Ctrl-C does, and wait until it is gone."""
-    from orchestrator import registry  # noqa: PLC0415
-    from orchestrator.live import Live  # noqa: PLC0415
-    from wire.session import WireError  # noqa: PLC0415
+    from hedgerow.orchestrator import registry  # noqa: PLC0415
+    from hedgerow.orchestrator.live import Live  # noqa: PLC0415
+    from hedgerow.wire.session import WireError  # noqa: PLC0415
 
     check_options(deadline=deadline)
     entry = registry.find(run)
@@ -440,7 +455,7 @@ def chaos(
     nodes: Annotated[int, typer.Option(min=2, max=200, help="networks of 2 to so many nodes")] = 12,
 ) -> int:
     """Run random networks under random faults until one misbehaves, and leave the least file that does; exit code 1."""
-    from orchestrator.chaos import hunt, write  # noqa: PLC0415
+    from hedgerow.orchestrator.chaos import hunt, write  # noqa: PLC0415
 
     with tempfile.TemporaryDirectory(prefix="hedgerow-") as scratch:
         finding = hunt(range(seed, seed + runs), nodes, Path(scratch), lambda text: print(text, flush=True))

@@ -22,8 +22,8 @@ def register(app: typer.Typer) -> None:
 
 def export(to: To, run: Run = "runs/latest", out: Out = None, force: Force = False) -> int:
     """Write a run, over or not, into files that other tools open."""
-    from orchestrator import export as exports  # noqa: PLC0415
-    from orchestrator.recorded import load_run  # noqa: PLC0415
+    from hedgerow.orchestrator import export as exports  # noqa: PLC0415
+    from hedgerow.orchestrator.recorded import load_run  # noqa: PLC0415
 
     recorded = load_run(run)
     files = exports.export(recorded, to, out, force)

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from orchestrator.cli_options import AsJson, File, Processes
+from hedgerow.orchestrator.cli_options import AsJson, File, Processes
 
 if TYPE_CHECKING:
-    from wire.access import Place
+    from hedgerow.wire.access import Place
 
 MATRIX_MOST = 16
 """processes that a matrix is drawn for; of more, a line each"""
@@ -25,8 +25,8 @@ def register(app: typer.Typer) -> None:
 
 
 def _places(file: str, processes: int | None) -> tuple[str, list[Place]]:
-    from orchestrator.assign import layout, places, views_of  # noqa: PLC0415
-    from orchestrator.cli import read  # noqa: PLC0415
+    from hedgerow.orchestrator.assign import layout, places, views_of  # noqa: PLC0415
+    from hedgerow.orchestrator.cli import read  # noqa: PLC0415
 
     topology = read(file, None, processes=processes)
     return topology.name, places(views_of(topology, layout(topology, topology.process_count)))
@@ -42,9 +42,9 @@ def keys(
     days: Annotated[float, typer.Option(metavar="N", min=0.01, max=366, help="how long the certificates hold")] = 7,
 ) -> int:
     """Make the keys of a secure network whose router stands elsewhere: a folder for each process, and the router's."""
-    from orchestrator.authority import CONFIGURATION, to_carry  # noqa: PLC0415
-    from orchestrator.wiring import namespace_of  # noqa: PLC0415
-    from wire.session import check_endpoint  # noqa: PLC0415
+    from hedgerow.orchestrator.authority import CONFIGURATION, to_carry  # noqa: PLC0415
+    from hedgerow.orchestrator.wiring import namespace_of  # noqa: PLC0415
+    from hedgerow.wire.session import check_endpoint  # noqa: PLC0415
 
     check_endpoint(router)
     name, places = _places(file, processes)
@@ -68,9 +68,9 @@ def audit(
     from rich.console import Console  # noqa: PLC0415
     from rich.table import Table  # noqa: PLC0415
 
-    from orchestrator.audit import channels  # noqa: PLC0415
-    from wire.access import rights  # noqa: PLC0415
-    from wire.keys import PLANT  # noqa: PLC0415
+    from hedgerow.orchestrator.audit import channels  # noqa: PLC0415
+    from hedgerow.wire.access import rights  # noqa: PLC0415
+    from hedgerow.wire.keys import PLANT  # noqa: PLC0415
 
     _, places = _places(file, processes)
     found, granted = channels(places), rights(places)

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from orchestrator.cli_options import AsJson
+from hedgerow.orchestrator.cli_options import AsJson
 
 if TYPE_CHECKING:
-    from orchestrator.live import Injected, Live
-    from topologies.faults import Fault
+    from hedgerow.orchestrator.live import Injected, Live
+    from hedgerow.topologies.faults import Fault
 
 faults = typer.Typer(
     help="Make things go wrong in a running network; steps are counted from the next that it makes.",
@@ -39,7 +39,7 @@ def register(app: typer.Typer) -> None:
 
 def _with(run: str | None, as_json: bool, ask: Callable[[Live], tuple[str, dict[str, Any]]]) -> int:
     """Ask a network something, and say its answer in a line or as JSON."""
-    from orchestrator.live import Live  # noqa: PLC0415
+    from hedgerow.orchestrator.live import Live  # noqa: PLC0415
 
     with Live(run) as live:
         text, answer = ask(live)
@@ -56,7 +56,7 @@ def _inject(run: str | None, as_json: bool, inject: Callable[[Live], Injected]) 
 
 
 def _steps(after: int, steps: int | None) -> tuple[int, int] | None:
-    from topologies.effects import FOREVER  # noqa: PLC0415
+    from hedgerow.topologies.effects import FOREVER  # noqa: PLC0415
 
     if not after and steps is None:
         return None
@@ -74,7 +74,7 @@ def drop(
     as_json: AsJson = False,
 ) -> int:
     """Lose the messages of a link."""
-    from orchestrator.live import pair  # noqa: PLC0415
+    from hedgerow.orchestrator.live import pair  # noqa: PLC0415
 
     return _inject(
         run,
@@ -97,7 +97,7 @@ def delay(
     as_json: AsJson = False,
 ) -> int:
     """Let the messages of a link arrive late."""
-    from orchestrator.live import pair  # noqa: PLC0415
+    from hedgerow.orchestrator.live import pair  # noqa: PLC0415
 
     return _inject(
         run,
@@ -118,7 +118,7 @@ def cut(
     as_json: AsJson = False,
 ) -> int:
     """Let an edge carry no flow, at both its ends."""
-    from orchestrator.live import pair  # noqa: PLC0415
+    from hedgerow.orchestrator.live import pair  # noqa: PLC0415
 
     return _inject(
         run,
@@ -137,7 +137,7 @@ def partition(
     as_json: AsJson = False,
 ) -> int:
     """Lose all messages between groups of nodes."""
-    from orchestrator.live import groups as groups_in  # noqa: PLC0415
+    from hedgerow.orchestrator.live import groups as groups_in  # noqa: PLC0415
 
     return _inject(
         run,
@@ -156,7 +156,7 @@ def sensor(
     as_json: AsJson = False,
 ) -> int:
     """Lose the readings of a node's state."""
-    from topologies.base import node_id  # noqa: PLC0415
+    from hedgerow.topologies.base import node_id  # noqa: PLC0415
 
     return _inject(
         run,
@@ -175,7 +175,7 @@ def actuator(
     as_json: AsJson = False,
 ) -> int:
     """Lose a node's inputs on their way to the plant."""
-    from topologies.base import node_id  # noqa: PLC0415
+    from hedgerow.topologies.base import node_id  # noqa: PLC0415
 
     return _inject(
         run,
@@ -196,7 +196,7 @@ def crash(
     as_json: AsJson = False,
 ) -> int:
     """Kill an agent, and start it again or not."""
-    from topologies.base import node_id  # noqa: PLC0415
+    from hedgerow.topologies.base import node_id  # noqa: PLC0415
 
     return _inject(
         run,
@@ -216,7 +216,7 @@ def jump(
     as_json: AsJson = False,
 ) -> int:
     """Let a node's true a become another of its candidates."""
-    from topologies.base import node_id  # noqa: PLC0415
+    from hedgerow.topologies.base import node_id  # noqa: PLC0415
 
     return _inject(run, as_json, lambda live: live.fault.jump(node_id(node), to=to, at=after))
 
@@ -224,7 +224,7 @@ def jump(
 @faults.command(name="list")
 def list_(run: Run = None, as_json: AsJson = False) -> int:
     """List the faults of the file and those that were added."""
-    from topologies.describe import describe, window  # noqa: PLC0415
+    from hedgerow.topologies.describe import describe, window  # noqa: PLC0415
 
     def when(fault: Fault, step: int) -> str:
         start, stop = window(fault)

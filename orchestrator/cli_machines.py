@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
-from orchestrator.cli_options import File, Law, Processes, Seed, Sets, Steps
-from topologies.errors import UserError, check_options
+from hedgerow.orchestrator.cli_options import File, Law, Processes, Seed, Sets, Steps
+from hedgerow.topologies.errors import UserError, check_options
 
 Secure = Annotated[
     bool | None, typer.Option("--secure/--open", help="keys for every process, and a router that refuses the rest")
@@ -43,13 +43,13 @@ def bundle(
     sets: Sets = None,
 ) -> int:
     """Write what each process is told, a file each, to carry to other machines, and how to start them there."""
-    from orchestrator.assign import layout, places, views_of  # noqa: PLC0415
-    from orchestrator.authority import LIFE_DAYS  # noqa: PLC0415
-    from orchestrator.bundle import write, write_secure  # noqa: PLC0415
-    from orchestrator.cli import read  # noqa: PLC0415
-    from orchestrator.external import configs, namespace_of  # noqa: PLC0415
-    from orchestrator.folder import whole_folder  # noqa: PLC0415
-    from wire.session import check_endpoint, check_namespace  # noqa: PLC0415
+    from hedgerow.orchestrator.assign import layout, places, views_of  # noqa: PLC0415
+    from hedgerow.orchestrator.authority import LIFE_DAYS  # noqa: PLC0415
+    from hedgerow.orchestrator.bundle import write, write_secure  # noqa: PLC0415
+    from hedgerow.orchestrator.cli import read  # noqa: PLC0415
+    from hedgerow.orchestrator.external import configs, namespace_of  # noqa: PLC0415
+    from hedgerow.orchestrator.folder import whole_folder  # noqa: PLC0415
+    from hedgerow.wire.session import check_endpoint, check_namespace  # noqa: PLC0415
 
     topology = read(file, sets, steps=steps, seed=seed, law=law, processes=processes, secure=secure)
     shards = layout(topology, topology.process_count)
@@ -104,14 +104,14 @@ def compose(
     sets: Sets = None,
 ) -> int:
     """Print a Compose file, or Kubernetes manifests, that run a network in containers."""
-    from orchestrator.assign import layout, places, views_of  # noqa: PLC0415
-    from orchestrator.authority import write_private  # noqa: PLC0415
-    from orchestrator.cli import read  # noqa: PLC0415
-    from orchestrator.compose import MOST_BYTES, to_compose  # noqa: PLC0415
-    from orchestrator.containers import containers, provide_keys  # noqa: PLC0415
-    from orchestrator.external import namespace_of  # noqa: PLC0415
-    from orchestrator.kubernetes import MOST_MAP_BYTES, to_kubernetes  # noqa: PLC0415
-    from wire.session import check_namespace  # noqa: PLC0415
+    from hedgerow.orchestrator.assign import layout, places, views_of  # noqa: PLC0415
+    from hedgerow.orchestrator.authority import write_private  # noqa: PLC0415
+    from hedgerow.orchestrator.cli import read  # noqa: PLC0415
+    from hedgerow.orchestrator.compose import MOST_BYTES, to_compose  # noqa: PLC0415
+    from hedgerow.orchestrator.containers import containers, provide_keys  # noqa: PLC0415
+    from hedgerow.orchestrator.external import namespace_of  # noqa: PLC0415
+    from hedgerow.orchestrator.kubernetes import MOST_MAP_BYTES, to_kubernetes  # noqa: PLC0415
+    from hedgerow.wire.session import check_namespace  # noqa: PLC0415
 
     check_options(rate=rate)
     topology = read(file, sets, steps=steps, seed=seed, law=law, processes=processes, secure=secure)

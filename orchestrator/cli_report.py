@@ -22,8 +22,8 @@ def register(app: typer.Typer) -> None:
 
 def report(runs: Runs = None, out: Out = None, figures: Figures = None, force: Force = False) -> int:
     """Draw a run's figures as PDF and PNG, and a page with all of it; of several runs, beside each other."""
-    from orchestrator.recorded import load_run  # noqa: PLC0415
-    from orchestrator.report import report as write  # noqa: PLC0415
+    from hedgerow.orchestrator.recorded import load_run  # noqa: PLC0415
+    from hedgerow.orchestrator.report import report as write  # noqa: PLC0415
 
     recorded = [load_run(run) for run in runs or ["runs/latest"]]
     page, *drawn = write(recorded, out, figures, force)

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from orchestrator.cli_options import RunDir
+from hedgerow.orchestrator.cli_options import RunDir
 
 File = Annotated[str, typer.Argument(metavar="[FILE]", help="a topology file, a bundled name, or the folder of a run")]
 Minutes = Annotated[float, typer.Option(metavar="N", help="for how long")]
@@ -33,9 +33,9 @@ def soak(
     faults: Faults = True,
 ) -> int:
     """Run a network for long under faults; exit code 1 if memory, threads, open files or pace do not stay flat."""
-    from orchestrator.cli import read  # noqa: PLC0415
-    from orchestrator.soak import LEAST_MINUTES, LEAST_WARM_UP_S, run_soak  # noqa: PLC0415
-    from topologies.errors import UserError, check_options  # noqa: PLC0415
+    from hedgerow.orchestrator.cli import read  # noqa: PLC0415
+    from hedgerow.orchestrator.soak import LEAST_MINUTES, LEAST_WARM_UP_S, run_soak  # noqa: PLC0415
+    from hedgerow.topologies.errors import UserError, check_options  # noqa: PLC0415
 
     check_options(rate=rate)
     if not LEAST_MINUTES <= minutes < 1e6:

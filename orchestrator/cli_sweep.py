@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from orchestrator.ray_cluster import check
-from topologies.errors import UserError
+from hedgerow.orchestrator.ray_cluster import check
+from hedgerow.topologies.errors import UserError
 
 File = Annotated[str, typer.Argument(metavar="FILE", help="a topology file, or a bundled name")]
 Seeds = Annotated[str, typer.Option(metavar="FIRST:STOP", help="every seed from FIRST up to, and without, STOP")]
@@ -38,8 +38,8 @@ def sweep(
     on: On = None,
 ) -> int:
     """Run a network under many seeds and settings, into one table; the same command goes on where it was stopped."""
-    from orchestrator.sweep import sweep as run  # noqa: PLC0415
-    from orchestrator.sweep.plan import plan  # noqa: PLC0415
+    from hedgerow.orchestrator.sweep import sweep as run  # noqa: PLC0415
+    from hedgerow.orchestrator.sweep.plan import plan  # noqa: PLC0415
 
     if jobs is not None and jobs < 1:
         raise UserError(f"--jobs {jobs}: is below 1; leave it out for all cores")

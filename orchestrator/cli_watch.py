@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from topologies.errors import UserError
+from hedgerow.topologies.errors import UserError
 
 Running = Annotated[str | None, typer.Argument(metavar="[RUN]", help="a running network's name [the youngest]")]
 Runs = Annotated[
@@ -30,15 +30,15 @@ def _say(text: str) -> None:
 
 def watch(run: Running = None, viewer: Viewer = "auto") -> int:
     """Show a running network from its first step, whenever it began, and follow it; it costs the run nothing."""
-    from orchestrator import registry  # noqa: PLC0415
-    from orchestrator.viewer import choose_one  # noqa: PLC0415
+    from hedgerow.orchestrator import registry  # noqa: PLC0415
+    from hedgerow.orchestrator.viewer import choose_one  # noqa: PLC0415
 
     try:
         entry = registry.find(run)
     except UserError as error:
         raise UserError(f"{error}; what `simulate` runs, or is over, `orchestrator open` shows") from None
     choice = choose_one(viewer, f"`orchestrator status {entry.run}` says how far it is")
-    from orchestrator.watch import watch as follow  # noqa: PLC0415
+    from hedgerow.orchestrator.watch import watch as follow  # noqa: PLC0415
 
     follow(entry, choice, _say)
     return 0
@@ -46,13 +46,13 @@ def watch(run: Running = None, viewer: Viewer = "auto") -> int:
 
 def open_(runs: Runs = None, viewer: Viewer = "auto") -> int:
     """Show runs that are over in a viewer, several on the same axes."""
-    from orchestrator.run_files import find_run  # noqa: PLC0415
-    from orchestrator.viewer import choose_one  # noqa: PLC0415
+    from hedgerow.orchestrator.run_files import find_run  # noqa: PLC0415
+    from hedgerow.orchestrator.viewer import choose_one  # noqa: PLC0415
 
     named = runs or ["runs/latest"]
     folders = [find_run(run) for run in named]
     choice = choose_one(viewer, f"or copy {folders[0] / 'run.rrd'} to where there is one, and `rerun run.rrd` there")
-    from orchestrator.opening import open_runs  # noqa: PLC0415
+    from hedgerow.orchestrator.opening import open_runs  # noqa: PLC0415
 
     open_runs(named, choice, _say)
     return 0

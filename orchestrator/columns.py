@@ -12,7 +12,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from topologies.graph import Mask
+from hedgerow.topologies.graph import Mask
 
 _TYPES = {np.dtype(name): getattr(pa, name)() for name in ("int32", "int64", "float64")} | {np.dtype(bool): pa.bool_()}
 

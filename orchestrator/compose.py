@@ -8,7 +8,7 @@ from pathlib import Path
 
 import yaml
 
-from orchestrator.containers import (
+from hedgerow.orchestrator.containers import (
     CREDENTIALS,
     KEYS,
     OBSERVERS,
@@ -20,10 +20,10 @@ from orchestrator.containers import (
     Containers,
     Files,
 )
-from topologies.resolve import to_yaml
-from wire import keys
-from wire.access import ROUTER
-from wire.config import VARIABLE, Config
+from hedgerow.topologies.resolve import to_yaml
+from hedgerow.wire import keys
+from hedgerow.wire.access import ROUTER
+from hedgerow.wire.config import VARIABLE, Config
 
 MOST_BYTES = 100_000
 """What one environment variable may hold; the kernel's limit is 128 KB."""

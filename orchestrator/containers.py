@@ -11,18 +11,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from orchestrator.assign import Layout
-from orchestrator.authority import CONFIGURATION, LIFE_DAYS, SETTINGS, carried, to_carry
-from orchestrator.bundle import release
-from orchestrator.external import configs
-from topologies.errors import UserError
-from topologies.resolve import to_yaml
-from topologies.schema import Topology
-from wire import keys
-from wire.access import OBSERVER, OPERATOR, ROUTER, Place
-from wire.config import Config
-from wire.credentials import CA, CERTIFICATE, PRIVATE_KEY
-from wire.session import MAX_SESSIONS, base_settings
+from hedgerow.orchestrator.assign import Layout
+from hedgerow.orchestrator.authority import CONFIGURATION, LIFE_DAYS, SETTINGS, carried, to_carry
+from hedgerow.orchestrator.bundle import release
+from hedgerow.orchestrator.external import configs
+from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.resolve import to_yaml
+from hedgerow.topologies.schema import Topology
+from hedgerow.wire import keys
+from hedgerow.wire.access import OBSERVER, OPERATOR, ROUTER, Place
+from hedgerow.wire.config import Config
+from hedgerow.wire.credentials import CA, CERTIFICATE, PRIVATE_KEY
+from hedgerow.wire.session import MAX_SESSIONS, base_settings
 
 ROUTER_IMAGE = "eclipse/zenoh:1.10.2"
 ROUTER_PORT, PAGE_PORT = 7447, 9090

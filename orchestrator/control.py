@@ -8,8 +8,8 @@ from typing import Any
 
 import zenoh
 
-from wire import keys
-from wire.session import WireError
+from hedgerow.wire import keys
+from hedgerow.wire.session import WireError
 
 
 def ask(

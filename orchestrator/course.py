@@ -9,11 +9,11 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from topologies.effects import FOREVER
-from topologies.errors import HedgerowError
-from topologies.faults import Crash, Fault, Jump
-from topologies.rules import broken_faults
-from topologies.schema import Topology
+from hedgerow.topologies.effects import FOREVER
+from hedgerow.topologies.errors import HedgerowError
+from hedgerow.topologies.faults import Crash, Fault, Jump
+from hedgerow.topologies.rules import broken_faults
+from hedgerow.topologies.schema import Topology
 
 
 def with_fault(topology: Topology, entry: Mapping[str, Any]) -> Topology:

@@ -16,10 +16,10 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 from pyarrow.csv import CSVWriter
 
-from orchestrator.record import ROW_GROUP
-from orchestrator.recorded import RecordedRun
-from orchestrator.recorded_table import Table
-from topologies.errors import UserError
+from hedgerow.orchestrator.record import ROW_GROUP
+from hedgerow.orchestrator.recorded import RecordedRun
+from hedgerow.orchestrator.recorded_table import Table
+from hedgerow.topologies.errors import UserError
 
 FORMS = ("csv", "parquet", "npz", "mat")
 NAMES = (

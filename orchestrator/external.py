@@ -17,18 +17,18 @@ from pathlib import Path
 
 import zenoh
 
-from orchestrator.assign import Layout, process_name, truth_of, views_of
-from orchestrator.control import ask
-from orchestrator.wiring import Wiring
-from topologies.errors import DeadlineError, HedgerowError, UserError
-from topologies.resolve import to_yaml
-from topologies.schema import Topology
-from wire import keys
-from wire.access import OBSERVER
-from wire.config import Config
-from wire.handshake import introduction
-from wire.refusal import refused
-from wire.session import WireError, direct
+from hedgerow.orchestrator.assign import Layout, process_name, truth_of, views_of
+from hedgerow.orchestrator.control import ask
+from hedgerow.orchestrator.wiring import Wiring
+from hedgerow.topologies.errors import DeadlineError, HedgerowError, UserError
+from hedgerow.topologies.resolve import to_yaml
+from hedgerow.topologies.schema import Topology
+from hedgerow.wire import keys
+from hedgerow.wire.access import OBSERVER
+from hedgerow.wire.config import Config
+from hedgerow.wire.handshake import introduction
+from hedgerow.wire.refusal import refused
+from hedgerow.wire.session import WireError, direct
 
 PLANT_GONE_S = 30.0
 """How long the plant may be out of sight before a run is given up; a cable that was pulled is put back sooner."""

@@ -9,8 +9,8 @@ from collections.abc import Callable
 
 import rerun as rr
 
-from orchestrator.viewer import Viewer
-from orchestrator.viewer_version import compare
+from hedgerow.orchestrator.viewer import Viewer
+from hedgerow.orchestrator.viewer_version import compare
 
 Write = Callable[[rr.RecordingStream], None]
 

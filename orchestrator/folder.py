@@ -15,9 +15,9 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from topologies.errors import UserError
-from topologies.resolve import save
-from topologies.schema import Topology
+from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.resolve import save
+from hedgerow.topologies.schema import Topology
 
 PACKAGES = ("hedgerow", "eclipse-zenoh", "numpy", "rerun-sdk", "pydantic", "pyarrow", "scipy")
 

@@ -23,12 +23,15 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-import agents.process
-import plant.process
-from wire.runtime import share_the_cores
-from wire.session import remove_trace
+import hedgerow.agents.process
+import hedgerow.plant.process
+from hedgerow.wire.runtime import share_the_cores
+from hedgerow.wire.session import remove_trace
 
-PROGRAMS: dict[str, Callable[[Sequence[str]], NoReturn]] = {"agents": agents.process.main, "plant": plant.process.main}
+PROGRAMS: dict[str, Callable[[Sequence[str]], NoReturn]] = {
+    "agents": hedgerow.agents.process.main,
+    "plant": hedgerow.plant.process.main,
+}
 
 
 def main() -> None:

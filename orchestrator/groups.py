@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.observe import Batch
-from topologies.graph import Graph, Index, Mask
-from topologies.partition import partition
+from hedgerow.orchestrator.observe import Batch
+from hedgerow.topologies.graph import Graph, Index, Mask
+from hedgerow.topologies.partition import partition
 
 GROUPS = 500
 

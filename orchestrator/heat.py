@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.observe import Batch
+from hedgerow.orchestrator.observe import Batch
 
 ROWS, COLUMNS = 200, 400
 

@@ -7,12 +7,12 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from agents.shard import LawError, Shard
-from agents.view import View
-from plant.truth import Truth
-from plant.world import World
-from topologies.graph import Array
-from wire.codec import REPORT_ROWS, End, Telemetry, gather
+from hedgerow.agents.shard import LawError, Shard
+from hedgerow.agents.view import View
+from hedgerow.plant.truth import Truth
+from hedgerow.plant.world import World
+from hedgerow.topologies.graph import Array
+from hedgerow.wire.codec import REPORT_ROWS, End, Telemetry, gather
 
 
 def run(truth: Truth, views: Sequence[View]) -> Iterator[Telemetry | End]:

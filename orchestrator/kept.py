@@ -8,8 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
-from topologies.graph import Graph, Index
-from topologies.schema import Topology
+from hedgerow.topologies.graph import Graph, Index
+from hedgerow.topologies.schema import Topology
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ from typing import Any
 
 import yaml
 
-from orchestrator.containers import (
+from hedgerow.orchestrator.containers import (
     KEYS,
     OBSERVERS,
     PAGE_CHECK,
@@ -19,9 +19,9 @@ from orchestrator.containers import (
     Containers,
     Files,
 )
-from topologies.resolve import to_yaml
-from wire import keys
-from wire.access import ROUTER
+from hedgerow.topologies.resolve import to_yaml
+from hedgerow.wire import keys
+from hedgerow.wire.access import ROUTER
 
 MOST_MAP_BYTES = 1_000_000
 """What one ConfigMap may hold; Kubernetes' limit is 1 MiB."""

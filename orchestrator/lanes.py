@@ -13,11 +13,11 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from orchestrator import palette
-from orchestrator.accounts import at_ends
-from orchestrator.observe import Batch
-from orchestrator.palette import Color
-from topologies.schema import Topology
+from hedgerow.orchestrator import palette
+from hedgerow.orchestrator.accounts import at_ends
+from hedgerow.orchestrator.observe import Batch
+from hedgerow.orchestrator.palette import Color
+from hedgerow.topologies.schema import Topology
 
 LANES = 24
 """more links and nodes than that have no lane of their own"""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components, shortest_path
 
-from topologies.graph import Graph, Index
+from hedgerow.topologies.graph import Graph, Index
 
 Places = NDArray[np.float64]
 

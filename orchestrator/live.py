@@ -24,16 +24,16 @@ import psutil
 import zenoh
 from pydantic import TypeAdapter, ValidationError
 
-from orchestrator import registry
-from orchestrator.control import ask
-from topologies.base import node_id
-from topologies.describe import describe
-from topologies.errors import DeadlineError, HedgerowError, TopologyError, UserError
-from topologies.faults import Fault, Jump, effects
-from topologies.load import load, parse
-from topologies.rules import broken_faults
-from topologies.schema import Topology
-from wire.session import WireError, open_client
+from hedgerow.orchestrator import registry
+from hedgerow.orchestrator.control import ask
+from hedgerow.topologies.base import node_id
+from hedgerow.topologies.describe import describe
+from hedgerow.topologies.errors import DeadlineError, HedgerowError, TopologyError, UserError
+from hedgerow.topologies.faults import Fault, Jump, effects
+from hedgerow.topologies.load import load, parse
+from hedgerow.topologies.rules import broken_faults
+from hedgerow.topologies.schema import Topology
+from hedgerow.wire.session import WireError, open_client
 
 NodeId = int | str
 Pair = tuple[NodeId, NodeId]
@@ -50,7 +50,7 @@ class FaultVerbs(ABC, Generic[T_co]):
 
     @abstractmethod
     def inject(self, fault: Fault | Mapping[str, Any]) -> T_co:
-        """Any fault: a model of `topologies.faults`, or a mapping as a file spells it."""
+        """Any fault: a model of `hedgerow.topologies.faults`, or a mapping as a file spells it."""
 
     def _inject(self, kind: str, **keys: Any) -> T_co:
         return self.inject({"kind": kind} | {key: value for key, value in keys.items() if value is not None})

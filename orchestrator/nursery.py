@@ -16,8 +16,8 @@ import threading
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
-from topologies.errors import DeadlineError
-from wire.runtime import runtime_environment
+from hedgerow.topologies.errors import DeadlineError
+from hedgerow.wire.runtime import runtime_environment
 
 FORK_DEADLINE_S = 30.0
 END_DEADLINE_S = 5.0
@@ -29,13 +29,13 @@ def _leave_ctrl_c_to_us() -> None:
 
 
 class Nursery:
-    """Our end of `orchestrator.fork_server`: who it forked, and who of them has ended."""
+    """Our end of `hedgerow.orchestrator.fork_server`: who it forked, and who of them has ended."""
 
     def __init__(self) -> None:
         held, self._lifeline = socket.socketpair()
         # -P: a folder called `agents` in the user's working directory is not ours.
         self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "orchestrator.fork_server", str(held.fileno())],
+            [sys.executable, "-P", "-m", "hedgerow.orchestrator.fork_server", str(held.fileno())],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             pass_fds=(held.fileno(),),

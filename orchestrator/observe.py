@@ -10,17 +10,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.law import control
-from orchestrator.accounts import Accounts, Told
-from orchestrator.assign import candidates_of
-from orchestrator.certificate import Certificate, running
-from orchestrator.checks import Motion, Worst
-from orchestrator.schedule import Schedule
-from orchestrator.twins import Twins
-from plant.world import dynamics
-from topologies.graph import Array, Graph
-from topologies.schema import Topology
-from wire.codec import End, Telemetry
+from hedgerow.agents.law import control
+from hedgerow.orchestrator.accounts import Accounts, Told
+from hedgerow.orchestrator.assign import candidates_of
+from hedgerow.orchestrator.certificate import Certificate, running
+from hedgerow.orchestrator.checks import Motion, Worst
+from hedgerow.orchestrator.schedule import Schedule
+from hedgerow.orchestrator.twins import Twins
+from hedgerow.plant.world import dynamics
+from hedgerow.topologies.graph import Array, Graph
+from hedgerow.topologies.schema import Topology
+from hedgerow.wire.codec import End, Telemetry
 
 Matrix = NDArray[np.float64]
 

@@ -17,16 +17,16 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from topologies.errors import HedgerowError, UserError
-from wire.config import Config
+from hedgerow.topologies.errors import HedgerowError, UserError
+from hedgerow.wire.config import Config
 
 if TYPE_CHECKING:
-    from orchestrator.assign import Layout
-    from orchestrator.external import External
-    from orchestrator.folder import RunFolder
-    from orchestrator.ray_cluster import RayCluster
-    from topologies.schema import Topology
-    from wire.credentials import Credentials
+    from hedgerow.orchestrator.assign import Layout
+    from hedgerow.orchestrator.external import External
+    from hedgerow.orchestrator.folder import RunFolder
+    from hedgerow.orchestrator.ray_cluster import RayCluster
+    from hedgerow.topologies.schema import Topology
+    from hedgerow.wire.credentials import Credentials
 
 RESTARTS = 5
 """How often Ray starts an agent again that dies; then it stays down."""
@@ -49,9 +49,9 @@ class Seat:
 
     def run(self, config: Config, wait_s: float, credentials: Credentials | None) -> str:
         """Be the agent until the plant says END; why that could not be, or nothing."""
-        from agents.anywhere import take_part  # noqa: PLC0415
-        from wire.child import LINE, TIME  # noqa: PLC0415
-        from wire.runtime import share_the_cores  # noqa: PLC0415
+        from hedgerow.agents.anywhere import take_part  # noqa: PLC0415
+        from hedgerow.wire.child import LINE, TIME  # noqa: PLC0415
+        from hedgerow.wire.runtime import share_the_cores  # noqa: PLC0415
 
         listener = _Lines(self._said)
         listener.setFormatter(logging.Formatter(LINE, TIME))
@@ -263,9 +263,9 @@ def chosen(
     wait_s: float | None,
 ) -> Iterator[OnRay]:
     """What `--on ON` means, while we are joined to that cluster; UserError where it cannot be."""
-    from orchestrator import external, wiring  # noqa: PLC0415
-    from orchestrator.ray_cluster import joined  # noqa: PLC0415
-    from wire.ports import LOOPBACK, free_port  # noqa: PLC0415
+    from hedgerow.orchestrator import external, wiring  # noqa: PLC0415
+    from hedgerow.orchestrator.ray_cluster import joined  # noqa: PLC0415
+    from hedgerow.wire.ports import LOOPBACK, free_port  # noqa: PLC0415
 
     with joined(on) as cluster:
         # Nobody else is let in where there is nobody else.

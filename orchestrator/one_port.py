@@ -80,7 +80,7 @@ async def _serve(host: str, port: int, data: int, page: int) -> None:
 
 
 def main() -> None:
-    """`python -m orchestrator.one_port HOST PORT DATA PAGE`: serve until killed."""
+    """`python -m hedgerow.orchestrator.one_port HOST PORT DATA PAGE`: serve until killed."""
     host, *ports = sys.argv[1:]
     asyncio.run(_serve(host, *map(int, ports)))
 

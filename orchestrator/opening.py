@@ -16,20 +16,20 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 from rerun.chunk import RrdReader
 
-from orchestrator import registry
-from orchestrator.accounts import at_ends
-from orchestrator.interrupts import Interrupts
-from orchestrator.observe import Observer
-from orchestrator.recorded import RecordedRun, load_run
-from orchestrator.rerun_stream import APPLICATION, RerunStream
-from orchestrator.round_trips import processes_of
-from orchestrator.rrd_file import parts
-from orchestrator.run_files import find_run, load_resolved
-from orchestrator.viewer import Viewer, start
-from orchestrator.viewer_version import VERSION_DEADLINE_S, compare
-from orchestrator.watch import CLOSE_DEADLINE_S, MEMORY, READ_STEPS, PatientStream, as_begun, keep_page, told
-from topologies.errors import HedgerowError, UserError
-from wire.codec import TAKEN, End, Telemetry
+from hedgerow.orchestrator import registry
+from hedgerow.orchestrator.accounts import at_ends
+from hedgerow.orchestrator.interrupts import Interrupts
+from hedgerow.orchestrator.observe import Observer
+from hedgerow.orchestrator.recorded import RecordedRun, load_run
+from hedgerow.orchestrator.rerun_stream import APPLICATION, RerunStream
+from hedgerow.orchestrator.round_trips import processes_of
+from hedgerow.orchestrator.rrd_file import parts
+from hedgerow.orchestrator.run_files import find_run, load_resolved
+from hedgerow.orchestrator.viewer import Viewer, start
+from hedgerow.orchestrator.viewer_version import VERSION_DEADLINE_S, compare
+from hedgerow.orchestrator.watch import CLOSE_DEADLINE_S, MEMORY, READ_STEPS, PatientStream, as_begun, keep_page, told
+from hedgerow.topologies.errors import HedgerowError, UserError
+from hedgerow.wire.codec import TAKEN, End, Telemetry
 
 Say = Callable[[str], None]
 Columns = NDArray[np.float64]

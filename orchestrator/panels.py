@@ -11,17 +11,17 @@ import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
-from orchestrator.kept import evenly, kept
-from orchestrator.lanes import LANES
-from orchestrator.observe import Batch, Observer
-from orchestrator.palette import BACKGROUND, GREEN, GREY, ORANGE, Color, hues
-from orchestrator.palette import CUT as RED
-from orchestrator.palette import LOST as AMBER
-from orchestrator.palette import NO_INPUT as BLUE
-from orchestrator.picture import Legend
-from topologies.graph import Index
-from topologies.schema import Topology
-from wire.codec import Trips
+from hedgerow.orchestrator.kept import evenly, kept
+from hedgerow.orchestrator.lanes import LANES
+from hedgerow.orchestrator.observe import Batch, Observer
+from hedgerow.orchestrator.palette import BACKGROUND, GREEN, GREY, ORANGE, Color, hues
+from hedgerow.orchestrator.palette import CUT as RED
+from hedgerow.orchestrator.palette import LOST as AMBER
+from hedgerow.orchestrator.palette import NO_INPUT as BLUE
+from hedgerow.orchestrator.picture import Legend
+from hedgerow.topologies.graph import Index
+from hedgerow.topologies.schema import Topology
+from hedgerow.wire.codec import Trips
 
 Matrix = NDArray[np.float64]
 

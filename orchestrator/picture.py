@@ -16,13 +16,13 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from orchestrator import palette
-from orchestrator.groups import Groups, Scene
-from orchestrator.layout import Places, positions
-from orchestrator.observe import Batch
-from orchestrator.palette import Packed, flow_colors, packed, state_colors
-from topologies.graph import Graph, Index, Mask
-from topologies.schema import WHOLE, Topology
+from hedgerow.orchestrator import palette
+from hedgerow.orchestrator.groups import Groups, Scene
+from hedgerow.orchestrator.layout import Places, positions
+from hedgerow.orchestrator.observe import Batch
+from hedgerow.orchestrator.palette import Packed, flow_colors, packed, state_colors
+from hedgerow.topologies.graph import Graph, Index, Mask
+from hedgerow.topologies.schema import WHOLE, Topology
 
 NAMED = 40
 """larger networks are drawn without names, but for those of the WORST nodes"""

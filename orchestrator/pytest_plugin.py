@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 if TYPE_CHECKING:
-    from orchestrator.testing import Networks, Result
+    from hedgerow.orchestrator.testing import Networks, Result
 
 _RESULTS = pytest.StashKey[list["Result"]]()
 """The runs that the test at hand has made."""
@@ -21,8 +21,8 @@ _RESULTS = pytest.StashKey[list["Result"]]()
 @pytest.fixture(scope="session")
 def network(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Networks:
     """Networks to test with: `network("paper7").drop((2, 4), steps=range(10, 20)).run()`; see orchestrator.testing."""
-    from orchestrator import live  # noqa: PLC0415
-    from orchestrator.testing import Networks, result, running, scenario  # noqa: PLC0415
+    from hedgerow.orchestrator import live  # noqa: PLC0415
+    from hedgerow.orchestrator.testing import Networks, result, running, scenario  # noqa: PLC0415
 
     for ours in (live, result, running, scenario):
         vars(ours)["__tracebackhide__"] = _is_the_users
@@ -32,7 +32,7 @@ def network(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
 
 def _is_the_users(mistake: pytest.ExceptionInfo[BaseException]) -> bool:
     """Of a mistake in a test the test's own line is shown, and none of ours."""
-    from topologies.errors import UserError  # noqa: PLC0415
+    from hedgerow.topologies.errors import UserError  # noqa: PLC0415
 
     return isinstance(mistake.value, UserError)
 
@@ -62,7 +62,7 @@ _SHOWN = 4
 
 def pytest_assertrepr_compare(left: object, right: object, op: str) -> list[str] | None:
     """Why two runs, or the estimates of two, are not equal."""
-    testing = sys.modules.get("orchestrator.testing.result")
+    testing = sys.modules.get("hedgerow.orchestrator.testing.result")
     if testing is None or op != "==":
         return None
     said: list[str] | None = testing.explain(left, right)

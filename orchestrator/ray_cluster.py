@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from topologies.errors import UserError
+from hedgerow.topologies.errors import UserError
 
 CLIENT_PORT = 10001
 LISTEN_DEADLINE_S = 5.0

@@ -18,14 +18,14 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from orchestrator.accounts import at_ends
-from orchestrator.columns import column, names
-from orchestrator.kept import kept
-from orchestrator.observe import Batch, Observer
-from topologies.archive import id_array
-from topologies.graph import Index
-from topologies.schema import Topology
-from wire.codec import End
+from hedgerow.orchestrator.accounts import at_ends
+from hedgerow.orchestrator.columns import column, names
+from hedgerow.orchestrator.kept import kept
+from hedgerow.orchestrator.observe import Batch, Observer
+from hedgerow.topologies.archive import id_array
+from hedgerow.topologies.graph import Index
+from hedgerow.topologies.schema import Topology
+from hedgerow.wire.codec import End
 
 ROW_GROUP = 2**16
 

@@ -15,16 +15,16 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.certificate import storage
-from orchestrator.kept import Kept, kept
-from orchestrator.observe import Batch, Observer, gain
-from orchestrator.recorded_table import Table, there_is
-from orchestrator.run_files import find_run, load_events, load_resolved, read_verdict
-from orchestrator.schedule import Schedule
-from topologies.errors import UserError
-from topologies.graph import Array, Index, Mask
-from topologies.schema import Topology
-from wire.codec import TAKEN, End, Telemetry
+from hedgerow.orchestrator.certificate import storage
+from hedgerow.orchestrator.kept import Kept, kept
+from hedgerow.orchestrator.observe import Batch, Observer, gain
+from hedgerow.orchestrator.recorded_table import Table, there_is
+from hedgerow.orchestrator.run_files import find_run, load_events, load_resolved, read_verdict
+from hedgerow.orchestrator.schedule import Schedule
+from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.graph import Array, Index, Mask
+from hedgerow.topologies.schema import Topology
+from hedgerow.wire.codec import TAKEN, End, Telemetry
 
 Value = TypeVar("Value", bound=np.generic)
 TABLES = ("telemetry", "edges", "summary")
@@ -58,7 +58,7 @@ def _flags(name: str) -> cached_property[Mask]:
 
 
 def _observed(name: str) -> cached_property[Array]:
-    """What the observer computed live, computed again: a field of `orchestrator.observe.Batch`, (T,) or (T, n)."""
+    """What the observer computed live, computed again: a field of `hedgerow.orchestrator.observe.Batch`, (T,) or (T, n)."""
     return cached_property(lambda run: run._by_step(getattr(run._replayed[0], name)))
 
 

@@ -13,10 +13,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from orchestrator.record import whole_batches
-from orchestrator.run_files import reading
-from topologies.errors import UserError
-from topologies.graph import Index
+from hedgerow.orchestrator.record import whole_batches
+from hedgerow.orchestrator.run_files import reading
+from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.graph import Index
 
 FRAMES = ("arrow", "pandas", "polars")
 

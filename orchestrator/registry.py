@@ -17,9 +17,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from topologies.errors import UserError
-from wire.access import OPERATOR
-from wire.session import remove_trace
+from hedgerow.topologies.errors import UserError
+from hedgerow.wire.access import OPERATOR
+from hedgerow.wire.session import remove_trace
 
 
 @dataclass(frozen=True)

@@ -16,24 +16,34 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.observe import Batch, Observer
-from orchestrator.viewer import Viewer
-from topologies.describe import describe, window
-from topologies.schema import Topology
-from wire.codec import Trips
+from hedgerow.orchestrator.observe import Batch, Observer
+from hedgerow.orchestrator.viewer import Viewer
+from hedgerow.topologies.describe import describe, window
+from hedgerow.topologies.schema import Topology
+from hedgerow.wire.codec import Trips
 
 # Rerun reads this once, on import, and else writes lines to the terminal when a viewer is closed: no error of a run.
 os.environ.setdefault("RUST_LOG", "error,re_grpc_client=off,re_sdk=off")
 import rerun as rr
 
-from orchestrator.feeder import Feeder, Write
-from orchestrator.heat import HeatMap
-from orchestrator.kept import kept
-from orchestrator.lanes import Changes, Lanes
-from orchestrator.panels import LARGE, ROUND_TRIPS, Matrix, RoundTripLines, aggregates, blueprint, lined, lines, totals
-from orchestrator.picture import Frames, Picture
-from orchestrator.rrd_file import RrdFile
-from orchestrator.words import Now, about
+from hedgerow.orchestrator.feeder import Feeder, Write
+from hedgerow.orchestrator.heat import HeatMap
+from hedgerow.orchestrator.kept import kept
+from hedgerow.orchestrator.lanes import Changes, Lanes
+from hedgerow.orchestrator.panels import (
+    LARGE,
+    ROUND_TRIPS,
+    Matrix,
+    RoundTripLines,
+    aggregates,
+    blueprint,
+    lined,
+    lines,
+    totals,
+)
+from hedgerow.orchestrator.picture import Frames, Picture
+from hedgerow.orchestrator.rrd_file import RrdFile
+from hedgerow.orchestrator.words import Now, about
 
 APPLICATION = "hedgerow"
 CHUNK_ROWS, CHUNK_S = 200, 2.0

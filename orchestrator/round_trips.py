@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from orchestrator.assign import process_names
-from orchestrator.columns import column, names
-from orchestrator.record import to_parquet
-from topologies.schema import Topology
-from wire.codec import Trips
+from hedgerow.orchestrator.assign import process_names
+from hedgerow.orchestrator.columns import column, names
+from hedgerow.orchestrator.record import to_parquet
+from hedgerow.topologies.schema import Topology
+from hedgerow.wire.codec import Trips
 
 TABLE = "round_trips"
 SCHEMA = pa.schema([("step", pa.int64()), ("process", pa.string()), ("round_trip_ms", pa.float64())])

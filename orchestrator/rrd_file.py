@@ -13,7 +13,7 @@ from pathlib import Path
 import rerun as rr
 from rerun_bindings import flush_and_cleanup_orphaned_recordings
 
-from topologies.errors import HedgerowError
+from hedgerow.topologies.errors import HedgerowError
 
 Write = Callable[[rr.RecordingStream], None]
 

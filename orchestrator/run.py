@@ -11,20 +11,20 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from orchestrator.aside import Aside
-from orchestrator.folder import RunFolder, write_json
-from orchestrator.observe import Batch, Observer, rows_at_once
-from orchestrator.verdict import Ending, Verdict, judge
-from orchestrator.viewer import Viewer, start
-from topologies.errors import HedgerowError
-from topologies.resolve import to_yaml
-from topologies.schema import Topology
-from wire.codec import End, Telemetry, Trips
+from hedgerow.orchestrator.aside import Aside
+from hedgerow.orchestrator.folder import RunFolder, write_json
+from hedgerow.orchestrator.observe import Batch, Observer, rows_at_once
+from hedgerow.orchestrator.verdict import Ending, Verdict, judge
+from hedgerow.orchestrator.viewer import Viewer, start
+from hedgerow.topologies.errors import HedgerowError
+from hedgerow.topologies.resolve import to_yaml
+from hedgerow.topologies.schema import Topology
+from hedgerow.wire.codec import End, Telemetry, Trips
 
 if TYPE_CHECKING:
-    from orchestrator.record import Recorder
-    from orchestrator.rerun_stream import RerunStream
-    from orchestrator.round_trips import RoundTrips
+    from hedgerow.orchestrator.record import Recorder
+    from hedgerow.orchestrator.rerun_stream import RerunStream
+    from hedgerow.orchestrator.round_trips import RoundTrips
 
 CLOSE_DEADLINE_S = 5.0
 TABLES = ("telemetry", "edges", "summary")
@@ -33,7 +33,7 @@ TABLES = ("telemetry", "edges", "summary")
 
 @dataclass(frozen=True)
 class Watching:
-    """Where Rerun data goes: into run.rrd or not, and to which viewer, as `orchestrator.viewer.choose` names it."""
+    """Where Rerun data goes: into run.rrd or not, and to which viewer, as `hedgerow.orchestrator.viewer.choose` names it."""
 
     record: bool = True
     viewer: str = "none"
@@ -73,7 +73,7 @@ class Run:
     @cached_property
     def _recorder(self) -> Recorder:
         # Arrow takes a while to load: not before the processes of the run have been launched.
-        from orchestrator.record import Recorder  # noqa: PLC0415
+        from hedgerow.orchestrator.record import Recorder  # noqa: PLC0415
 
         return Recorder(self.topology, self.folder.path)
 
@@ -81,7 +81,7 @@ class Run:
         """Observe and record some steps, `rows_at_once` at most; OSError when the disk is full."""
         batch = self.observer.take(rows)
         if self._processes and self._round_trips is None:
-            from orchestrator.round_trips import RoundTrips  # noqa: PLC0415
+            from hedgerow.orchestrator.round_trips import RoundTrips  # noqa: PLC0415
 
             self._round_trips = RoundTrips(self._processes, self.folder.path)
         self._recorder.write(batch)
@@ -146,7 +146,7 @@ class Run:
         )
 
     def _load(self, path: Path | None) -> None:
-        from orchestrator.rerun_stream import RerunStream  # noqa: PLC0415
+        from hedgerow.orchestrator.rerun_stream import RerunStream  # noqa: PLC0415
 
         part_bytes = int(self._watching.split_mb * 1e6)
         self._stream = RerunStream(

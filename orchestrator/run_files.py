@@ -12,9 +12,9 @@ from typing import Any
 import pyarrow as pa
 from pydantic import BaseModel, ValidationError
 
-from topologies.errors import UserError
-from topologies.load import load
-from topologies.schema import Topology
+from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.load import load
+from hedgerow.topologies.schema import Topology
 
 
 def find_run(run: str | Path) -> Path:

@@ -6,11 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from plant.faults import strikes
-from topologies.effects import FOREVER, Effect
-from topologies.faults import effects
-from topologies.graph import Index, Mask
-from topologies.schema import Topology
+from hedgerow.plant.faults import strikes
+from hedgerow.topologies.effects import FOREVER, Effect
+from hedgerow.topologies.faults import effects
+from hedgerow.topologies.graph import Index, Mask
+from hedgerow.topologies.schema import Topology
 
 
 class Instances(NamedTuple):

@@ -11,9 +11,9 @@ import time
 from pathlib import Path
 from typing import Protocol
 
-from orchestrator.observe import Batch
-from orchestrator.verdict import Verdict
-from topologies.schema import Topology
+from hedgerow.orchestrator.observe import Batch
+from hedgerow.orchestrator.verdict import Verdict
+from hedgerow.topologies.schema import Topology
 
 LINE_EVERY_S = 2.0
 
@@ -117,6 +117,6 @@ def screen(topology: Topology, as_json: bool, plain: bool = False, watched: bool
     terminal = sys.stdout.isatty()
     if not terminal or plain or os.environ.get("TERM", "").lower() in ("dumb", "unknown"):
         return Lines(topology.steps, terminal)
-    from orchestrator.terminal import Bar, Table  # noqa: PLC0415 (rich takes a while to load, and pipes need none)
+    from hedgerow.orchestrator.terminal import Bar, Table  # noqa: PLC0415 (rich takes a while to load, and pipes need none)
 
     return Bar(topology.steps) if watched else Table(topology)

@@ -9,22 +9,22 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from agents.shard import LawError, law_class
-from orchestrator import in_process
-from orchestrator.assign import Layout, law_of, layout, truth_of, views_of
-from orchestrator.folder import RunFolder, create
-from orchestrator.interrupts import EndNowError, Interrupts
-from orchestrator.run import Run, Watching, same_tables
-from orchestrator.screen import Quiet, Screen
-from orchestrator.verdict import Ending, Verdict
-from topologies.errors import HedgerowError
-from topologies.load import find, load
-from topologies.resolve import resolve
-from topologies.schema import Topology
-from wire.codec import End, Telemetry
+from hedgerow.agents.shard import LawError, law_class
+from hedgerow.orchestrator import in_process
+from hedgerow.orchestrator.assign import Layout, law_of, layout, truth_of, views_of
+from hedgerow.orchestrator.folder import RunFolder, create
+from hedgerow.orchestrator.interrupts import EndNowError, Interrupts
+from hedgerow.orchestrator.run import Run, Watching, same_tables
+from hedgerow.orchestrator.screen import Quiet, Screen
+from hedgerow.orchestrator.verdict import Ending, Verdict
+from hedgerow.topologies.errors import HedgerowError
+from hedgerow.topologies.load import find, load
+from hedgerow.topologies.resolve import resolve
+from hedgerow.topologies.schema import Topology
+from hedgerow.wire.codec import End, Telemetry
 
 if TYPE_CHECKING:
-    from orchestrator.recorded import RecordedRun
+    from hedgerow.orchestrator.recorded import RecordedRun
 
 
 def simulate(network: str | Path, *settings: str, run_dir: str | Path | None = None) -> RecordedRun:
@@ -34,7 +34,7 @@ def simulate(network: str | Path, *settings: str, run_dir: str | Path | None = N
     run_dir: a new folder for the run, else one in runs/. Raises HedgerowError for a mistake, or if no step was made.
     """
     # `up` comes by here, and has no use for what reads runs.
-    from orchestrator.recorded import load_run  # noqa: PLC0415
+    from hedgerow.orchestrator.recorded import load_run  # noqa: PLC0415
 
     topology = resolve(load(str(network), settings), find(str(network)).parent)
     law_class(law_of(topology))  # a mistake in it is better known before there is a folder

@@ -24,15 +24,15 @@ import psutil
 from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
-from orchestrator import registry
-from orchestrator.folder import RunFolder
-from orchestrator.interrupts import Interrupts
-from orchestrator.live import Live
-from topologies.errors import DeadlineError, HedgerowError
-from topologies.faults import Fault
-from topologies.resolve import to_yaml
-from topologies.schema import Topology
-from wire.session import WireError
+from hedgerow.orchestrator import registry
+from hedgerow.orchestrator.folder import RunFolder
+from hedgerow.orchestrator.interrupts import Interrupts
+from hedgerow.orchestrator.live import Live
+from hedgerow.topologies.errors import DeadlineError, HedgerowError
+from hedgerow.topologies.faults import Fault
+from hedgerow.topologies.resolve import to_yaml
+from hedgerow.topologies.schema import Topology
+from hedgerow.wire.session import WireError
 
 Say = Callable[[str], None]
 Array = NDArray[np.float64]
@@ -166,7 +166,7 @@ def run_soak(
 def _up(file: Path, folder: RunFolder, topology: Topology, options: Sequence[str]) -> Iterator[subprocess.Popen[bytes]]:
     """`orchestrator up` of that network, which ends with us however we end."""
     file.write_text(to_yaml(topology), encoding="utf-8")
-    command = [sys.executable, "-P", "-m", "orchestrator", "up", str(file), "--run-dir", str(folder.path)]
+    command = [sys.executable, "-P", "-m", "hedgerow.orchestrator", "up", str(file), "--run-dir", str(folder.path)]
     fixed = ["--viewer", "none", "--lifeline", "--plain"]
     said = file.with_suffix(".log")
     with said.open("wb") as log:
@@ -317,7 +317,7 @@ def _trend(what: str, unit: str, t: Array, values: Array, allowed: float) -> lis
 def _draw(folder: Path, samples: Sequence[Sample], say: Say) -> None:
     """soak.png and soak.pdf, if there is matplotlib."""
     try:
-        from orchestrator.report.style import look, save, sheet  # noqa: PLC0415
+        from hedgerow.orchestrator.report.style import look, save, sheet  # noqa: PLC0415
     except ModuleNotFoundError:
         say("no picture: matplotlib is not installed; pip install 'hedgerow[report]'")
         return

@@ -8,15 +8,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from agents.view import View
-from orchestrator.assign import process_name
-from orchestrator.external import OWN_START_S, External
-from orchestrator.folder import RunFolder
-from orchestrator.nursery import Nursery
-from orchestrator.wiring import Wiring
-from plant.truth import Truth
-from wire import keys
-from wire.child import ERROR_PREFIX, USER_ERROR
+from hedgerow.agents.view import View
+from hedgerow.orchestrator.assign import process_name
+from hedgerow.orchestrator.external import OWN_START_S, External
+from hedgerow.orchestrator.folder import RunFolder
+from hedgerow.orchestrator.nursery import Nursery
+from hedgerow.orchestrator.wiring import Wiring
+from hedgerow.plant.truth import Truth
+from hedgerow.wire import keys
+from hedgerow.wire.child import ERROR_PREFIX, USER_ERROR
 
 
 @dataclass(frozen=True)

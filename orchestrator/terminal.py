@@ -35,15 +35,15 @@ from rich.live import Live
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
-from orchestrator.accounts import at_ends
-from orchestrator.certificate import storage
-from orchestrator.observe import Batch
-from orchestrator.screen import left_behind
-from orchestrator.verdict import INVALID, VALID, Verdict
-from orchestrator.words import gain_said
-from topologies.describe import describe, window
-from topologies.graph import Index, Mask
-from topologies.schema import Topology
+from hedgerow.orchestrator.accounts import at_ends
+from hedgerow.orchestrator.certificate import storage
+from hedgerow.orchestrator.observe import Batch
+from hedgerow.orchestrator.screen import left_behind
+from hedgerow.orchestrator.verdict import INVALID, VALID, Verdict
+from hedgerow.orchestrator.words import gain_said
+from hedgerow.topologies.describe import describe, window
+from hedgerow.topologies.graph import Index, Mask
+from hedgerow.topologies.schema import Topology
 
 REDRAW_S = 0.25
 """The table is drawn again this often at most."""

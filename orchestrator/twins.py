@@ -9,9 +9,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from agents.law import control
-from plant.world import dynamics
-from topologies.graph import Array, Graph, Mask
+from hedgerow.agents.law import control
+from hedgerow.plant.world import dynamics
+from hedgerow.topologies.graph import Array, Graph, Mask
 
 
 class Twins:

@@ -13,29 +13,29 @@ from typing import Any
 
 import zenoh
 
-from orchestrator import registry
-from orchestrator.assign import Layout, places, process_name, truth_of, views_of
-from orchestrator.audit import audit
-from orchestrator.authority import host_of
-from orchestrator.control import ask
-from orchestrator.course import with_end, with_fault, with_loss
-from orchestrator.external import External, Meeting, configs
-from orchestrator.folder import RunFolder
-from orchestrator.interrupts import Interrupts
-from orchestrator.nursery import Nursery
-from orchestrator.on_ray import Fleet, OnRay
-from orchestrator.round_trips import line
-from orchestrator.run import Run, Watching
-from orchestrator.screen import Screen
-from orchestrator.simulation import equals_reference
-from orchestrator.supervise import Dead, Processes, cause
-from orchestrator.verdict import Ending, Verdict
-from orchestrator.viewer import Viewer
-from orchestrator.wiring import Wiring, wire
-from topologies.errors import HedgerowError
-from topologies.schema import Topology
-from wire import keys
-from wire.codec import (
+from hedgerow.orchestrator import registry
+from hedgerow.orchestrator.assign import Layout, places, process_name, truth_of, views_of
+from hedgerow.orchestrator.audit import audit
+from hedgerow.orchestrator.authority import host_of
+from hedgerow.orchestrator.control import ask
+from hedgerow.orchestrator.course import with_end, with_fault, with_loss
+from hedgerow.orchestrator.external import External, Meeting, configs
+from hedgerow.orchestrator.folder import RunFolder
+from hedgerow.orchestrator.interrupts import Interrupts
+from hedgerow.orchestrator.nursery import Nursery
+from hedgerow.orchestrator.on_ray import Fleet, OnRay
+from hedgerow.orchestrator.round_trips import line
+from hedgerow.orchestrator.run import Run, Watching
+from hedgerow.orchestrator.screen import Screen
+from hedgerow.orchestrator.simulation import equals_reference
+from hedgerow.orchestrator.supervise import Dead, Processes, cause
+from hedgerow.orchestrator.verdict import Ending, Verdict
+from hedgerow.orchestrator.viewer import Viewer
+from hedgerow.orchestrator.wiring import Wiring, wire
+from hedgerow.topologies.errors import HedgerowError
+from hedgerow.topologies.schema import Topology
+from hedgerow.wire import keys
+from hedgerow.wire.codec import (
     Kind,
     Telemetry,
     decode_end,
@@ -46,10 +46,10 @@ from wire.codec import (
     kind_of,
     telemetry_bytes,
 )
-from wire.credentials import Credentials
-from wire.handshake import room
-from wire.runtime import LONG_BYTES, keep_memory
-from wire.session import (
+from hedgerow.wire.credentials import Credentials
+from hedgerow.wire.handshake import room
+from hedgerow.wire.runtime import LONG_BYTES, keep_memory
+from hedgerow.wire.session import (
     CONNECT_TIMEOUT_S,
     RefusedError,
     WireError,
@@ -59,7 +59,7 @@ from wire.session import (
     publisher,
     subscriber,
 )
-from wire.stream import Inbox, rows_ahead
+from hedgerow.wire.stream import Inbox, rows_ahead
 
 TICK_S = 0.2
 """How often telemetry is taken in: in batches, off the loop's path."""

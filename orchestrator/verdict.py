@@ -6,15 +6,15 @@ import math
 from dataclasses import dataclass, field
 from typing import Any
 
-from orchestrator.audit import CLAIM, Audit
-from orchestrator.checks import Worst
-from orchestrator.folder import versions
-from orchestrator.observe import Observer
-from orchestrator.words import gain_said
-from topologies.describe import describe
-from topologies.errors import Exit
-from topologies.partition import cut, partition
-from topologies.schema import LAWS, Topology
+from hedgerow.orchestrator.audit import CLAIM, Audit
+from hedgerow.orchestrator.checks import Worst
+from hedgerow.orchestrator.folder import versions
+from hedgerow.orchestrator.observe import Observer
+from hedgerow.orchestrator.words import gain_said
+from hedgerow.topologies.describe import describe
+from hedgerow.topologies.errors import Exit
+from hedgerow.topologies.partition import cut, partition
+from hedgerow.topologies.schema import LAWS, Topology
 
 VALID, INVALID, UNKNOWN = "valid", "INVALID", "unknown"
 EXIT_CODES = {VALID: Exit.VALID, INVALID: Exit.INVALID, UNKNOWN: Exit.UNKNOWN}

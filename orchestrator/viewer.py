@@ -29,8 +29,8 @@ from urllib.parse import quote, urlsplit
 
 import psutil
 
-from topologies.errors import HedgerowError, UserError
-from wire.ports import LOOPBACK, free_port
+from hedgerow.topologies.errors import HedgerowError, UserError
+from hedgerow.wire.ports import LOOPBACK, free_port
 
 NATIVE_MEMORY = "1GB"
 """what the native viewer keeps of a run; it drops the oldest steps beyond"""
@@ -217,7 +217,7 @@ def _published(address: str, memory: str) -> Viewer:
     )
     host, outside = str(parts.hostname), int(parts.port or 0)
     door = subprocess.Popen(
-        [sys.executable, "-P", "-m", "orchestrator.one_port", *map(str, (host, outside, port, page))],
+        [sys.executable, "-P", "-m", "hedgerow.orchestrator.one_port", *map(str, (host, outside, port, page))],
         stdin=subprocess.DEVNULL,
         start_new_session=True,
         preexec_fn=_end_with_parent,  # noqa: PLW1509 (system calls, no lock)

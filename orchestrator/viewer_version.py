@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 
-from orchestrator.viewer import Viewer
+from hedgerow.orchestrator.viewer import Viewer
 
 VERSION_DEADLINE_S = 2.0
 """how long an answer is worth waiting for: a frozen viewer never gives one"""

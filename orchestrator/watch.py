@@ -20,23 +20,23 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from orchestrator import registry
-from orchestrator.accounts import at_ends
-from orchestrator.folder import RunFolder
-from orchestrator.interrupts import Interrupts
-from orchestrator.kept import kept
-from orchestrator.observe import Observer
-from orchestrator.registry import Entry
-from orchestrator.rerun_stream import RerunStream
-from orchestrator.round_trips import TABLE, processes_of, trips_in
-from orchestrator.run_files import load_resolved, read_events, reading
-from orchestrator.verdict import Verdict
-from orchestrator.viewer import Viewer, start
-from orchestrator.viewer_version import VERSION_DEADLINE_S, compare
-from topologies.errors import HedgerowError, UserError
-from topologies.graph import Graph
-from topologies.schema import Topology
-from wire.codec import TAKEN, End, Telemetry
+from hedgerow.orchestrator import registry
+from hedgerow.orchestrator.accounts import at_ends
+from hedgerow.orchestrator.folder import RunFolder
+from hedgerow.orchestrator.interrupts import Interrupts
+from hedgerow.orchestrator.kept import kept
+from hedgerow.orchestrator.observe import Observer
+from hedgerow.orchestrator.registry import Entry
+from hedgerow.orchestrator.rerun_stream import RerunStream
+from hedgerow.orchestrator.round_trips import TABLE, processes_of, trips_in
+from hedgerow.orchestrator.run_files import load_resolved, read_events, reading
+from hedgerow.orchestrator.verdict import Verdict
+from hedgerow.orchestrator.viewer import Viewer, start
+from hedgerow.orchestrator.viewer_version import VERSION_DEADLINE_S, compare
+from hedgerow.topologies.errors import HedgerowError, UserError
+from hedgerow.topologies.graph import Graph
+from hedgerow.topologies.schema import Topology
+from hedgerow.wire.codec import TAKEN, End, Telemetry
 
 Say = Callable[[str], None]
 

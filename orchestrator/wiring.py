@@ -10,13 +10,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from orchestrator import authority, registry
-from orchestrator.folder import RunFolder
-from topologies.errors import UserError
-from wire.access import OBSERVER, ROUTER, Place
-from wire.keys import PLANT
-from wire.ports import free_port
-from wire.session import check_endpoint, check_namespace, remove_socket
+from hedgerow.orchestrator import authority, registry
+from hedgerow.orchestrator.folder import RunFolder
+from hedgerow.topologies.errors import UserError
+from hedgerow.wire.access import OBSERVER, ROUTER, Place
+from hedgerow.wire.keys import PLANT
+from hedgerow.wire.ports import free_port
+from hedgerow.wire.session import check_endpoint, check_namespace, remove_socket
 
 MAX_SOCKET_PATH = 100
 """Bytes; the kernel's limit for a Unix socket is 108 with its end."""

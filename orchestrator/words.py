@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
-from orchestrator.kept import kept
-from orchestrator.observe import Batch, Observer
-from topologies.graph import Index, Mask
-from topologies.schema import LAWS, Topology
+from hedgerow.orchestrator.kept import kept
+from hedgerow.orchestrator.observe import Batch, Observer
+from hedgerow.topologies.graph import Index, Mask
+from hedgerow.topologies.schema import LAWS, Topology
 
 _AGENTS = {
     "minimax": "Its agent does not know a_i and acts on an\nestimate â_i.",

@@ -1,3 +1,3 @@
-from plant.process import main
+from hedgerow.plant.process import main
 
 main()

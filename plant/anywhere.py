@@ -7,17 +7,17 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
 
-from wire import anywhere  # before Zenoh and numpy are loaded
+from hedgerow.wire import anywhere  # before Zenoh and numpy are loaded
 
-from plant.process import LOG, Plant  # isort: skip
-from plant.truth import Truth
-from topologies.errors import UserError, check_options
-from wire import config as configs
-from wire import keys
-from wire.child import stopped_by
-from wire.config import Config
-from wire.handshake import room
-from wire.session import close, open_client, open_router
+from hedgerow.plant.process import LOG, Plant  # isort: skip
+from hedgerow.plant.truth import Truth
+from hedgerow.topologies.errors import UserError, check_options
+from hedgerow.wire import config as configs
+from hedgerow.wire import keys
+from hedgerow.wire.child import stopped_by
+from hedgerow.wire.config import Config
+from hedgerow.wire.handshake import room
+from hedgerow.wire.session import close, open_client, open_router
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:

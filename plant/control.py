@@ -16,16 +16,16 @@ from typing import TYPE_CHECKING, Any
 
 import zenoh
 
-from plant import request as requests
-from plant.request import Request
-from topologies.effects import FOREVER, Effect
-from topologies.errors import UserError
-from wire import keys
-from wire.handshake import introduction, mismatch
-from wire.session import direct
+from hedgerow.plant import request as requests
+from hedgerow.plant.request import Request
+from hedgerow.topologies.effects import FOREVER, Effect
+from hedgerow.topologies.errors import UserError
+from hedgerow.wire import keys
+from hedgerow.wire.handshake import introduction, mismatch
+from hedgerow.wire.session import direct
 
 if TYPE_CHECKING:
-    from plant.process import Plant
+    from hedgerow.plant.process import Plant
 
 LOG = logging.getLogger("plant")
 Reply = dict[str, Any]

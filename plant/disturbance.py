@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
-from topologies.graph import Array, Index
-from topologies.network import Group
+from hedgerow.topologies.graph import Array, Index
+from hedgerow.topologies.network import Group
 
 BLOCK = 2**14
 """nodes whose values stay in the cache while they are computed"""

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from topologies.effects import Effect
-from topologies.graph import Graph, Index, Mask
+from hedgerow.topologies.effects import Effect
+from hedgerow.topologies.graph import Graph, Index, Mask
 
 Words = NDArray[np.uint64]
 

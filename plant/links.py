@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from topologies.graph import Graph, Index, Mask
+from hedgerow.topologies.graph import Graph, Index, Mask
 
 
 class Crossing(NamedTuple):

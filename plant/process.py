@@ -21,16 +21,16 @@ from typing import Any, NoReturn
 import numpy as np
 import zenoh
 
-from plant.clock import RESEND_AFTER_S, Clock
-from plant.control import Control
-from plant.shards import Shards
-from plant.trips import Stopwatch
-from plant.truth import Truth
-from plant.world import World
-from topologies.errors import DeadlineError
-from wire import keys
-from wire.child import run_child
-from wire.codec import (
+from hedgerow.plant.clock import RESEND_AFTER_S, Clock
+from hedgerow.plant.control import Control
+from hedgerow.plant.shards import Shards
+from hedgerow.plant.trips import Stopwatch
+from hedgerow.plant.truth import Truth
+from hedgerow.plant.world import World
+from hedgerow.topologies.errors import DeadlineError
+from hedgerow.wire import keys
+from hedgerow.wire.child import run_child
+from hedgerow.wire.codec import (
     REPORT_ROWS,
     End,
     Input,
@@ -46,18 +46,9 @@ from wire.codec import (
     kind_of,
     telemetry_bytes,
 )
-from wire.runtime import LONG_BYTES, keep_memory
-from wire.session import (
-    Ear,
-    close,
-    counts,
-    direct,
-    open_client,
-    open_router,
-    publisher,
-    wait_for_listeners,
-)
-from wire.stream import Outbox, rows_ahead
+from hedgerow.wire.runtime import LONG_BYTES, keep_memory
+from hedgerow.wire.session import Ear, close, counts, direct, open_client, open_router, publisher, wait_for_listeners
+from hedgerow.wire.stream import Outbox, rows_ahead
 
 LOG = logging.getLogger("plant")
 START_DEADLINE_S = 60.0
@@ -379,8 +370,8 @@ class Plant:
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
-    """`python -m plant TRUTH --namespace RUN --listen ENDPOINT`: run the world to its last step."""
-    parser = argparse.ArgumentParser(prog="python -m plant", description=main.__doc__)
+    """`python -m hedgerow.plant TRUTH --namespace RUN --listen ENDPOINT`: run the world to its last step."""
+    parser = argparse.ArgumentParser(prog="python -m hedgerow.plant", description=main.__doc__)
     parser.add_argument("truth", type=Path, help="the true network, a .npz file")
     parser.add_argument("--namespace", required=True, help="the Zenoh namespace of the run")
     where = parser.add_mutually_exclusive_group(required=True)

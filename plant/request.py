@@ -9,9 +9,9 @@ import json
 from collections.abc import Mapping
 from typing import Any, NoReturn
 
-from topologies.effects import FOREVER, Effect
-from topologies.errors import UserError
-from topologies.graph import Graph
+from hedgerow.topologies.effects import FOREVER, Effect
+from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.graph import Graph
 
 Request = Mapping[str, Any]
 

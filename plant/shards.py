@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 import zenoh
 
-from plant.clock import RESEND_AFTER_S
-from plant.truth import Truth
-from plant.world import World
-from topologies.effects import FOREVER, Effect
-from wire import keys
-from wire.codec import encode_record, encode_state
-from wire.session import Voice
+from hedgerow.plant.clock import RESEND_AFTER_S
+from hedgerow.plant.truth import Truth
+from hedgerow.plant.world import World
+from hedgerow.topologies.effects import FOREVER, Effect
+from hedgerow.wire import keys
+from hedgerow.wire.codec import encode_record, encode_state
+from hedgerow.wire.session import Voice
 
 
 @dataclass

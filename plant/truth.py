@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topologies import archive
-from topologies.graph import Array, Index
-from topologies.network import Group
+from hedgerow.topologies import archive
+from hedgerow.topologies.graph import Array, Index
+from hedgerow.topologies.network import Group
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,15 +14,15 @@ from itertools import repeat
 
 import numpy as np
 
-from plant.disturbance import Disturbance
-from plant.faults import NOTHING, Faults
-from plant.links import Crossing, Links
-from plant.truth import Truth
-from topologies.effects import Effect
-from topologies.fast import kernels_for
-from topologies.graph import Array, Graph, Index, Mask, all_finite
-from wire.codec import ALL_UP, TAKEN, Buffer, Flag, Flags, Record, Span, State, Telemetry, join
-from wire.history import History
+from hedgerow.plant.disturbance import Disturbance
+from hedgerow.plant.faults import NOTHING, Faults
+from hedgerow.plant.links import Crossing, Links
+from hedgerow.plant.truth import Truth
+from hedgerow.topologies.effects import Effect
+from hedgerow.topologies.fast import kernels_for
+from hedgerow.topologies.graph import Array, Graph, Index, Mask, all_finite
+from hedgerow.wire.codec import ALL_UP, TAKEN, Buffer, Flag, Flags, Record, Span, State, Telemetry, join
+from hedgerow.wire.history import History
 
 
 def dynamics(a: Array, b: float, graph: Graph, x: Array, u: Array, w: Array, edge_open: Mask | None = None) -> Array:

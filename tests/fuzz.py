@@ -40,27 +40,27 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import typer.main
 
-from agents.view import View
-from orchestrator import cli
-from orchestrator.assign import layout, truth_of, views_of
-from orchestrator.folder import create
-from orchestrator.observe import Observer
-from orchestrator.opening import _open
-from orchestrator.run import Watching
-from orchestrator.run_files import load_resolved
-from orchestrator.screen import Quiet
-from orchestrator.simulation import simulate_into
-from orchestrator.viewer import Viewer
-from orchestrator.watch import Happenings, Trail, told
-from plant.truth import Truth
-from topologies import table
-from topologies.errors import HedgerowError
-from topologies.load import bundled, find, load
-from topologies.resolve import resolve
-from wire import codec
-from wire.codec import MessageError
-from wire.ports import free_port
-from wire.stream import Inbox
+from hedgerow.agents.view import View
+from hedgerow.orchestrator import cli
+from hedgerow.orchestrator.assign import layout, truth_of, views_of
+from hedgerow.orchestrator.folder import create
+from hedgerow.orchestrator.observe import Observer
+from hedgerow.orchestrator.opening import _open
+from hedgerow.orchestrator.run import Watching
+from hedgerow.orchestrator.run_files import load_resolved
+from hedgerow.orchestrator.screen import Quiet
+from hedgerow.orchestrator.simulation import simulate_into
+from hedgerow.orchestrator.viewer import Viewer
+from hedgerow.orchestrator.watch import Happenings, Trail, told
+from hedgerow.plant.truth import Truth
+from hedgerow.topologies import table
+from hedgerow.topologies.errors import HedgerowError
+from hedgerow.topologies.load import bundled, find, load
+from hedgerow.topologies.resolve import resolve
+from hedgerow.wire import codec
+from hedgerow.wire.codec import MessageError
+from hedgerow.wire.ports import free_port
+from hedgerow.wire.stream import Inbox
 
 ROOT = Path(__file__).parent.parent
 CASE_CPU_S = 20.0

@@ -34,16 +34,16 @@ from pathlib import Path
 import psutil
 from rerun.chunk import RrdReader
 
-from orchestrator.live import Live
-from orchestrator.recorded import load_run
-from orchestrator.registry import Entry
-from orchestrator.rrd_file import parts
-from orchestrator.watch import ArrowTail
+from hedgerow.orchestrator.live import Live
+from hedgerow.orchestrator.recorded import load_run
+from hedgerow.orchestrator.registry import Entry
+from hedgerow.orchestrator.rrd_file import parts
+from hedgerow.orchestrator.watch import ArrowTail
+from hedgerow.topologies.errors import HedgerowError
+from hedgerow.wire.ports import LOOPBACK, free_port
+from hedgerow.wire.session import WireError
 from tests.ctrl_c import mind_ctrl_c
 from tests.processes import COMMAND
-from topologies.errors import HedgerowError
-from wire.ports import LOOPBACK, free_port
-from wire.session import WireError
 
 DOCUMENT = Path(__file__).parent.parent / "docs/reliability.md"
 BEGIN, END = "<!-- kill table: python -m tests.kill_table --write -->\n", "<!-- end of kill table -->\n"
@@ -64,7 +64,7 @@ MARK = "HEDGEROW_KILL_TABLE"
 
 ROUTER = """
 import signal, sys
-from wire.session import open_router
+from hedgerow.wire.session import open_router
 with open_router(sys.argv[1]):
     print("open", flush=True)
     signal.pause()
@@ -274,7 +274,9 @@ class _Run:
         is_it: dict[str, Callable[[psutil.Process], bool]] = {
             "agent": lambda one: one.name().startswith("shard-1"),
             "plant": lambda one: one.name() == "plant",
-            "nursery": lambda one: "orchestrator.fork_server" in one.cmdline() and one.name().startswith("python"),
+            "nursery": lambda one: (
+                "hedgerow.orchestrator.fork_server" in one.cmdline() and one.name().startswith("python")
+            ),
             "viewer": lambda one: "--serve-web" in one.cmdline(),
         }
 

@@ -16,7 +16,7 @@ import pytest
 ROOT = Path(__file__).parent.parent
 ROUTER = """
 import signal, sys
-from wire.session import open_router
+from hedgerow.wire.session import open_router
 with open_router(sys.argv[1]):
     print("open", flush=True)
     signal.pause()

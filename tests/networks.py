@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 from hypothesis import strategies as st
 
-from orchestrator.assign import Layout, candidates_of, layout, truth_of, views_of
-from orchestrator.in_process import run
-from orchestrator.observe import Batch, Observer
-from topologies.graph import Array
-from topologies.hinf import allowed_interval
-from topologies.load import parse
-from topologies.resolve import resolve
-from topologies.schema import Topology
-from wire.codec import End, Telemetry
+from hedgerow.orchestrator.assign import Layout, candidates_of, layout, truth_of, views_of
+from hedgerow.orchestrator.in_process import run
+from hedgerow.orchestrator.observe import Batch, Observer
+from hedgerow.topologies.graph import Array
+from hedgerow.topologies.hinf import allowed_interval
+from hedgerow.topologies.load import parse
+from hedgerow.topologies.resolve import resolve
+from hedgerow.topologies.schema import Topology
+from hedgerow.wire.codec import End, Telemetry
 
 VECTORS = sorted((Path(__file__).parent / "vectors").glob("*.json"))
 

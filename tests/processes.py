@@ -17,10 +17,10 @@ from typing import Any
 
 import psutil
 
-from orchestrator.live import Live
-from orchestrator.supervise import RESTARTS
+from hedgerow.orchestrator.live import Live
+from hedgerow.orchestrator.supervise import RESTARTS
 
-COMMAND = (sys.executable, "-P", "-m", "orchestrator")
+COMMAND = (sys.executable, "-P", "-m", "hedgerow.orchestrator")
 DEADLINE_S = 60.0
 
 

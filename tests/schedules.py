@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from hypothesis import strategies as st
 
-from agents.law import Minimax
-from plant.faults import strikes
+from hedgerow.agents.law import Minimax
+from hedgerow.plant.faults import strikes
+from hedgerow.topologies.effects import Effect
+from hedgerow.topologies.faults import effects
+from hedgerow.topologies.network import padded
+from hedgerow.topologies.schema import Topology
 from tests.networks import Trajectory, listed
-from topologies.effects import Effect
-from topologies.faults import effects
-from topologies.network import padded
-from topologies.schema import Topology
 
 
 def windows(steps: int) -> st.SearchStrategy[list[int]]:

@@ -23,15 +23,15 @@ from typing import Any
 import pytest
 import zenoh
 
-from agents.anywhere import PlaceRequest
-from agents.plant_watch import PlantWatch
-from agents.process import Joined
+from hedgerow.agents.anywhere import PlaceRequest
+from hedgerow.agents.plant_watch import PlantWatch
+from hedgerow.agents.process import Joined
+from hedgerow.topologies.errors import HedgerowError, UserError
+from hedgerow.wire import keys
+from hedgerow.wire.config import Config
+from hedgerow.wire.handshake import room
+from hedgerow.wire.session import direct, open_client, open_router
 from tests.processes import DEADLINE_S, Orchestrator, gone, orchestrator, parquet_bytes
-from topologies.errors import HedgerowError, UserError
-from wire import keys
-from wire.config import Config
-from wire.handshake import room
-from wire.session import direct, open_client, open_router
 
 UP = ("--viewer", "none", "--no-record", "--verify")
 
@@ -152,7 +152,7 @@ def test_a_planned_crash_of_an_agent_elsewhere_ends_no_process(here: Path, endpo
 
 def test_another_release_and_another_network_are_refused_at_both_ends(here: Path, endpoint: str, start: Any) -> None:
     bundle(endpoint, "--seed", "8")
-    old = "import wire.handshake as h; h.version = lambda _: '0.0.1'; from agents.anywhere import main; main()"
+    old = "import hedgerow.wire.handshake as h; h.version = lambda _: '0.0.1'; from hedgerow.agents.anywhere import main; main()"
     with Orchestrator("up", "paper7", "--external", "3", "--listen", endpoint, "--wait", "30", *UP) as network:
         network.wait_for("waiting for agent-3")
         code, said = start("agents", "--config", "lab/agent-3.toml").wait()
@@ -308,7 +308,7 @@ def test_a_second_plant_waits_for_the_first_to_be_gone_and_disturbs_nothing(
 
 
 def test_a_plant_that_stays_has_its_place_to_itself(here: Path, endpoint: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("wire.handshake.LEASE_S", 0.1)
+    monkeypatch.setattr("hedgerow.wire.handshake.LEASE_S", 0.1)
     with open_router(endpoint), open_client(endpoint, "here") as one, open_client(endpoint, "here") as other:
         token = one.liveliness().declare_token(keys.alive(keys.PLANT, 7))
         with (
@@ -317,7 +317,7 @@ def test_a_plant_that_stays_has_its_place_to_itself(here: Path, endpoint: str, m
         ):
             raise AssertionError("it went on")
         told: list[str] = []
-        monkeypatch.setattr("wire.handshake.LEASE_S", DEADLINE_S)
+        monkeypatch.setattr("hedgerow.wire.handshake.LEASE_S", DEADLINE_S)
 
         def say(text: str) -> None:
             told.append(text)
@@ -331,8 +331,8 @@ def test_of_plants_that_begin_at_once_one_goes_on_and_the_next_when_it_is_over(
     endpoint: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Whatever numbers they draw, and however they come between each other's looks."""
-    monkeypatch.setattr("wire.handshake.LOOK_AGAIN_S", 0.01)
-    monkeypatch.setattr("wire.handshake.LEASE_S", DEADLINE_S)
+    monkeypatch.setattr("hedgerow.wire.handshake.LOOK_AGAIN_S", 0.01)
+    monkeypatch.setattr("hedgerow.wire.handshake.LEASE_S", DEADLINE_S)
     together, inside, order = threading.Barrier(4), threading.Lock(), list[int]()
 
     def begin(who: int) -> None:
@@ -403,7 +403,7 @@ def watched(
     endpoint: str, monkeypatch: pytest.MonkeyPatch
 ) -> Iterator[tuple[zenoh.Session, zenoh.Session, queue.Queue[HedgerowError]]]:
     """Sessions of an agent of plant 7 and of somebody else, and why the first gives up."""
-    monkeypatch.setattr("agents.plant_watch.PLANT_GONE_S", 0.1)
+    monkeypatch.setattr("hedgerow.agents.plant_watch.PLANT_GONE_S", 0.1)
     with open_router(endpoint), open_client(endpoint, "here") as session, open_client(endpoint, "here") as other:
         yield session, other, queue.Queue()
 
@@ -425,7 +425,7 @@ def test_an_agent_whose_plant_is_gone_for_good_ends_by_name(watched: Any, it_was
 def test_an_agent_leaves_for_another_plant_only_once_its_own_is_gone(
     watched: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("agents.plant_watch.PLANT_GONE_S", DEADLINE_S)
+    monkeypatch.setattr("hedgerow.agents.plant_watch.PLANT_GONE_S", DEADLINE_S)
     session, other, why = watched
     stale, ours = plant(other, 6), plant(other, 7)
     with PlantWatch(session, 7, why.put):

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from orchestrator.chaos import Finding, Raw, drawn, hunt, read, shrunk, write
+from hedgerow.orchestrator.chaos import Finding, Raw, drawn, hunt, read, shrunk, write
+from hedgerow.topologies.load import load
+from hedgerow.topologies.resolve import resolve
 from tests.processes import orchestrator
-from topologies.load import load
-from topologies.resolve import resolve
 
 
 @pytest.mark.slow

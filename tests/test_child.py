@@ -12,7 +12,7 @@ from tests.processes import DEADLINE_S
 
 STUCK = """
 import ctypes
-from wire.child import run_alone
+from hedgerow.wire.child import run_alone
 
 def wait_for_good():  # in a call that no signal interrupts, and that lets other threads live
     library, mutex = ctypes.CDLL(None), ctypes.create_string_buffer(64)
@@ -24,7 +24,7 @@ run_alone(wait_for_good)
 """
 
 DEAF = """
-from wire.child import run_alone, stopped_by
+from hedgerow.wire.child import run_alone, stopped_by
 from threading import Event
 
 def end_in_good_order():
@@ -41,7 +41,7 @@ run_alone(wait_to_be_told)
 
 LOUD = """
 import sys
-from wire.child import run_alone
+from hedgerow.wire.child import run_alone
 
 run_alone(lambda: [print("loud", file=sys.stderr) for _ in range(10**6)])
 """

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from plant.clock import Clock
+from hedgerow.plant.clock import Clock
 
 
 def test_single_steps_that_were_not_made_are_forgotten_when_the_run_goes_on() -> None:

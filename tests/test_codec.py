@@ -11,8 +11,8 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from wire import codec
-from wire.codec import End, Kind, Link, MessageError, Record, Span, State, Telemetry, Trips
+from hedgerow.wire import codec
+from hedgerow.wire.codec import End, Kind, Link, MessageError, Record, Span, State, Telemetry, Trips
 
 BITS = st.integers(0, 2**64 - 1)
 """Any eight bytes are a float: NaNs with payloads, -0.0, infinities and subnormals among them."""

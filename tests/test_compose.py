@@ -26,14 +26,14 @@ import jsonschema
 import pytest
 import yaml
 
-from orchestrator.assign import layout, places, views_of
-from orchestrator.authority import to_carry
-from orchestrator.containers import containers, provide_keys
+from hedgerow.orchestrator.assign import layout, places, views_of
+from hedgerow.orchestrator.authority import to_carry
+from hedgerow.orchestrator.containers import containers, provide_keys
+from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.load import load
+from hedgerow.topologies.resolve import resolve
 from tests.machines import ROOT, ROUTER, SECURE_ROUTER, Machines, Program, machines, scripts
 from tests.processes import DEADLINE_S, orchestrator, parquet_bytes
-from topologies.errors import UserError
-from topologies.load import load
-from topologies.resolve import resolve
 
 FILE = ROOT / "docker-compose.yml"
 
@@ -393,6 +393,6 @@ def test_rules_that_are_too_large_for_a_secret_are_said(here: Path, monkeypatch:
     topology = resolve(load("paper7"), Path())
     shards = layout(topology, None)
     provide_keys(Path("keys"), places(views_of(topology, shards)), "here", 1)
-    monkeypatch.setattr("orchestrator.containers.MOST_SECRET_BYTES", 10_000)
+    monkeypatch.setattr("hedgerow.orchestrator.containers.MOST_SECRET_BYTES", 10_000)
     with pytest.raises(UserError, match=r"the router's rules are \d+ bytes, a secret holds at most 10000: use fewer"):
         containers(topology, shards, "here", 10, 100_000, Path("keys"))

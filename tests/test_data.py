@@ -33,27 +33,27 @@ from hypothesis import given, settings
 from scipy.io import loadmat, whosmat
 from traitlets.config import Config
 
-import orchestrator as package
-from orchestrator import RecordedRun, load_run
-from orchestrator.assign import layout
-from orchestrator.export import FORMS, NAMES, PLACES, arrays, export
-from orchestrator.folder import create
-from orchestrator.live import Live
-from orchestrator.observe import Batch, Observer
-from orchestrator.record import Recorder, to_parquet
-from orchestrator.run import Run, Watching
-from orchestrator.screen import Quiet
-from orchestrator.simulation import simulate_into
-from orchestrator.verdict import Ending
+import hedgerow.orchestrator as package
+from hedgerow.orchestrator import RecordedRun, load_run
+from hedgerow.orchestrator.assign import layout
+from hedgerow.orchestrator.export import FORMS, NAMES, PLACES, arrays, export
+from hedgerow.orchestrator.folder import create
+from hedgerow.orchestrator.live import Live
+from hedgerow.orchestrator.observe import Batch, Observer
+from hedgerow.orchestrator.record import Recorder, to_parquet
+from hedgerow.orchestrator.run import Run, Watching
+from hedgerow.orchestrator.screen import Quiet
+from hedgerow.orchestrator.simulation import simulate_into
+from hedgerow.orchestrator.verdict import Ending
+from hedgerow.topologies.errors import HedgerowError, UserError
+from hedgerow.topologies.load import load
+from hedgerow.topologies.resolve import resolve, to_yaml
+from hedgerow.topologies.schema import Topology
 from tests import networks
 from tests.networks import Trajectory, observe, read
 from tests.processes import COMMAND, DEADLINE_S, Orchestrator, orchestrator
 from tests.test_docs import ROOT, blocks, table
 from tests.test_faults import faulty
-from topologies.errors import HedgerowError, UserError
-from topologies.load import load
-from topologies.resolve import resolve, to_yaml
-from topologies.schema import Topology
 
 NAMED = """
 name: named
@@ -218,7 +218,7 @@ def test_to_record_a_run_loads_no_library_of_frames(here: Path) -> None:
     told = [sys.executable, "-X", "importtime", *COMMAND[1:], "simulate", "paper7", "--no-record"]
     done = subprocess.run(told, capture_output=True, text=True, check=True, timeout=DEADLINE_S)
     loaded = {line.rpartition("|")[2].strip() for line in done.stderr.splitlines() if line.startswith("import time")}
-    assert "orchestrator.record" in loaded
+    assert "hedgerow.orchestrator.record" in loaded
     assert not {"pandas", "polars"} & loaded
 
 
@@ -652,7 +652,7 @@ def test_a_run_is_made_as_by_the_command(paper7: RecordedRun, here: Path) -> Non
 
 def test_a_run_of_no_step_is_none(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (here / "bad.py").write_text(
-        "from agents.law import Minimax\n\nclass Bad(Minimax):\n    def act(self, x): raise ValueError('no')\n",
+        "from hedgerow.agents.law import Minimax\n\nclass Bad(Minimax):\n    def act(self, x): raise ValueError('no')\n",
         encoding="utf-8",
     )
     monkeypatch.syspath_prepend(here)

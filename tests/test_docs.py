@@ -35,15 +35,15 @@ import pytest
 import yaml
 from PIL import Image
 
-from orchestrator.accounts import Account
-from orchestrator.observe import Batch
-from orchestrator.panels import quantities
-from orchestrator.record import to_parquet
+from hedgerow.orchestrator.accounts import Account
+from hedgerow.orchestrator.observe import Batch
+from hedgerow.orchestrator.panels import quantities
+from hedgerow.orchestrator.record import to_parquet
+from hedgerow.topologies.faults import KINDS
+from hedgerow.topologies.load import load
+from hedgerow.topologies.resolve import resolve
+from hedgerow.wire import codec, keys, session
 from tests.networks import observe, read, simulate
-from topologies.faults import KINDS
-from topologies.load import load
-from topologies.resolve import resolve
-from wire import codec, keys, session
 
 ROOT = Path(__file__).parents[1]
 DOCS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -431,7 +431,7 @@ def test_every_metric_is_where_theory_md_says() -> None:
 def orchestrator(scratch: Scratch, *arguments: str) -> subprocess.Popen[str]:
     """A command that runs on, with its output to be read line by line."""
     return subprocess.Popen(
-        [sys.executable, "-P", "-m", "orchestrator", *arguments],
+        [sys.executable, "-P", "-m", "hedgerow.orchestrator", *arguments],
         cwd=scratch.folder,
         env=scratch.environment,
         stdin=subprocess.DEVNULL,

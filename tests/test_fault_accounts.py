@@ -17,22 +17,22 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agents.law import control
-from orchestrator.folder import create
-from orchestrator.observe import Observer
-from orchestrator.run import Run, Watching
-from orchestrator.screen import Quiet
-from orchestrator.simulation import simulate_into
-from orchestrator.verdict import Ending, Verdict, judge
-from plant.faults import strikes
-from plant.world import dynamics
+from hedgerow.agents.law import control
+from hedgerow.orchestrator.folder import create
+from hedgerow.orchestrator.observe import Observer
+from hedgerow.orchestrator.run import Run, Watching
+from hedgerow.orchestrator.screen import Quiet
+from hedgerow.orchestrator.simulation import simulate_into
+from hedgerow.orchestrator.verdict import Ending, Verdict, judge
+from hedgerow.plant.faults import strikes
+from hedgerow.plant.world import dynamics
+from hedgerow.topologies.effects import Effect
+from hedgerow.topologies.load import load, parse
+from hedgerow.topologies.resolve import resolve, truth
+from hedgerow.topologies.schema import Node, Topology
+from hedgerow.wire.codec import Flag
 from tests.networks import Trajectory, networks, observe, read, simulate
 from tests.schedules import Plain, schedules, with_faults
-from topologies.effects import Effect
-from topologies.load import load, parse
-from topologies.resolve import resolve, truth
-from topologies.schema import Node, Topology
-from wire.codec import Flag
 
 PAPER = resolve(load("paper7"))
 Counts = dict[str, int]

@@ -14,9 +14,9 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from topologies.effects import FOREVER, Effect
-from topologies.errors import TopologyError
-from topologies.faults import (
+from hedgerow.topologies.effects import FOREVER, Effect
+from hedgerow.topologies.errors import TopologyError
+from hedgerow.topologies.faults import (
     KINDS,
     Actuator,
     Crash,
@@ -30,10 +30,10 @@ from topologies.faults import (
     effects,
     known_keys,
 )
-from topologies.load import load, parse
-from topologies.resolve import resolve, to_yaml
-from topologies.rules import broken_faults
-from topologies.schema import Topology
+from hedgerow.topologies.load import load, parse
+from hedgerow.topologies.resolve import resolve, to_yaml
+from hedgerow.topologies.rules import broken_faults
+from hedgerow.topologies.schema import Topology
 
 # The star of the tests: 2 is the hub of 1, 3 and 4. Position of a node: its id less 1. Its incidences, as (hears):
 #   0: 1 hears 2    1: 2 hears 1    2: 2 hears 3    3: 2 hears 4    4: 3 hears 2    5: 4 hears 2

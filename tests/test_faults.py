@@ -10,15 +10,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agents.shard import Shard
-from orchestrator.assign import candidates_of, layout, views_of
+from hedgerow.agents.shard import Shard
+from hedgerow.orchestrator.assign import candidates_of, layout, views_of
+from hedgerow.topologies.hinf import contraction
+from hedgerow.topologies.load import load
+from hedgerow.topologies.resolve import resolve
+from hedgerow.topologies.schema import Topology
+from hedgerow.wire.codec import Link, State
 from tests.networks import networks, partitions, read, simulate
 from tests.schedules import Plain, schedules, with_faults
-from topologies.hinf import contraction
-from topologies.load import load
-from topologies.resolve import resolve
-from topologies.schema import Topology
-from wire.codec import Link, State
 
 
 @st.composite

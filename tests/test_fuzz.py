@@ -16,13 +16,13 @@ from pathlib import Path
 import pytest
 import rerun.blueprint as rrb
 
-from orchestrator import cli
-from orchestrator.opening import _unreadable
-from orchestrator.recorded import load_run
-from orchestrator.report.reading import METRICS, metrics
+from hedgerow.orchestrator import cli
+from hedgerow.orchestrator.opening import _unreadable
+from hedgerow.orchestrator.recorded import load_run
+from hedgerow.orchestrator.report.reading import METRICS, metrics
+from hedgerow.topologies.errors import UserError
 from tests.fuzz import ROOT, fuzz
 from tests.processes import orchestrator
-from topologies.errors import UserError
 
 FILES, PAYLOADS = 200, 2000
 SEED = 1
@@ -49,7 +49,7 @@ def test_an_exception_a_hang_and_a_death_are_findings() -> None:
 
 # ---- a law is code
 
-TRAP = "from pathlib import Path\nPath('sprung').write_text('')\nfrom agents.law import Minimax\n"
+TRAP = "from pathlib import Path\nPath('sprung').write_text('')\nfrom hedgerow.agents.law import Minimax\n"
 RUN = ("--viewer", "none", "--no-record")
 
 

@@ -13,20 +13,20 @@ from pydantic import TypeAdapter
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from orchestrator.assign import layout
-from orchestrator.folder import create
-from orchestrator.run import Watching, same_tables
-from orchestrator.screen import Quiet
-from orchestrator.simulation import simulate_into
+from hedgerow.orchestrator.assign import layout
+from hedgerow.orchestrator.folder import create
+from hedgerow.orchestrator.run import Watching, same_tables
+from hedgerow.orchestrator.screen import Quiet
+from hedgerow.orchestrator.simulation import simulate_into
+from hedgerow.topologies import hinf, resolve
+from hedgerow.topologies.errors import TopologyError
+from hedgerow.topologies.generators import GENERATORS, Generator, GraphRule
+from hedgerow.topologies.graph import Graph, Index
+from hedgerow.topologies.load import load
+from hedgerow.topologies.network import Network
+from hedgerow.topologies.partition import cut, partition
+from hedgerow.topologies.schema import Topology
 from tests.networks import read, simulate
-from topologies import hinf, resolve
-from topologies.errors import TopologyError
-from topologies.generators import GENERATORS, Generator, GraphRule
-from topologies.graph import Graph, Index
-from topologies.load import load
-from topologies.network import Network
-from topologies.partition import cut, partition
-from topologies.schema import Topology
 
 RULE: TypeAdapter[Generator] = TypeAdapter(GraphRule)
 HEAD = "name: n\nb: 0.05\nsteps: 4\nseed: 5\n"

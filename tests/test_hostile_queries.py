@@ -13,19 +13,19 @@ import zenoh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from orchestrator import registry
-from orchestrator.assign import layout, truth_of
-from orchestrator.course import with_fault
-from plant import request as requests
-from plant.world import World
+from hedgerow.orchestrator import registry
+from hedgerow.orchestrator.assign import layout, truth_of
+from hedgerow.orchestrator.course import with_fault
+from hedgerow.plant import request as requests
+from hedgerow.plant.world import World
+from hedgerow.topologies.effects import FOREVER
+from hedgerow.topologies.errors import HedgerowError, UserError
+from hedgerow.topologies.load import load
+from hedgerow.topologies.resolve import resolve
+from hedgerow.wire import keys
+from hedgerow.wire.codec import REPORT_ROWS
+from hedgerow.wire.session import close, open_client
 from tests.processes import Orchestrator, orchestrator, parquet_bytes
-from topologies.effects import FOREVER
-from topologies.errors import HedgerowError, UserError
-from topologies.load import load
-from topologies.resolve import resolve
-from wire import keys
-from wire.codec import REPORT_ROWS
-from wire.session import close, open_client
 
 STEPS = 60
 DEADLINE_S = 30.0

@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from orchestrator.observe import Batch
+from hedgerow.orchestrator.observe import Batch
+from hedgerow.topologies import fast
+from hedgerow.topologies.schema import Topology
+from hedgerow.wire import history
 from tests.networks import networks, observe, partitions, simulate
 from tests.test_faults import faulty
-from topologies import fast
-from topologies.schema import Topology
-from wire import history
 
 
 @contextmanager

@@ -11,15 +11,15 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from agents.law import Array, Minimax
-from agents.view import View
-from orchestrator import in_process
-from orchestrator.assign import layout, truth_of, views_of
-from plant.truth import Truth
+from hedgerow.agents.law import Array, Minimax
+from hedgerow.agents.view import View
+from hedgerow.orchestrator import in_process
+from hedgerow.orchestrator.assign import layout, truth_of, views_of
+from hedgerow.plant.truth import Truth
+from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.network import padded
+from hedgerow.topologies.schema import Topology
 from tests.networks import floats, gathered, listed, networks, partitions, read, simulate
-from topologies.errors import UserError
-from topologies.network import padded
-from topologies.schema import Topology
 
 B = 0.1
 MODELS = st.lists(st.lists(floats(0.03, 0.97), min_size=1, max_size=5), min_size=1, max_size=4)
@@ -258,8 +258,8 @@ def test_candidates_of_different_lengths_run_together() -> None:
     ("law", "said"),
     [
         ("nowhere.at_all:Law", "law nowhere.at_all:Law: cannot be loaded: ModuleNotFoundError"),
-        ("agents.law:Missing", "cannot be loaded: AttributeError"),
-        ("agents.law:np", r"has no act, learn, report\(\)"),
+        ("hedgerow.agents.law:Missing", "cannot be loaded: AttributeError"),
+        ("hedgerow.agents.law:np", r"has no act, learn, report\(\)"),
     ],
 )
 def test_a_law_that_is_none(law: str, said: str) -> None:

@@ -13,16 +13,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from orchestrator import cli
-from orchestrator.live import Live, checked, groups, pair
+from hedgerow.orchestrator import cli
+from hedgerow.orchestrator.live import Live, checked, groups, pair
+from hedgerow.topologies.describe import describe
+from hedgerow.topologies.effects import FOREVER
+from hedgerow.topologies.errors import DeadlineError, HedgerowError, TopologyError, UserError
+from hedgerow.topologies.load import load
+from hedgerow.topologies.resolve import resolve
+from hedgerow.topologies.schema import Topology
 from tests.networks import read
 from tests.processes import Orchestrator, orchestrator
-from topologies.describe import describe
-from topologies.effects import FOREVER
-from topologies.errors import DeadlineError, HedgerowError, TopologyError, UserError
-from topologies.load import load
-from topologies.resolve import resolve
-from topologies.schema import Topology
 
 LINE = "{name: line, b: 0.1, steps: 9, nodes: [1, 2, 3, a-b, c], edges: [[1, 2], [2, 3], [3, a-b], [a-b, c]]}"
 

@@ -18,7 +18,7 @@ from tests.processes import Orchestrator, orchestrator, parquet_bytes
 
 pytestmark = pytest.mark.slow
 LEFT, RIGHT = (1, 2, 3), (4, 5, 6, 7)
-AGENT = (sys.executable, "-P", "-c", "from agents.anywhere import main; main()")
+AGENT = (sys.executable, "-P", "-c", "from hedgerow.agents.anywhere import main; main()")
 
 
 MACHINES = ("router", "left", "right", "bench")

@@ -20,19 +20,19 @@ import psutil
 import pyarrow.parquet as pq
 import pytest
 
-from agents.view import View
-from orchestrator import load_run
-from orchestrator.assign import layout
-from orchestrator.folder import create
-from orchestrator.nursery import Nursery
-from orchestrator.run import Watching
-from orchestrator.screen import Quiet
-from orchestrator.up import Network, Options
+from hedgerow.agents.view import View
+from hedgerow.orchestrator import load_run
+from hedgerow.orchestrator.assign import layout
+from hedgerow.orchestrator.folder import create
+from hedgerow.orchestrator.nursery import Nursery
+from hedgerow.orchestrator.run import Watching
+from hedgerow.orchestrator.screen import Quiet
+from hedgerow.orchestrator.up import Network, Options
+from hedgerow.topologies.load import load
+from hedgerow.topologies.resolve import resolve
+from hedgerow.wire.session import open_router
 from tests.networks import VECTORS, vector_file
 from tests.processes import COMMAND, DEADLINE_S, Orchestrator, gone, orchestrator, parquet_bytes
-from topologies.load import load
-from topologies.resolve import resolve
-from wire.session import open_router
 
 QUIET = ("--viewer", "none", "--no-record")
 CHECKS = {

@@ -23,10 +23,10 @@ from typing import Any
 import psutil
 import pytest
 
-from orchestrator.on_ray import MOST_PER_CPU, share_of
+from hedgerow.orchestrator.on_ray import MOST_PER_CPU, share_of
+from hedgerow.topologies.errors import UserError
 from tests.machines import Machines, Program, machines
 from tests.processes import Orchestrator, gone, orchestrator, parquet_bytes
-from topologies.errors import UserError
 
 HAVE_RAY = importlib.util.find_spec("ray") is not None
 needs_ray = pytest.mark.skipif(not HAVE_RAY, reason="Ray is not installed: pip install 'hedgerow[ray]'")
@@ -162,7 +162,9 @@ def test_an_agent_that_is_killed_on_a_cluster_is_started_again_by_ray(
         network.wait_for("going on without shard")
         network.wait_for("is back")
         assert network.wait_for_event("restarted")["process"] == victim["process"]
-        said = Program(cluster.on("head"), (sys.executable, "-P", "-m", "orchestrator", "rate", "0"), Path("rate"))
+        said = Program(
+            cluster.on("head"), (sys.executable, "-P", "-m", "hedgerow.orchestrator", "rate", "0"), Path("rate")
+        )
         assert said.process.wait() == 0, said.log.read_text()
         assert network.wait() == 0, network.output
     assert verdict()["verdict"] == "valid"
@@ -190,7 +192,7 @@ def test_agents_of_a_machine_that_is_gone_for_good_live_on_where_there_is_room(
         cut_off(spare)
         network.wait_for_event("back", times=len(lost))
         said = Program(
-            cluster.on("bench"), (sys.executable, "-P", "-m", "orchestrator", "rate", "0"), tmp_path / "rate"
+            cluster.on("bench"), (sys.executable, "-P", "-m", "hedgerow.orchestrator", "rate", "0"), tmp_path / "rate"
         )
         assert said.process.wait() == 0, said.log.read_text()
         assert network.wait() == 0, network.output
@@ -266,8 +268,8 @@ def test_a_machine_of_a_cluster_needs_what_an_agent_needs() -> None:
     """What Ray loads there brings numpy and Zenoh, and none of the operator's packages."""
     code = """
 import sys
-from orchestrator.on_ray import Seat
-import agents.anywhere
+from hedgerow.orchestrator.on_ray import Seat
+import hedgerow.agents.anywhere
 print([name for name in ("pydantic", "yaml", "scipy", "pyarrow", "rerun", "rich", "typer") if name in sys.modules])
 """
     done = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, text=True, check=True)

@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 import zenoh
 
-from orchestrator.assign import layout, truth_of
-from plant.process import Plant
-from topologies.load import load
-from topologies.resolve import resolve
-from wire import keys
-from wire.codec import (
+from hedgerow.orchestrator.assign import layout, truth_of
+from hedgerow.plant.process import Plant
+from hedgerow.topologies.load import load
+from hedgerow.topologies.resolve import resolve
+from hedgerow.wire import keys
+from hedgerow.wire.codec import (
     REPORT_ROWS,
     Kind,
     decode_event,
@@ -28,9 +28,9 @@ from wire.codec import (
     encode_seen,
     kind_of,
 )
-from wire.handshake import introduction
-from wire.session import close, open_client, open_router, subscriber
-from wire.stream import Inbox
+from hedgerow.wire.handshake import introduction
+from hedgerow.wire.session import close, open_client, open_router, subscriber
+from hedgerow.wire.stream import Inbox
 
 NAMESPACE = "hedgerow/plant"
 DEADLINE_S = 60.0
@@ -161,7 +161,7 @@ def scene(tmp_path: Path) -> Iterator[Scene]:
 
 def test_a_step_is_paced_by_the_rate_and_by_nothing_else(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nobody wakes the plant but itself: no observer, no repetition."""
-    monkeypatch.setattr("plant.process.RESEND_AFTER_S", NEVER_S)
+    monkeypatch.setattr("hedgerow.plant.process.RESEND_AFTER_S", NEVER_S)
     scene.start(20.0, NEVER_S)
     for p in (0, 1):
         scene.join(p)
@@ -199,7 +199,7 @@ def test_nothing_is_said_while_an_agent_of_the_run_before_could_answer(scene: Sc
 
 def test_a_network_that_nobody_comes_back_to_ends_by_name(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     """Even if an input of who has died is still on its way: that one is not back."""
-    monkeypatch.setattr("plant.process.START_DEADLINE_S", 2.0)
+    monkeypatch.setattr("hedgerow.plant.process.START_DEADLINE_S", 2.0)
     scene.get_under_way()
     for p in (0, 1):
         scene.die(p)

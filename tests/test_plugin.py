@@ -18,13 +18,13 @@ import numpy as np
 import psutil
 import pytest
 
-from orchestrator import registry
-from orchestrator.testing import Networks, Result
-from orchestrator.testing.result import explain
-from topologies.errors import DeadlineError, HedgerowError, TopologyError, UserError
-from topologies.faults import Drop
-from topologies.load import load
-from topologies.resolve import resolve
+from hedgerow.orchestrator import registry
+from hedgerow.orchestrator.testing import Networks, Result
+from hedgerow.orchestrator.testing.result import explain
+from hedgerow.topologies.errors import DeadlineError, HedgerowError, TopologyError, UserError
+from hedgerow.topologies.faults import Drop
+from hedgerow.topologies.load import load
+from hedgerow.topologies.resolve import resolve
 
 pytest_plugins = ["pytester"]
 
@@ -263,8 +263,8 @@ def test_the_plugin_is_light(tmp_path: Path) -> None:
     """A test session that never asks for a network loads nothing of ours but the plugin."""
     code = "import sys, orchestrator.pytest_plugin; print(*sys.modules)"
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
-    heavy = {"numpy", "pyarrow", "zenoh", "rerun", "scipy", "pydantic", "topologies", "orchestrator.testing"}
-    assert "orchestrator.pytest_plugin" in loaded
+    heavy = {"numpy", "pyarrow", "zenoh", "rerun", "scipy", "pydantic", "topologies", "hedgerow.orchestrator.testing"}
+    assert "hedgerow.orchestrator.pytest_plugin" in loaded
     assert not heavy & {*loaded}
 
 

@@ -8,7 +8,7 @@ import struct
 
 import pytest
 
-from wire.ports import free_port
+from hedgerow.wire.ports import free_port
 
 IP_LOCAL_PORT_RANGE = 51
 """Linux 6.3: from which ports the kernel chooses one for this socket."""

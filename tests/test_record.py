@@ -18,25 +18,25 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from orchestrator.assign import layout
-from orchestrator.export import export
-from orchestrator.folder import create
-from orchestrator.kept import kept
-from orchestrator.recorded import RecordedRun, load_run
-from orchestrator.report import report
-from orchestrator.run import Watching
-from orchestrator.screen import Quiet
-from orchestrator.simulation import simulate_into
-from orchestrator.testing.result import Result
-from orchestrator.verdict import Verdict
+from hedgerow.orchestrator.assign import layout
+from hedgerow.orchestrator.export import export
+from hedgerow.orchestrator.folder import create
+from hedgerow.orchestrator.kept import kept
+from hedgerow.orchestrator.recorded import RecordedRun, load_run
+from hedgerow.orchestrator.report import report
+from hedgerow.orchestrator.run import Watching
+from hedgerow.orchestrator.screen import Quiet
+from hedgerow.orchestrator.simulation import simulate_into
+from hedgerow.orchestrator.testing.result import Result
+from hedgerow.orchestrator.verdict import Verdict
+from hedgerow.topologies import hinf
+from hedgerow.topologies.errors import TopologyError, UserError
+from hedgerow.topologies.load import load
+from hedgerow.topologies.resolve import resolve
+from hedgerow.topologies.schema import Record, Topology
 from tests.networks import read
 from tests.processes import orchestrator, parquet_bytes
 from tests.test_faults import faulty
-from topologies import hinf
-from topologies.errors import TopologyError, UserError
-from topologies.load import load
-from topologies.resolve import resolve
-from topologies.schema import Record, Topology
 
 FAULTS = "faults=[{kind: drop, link: [2, 4], steps: [3, 9]}, {kind: cut, edge: [3, 5], steps: [5, 8]}]"
 

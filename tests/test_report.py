@@ -28,25 +28,25 @@ from matplotlib.patches import StepPatch
 from numpy.typing import NDArray
 from PIL import Image
 
-from orchestrator import report as reports
-from orchestrator.assign import layout
-from orchestrator.folder import create
-from orchestrator.recorded import RecordedRun, load_run
-from orchestrator.report import report
-from orchestrator.report.compare import notices
-from orchestrator.report.curves import BINS, quantiles
-from orchestrator.report.figures import FIGURES
-from orchestrator.report.reading import METRICS, number
-from orchestrator.report.style import RED, look, save
-from orchestrator.report.timeline import rows
-from orchestrator.run import Watching
-from orchestrator.screen import Quiet
-from orchestrator.simulation import simulate_into
+from hedgerow.orchestrator import report as reports
+from hedgerow.orchestrator.assign import layout
+from hedgerow.orchestrator.folder import create
+from hedgerow.orchestrator.recorded import RecordedRun, load_run
+from hedgerow.orchestrator.report import report
+from hedgerow.orchestrator.report.compare import notices
+from hedgerow.orchestrator.report.curves import BINS, quantiles
+from hedgerow.orchestrator.report.figures import FIGURES
+from hedgerow.orchestrator.report.reading import METRICS, number
+from hedgerow.orchestrator.report.style import RED, look, save
+from hedgerow.orchestrator.report.timeline import rows
+from hedgerow.orchestrator.run import Watching
+from hedgerow.orchestrator.screen import Quiet
+from hedgerow.orchestrator.simulation import simulate_into
+from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.load import load, parse
+from hedgerow.topologies.resolve import resolve
+from hedgerow.topologies.schema import Topology
 from tests.networks import read
-from topologies.errors import UserError
-from topologies.load import load, parse
-from topologies.resolve import resolve
-from topologies.schema import Topology
 
 ROOT = Path(__file__).parents[1]
 KINDS = {kind.key: kind for kind in FIGURES}
@@ -278,7 +278,7 @@ def test_a_law_that_lets_the_network_run_away_is_drawn_and_told(
 ) -> None:
     """Its states are numbers for 161 steps, their squares for half as many."""
     (folder / "wild.py").write_text(
-        "from agents.law import Minimax\n\nclass Wild(Minimax):\n    def act(self, x): return -180 * x\n",
+        "from hedgerow.agents.law import Minimax\n\nclass Wild(Minimax):\n    def act(self, x): return -180 * x\n",
         encoding="utf-8",
     )
     monkeypatch.syspath_prepend(folder)
@@ -335,7 +335,18 @@ def test_the_same_run_gives_the_same_bytes(paper: RecordedRun, folder: Path) -> 
     here = report([paper], folder / "once", keys)
     (folder / "matplotlibrc").write_text("lines.linewidth: 9\npdf.fonttype: 3\n", encoding="utf-8")
     other = {"MATPLOTLIBRC": str(folder), "PYTHONHASHSEED": "7", "TZ": "Pacific/Kiritimati", "SOURCE_DATE_EPOCH": "1"}
-    command = [sys.executable, "-P", "-m", "orchestrator", "report", "paper", "--figures", keys, "--out", "twice"]
+    command = [
+        sys.executable,
+        "-P",
+        "-m",
+        "hedgerow.orchestrator",
+        "report",
+        "paper",
+        "--figures",
+        keys,
+        "--out",
+        "twice",
+    ]
     ran_ = subprocess.run(command, cwd=folder, env=os.environ | other, capture_output=True, text=True, check=False)
     assert ran_.returncode == 0, ran_.stderr
     assert ran_.stdout == "twice/report.html, and 2 figures as PDF and PNG beside it\n"
@@ -529,7 +540,7 @@ def test_what_differs_is_said(paper: RecordedRun, tmp_path: Path, overrides: Seq
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """Figures take no time where they are not what is looked at."""
-    monkeypatch.setattr("orchestrator.report.style.save", lambda *_: b"<svg/>")
+    monkeypatch.setattr("hedgerow.orchestrator.report.style.save", lambda *_: b"<svg/>")
 
 
 @pytest.mark.parametrize(
@@ -576,7 +587,7 @@ def test_whole_or_not_at_all(paper: RecordedRun, tmp_path: Path, monkeypatch: py
         done.append(name)
         return save(figure, folder, name, title)
 
-    monkeypatch.setattr("orchestrator.report.style.save", full)
+    monkeypatch.setattr("hedgerow.orchestrator.report.style.save", full)
     with pytest.raises(UserError, match="No space left on device; --out names another folder"):
         report([paper], out, "cost,gain", force=True)
     assert [path.name for path in tmp_path.rglob("*")] == ["out", "report.html"]
@@ -592,7 +603,7 @@ def test_without_matplotlib_it_says_what_to_install(
     paper: RecordedRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name in [*sys.modules]:
-        if name.partition(".")[0] == "matplotlib" or name.startswith("orchestrator.report."):
+        if name.partition(".")[0] == "matplotlib" or name.startswith("hedgerow.orchestrator.report."):
             monkeypatch.delitem(sys.modules, name)
     for name in ("figures", "page", "style"):
         monkeypatch.delattr(reports, name)
@@ -611,7 +622,7 @@ def test_without_matplotlib_it_says_what_to_install(
 )
 def test_a_run_that_there_is_not(tmp_path: Path, arguments: list[str], said: str) -> None:
     (tmp_path / "empty").mkdir()
-    command = [sys.executable, "-P", "-m", "orchestrator", "report", *arguments]
+    command = [sys.executable, "-P", "-m", "hedgerow.orchestrator", "report", *arguments]
     tried = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert (tried.returncode, tried.stdout) == (2, "")
     assert tried.stderr.startswith(said)

@@ -30,16 +30,16 @@ from numpy.typing import NDArray
 from rerun.chunk import RrdReader
 from rerun.experimental import ViewerClient
 
-from orchestrator.observe import Batch, Observer
-from orchestrator.rerun_stream import RerunStream
-from orchestrator.viewer import Viewer, choose, listening, native, start
+from hedgerow.orchestrator.observe import Batch, Observer
+from hedgerow.orchestrator.rerun_stream import RerunStream
+from hedgerow.orchestrator.viewer import Viewer, choose, listening, native, start
+from hedgerow.topologies.errors import HedgerowError, UserError
+from hedgerow.topologies.load import load
+from hedgerow.topologies.resolve import resolve
+from hedgerow.topologies.schema import Topology
+from hedgerow.wire.ports import free_port
 from tests.networks import simulate
 from tests.schedules import with_faults
-from topologies.errors import HedgerowError, UserError
-from topologies.load import load
-from topologies.resolve import resolve
-from topologies.schema import Topology
-from wire.ports import free_port
 
 Array = NDArray[np.float64]
 ROWS = 120_000

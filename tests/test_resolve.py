@@ -10,13 +10,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from orchestrator.observe import Observer
-from orchestrator.verdict import Ending, judge
+from hedgerow.orchestrator.observe import Observer
+from hedgerow.orchestrator.verdict import Ending, judge
+from hedgerow.topologies.hinf import satisfies_condition
+from hedgerow.topologies.load import bundled, load, parse
+from hedgerow.topologies.resolve import resolve, to_yaml, truth
+from hedgerow.topologies.schema import LAWS, Constant, Topology
 from tests.networks import floats, networks, observe, read, simulate
-from topologies.hinf import satisfies_condition
-from topologies.load import bundled, load, parse
-from topologies.resolve import resolve, to_yaml, truth
-from topologies.schema import LAWS, Constant, Topology
 
 CHANCE = """\
 name: chance

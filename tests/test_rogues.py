@@ -18,18 +18,18 @@ import psutil
 import pytest
 import zenoh
 
-from orchestrator.assign import layout, places, views_of
-from orchestrator.authority import Authority, for_this_run
-from orchestrator.recorded import load_run
-from plant.request import BYTES_PER_INCIDENCE, LEAST_BYTES
+from hedgerow.orchestrator.assign import layout, places, views_of
+from hedgerow.orchestrator.authority import Authority, for_this_run
+from hedgerow.orchestrator.recorded import load_run
+from hedgerow.plant.request import BYTES_PER_INCIDENCE, LEAST_BYTES
+from hedgerow.topologies.load import load
+from hedgerow.topologies.resolve import resolve
+from hedgerow.wire import keys
+from hedgerow.wire.access import MOST_JOINS_PER_S, MOST_PER_S, OBSERVER, OPERATOR, ROUTER, Place, rights
+from hedgerow.wire.codec import VERSION, Link, encode_input, encode_link, encode_state
+from hedgerow.wire.ports import free_port
+from hedgerow.wire.session import WireError, close, direct, open_client, open_router
 from tests.processes import Orchestrator, orchestrator, parquet_bytes
-from topologies.load import load
-from topologies.resolve import resolve
-from wire import keys
-from wire.access import MOST_JOINS_PER_S, MOST_PER_S, OBSERVER, OPERATOR, ROUTER, Place, rights
-from wire.codec import VERSION, Link, encode_input, encode_link, encode_state
-from wire.ports import free_port
-from wire.session import WireError, close, direct, open_client, open_router
 
 QUIET = ("--viewer", "none", "--no-record")
 NAMESPACE = "hedgerow/rogues"

@@ -14,14 +14,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from orchestrator.observe import Observer
-from orchestrator.rerun_stream import RerunStream
-from orchestrator.round_trips import RoundTrips, line
+from hedgerow.orchestrator.observe import Observer
+from hedgerow.orchestrator.rerun_stream import RerunStream
+from hedgerow.orchestrator.round_trips import RoundTrips, line
+from hedgerow.topologies.load import load
+from hedgerow.topologies.resolve import resolve
+from hedgerow.wire.codec import Trips
 from tests.processes import Orchestrator, orchestrator
 from tests.test_rerun_stream import read as read_rrd
-from topologies.load import load
-from topologies.resolve import resolve
-from wire.codec import Trips
 
 NAN = float("nan")
 

@@ -8,9 +8,9 @@ from typing import Any
 import jsonschema
 import pytest
 
-from topologies.load import bundled, find
-from topologies.schema import Topology
-from topologies.source import read_source
+from hedgerow.topologies.load import bundled, find
+from hedgerow.topologies.schema import Topology
+from hedgerow.topologies.source import read_source
 
 VALIDATOR = jsonschema.Draft202012Validator(Topology.model_json_schema())
 GOOD: dict[str, Any] = {"name": "good", "b": 0.1, "steps": 1, "nodes": [1, 2], "edges": [[1, 2]]}

@@ -16,9 +16,9 @@ import psutil
 import pytest
 from cryptography import x509
 
-from orchestrator.authority import LIFE_DAYS, SLACK
+from hedgerow.orchestrator.authority import LIFE_DAYS, SLACK
+from hedgerow.wire.ports import free_port
 from tests.processes import COMMAND, Orchestrator, gone, orchestrator
-from wire.ports import free_port
 
 QUIET = ("--viewer", "none", "--no-record")
 ROUTER = """

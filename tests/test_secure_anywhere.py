@@ -13,20 +13,20 @@ import pytest
 import yaml
 from cryptography import x509
 
-from orchestrator.authority import Authority, to_carry
+from hedgerow.orchestrator.authority import Authority, to_carry
+from hedgerow.topologies.errors import UserError
+from hedgerow.wire.access import access_control
+from hedgerow.wire.anywhere import wait_for
+from hedgerow.wire.credentials import CA, CERTIFICATE, PRIVATE_KEY
+from hedgerow.wire.handshake import room
+from hedgerow.wire.ports import free_port
+from hedgerow.wire.refusal import refused
+from hedgerow.wire.session import WireError, close, open_client, open_router
 from tests.machines import Program
 from tests.processes import DEADLINE_S, Orchestrator, orchestrator, parquet_bytes
 from tests.test_anywhere import UP, start, verdict
 from tests.test_rogues import PLACES
 from tests.test_secure import ROUTER
-from topologies.errors import UserError
-from wire.access import access_control
-from wire.anywhere import wait_for
-from wire.credentials import CA, CERTIFICATE, PRIVATE_KEY
-from wire.handshake import room
-from wire.ports import free_port
-from wire.refusal import refused
-from wire.session import WireError, close, open_client, open_router
 
 __all__ = ["start"]
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from topologies.errors import DeadlineError
-from wire.session import open_client, open_router, publisher, wait_for_listeners
+from hedgerow.topologies.errors import DeadlineError
+from hedgerow.wire.session import open_client, open_router, publisher, wait_for_listeners
 
 
 def test_listeners_who_come_one_after_another_have_one_deadline(tmp_path: Path) -> None:

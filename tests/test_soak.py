@@ -13,10 +13,10 @@ from pathlib import Path
 import psutil
 import pytest
 
-from orchestrator.soak import STEPS, Sample, look, pace_of, trends_of, with_faults
+from hedgerow.orchestrator.soak import STEPS, Sample, look, pace_of, trends_of, with_faults
+from hedgerow.topologies.load import load
+from hedgerow.topologies.resolve import resolve
 from tests.processes import orchestrator
-from topologies.load import load
-from topologies.resolve import resolve
 
 
 def looks(leak_mb: float = 0.0, leak_files: float = 0.0, slower: float = 0.0) -> list[Sample]:

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from wire.stream import TOGETHER_S, Inbox, Outbox
+from hedgerow.wire.stream import TOGETHER_S, Inbox, Outbox
 
 ACTIONS = ["send", "lossy send", "soon", "lossy soon", "wait", "tend", "lossy repeat", "repeat", "seen", "garbage"]
 
@@ -18,7 +18,7 @@ class Clock:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now_s = 100.0
-        monkeypatch.setattr("wire.stream.time", SimpleNamespace(monotonic=lambda: self.now_s))
+        monkeypatch.setattr("hedgerow.wire.stream.time", SimpleNamespace(monotonic=lambda: self.now_s))
 
 
 def numbered(number: int) -> bytes:

@@ -21,16 +21,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from orchestrator.sweep import boxes, summary
-from orchestrator.sweep.folder import SweepFolder, default_out
-from orchestrator.sweep.plan import Chunk, Plan, plan, split, typed
-from orchestrator.sweep.runs import METRICS, Failure, Row, answer, run_here
-from orchestrator.sweep.summary import spread, values_of
+from hedgerow.orchestrator.sweep import boxes, summary
+from hedgerow.orchestrator.sweep.folder import SweepFolder, default_out
+from hedgerow.orchestrator.sweep.plan import Chunk, Plan, plan, split, typed
+from hedgerow.orchestrator.sweep.runs import METRICS, Failure, Row, answer, run_here
+from hedgerow.orchestrator.sweep.summary import spread, values_of
+from hedgerow.topologies.errors import TopologyError, UserError
+from hedgerow.topologies.load import load
+from hedgerow.topologies.resolve import resolve
 from tests.networks import read
 from tests.processes import DEADLINE_S, Orchestrator, gone, orchestrator
-from topologies.errors import TopologyError, UserError
-from topologies.load import load
-from topologies.resolve import resolve
 
 SINUSOID = (
     "{kind: sinusoid, amplitude: {random: [0.1, 1]}, omega: {random: [0, 3.14159]}, phase: {random: [0, 6.28318]}}"
@@ -146,7 +146,7 @@ def test_a_metric_that_is_undefined_is_null(tmp_path: Path) -> None:
 
 def test_a_law_that_fails_makes_its_runs_unknown_and_no_others(here: Path) -> None:
     (here / "mine.py").write_text(
-        "from agents.law import Minimax\n\nclass Tired(Minimax):\n"
+        "from hedgerow.agents.law import Minimax\n\nclass Tired(Minimax):\n"
         "    def learn(self, x, flow, x_next): raise RuntimeError('tired')\n",
         encoding="utf-8",
     )
@@ -233,7 +233,7 @@ def test_a_killed_worker_costs_nothing(here: Path, undisturbed: bytes) -> None:
 
 def test_a_sweep_whose_workers_cannot_live_says_so(here: Path) -> None:
     (here / "deadly.py").write_text(
-        "import os, signal\nfrom agents.law import Minimax\n\nclass Deadly(Minimax):\n"
+        "import os, signal\nfrom hedgerow.agents.law import Minimax\n\nclass Deadly(Minimax):\n"
         "    def learn(self, x, flow, x_next): os.kill(os.getpid(), signal.SIGKILL)\n",
         encoding="utf-8",
     )
@@ -376,7 +376,7 @@ def test_columns_are_numbers_where_all_values_are() -> None:
 def test_metrics_do_not_depend_on_how_telemetry_was_batched(monkeypatch: pytest.MonkeyPatch) -> None:
     network = read((Path(__file__).parents[1] / "topologies/paper7.yaml").read_text(encoding="utf-8"))
     whole = run_here(network)["metrics"]
-    monkeypatch.setattr("orchestrator.observe.ROWS", 7)
+    monkeypatch.setattr("hedgerow.orchestrator.observe.ROWS", 7)
     assert run_here(network)["metrics"] == whole
 
 

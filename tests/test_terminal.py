@@ -24,14 +24,14 @@ from types import TracebackType
 import pytest
 from rich.console import Console
 
-from orchestrator.observe import Batch, Observer
-from orchestrator.screen import Json, Lines, screen
-from orchestrator.terminal import REDRAW_S, Bar, Standing, Table
+from hedgerow.orchestrator.observe import Batch, Observer
+from hedgerow.orchestrator.screen import Json, Lines, screen
+from hedgerow.orchestrator.terminal import REDRAW_S, Bar, Standing, Table
+from hedgerow.topologies.load import load
+from hedgerow.topologies.resolve import resolve
+from hedgerow.topologies.schema import Topology
 from tests.networks import read, simulate
 from tests.processes import COMMAND
-from topologies.load import load
-from topologies.resolve import resolve
-from topologies.schema import Topology
 
 DEADLINE_S = 60.0
 FAULTS = [

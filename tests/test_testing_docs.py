@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from orchestrator import testing
-from orchestrator.live import FaultVerbs
+from hedgerow.orchestrator import testing
+from hedgerow.orchestrator.live import FaultVerbs
 from tests.test_docs import ROOT, Scratch, blocks, commands, same_output, table
 
 PAGE = ROOT / "docs" / "testing.md"

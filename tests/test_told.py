@@ -9,13 +9,13 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agents.view import Peer, View
-from orchestrator.assign import layout, truth_of, views_of
-from plant.truth import Truth
+from hedgerow.agents.view import Peer, View
+from hedgerow.orchestrator.assign import layout, truth_of, views_of
+from hedgerow.plant.truth import Truth
+from hedgerow.topologies.network import Group
+from hedgerow.topologies.schema import Topology
+from hedgerow.wire.config import Config
 from tests.networks import networks, partitions, read
-from topologies.network import Group
-from topologies.schema import Topology
-from wire.config import Config
 
 
 def same(one: Any, other: Any) -> bool:

@@ -13,12 +13,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from topologies import rules
-from topologies.errors import Problem, TopologyError, UserError
-from topologies.load import bundled, load, parse
-from topologies.resolve import resolve, to_yaml
-from topologies.samples import columns
-from topologies.schema import Topology
+from hedgerow.topologies import rules
+from hedgerow.topologies.errors import Problem, TopologyError, UserError
+from hedgerow.topologies.load import bundled, load, parse
+from hedgerow.topologies.resolve import resolve, to_yaml
+from hedgerow.topologies.samples import columns
+from hedgerow.topologies.schema import Topology
 
 GOOD = """\
 name: pair
@@ -504,7 +504,7 @@ faults:
   - {kind: crash, process: 1, at: 4, restart_after: 5}
   - {kind: jump, node: 4, at: 15, a: random}
 """
-GOOD_FILES = [FAULTY, *((resources.files("topologies") / f"{name}.yaml").read_bytes() for name in bundled())]
+GOOD_FILES = [FAULTY, *((resources.files("hedgerow.topologies") / f"{name}.yaml").read_bytes() for name in bundled())]
 PIECES = st.one_of(
     st.sampled_from([b"\n", b" ", b"\t", b":", b": ", b"- ", b"[", b"]", b"{", b"}", b"#", b"&a "]),
     st.sampled_from([b"*a", b"!!x ", b"---\n", b"'", b'"', b"-1", b"1e400", b".nan", b"~", b"true"]),

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agents.law import Minimax
-from orchestrator.assign import candidates_of, layout
+from hedgerow.agents.law import Minimax
+from hedgerow.orchestrator.assign import candidates_of, layout
 from tests.networks import VECTORS, from_vector, observe, simulate
 
 assert_near = partial(np.testing.assert_allclose, rtol=0.0, atol=1e-12)

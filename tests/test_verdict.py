@@ -13,17 +13,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agents.law import Array, Minimax, control
-from orchestrator.assign import layout, truth_of, views_of
-from orchestrator.in_process import run
-from orchestrator.observe import Batch, Observer
-from orchestrator.verdict import Ending, Verdict, judge
-from plant.world import dynamics
+from hedgerow.agents.law import Array, Minimax, control
+from hedgerow.orchestrator.assign import layout, truth_of, views_of
+from hedgerow.orchestrator.in_process import run
+from hedgerow.orchestrator.observe import Batch, Observer
+from hedgerow.orchestrator.verdict import Ending, Verdict, judge
+from hedgerow.plant.world import dynamics
+from hedgerow.topologies.load import bundled, load
+from hedgerow.topologies.resolve import resolve, truth
+from hedgerow.topologies.schema import Topology
+from hedgerow.wire.codec import REPORT_ROWS, TAKEN, End, Telemetry
 from tests.networks import Trajectory, listed, networks, observe, read, simulate
-from topologies.load import bundled, load
-from topologies.resolve import resolve, truth
-from topologies.schema import Topology
-from wire.codec import REPORT_ROWS, TAKEN, End, Telemetry
 
 PAPER = resolve(load("paper7"))
 GOOD = simulate(PAPER)

@@ -23,27 +23,27 @@ from PIL import Image
 from rerun.chunk import RrdReader
 from rerun.experimental import ViewerClient
 
-from orchestrator import palette
-from orchestrator.heat import COLUMNS, HeatMap
-from orchestrator.lanes import LANES, MISTAKEN, OF_NODE, Lanes, of_edge
-from orchestrator.layout import positions
-from orchestrator.observe import Batch, Observer
-from orchestrator.palette import packed, state_colors
-from orchestrator.panels import DOWN, LARGE
-from orchestrator.picture import Picture, decaying_peak
-from orchestrator.rerun_stream import PICTURES_AT_ONCE, Pace, RerunStream
-from orchestrator.schedule import Schedule
-from orchestrator.viewer import Viewer
+from hedgerow.orchestrator import palette
+from hedgerow.orchestrator.heat import COLUMNS, HeatMap
+from hedgerow.orchestrator.lanes import LANES, MISTAKEN, OF_NODE, Lanes, of_edge
+from hedgerow.orchestrator.layout import positions
+from hedgerow.orchestrator.observe import Batch, Observer
+from hedgerow.orchestrator.palette import packed, state_colors
+from hedgerow.orchestrator.panels import DOWN, LARGE
+from hedgerow.orchestrator.picture import Picture, decaying_peak
+from hedgerow.orchestrator.rerun_stream import PICTURES_AT_ONCE, Pace, RerunStream
+from hedgerow.orchestrator.schedule import Schedule
+from hedgerow.orchestrator.viewer import Viewer
+from hedgerow.topologies.graph import Graph
+from hedgerow.topologies.load import load
+from hedgerow.topologies.resolve import resolve
+from hedgerow.topologies.schema import Topology
 from tests import networks
 from tests.networks import observe, simulate
 from tests.processes import Orchestrator
 from tests.schedules import with_faults
 from tests.test_rerun_stream import begin_headless, kill, paper7, until
 from tests.test_rerun_stream import read as scalars
-from topologies.graph import Graph
-from topologies.load import load
-from topologies.resolve import resolve
-from topologies.schema import Topology
 
 DROP: dict[str, Any] = {"kind": "drop", "link": [2, 4], "steps": [0, 20]}
 CUT: dict[str, Any] = {"kind": "cut", "edge": [3, 5], "steps": [12, 20]}

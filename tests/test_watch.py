@@ -27,29 +27,29 @@ from numpy.typing import NDArray
 from PIL import Image
 from rerun.chunk import RrdReader
 
-from orchestrator.assign import layout
-from orchestrator.folder import create
-from orchestrator.observe import Observer
-from orchestrator.opening import common_nodes, labels, open_runs
-from orchestrator.panels import quantities
-from orchestrator.record import Recorder, to_parquet
-from orchestrator.recorded import load_run
-from orchestrator.rerun_stream import DRAWN_NODES, Pace, RerunStream
-from orchestrator.rrd_file import RrdFile, part_path, parts
-from orchestrator.run import Watching
-from orchestrator.screen import Quiet
-from orchestrator.simulation import simulate_into
-from orchestrator.viewer import Viewer, executable, start
-from orchestrator.viewer_version import compare
-from orchestrator.watch import ArrowTail, Trail
+from hedgerow.orchestrator.assign import layout
+from hedgerow.orchestrator.folder import create
+from hedgerow.orchestrator.observe import Observer
+from hedgerow.orchestrator.opening import common_nodes, labels, open_runs
+from hedgerow.orchestrator.panels import quantities
+from hedgerow.orchestrator.record import Recorder, to_parquet
+from hedgerow.orchestrator.recorded import load_run
+from hedgerow.orchestrator.rerun_stream import DRAWN_NODES, Pace, RerunStream
+from hedgerow.orchestrator.rrd_file import RrdFile, part_path, parts
+from hedgerow.orchestrator.run import Watching
+from hedgerow.orchestrator.screen import Quiet
+from hedgerow.orchestrator.simulation import simulate_into
+from hedgerow.orchestrator.viewer import Viewer, executable, start
+from hedgerow.orchestrator.viewer_version import compare
+from hedgerow.orchestrator.watch import ArrowTail, Trail
+from hedgerow.topologies.errors import HedgerowError, UserError
+from hedgerow.topologies.load import load
+from hedgerow.topologies.resolve import resolve
+from hedgerow.wire.ports import free_port
 from tests.networks import simulate
 from tests.processes import Orchestrator, orchestrator
 from tests.test_rerun_stream import begin_headless, draws, kill, last_step, until
 from tests.test_view import Seen
-from topologies.errors import HedgerowError, UserError
-from topologies.load import load
-from topologies.resolve import resolve
-from wire.ports import free_port
 
 pytestmark = pytest.mark.filterwarnings("ignore:RRD file has no footer")  # its writer was ended
 

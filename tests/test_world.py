@@ -11,17 +11,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agents.law import control
-from orchestrator.assign import layout, truth_of
-from plant.disturbance import Disturbance
-from plant.world import World, dynamics
+from hedgerow.agents.law import control
+from hedgerow.orchestrator.assign import layout, truth_of
+from hedgerow.plant.disturbance import Disturbance
+from hedgerow.plant.world import World, dynamics
+from hedgerow.topologies.graph import Array, Graph
+from hedgerow.topologies.hinf import contraction, gamma_star, q_solver
+from hedgerow.topologies.network import groups_of, padded
+from hedgerow.topologies.resolve import truth
+from hedgerow.topologies.schema import Topology
+from hedgerow.wire.codec import REPORT_ROWS
 from tests.networks import disturbances, networks, observe, read, simulate
-from topologies.graph import Array, Graph
-from topologies.hinf import contraction, gamma_star, q_solver
-from topologies.network import groups_of, padded
-from topologies.resolve import truth
-from topologies.schema import Topology
-from wire.codec import REPORT_ROWS
 
 SEED = 2**63 - 1
 

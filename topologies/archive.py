@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topologies.errors import UserError
+from hedgerow.topologies.errors import UserError
 
 NodeId = int | str
 Arrays = dict[str, Any]

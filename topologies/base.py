@@ -19,7 +19,7 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
-from topologies.graph import LARGEST
+from hedgerow.topologies.graph import LARGEST
 
 
 class Model(BaseModel):

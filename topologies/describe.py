@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from topologies.effects import FOREVER
-from topologies.faults import Actuator, Crash, Cut, Delay, Drop, Fault, Jump, Partition, Sensor
+from hedgerow.topologies.effects import FOREVER
+from hedgerow.topologies.faults import Actuator, Crash, Cut, Delay, Drop, Fault, Jump, Partition, Sensor
 
 
 def describe(fault: Fault) -> str:

@@ -14,7 +14,7 @@ FOREVER = 2**62
 class Effect:
     """What one fault of the list does, at steps `start` <= t < `stop`.
 
-    `kind` says what its `targets` are: incidences of `topologies.graph.Graph` for drop and delay (c stands for
+    `kind` says what its `targets` are: incidences of `hedgerow.topologies.graph.Graph` for drop and delay (c stands for
     the link on which node[c] hears neighbour[c]), edges for cut, positions of nodes for sensor, actuator, crash
     and jump. A crash starts when the nodes die and stops when they are back; a jump never stops.
     """

@@ -10,14 +10,14 @@ LARGE = 4096
 
 
 def kernels_for(nodes: int) -> ModuleType | None:
-    """`topologies.kernels`, if it pays and is to be had."""
+    """`hedgerow.topologies.kernels`, if it pays and is to be had."""
     return _kernels() if nodes >= LARGE else None
 
 
 @functools.cache
 def _kernels() -> ModuleType | None:
     try:
-        from topologies import kernels  # noqa: PLC0415  # slow to load
+        from hedgerow.topologies import kernels  # noqa: PLC0415  # slow to load
     except (ImportError, RuntimeError):  # no numba, or nowhere to keep what it compiles
         return None
     return kernels

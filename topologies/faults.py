@@ -34,13 +34,13 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
-from topologies.base import Model, NodeId, TrueA, kind_of, number
-from topologies.effects import FOREVER, Effect
-from topologies.partition import partition
+from hedgerow.topologies.base import Model, NodeId, TrueA, kind_of, number
+from hedgerow.topologies.effects import FOREVER, Effect
+from hedgerow.topologies.partition import partition
 
 if TYPE_CHECKING:
-    from topologies.graph import Index, Mask
-    from topologies.schema import Topology
+    from hedgerow.topologies.graph import Index, Mask
+    from hedgerow.topologies.schema import Topology
 
 Step = Annotated[StrictInt, Field(ge=0, le=FOREVER)]
 Pair = tuple[NodeId, NodeId]
@@ -294,7 +294,7 @@ def known_keys(model: type[Model]) -> list[str]:
 
 
 def effects(faults: Sequence[Fault], topology: Topology) -> list[Effect]:
-    """What `faults` do to a resolved topology, in their order; all must keep the rules of `topologies.rules`.
+    """What `faults` do to a resolved topology, in their order; all must keep the rules of `hedgerow.topologies.rules`.
 
     A partition that cuts has two effects, any other fault has one.
     """

@@ -22,8 +22,8 @@ import numpy as np
 from pydantic import BeforeValidator, ConfigDict, Discriminator, Field, StrictInt, Tag, model_validator
 from pydantic_core import PydanticCustomError
 
-from topologies.base import Model, kind_of, number
-from topologies.graph import Index
+from hedgerow.topologies.base import Model, kind_of, number
+from hedgerow.topologies.graph import Index
 
 Count = Annotated[StrictInt, Field(ge=1)]
 Few = Annotated[StrictInt, Field(ge=1, le=1000)]

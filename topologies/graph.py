@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from topologies.fast import kernels_for
+from hedgerow.topologies.fast import kernels_for
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from topologies.errors import HedgerowError
-from topologies.graph import Array, Graph, Index, Mask
+from hedgerow.topologies.errors import HedgerowError
+from hedgerow.topologies.graph import Array, Graph, Index, Mask
 
 if TYPE_CHECKING:
     import scipy.sparse

@@ -1,4 +1,4 @@
-"""The arithmetic of a step as compiled loops over the nodes, for large networks; `topologies.fast` says when.
+"""The arithmetic of a step as compiled loops over the nodes, for large networks; `hedgerow.topologies.fast` says when.
 
 Each gives, bit for bit, what the numpy expression in its docstring gives: the same operations on the same numbers, in
 the same order. What they save is passes over memory, each of which costs as much as the arithmetic of several.
@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import float64, int64, njit, types, void
 
-from topologies.graph import Array, Index
+from hedgerow.topologies.graph import Array, Index
 
 _READ = types.Array(float64, 1, "C", readonly=True)
 """what arrives in a message may not be written to"""

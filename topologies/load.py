@@ -16,23 +16,23 @@ from typing import Any
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
-from topologies import table
-from topologies.base import Model, kind_of, node_id
-from topologies.errors import Problem, TopologyError, UserError
-from topologies.faults import KINDS, known_keys
-from topologies.generators import GENERATORS
-from topologies.graph import LARGEST
-from topologies.nodes import Edges, Nodes
-from topologies.rules import broken_rules
-from topologies.schema import COMPONENTS, Defaults, Node, Record, Topology
-from topologies.source import MAX_BYTES, Path, Source, place_of, read_source
+from hedgerow.topologies import table
+from hedgerow.topologies.base import Model, kind_of, node_id
+from hedgerow.topologies.errors import Problem, TopologyError, UserError
+from hedgerow.topologies.faults import KINDS, known_keys
+from hedgerow.topologies.generators import GENERATORS
+from hedgerow.topologies.graph import LARGEST
+from hedgerow.topologies.nodes import Edges, Nodes
+from hedgerow.topologies.rules import broken_rules
+from hedgerow.topologies.schema import COMPONENTS, Defaults, Node, Record, Topology
+from hedgerow.topologies.source import MAX_BYTES, Path, Source, place_of, read_source
 
 _SHOWN = 60
 
 
 def bundled() -> list[str]:
     """Names of the topologies that ship with the package."""
-    files = resources.files("topologies").iterdir()
+    files = resources.files("hedgerow.topologies").iterdir()
     return sorted(file.name.removesuffix(".yaml") for file in files if file.name.endswith(".yaml"))
 
 
@@ -49,7 +49,7 @@ def find(name: str) -> FilePath:
     except OSError as error:
         raise UserError(f"{name}: {error.strerror}; check the path and its permissions") from None
     if name in bundled():
-        return FilePath(str(resources.files("topologies") / f"{name}.yaml"))
+        return FilePath(str(resources.files("hedgerow.topologies") / f"{name}.yaml"))
     near = difflib.get_close_matches(name, bundled(), 1)
     hint = f"did you mean {near[0]}? " if near else ""
     raise UserError(f"{name}: no such file; {hint}bundled names are {', '.join(bundled())}")

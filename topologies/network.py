@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topologies import hinf
-from topologies.graph import Array, Graph, Index
+from hedgerow.topologies import hinf
+from hedgerow.topologies.graph import Array, Graph, Index
 
 QUICK = 10_000
 """Of so many nodes gamma* takes 0.1 s."""

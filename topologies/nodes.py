@@ -7,8 +7,8 @@ from typing import Any, overload
 
 import numpy as np
 
-from topologies.network import Group, Network
-from topologies.schema import COMPONENTS, Component, Node, Nothing
+from hedgerow.topologies.network import Group, Network
+from hedgerow.topologies.schema import COMPONENTS, Component, Node, Nothing
 
 SPELLED_OUT = 1_000
 """Up to this many nodes a resolved file spells out each of them; the numbers of more stand in a table beside it."""

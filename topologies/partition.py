@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from topologies.graph import Graph, Index
+from hedgerow.topologies.graph import Graph, Index
 
 IN_ORDER = 64
 """Networks of up to so many nodes, which people write, are cut in the order of the file."""

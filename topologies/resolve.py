@@ -17,16 +17,16 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from topologies import table
-from topologies.errors import TopologyError
-from topologies.faults import Fault, Jump
-from topologies.graph import Array, Index
-from topologies.hinf import allowed_intervals, smallest_eigenpair
-from topologies.network import PARAMETERS, Group, Network
-from topologies.nodes import SPELLED_OUT, Edges, Nodes
-from topologies.rules import broken_faults
-from topologies.samples import columns
-from topologies.schema import (
+from hedgerow.topologies import table
+from hedgerow.topologies.errors import TopologyError
+from hedgerow.topologies.faults import Fault, Jump
+from hedgerow.topologies.graph import Array, Index
+from hedgerow.topologies.hinf import allowed_intervals, smallest_eigenpair
+from hedgerow.topologies.network import PARAMETERS, Group, Network
+from hedgerow.topologies.nodes import SPELLED_OUT, Edges, Nodes
+from hedgerow.topologies.rules import broken_faults
+from hedgerow.topologies.samples import columns
+from hedgerow.topologies.schema import (
     PER_NODE,
     SAMPLED,
     WHOLE,
@@ -39,8 +39,8 @@ from topologies.schema import (
     Topology,
     Uniform,
 )
-from topologies.source import FLOAT
-from topologies.table import Table
+from hedgerow.topologies.source import FLOAT
+from hedgerow.topologies.table import Table
 
 
 class _Draws:
@@ -67,7 +67,7 @@ class _Draws:
 def resolve(topology: Topology, folder: Path = Path()) -> Topology:
     """The same network with every number drawn and every node spelled out; resolving it again changes nothing.
 
-    `folder` is where the CSV files of `samples` lie. The topology must have passed the rules of `topologies.rules`.
+    `folder` is where the CSV files of `samples` lie. The topology must have passed the rules of `hedgerow.topologies.rules`.
     Raises TopologyError for a fault that breaks them; that of a jump may show only now, with the candidates drawn.
     """
     draws = _Draws(topology.seed, len(topology.ids))
@@ -250,7 +250,7 @@ def truth(topology: Topology) -> Array:
 
 
 def to_yaml(topology: Topology) -> str:
-    """A topology as YAML text that `topologies.load` reads back to the same bits.
+    """A topology as YAML text that `hedgerow.topologies.load` reads back to the same bits.
 
     That of many nodes refers to the table that `save` writes beside it.
     """

@@ -12,15 +12,15 @@ from typing import Any
 
 import numpy as np
 
-from topologies.base import node_id
-from topologies.errors import Problem
-from topologies.faults import Crash, Cut, Delay, Drop, Fault, Jump, Partition
-from topologies.hinf import allowed_interval, satisfies_condition
-from topologies.nodes import Edges, Nodes
-from topologies.samples import columns
-from topologies.schema import Samples, Topology
-from topologies.source import Path, Source, place_of
-from topologies.table import broken
+from hedgerow.topologies.base import node_id
+from hedgerow.topologies.errors import Problem
+from hedgerow.topologies.faults import Crash, Cut, Delay, Drop, Fault, Jump, Partition
+from hedgerow.topologies.hinf import allowed_interval, satisfies_condition
+from hedgerow.topologies.nodes import Edges, Nodes
+from hedgerow.topologies.samples import columns
+from hedgerow.topologies.schema import Samples, Topology
+from hedgerow.topologies.source import Path, Source, place_of
+from hedgerow.topologies.table import broken
 
 
 def broken_rules(topology: Topology, source: Source, folder: FilePath) -> list[Problem]:

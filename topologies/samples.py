@@ -7,7 +7,7 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from topologies.graph import LARGEST
+from hedgerow.topologies.graph import LARGEST
 
 MAX_BYTES = 512 * 2**20
 

@@ -1,7 +1,7 @@
 """What may stand in a topology file.
 
 One set of models serves the file as written (numbers may be left to chance, nodes to the defaults) and the
-resolved file (every number drawn, every node spelled out); `topologies.resolve` leads from one to the other.
+resolved file (every number drawn, every node spelled out); `hedgerow.topologies.resolve` leads from one to the other.
 All models are frozen and refuse unknown keys. The JSON Schema and docs/topology.md are made from them.
 """
 
@@ -30,13 +30,13 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
-from topologies.base import Model, Name, NodeId, NonNegative, Number, TrueA, kind_of, number
-from topologies.effects import FOREVER
-from topologies.faults import Fault
-from topologies.generators import GraphRule
-from topologies.graph import LARGEST, Graph
-from topologies.network import Network, groups_of, padded
-from topologies.table import Table
+from hedgerow.topologies.base import Model, Name, NodeId, NonNegative, Number, TrueA, kind_of, number
+from hedgerow.topologies.effects import FOREVER
+from hedgerow.topologies.faults import Fault
+from hedgerow.topologies.generators import GraphRule
+from hedgerow.topologies.graph import LARGEST, Graph
+from hedgerow.topologies.network import Network, groups_of, padded
+from hedgerow.topologies.table import Table
 
 LAWS = ("minimax", "hinf", "nominal")
 

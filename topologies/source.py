@@ -14,7 +14,7 @@ from typing import Any
 
 import yaml
 
-from topologies.errors import Problem, TopologyError
+from hedgerow.topologies.errors import Problem, TopologyError
 
 MAX_BYTES = 32 * 2**20
 MAX_DEPTH = 32

@@ -21,12 +21,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topologies import archive
-from topologies.errors import UserError
-from topologies.graph import LARGEST, Array, Graph, Index
-from topologies.hinf import condition_holds
-from topologies.network import PARAMETERS, Group, Network
-from topologies.samples import beside
+from hedgerow.topologies import archive
+from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.graph import LARGEST, Array, Graph, Index
+from hedgerow.topologies.hinf import condition_holds
+from hedgerow.topologies.network import PARAMETERS, Group, Network
+from hedgerow.topologies.samples import beside
 
 NAME = "network.npz"
 """how a run's folder calls it"""
@@ -132,7 +132,7 @@ def _ids(found: NDArray[Any] | None, n: int) -> Sequence[int | str]:
         return range(n)
     from pydantic import TypeAdapter, ValidationError  # noqa: PLC0415
 
-    from topologies.base import NodeId  # noqa: PLC0415
+    from hedgerow.topologies.base import NodeId  # noqa: PLC0415
 
     if found.dtype.kind in "iu" and found.ndim == 1 and np.array_equal(found, np.arange(n)):
         return range(n)

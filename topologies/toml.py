@@ -8,7 +8,7 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from topologies.errors import UserError
+from hedgerow.topologies.errors import UserError
 
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from wire import keys
+from hedgerow.wire import keys
 
 OBSERVER, OPERATOR, ROUTER = "observer", "operator", "router"
 

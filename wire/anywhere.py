@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn
 
-from wire.runtime import runtime_environment, share_the_cores
+from hedgerow.wire.runtime import runtime_environment, share_the_cores
 
 # Before Zenoh and numpy are loaded, below.
 for _name, _value in runtime_environment().items():
@@ -17,11 +17,11 @@ for _name, _value in runtime_environment().items():
 
 import zenoh  # noqa: E402
 
-from topologies.errors import DeadlineError, UserError, check_options  # noqa: E402
-from wire import keys  # noqa: E402
-from wire.child import run_alone  # noqa: E402
-from wire.config import Config  # noqa: E402
-from wire.session import close, direct, open_client  # noqa: E402
+from hedgerow.topologies.errors import DeadlineError, UserError, check_options  # noqa: E402
+from hedgerow.wire import keys  # noqa: E402
+from hedgerow.wire.child import run_alone  # noqa: E402
+from hedgerow.wire.config import Config  # noqa: E402
+from hedgerow.wire.session import close, direct, open_client  # noqa: E402
 
 WAIT_S = 600.0
 """How long a process waits for the others, who may be started by hand."""

@@ -11,8 +11,8 @@ import threading
 from collections.abc import Callable, Iterator
 from typing import NoReturn
 
-from topologies.errors import HedgerowError, UserError
-from wire.runtime import let_numbers_overflow
+from hedgerow.topologies.errors import HedgerowError, UserError
+from hedgerow.wire.runtime import let_numbers_overflow
 
 USER_ERROR = 2
 """The exit code of a process that failed by its user's mistake: to start it again would not help."""

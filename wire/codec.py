@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from topologies.errors import Code, HedgerowError
+from hedgerow.topologies.errors import Code, HedgerowError
 
 VERSION = 4
 REPORT_ROWS = 2

@@ -7,8 +7,8 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from topologies import toml
-from topologies.errors import UserError
+from hedgerow.topologies import toml
+from hedgerow.topologies.errors import UserError
 
 FILE = "told.toml"
 """Its name in a folder of the process's own."""
@@ -29,7 +29,7 @@ class Config:
     network: str
     """the fingerprint of the network, the same in all its processes"""
     told: dict[str, Any]
-    """agents.view.View or plant.truth.Truth, as its `to_dict` writes it"""
+    """hedgerow.agents.view.View or plant.truth.Truth, as its `to_dict` writes it"""
     credentials: str = ""
     """the folder of its keys, from that of the text, where the network is secure"""
 

@@ -9,7 +9,7 @@ import stat
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from topologies.errors import UserError
+from hedgerow.topologies.errors import UserError
 
 LOG = logging.getLogger("keys")
 PRIVATE_KEY, CERTIFICATE, CA = "key.pem", "cert.pem", "ca.pem"

@@ -12,10 +12,10 @@ from typing import Any
 
 import zenoh
 
-from topologies.errors import UserError
-from wire import keys
-from wire.codec import VERSION
-from wire.session import LEASE_S
+from hedgerow.topologies.errors import UserError
+from hedgerow.wire import keys
+from hedgerow.wire.codec import VERSION
+from hedgerow.wire.session import LEASE_S
 
 LOOK_AGAIN_S = 0.5
 

@@ -7,7 +7,7 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
-from wire.codec import Array, Flags
+from hedgerow.wire.codec import Array, Flags
 
 ASIDE = 64
 """how many short rows are laid aside at most"""

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 
 import zenoh
 
-from wire.credentials import Credentials
+from hedgerow.wire.credentials import Credentials
 
 CONNECT_S, ANSWER_S = 2.0, 1.0
 """How long a router may take to be reached; and to refuse us, once it has our certificate."""

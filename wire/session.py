@@ -16,10 +16,10 @@ from typing import Any, cast
 
 import zenoh
 
-from topologies.errors import Code, DeadlineError, HedgerowError, UserError
-from wire.codec import MessageError
-from wire.credentials import Credentials, router_tls
-from wire.runtime import keep_thread
+from hedgerow.topologies.errors import Code, DeadlineError, HedgerowError, UserError
+from hedgerow.wire.codec import MessageError
+from hedgerow.wire.credentials import Credentials, router_tls
+from hedgerow.wire.runtime import keep_thread
 
 LOG = logging.getLogger("wire")
 MAX_SESSIONS = 100_000
@@ -122,7 +122,7 @@ def open_router(endpoint: str, namespace: str | None = None, credentials: Path |
     rules = None
     if credentials is not None:
         rules = _rules_in(credentials)
-        from wire.refusal import log_refusals  # noqa: PLC0415
+        from hedgerow.wire.refusal import log_refusals  # noqa: PLC0415
 
         log_refusals()
     try:
@@ -214,7 +214,7 @@ def _why(error: zenoh.ZError) -> str:
 
 
 def _refusal(endpoint: str, credentials: Credentials) -> str | None:
-    from wire.refusal import refusal  # noqa: PLC0415
+    from hedgerow.wire.refusal import refusal  # noqa: PLC0415
 
     return refusal(endpoint, credentials)
 

@@ -7,7 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 
-from wire.codec import Buffer, MessageError, decode_batch, encode_batch, join, telemetry_bytes
+from hedgerow.wire.codec import Buffer, MessageError, decode_batch, encode_batch, join, telemetry_bytes
 
 REPEAT_AFTER_S = 2.0
 """What the observer has not taken in for so long is sent again."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from benchmarks.peers import PEERS
 from benchmarks.peers.network import BEGAN, Network
-from wire.runtime import share_the_cores
+from hedgerow.wire.runtime import share_the_cores
 
 
 def main() -> None:

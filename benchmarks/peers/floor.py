@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from agents.law import Minimax
 from benchmarks.peers.network import Done, Network, Plant
-from topologies.graph import Graph
-from topologies.network import padded
+from hedgerow.agents.law import Minimax
+from hedgerow.topologies.graph import Graph
+from hedgerow.topologies.network import padded
 
 
 def run(network: Network, steps: int) -> Done:

@@ -18,12 +18,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.law import Minimax
 from benchmarks.peers.memory import pss_of
-from plant.disturbance import Disturbance
-from plant.world import dynamics
-from topologies.graph import Graph
-from topologies.network import groups_of, padded
+from hedgerow.agents.law import Minimax
+from hedgerow.plant.disturbance import Disturbance
+from hedgerow.plant.world import dynamics
+from hedgerow.topologies.graph import Graph
+from hedgerow.topologies.network import groups_of, padded
 
 Array = NDArray[np.float64]
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from benchmarks.peers.memory import pss_of
 from benchmarks.peers.network import BEGAN, Done, Network
-from orchestrator.recorded import load_run
+from hedgerow.orchestrator.recorded import load_run
 
 SLOW = ("--steps", "1000000", "--rate", "20")
 SETTLED = "step "
@@ -24,7 +24,7 @@ SETTLED = "step "
 
 def _command(how: str, network: Network, folder: str, *options: str) -> list[str]:
     viewer = ["--viewer", "none", "--no-record", "--run-dir", folder]
-    return [sys.executable, "-m", "orchestrator", *how.split(), network.file, *viewer, *options]
+    return [sys.executable, "-m", "hedgerow.orchestrator", *how.split(), network.file, *viewer, *options]
 
 
 def _memory(how: str, network: Network) -> float:

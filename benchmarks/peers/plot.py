@@ -7,7 +7,7 @@ from pathlib import Path
 
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
-from orchestrator.report.style import BLUE, COLOURS, GREY, look, sheet
+from hedgerow.orchestrator.report.style import BLUE, COLOURS, GREY, look, sheet
 
 ROW_IN = 0.19
 MARKS = "os^Dvp"

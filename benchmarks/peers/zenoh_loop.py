@@ -14,9 +14,9 @@ import threading
 from functools import partial
 
 from benchmarks.peers.network import MESSAGE, PLANT, STOP, Agent, Done, Lockstep, Network, Plant
-from wire import keys
-from wire.runtime import one_network_thread, runtime_environment
-from wire.session import open_client, open_router, publisher, subscriber, wait_for_listeners
+from hedgerow.wire import keys
+from hedgerow.wire.runtime import one_network_thread, runtime_environment
+from hedgerow.wire.session import open_client, open_router, publisher, subscriber, wait_for_listeners
 
 RUN = "peers"
 

@@ -1,6 +1,6 @@
 """Wrong: forgets that a process may have several nodes."""
 
-from agents.law import Array, Minimax
+from hedgerow.agents.law import Array, Minimax
 
 
 class First(Minimax):

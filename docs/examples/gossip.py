@@ -1,6 +1,6 @@
 """Not allowed: each node acts on what the other nodes of its process are doing."""
 
-from agents.law import Array, Minimax
+from hedgerow.agents.law import Array, Minimax
 
 
 class Gossip(Minimax):

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from agents.law import Array, control
+from hedgerow.agents.law import Array, control
 
 
 class LeastSquares:

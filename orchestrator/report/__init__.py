@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from topologies.errors import UserError
+from hedgerow.topologies.errors import UserError
 
 if TYPE_CHECKING:
-    from orchestrator.recorded import RecordedRun
-    from orchestrator.report.figures import Kind
+    from hedgerow.orchestrator.recorded import RecordedRun
+    from hedgerow.orchestrator.report.figures import Kind
 
 PAGE = "report.html"
 RUNS = 7
@@ -31,9 +31,9 @@ def report(
     for run in runs:
         run.need_all("a report")
     try:
-        from orchestrator.report import figures as known  # noqa: PLC0415
-        from orchestrator.report.page import page  # noqa: PLC0415
-        from orchestrator.report.style import look, save  # noqa: PLC0415
+        from hedgerow.orchestrator.report import figures as known  # noqa: PLC0415
+        from hedgerow.orchestrator.report.page import page  # noqa: PLC0415
+        from hedgerow.orchestrator.report.style import look, save  # noqa: PLC0415
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] != "matplotlib":
             raise

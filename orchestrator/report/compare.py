@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from orchestrator.recorded import RecordedRun
-from orchestrator.report.curves import letter
+from hedgerow.orchestrator.recorded import RecordedRun
+from hedgerow.orchestrator.report.curves import letter
 
 
 def other_network(one: RecordedRun, other: RecordedRun) -> list[str]:

@@ -13,9 +13,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import StepPatch
 from matplotlib.ticker import MaxNLocator
 
-from orchestrator.recorded import RecordedRun
-from orchestrator.report.style import BLACK, SKY
-from topologies.graph import Array, Index
+from hedgerow.orchestrator.recorded import RecordedRun
+from hedgerow.orchestrator.report.style import BLACK, SKY
+from hedgerow.topologies.graph import Array, Index
 
 NODES = 12
 """larger networks are drawn as quantiles"""

@@ -9,12 +9,12 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from orchestrator.recorded import RecordedRun
-from orchestrator.report.curves import NODES, Entries, bins, legend, plain, short, stairs, steps_axis
-from orchestrator.report.style import BLUE, GREY, ORANGE, RED, sheet
-from orchestrator.report.timeline import stretches
-from orchestrator.report.totals import Series, draw_series
-from topologies.graph import Array
+from hedgerow.orchestrator.recorded import RecordedRun
+from hedgerow.orchestrator.report.curves import NODES, Entries, bins, legend, plain, short, stairs, steps_axis
+from hedgerow.orchestrator.report.style import BLUE, GREY, ORANGE, RED, sheet
+from hedgerow.orchestrator.report.timeline import stretches
+from hedgerow.orchestrator.report.totals import Series, draw_series
+from hedgerow.topologies.graph import Array
 
 _ROWS = 250
 """rows of pixels that a heat map has room for"""

@@ -10,11 +10,11 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from orchestrator.layout import positions
-from orchestrator.recorded import RecordedRun
-from orchestrator.report.curves import Entries, called, legend, plain, short
-from orchestrator.report.style import BLACK, GREY, RED, WIDTH_IN, sheet
-from topologies.graph import Array, Mask
+from hedgerow.orchestrator.layout import positions
+from hedgerow.orchestrator.recorded import RecordedRun
+from hedgerow.orchestrator.report.curves import Entries, called, legend, plain, short
+from hedgerow.orchestrator.report.style import BLACK, GREY, RED, WIDTH_IN, sheet
+from hedgerow.topologies.graph import Array, Mask
 
 NAMED = 40
 """larger networks are drawn without names"""

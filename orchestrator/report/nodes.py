@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from orchestrator.recorded import RecordedRun
-from orchestrator.report.curves import called, draw_nodes, extremes, legend, letter, steps_axis
-from orchestrator.report.style import sheet
+from hedgerow.orchestrator.recorded import RecordedRun
+from hedgerow.orchestrator.report.curves import called, draw_nodes, extremes, legend, letter, steps_axis
+from hedgerow.orchestrator.report.style import sheet
 
 Runs = Sequence[RecordedRun]
 

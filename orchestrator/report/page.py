@@ -12,14 +12,14 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 
-from orchestrator.check import _shown
-from orchestrator.recorded import RecordedRun
-from orchestrator.report.compare import notices
-from orchestrator.report.curves import letter
-from orchestrator.report.figures import Kind
-from orchestrator.report.markup import Markup, join, listed, table, tag
-from orchestrator.report.reading import METRICS, growth, metrics, number, sentences
-from topologies.resolve import to_yaml
+from hedgerow.orchestrator.check import _shown
+from hedgerow.orchestrator.recorded import RecordedRun
+from hedgerow.orchestrator.report.compare import notices
+from hedgerow.orchestrator.report.curves import letter
+from hedgerow.orchestrator.report.figures import Kind
+from hedgerow.orchestrator.report.markup import Markup, join, listed, table, tag
+from hedgerow.orchestrator.report.reading import METRICS, growth, metrics, number, sentences
+from hedgerow.topologies.resolve import to_yaml
 
 Runs = Sequence[RecordedRun]
 NODES = 200
@@ -34,7 +34,7 @@ _COUNTS = ("scheduled", "fired", "masked", "seen", "beyond")
 def page(runs: Runs, drawn: Mapping[Kind, bytes]) -> str:
     """The whole page; `drawn` holds each figure as SVG."""
     names = " and ".join(run.run for run in runs)
-    css = resources.files("orchestrator.report").joinpath("report.css").read_text(encoding="utf-8")
+    css = resources.files("hedgerow.orchestrator.report").joinpath("report.css").read_text(encoding="utf-8")
     head = tag(
         "head",
         tag("meta", charset="utf-8"),

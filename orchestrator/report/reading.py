@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from orchestrator.recorded import RecordedRun
-from orchestrator.schedule import Schedule
+from hedgerow.orchestrator.recorded import RecordedRun
+from hedgerow.orchestrator.schedule import Schedule
 
 METRICS = {
     "nodes_right": "estimates that are the truth at the end",

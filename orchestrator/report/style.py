@@ -33,7 +33,7 @@ def colour(place: int) -> str:
 @contextmanager
 def look() -> Iterator[None]:
     """Draw by hedgerow.mplstyle alone, whatever the user's own settings are; a sign without a glyph is no matter."""
-    sheet = resources.files("orchestrator.report") / "hedgerow.mplstyle"
+    sheet = resources.files("hedgerow.orchestrator.report") / "hedgerow.mplstyle"
     with (
         resources.as_file(sheet) as path,
         matplotlib.style.context(str(path), after_reset=True),

@@ -11,10 +11,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from orchestrator.recorded import RecordedRun
-from orchestrator.report.curves import Entries, bins, called, legend, plain, short, steps_axis
-from orchestrator.report.style import BLACK, BLUE, ORANGE, RED, sheet
-from topologies.graph import Mask
+from hedgerow.orchestrator.recorded import RecordedRun
+from hedgerow.orchestrator.report.curves import Entries, bins, called, legend, plain, short, steps_axis
+from hedgerow.orchestrator.report.style import BLACK, BLUE, ORANGE, RED, sheet
+from hedgerow.topologies.graph import Mask
 
 ROWS = 24
 """more links and nodes than that are counted instead"""

@@ -7,15 +7,15 @@ import os
 from collections import Counter
 from pathlib import Path
 
-from orchestrator.interrupts import Interrupts
-from orchestrator.sweep import summary
-from orchestrator.sweep.folder import SweepFolder, default_out
-from orchestrator.sweep.plan import Plan
-from orchestrator.sweep.progress import progress
-from orchestrator.sweep.runs import Failure
-from orchestrator.sweep.workers import over_processes
-from orchestrator.verdict import EXIT_CODES, INVALID, UNKNOWN, VALID
-from topologies.errors import UserError
+from hedgerow.orchestrator.interrupts import Interrupts
+from hedgerow.orchestrator.sweep import summary
+from hedgerow.orchestrator.sweep.folder import SweepFolder, default_out
+from hedgerow.orchestrator.sweep.plan import Plan
+from hedgerow.orchestrator.sweep.progress import progress
+from hedgerow.orchestrator.sweep.runs import Failure
+from hedgerow.orchestrator.sweep.workers import over_processes
+from hedgerow.orchestrator.verdict import EXIT_CODES, INVALID, UNKNOWN, VALID
+from hedgerow.topologies.errors import UserError
 
 
 def sweep(plan: Plan, out: Path | None = None, jobs: int | None = None, on: str | None = None) -> int:
@@ -43,7 +43,7 @@ def _run(plan: Plan, folder: SweepFolder, jobs: int | None, on: str | None) -> s
     """Make the runs that lack; who stopped that, or nothing."""
     chunks = plan.chunks(frozenset(folder.rows))
     if on is not None:
-        from orchestrator.sweep.on_ray import over_ray  # noqa: PLC0415
+        from hedgerow.orchestrator.sweep.on_ray import over_ray  # noqa: PLC0415
 
         answers = over_ray(plan, chunks, on, jobs)
     else:
@@ -91,7 +91,7 @@ def _conclude(plan: Plan, folder: SweepFolder) -> int:
 
 def _draw(plan: Plan, folder: SweepFolder, rows: list[list[dict[str, object]]]) -> str:
     try:
-        from orchestrator.sweep.boxes import write  # noqa: PLC0415
+        from hedgerow.orchestrator.sweep.boxes import write  # noqa: PLC0415
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] != "matplotlib":
             raise

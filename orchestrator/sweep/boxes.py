@@ -9,11 +9,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from orchestrator.report.style import BLUE, GREY, look, save, sheet
-from orchestrator.sweep.plan import Plan
-from orchestrator.sweep.runs import Row
-from orchestrator.sweep.summary import values_of, varied
-from topologies.graph import Array
+from hedgerow.orchestrator.report.style import BLUE, GREY, look, save, sheet
+from hedgerow.orchestrator.sweep.plan import Plan
+from hedgerow.orchestrator.sweep.runs import Row
+from hedgerow.orchestrator.sweep.summary import values_of, varied
+from hedgerow.topologies.graph import Array
 
 PANELS = {
     "share_right": "nodes right [1]",

@@ -11,10 +11,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from orchestrator.folder import write_json
-from orchestrator.sweep.plan import Plan, typed
-from orchestrator.sweep.runs import METRICS, Row
-from topologies.errors import UserError
+from hedgerow.orchestrator.folder import write_json
+from hedgerow.orchestrator.sweep.plan import Plan, typed
+from hedgerow.orchestrator.sweep.runs import METRICS, Row
+from hedgerow.topologies.errors import UserError
 
 
 def default_out(plan: Plan) -> Path:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Generator, Iterable
 from typing import Any
 
-from orchestrator.ray_cluster import joined
-from orchestrator.sweep.plan import Chunk, Plan
-from orchestrator.sweep.runs import Answer, answer
-from orchestrator.sweep.workers import LOOK_EVERY_S
-from topologies.errors import HedgerowError
+from hedgerow.orchestrator.ray_cluster import joined
+from hedgerow.orchestrator.sweep.plan import Chunk, Plan
+from hedgerow.orchestrator.sweep.runs import Answer, answer
+from hedgerow.orchestrator.sweep.workers import LOOK_EVERY_S
+from hedgerow.topologies.errors import HedgerowError
 
 
 def over_ray(

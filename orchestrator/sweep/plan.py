@@ -10,14 +10,14 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from agents.shard import law_class
-from orchestrator.assign import law_of
-from orchestrator.folder import versions
-from topologies.errors import TopologyError, UserError
-from topologies.load import find, load
-from topologies.resolve import resolve, to_yaml
-from topologies.schema import Topology
-from topologies.source import read_source
+from hedgerow.agents.shard import law_class
+from hedgerow.orchestrator.assign import law_of
+from hedgerow.orchestrator.folder import versions
+from hedgerow.topologies.errors import TopologyError, UserError
+from hedgerow.topologies.load import find, load
+from hedgerow.topologies.resolve import resolve, to_yaml
+from hedgerow.topologies.schema import Topology
+from hedgerow.topologies.source import read_source
 
 ENGINES = ("in-process", "zenoh")
 MAX_RUNS = 10_000_000

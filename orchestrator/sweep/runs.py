@@ -10,16 +10,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from agents.shard import LawError
-from orchestrator import in_process
-from orchestrator.assign import layout, truth_of, views_of
-from orchestrator.observe import Observer, rows_at_once
-from orchestrator.sweep.plan import Chunk, Plan
-from orchestrator.verdict import Ending, judge
-from topologies.errors import HedgerowError, TopologyError, UserError
-from topologies.resolve import resolve
-from topologies.schema import Topology
-from wire.codec import End, Telemetry
+from hedgerow.agents.shard import LawError
+from hedgerow.orchestrator import in_process
+from hedgerow.orchestrator.assign import layout, truth_of, views_of
+from hedgerow.orchestrator.observe import Observer, rows_at_once
+from hedgerow.orchestrator.sweep.plan import Chunk, Plan
+from hedgerow.orchestrator.verdict import Ending, judge
+from hedgerow.topologies.errors import HedgerowError, TopologyError, UserError
+from hedgerow.topologies.resolve import resolve
+from hedgerow.topologies.schema import Topology
+from hedgerow.wire.codec import End, Telemetry
 
 Row = dict[str, Any]
 METRICS = (
@@ -85,7 +85,7 @@ def run_here(topology: Topology) -> dict[str, Any]:
 
 def _over_zenoh(topology: Topology) -> dict[str, Any]:
     """The same by `orchestrator up`: a process an agent."""
-    from orchestrator.testing.running import run_to_the_end  # noqa: PLC0415
+    from hedgerow.orchestrator.testing.running import run_to_the_end  # noqa: PLC0415
 
     with tempfile.TemporaryDirectory(prefix="hedgerow-") as scratch:
         folder = Path(scratch) / "run"

@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from orchestrator.sweep.plan import Plan
-from orchestrator.sweep.runs import METRICS, Row
-from topologies.graph import Array
+from hedgerow.orchestrator.sweep.plan import Plan
+from hedgerow.orchestrator.sweep.runs import METRICS, Row
+from hedgerow.topologies.graph import Array
 
 SHOWN = {"regret": "regret D", "regret_nominal": "nominal D", "cost_regret": "cost regret", "gain": "gain"}
 """Metrics whose quartiles stand on the screen, and what they are called there."""

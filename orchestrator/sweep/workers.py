@@ -16,9 +16,9 @@ from collections.abc import Generator, Iterable
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 
-from orchestrator.sweep.plan import Chunk, Plan
-from orchestrator.sweep.runs import Answer, Failure, answer
-from wire.runtime import let_numbers_overflow
+from hedgerow.orchestrator.sweep.plan import Chunk, Plan
+from hedgerow.orchestrator.sweep.runs import Answer, Failure, answer
+from hedgerow.wire.runtime import let_numbers_overflow
 
 LOOK_EVERY_S = 0.2
 TRIES = 3

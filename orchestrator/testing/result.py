@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.accounts import at_ends
-from orchestrator.kept import kept
-from orchestrator.verdict import Verdict
-from topologies.describe import describe
-from topologies.errors import HedgerowError, UserError
-from topologies.graph import Array, Mask
-from topologies.load import load
-from topologies.resolve import truth
-from topologies.schema import Topology
+from hedgerow.orchestrator.accounts import at_ends
+from hedgerow.orchestrator.kept import kept
+from hedgerow.orchestrator.verdict import Verdict
+from hedgerow.topologies.describe import describe
+from hedgerow.topologies.errors import HedgerowError, UserError
+from hedgerow.topologies.graph import Array, Mask
+from hedgerow.topologies.load import load
+from hedgerow.topologies.resolve import truth
+from hedgerow.topologies.schema import Topology
 
 NodeId = int | str
 Pair = tuple[NodeId, NodeId]
@@ -79,7 +79,9 @@ class Result:
             raise UserError(f"{folder}: holds no run that is over: there is no {Path(error.filename).name}") from None
         topology = load(str(folder))
         if not (what := kept(topology)).whole:
-            raise UserError(f"{folder}: kept {what}, and a Result has all; `orchestrator.load_run` reads what is there")
+            raise UserError(
+                f"{folder}: kept {what}, and a Result has all; `hedgerow.orchestrator.load_run` reads what is there"
+            )
         steps, n, e = content["steps_done"], len(topology.ids), len(topology.edges)
         if len(table) != (steps + 1) * n:
             raise HedgerowError(f"{folder}: {len(table)} rows of telemetry, not {(steps + 1) * n}: some were lost")

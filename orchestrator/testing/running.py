@@ -19,14 +19,14 @@ from typing import Any
 
 import psutil
 
-from orchestrator.live import FaultVerbs, Healed, Injected, Live
-from orchestrator.registry import Entry
-from orchestrator.testing.result import Result
-from topologies.errors import DeadlineError, HedgerowError, UserError
-from topologies.faults import Fault
-from topologies.resolve import to_yaml
-from topologies.schema import Topology
-from wire.session import WireError
+from hedgerow.orchestrator.live import FaultVerbs, Healed, Injected, Live
+from hedgerow.orchestrator.registry import Entry
+from hedgerow.orchestrator.testing.result import Result
+from hedgerow.topologies.errors import DeadlineError, HedgerowError, UserError
+from hedgerow.topologies.faults import Fault
+from hedgerow.topologies.resolve import to_yaml
+from hedgerow.topologies.schema import Topology
+from hedgerow.wire.session import WireError
 
 START_DEADLINE_S = 60.0
 END_DEADLINE_S = 20.0
@@ -44,7 +44,7 @@ class _Up:
         beside.mkdir()
         file = beside / "topology.yaml"
         file.write_text(to_yaml(topology), encoding="utf-8")
-        command = [sys.executable, "-P", "-m", "orchestrator", "up", str(file), "--run-dir", str(self.folder)]
+        command = [sys.executable, "-P", "-m", "hedgerow.orchestrator", "up", str(file), "--run-dir", str(self.folder)]
         with self.said.open("wb") as said:
             self.process = subprocess.Popen(
                 [*command, "--viewer", "none", "--no-record", "--lifeline", *options],
@@ -165,7 +165,7 @@ class Running:
         return self._live.fault
 
     def inject(self, fault: Fault | Mapping[str, Any]) -> Injected:
-        """Any fault, as a model of `topologies.faults` or as a file spells it; steps as in `fault`."""
+        """Any fault, as a model of `hedgerow.topologies.faults` or as a file spells it; steps as in `fault`."""
         return self._live.inject(fault)
 
     def heal(self, number: int | None = None) -> Healed:

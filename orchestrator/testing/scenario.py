@@ -9,20 +9,20 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
-from orchestrator import in_process
-from orchestrator.assign import layout, truth_of, views_of
-from orchestrator.folder import create
-from orchestrator.live import FaultVerbs, checked
-from orchestrator.run import Run, Watching
-from orchestrator.testing.result import Result
-from orchestrator.testing.running import Running, run_to_the_end
-from orchestrator.verdict import Ending
-from topologies.errors import UserError
-from topologies.faults import Fault
-from topologies.load import find, parse
-from topologies.resolve import resolve, to_yaml
-from topologies.schema import Record, Topology
-from wire.codec import End, Telemetry
+from hedgerow.orchestrator import in_process
+from hedgerow.orchestrator.assign import layout, truth_of, views_of
+from hedgerow.orchestrator.folder import create
+from hedgerow.orchestrator.live import FaultVerbs, checked
+from hedgerow.orchestrator.run import Run, Watching
+from hedgerow.orchestrator.testing.result import Result
+from hedgerow.orchestrator.testing.running import Running, run_to_the_end
+from hedgerow.orchestrator.verdict import Ending
+from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.faults import Fault
+from hedgerow.topologies.load import find, parse
+from hedgerow.topologies.resolve import resolve, to_yaml
+from hedgerow.topologies.schema import Record, Topology
+from hedgerow.wire.codec import End, Telemetry
 
 RUN_DEADLINE_S = 120.0
 LIVE_STEPS = 1_000_000
@@ -60,7 +60,7 @@ class Scenario(FaultVerbs["Scenario"]):
         return _now(replace(self, settings=(*self.settings, *settings)))
 
     def inject(self, fault: Fault | Mapping[str, Any]) -> Scenario:
-        """With one fault more: a model of `topologies.faults`, or a mapping as a file spells it."""
+        """With one fault more: a model of `hedgerow.topologies.faults`, or a mapping as a file spells it."""
         return replace(self, faults=(*self.faults, checked(fault, self.topology)))
 
     def run(
