@@ -21,11 +21,11 @@ from typing import Any
 
 import psutil
 
-from hedgerow.orchestrator.assign import layout, truth_of, views_of
-from hedgerow.orchestrator.folder import RunFolder, create
-from hedgerow.orchestrator.in_process import run as run_in_process
-from hedgerow.orchestrator.run import Run, Watching
-from hedgerow.orchestrator.verdict import Ending
+from hedgerow.orchestrator.ground.assignment import layout, truth_of, views_of
+from hedgerow.orchestrator.launch.recording import Run, Watching
+from hedgerow.orchestrator.metrics.verdict import Ending
+from hedgerow.orchestrator.runs.folder import RunFolder, create
+from hedgerow.orchestrator.runs.reference import run as run_in_process
 from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import resolve
 from hedgerow.topologies.schema import Topology
@@ -100,8 +100,8 @@ def opened(folder: RunFolder, steps: int) -> dict[str, float]:
     """Open a recorded run in a viewer without a window, until that has its last step."""
     from rerun.experimental import ViewerClient  # noqa: PLC0415
 
-    from hedgerow.orchestrator.opening import open_runs  # noqa: PLC0415
-    from hedgerow.orchestrator.viewer import native  # noqa: PLC0415
+    from hedgerow.orchestrator.views.rerun.opening import open_runs  # noqa: PLC0415
+    from hedgerow.orchestrator.views.rerun.viewer import native  # noqa: PLC0415
 
     viewer = native("--headless", memory="75%")
     assert viewer.process is not None

@@ -24,8 +24,8 @@ import scipy.sparse
 
 from benchmarks.table import show
 from hedgerow.agents.view import View
-from hedgerow.orchestrator import in_process
-from hedgerow.orchestrator.assign import HISTORY_BYTES
+from hedgerow.orchestrator.ground.assignment import HISTORY_BYTES
+from hedgerow.orchestrator.runs import reference as in_process
 from hedgerow.plant.truth import Truth
 from hedgerow.topologies.fast import LARGE, kernels_for
 from hedgerow.topologies.graph import Array, Graph

@@ -23,7 +23,7 @@ from typing import Any
 from hedgerow.wire.ports import free_port
 
 UP = (sys.executable, "-P", "-m", "hedgerow.orchestrator")
-AGENT = (sys.executable, "-P", "-c", "from hedgerow.agents.anywhere import main; main()")
+AGENT = (sys.executable, "-P", "-c", "from hedgerow.agents.standalone import main; main()")
 AGENTS = range(1, 8)
 
 

@@ -28,7 +28,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import bare
-from hedgerow.orchestrator.viewer import Viewer, has_display, native
+from hedgerow.orchestrator.views.rerun.viewer import Viewer, has_display, native
 from hedgerow.topologies.load import load
 
 FREEZE_AFTER_S = 1.0

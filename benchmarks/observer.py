@@ -17,13 +17,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from hedgerow.orchestrator import in_process
-from hedgerow.orchestrator.assign import layout, truth_of, views_of
-from hedgerow.orchestrator.certificate import Certificate
-from hedgerow.orchestrator.observe import Observer
-from hedgerow.orchestrator.record import Recorder
-from hedgerow.orchestrator.rerun_stream import RerunStream
-from hedgerow.orchestrator.twins import Twins
+from hedgerow.orchestrator.ground.assignment import layout, truth_of, views_of
+from hedgerow.orchestrator.metrics.certificate import Certificate
+from hedgerow.orchestrator.metrics.observer import Observer
+from hedgerow.orchestrator.metrics.twins import Twins
+from hedgerow.orchestrator.runs import reference as in_process
+from hedgerow.orchestrator.runs.writer import Recorder
+from hedgerow.orchestrator.views.rerun.stream import RerunStream
 from hedgerow.topologies.load import parse
 from hedgerow.topologies.resolve import resolve
 from hedgerow.wire.codec import Telemetry

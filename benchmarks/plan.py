@@ -22,7 +22,7 @@ import numpy as np
 
 from hedgerow.agents.shard import Shard
 from hedgerow.agents.view import View
-from hedgerow.orchestrator.assign import truth_of, views_of
+from hedgerow.orchestrator.ground.assignment import truth_of, views_of
 from hedgerow.plant.truth import Truth
 from hedgerow.plant.world import World
 from hedgerow.topologies.graph import Graph

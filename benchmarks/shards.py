@@ -1,6 +1,6 @@
 """`python -m benchmarks.shards`: a ring in agent processes over Zenoh, beside the same ring in one process, by size.
 
-The engine is `hedgerow.orchestrator.in_process`: plant and agents in one process, and nothing that observes. The shards are the
+The engine is `hedgerow.orchestrator.runs.reference`: plant and agents in one process, and nothing that observes. The shards are the
 plant and the agents as `orchestrator up` starts them, with telemetry taken in, and nothing made of it: the loop with
 its messages, and not what is computed of a run. Both give the same last state, bit for bit, which is checked.
 
@@ -27,8 +27,8 @@ import psutil
 
 from benchmarks.table import show
 from hedgerow.agents.view import View
-from hedgerow.orchestrator import in_process
-from hedgerow.orchestrator.assign import truth_of, views_of
+from hedgerow.orchestrator.ground.assignment import truth_of, views_of
+from hedgerow.orchestrator.runs import reference as in_process
 from hedgerow.plant.truth import Truth
 from hedgerow.topologies.graph import Array
 from hedgerow.topologies.load import load

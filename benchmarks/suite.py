@@ -35,8 +35,8 @@ import psutil
 from benchmarks.loop import ring
 from benchmarks.peers import PEERS
 from benchmarks.peers.network import BEGAN, Array, Network
-from hedgerow.orchestrator import in_process
-from hedgerow.orchestrator.assign import truth_of, views_of
+from hedgerow.orchestrator.ground.assignment import truth_of, views_of
+from hedgerow.orchestrator.runs import reference as in_process
 from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import resolve
 from hedgerow.wire.codec import Telemetry

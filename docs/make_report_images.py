@@ -14,14 +14,14 @@ from pathlib import Path
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
-from hedgerow.orchestrator.assign import layout
-from hedgerow.orchestrator.folder import create
-from hedgerow.orchestrator.recorded import RecordedRun, load_run
+from hedgerow.orchestrator.ground.assignment import layout
+from hedgerow.orchestrator.launch.recording import Watching
+from hedgerow.orchestrator.launch.simulation import simulate_into
 from hedgerow.orchestrator.report.figures import FIGURES
 from hedgerow.orchestrator.report.style import look
-from hedgerow.orchestrator.run import Watching
-from hedgerow.orchestrator.screen import Quiet
-from hedgerow.orchestrator.simulation import simulate_into
+from hedgerow.orchestrator.runs.folder import create
+from hedgerow.orchestrator.runs.reader import RecordedRun, load_run
+from hedgerow.orchestrator.views.screen import Quiet
 from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import resolve
 

@@ -13,9 +13,9 @@ import numpy as np
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 
-from hedgerow.orchestrator.assign import layout, truth_of, views_of
-from hedgerow.orchestrator.in_process import run
-from hedgerow.orchestrator.observe import Batch, Observer
+from hedgerow.orchestrator.ground.assignment import layout, truth_of, views_of
+from hedgerow.orchestrator.metrics.observer import Batch, Observer
+from hedgerow.orchestrator.runs.reference import run
 from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import resolve
 from hedgerow.wire.codec import End, Telemetry

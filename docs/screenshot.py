@@ -15,11 +15,11 @@ from pathlib import Path
 from PIL import Image
 from rerun.experimental import ViewerClient
 
-from hedgerow.orchestrator import in_process
-from hedgerow.orchestrator.assign import layout, truth_of, views_of
-from hedgerow.orchestrator.observe import Observer
-from hedgerow.orchestrator.rerun_stream import RerunStream
-from hedgerow.orchestrator.viewer import native
+from hedgerow.orchestrator.ground.assignment import layout, truth_of, views_of
+from hedgerow.orchestrator.metrics.observer import Observer
+from hedgerow.orchestrator.runs import reference as in_process
+from hedgerow.orchestrator.views.rerun.stream import RerunStream
+from hedgerow.orchestrator.views.rerun.viewer import native
 from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import resolve
 from hedgerow.wire.codec import End, Telemetry

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 TYPE_CHECKING = False  # the one of typing, which takes a while to load: every command and every process comes by here
 if TYPE_CHECKING:
-    from hedgerow.orchestrator.recorded import RecordedRun, load_run
-    from hedgerow.orchestrator.simulation import simulate
+    from hedgerow.orchestrator.launch.simulation import simulate
+    from hedgerow.orchestrator.runs.reader import RecordedRun, load_run
 
 __all__ = ["RecordedRun", "load_run", "simulate"]
 
@@ -19,8 +19,8 @@ def __getattr__(name: str) -> object:
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     if name == "simulate":
-        from hedgerow.orchestrator import simulation as module  # noqa: PLC0415
+        from hedgerow.orchestrator.launch import simulation as module  # noqa: PLC0415
     else:
-        from hedgerow.orchestrator import recorded as module  # type: ignore[no-redef]  # noqa: PLC0415
+        from hedgerow.orchestrator.runs import reader as module  # type: ignore[no-redef]  # noqa: PLC0415
 
     return getattr(module, name)

@@ -6,7 +6,7 @@ import os
 import sys
 import time
 
-from hedgerow.orchestrator.nursery import Nursery
+from hedgerow.orchestrator.launch.fork_client import Nursery
 
 BEGAN = time.monotonic()
 MORE_THAN_AN_AGENT_NEEDS = {"typer", "pydantic", "yaml", "rich", "rerun", "pyarrow", "scipy", "psutil"}
@@ -21,7 +21,7 @@ def main() -> None:
     launches = "up" in sys.argv[1:2] and not {"--help", "--detach"} & set(sys.argv)
     try:
         nursery = Nursery() if launches else None
-        from hedgerow.orchestrator.cli import run_command  # noqa: PLC0415
+        from hedgerow.orchestrator.cli.main import run_command  # noqa: PLC0415
 
         run_command(BEGAN, nursery)
     except ModuleNotFoundError as error:

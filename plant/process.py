@@ -23,8 +23,8 @@ import zenoh
 
 from hedgerow.plant.clock import RESEND_AFTER_S, Clock
 from hedgerow.plant.control import Control
+from hedgerow.plant.round_trips import Stopwatch
 from hedgerow.plant.shards import Shards
-from hedgerow.plant.trips import Stopwatch
 from hedgerow.plant.truth import Truth
 from hedgerow.plant.world import World
 from hedgerow.topologies.errors import DeadlineError

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-from tests.ctrl_c import mind_ctrl_c
-from tests.leftovers import nothing_lives_on
+from tests.tools.ctrl_c import mind_ctrl_c
+from tests.tools.leftovers import nothing_lives_on
 
 __all__ = ["nothing_lives_on"]
 

@@ -35,15 +35,15 @@ import pytest
 import yaml
 from PIL import Image
 
-from hedgerow.orchestrator.accounts import Account
-from hedgerow.orchestrator.observe import Batch
-from hedgerow.orchestrator.panels import quantities
-from hedgerow.orchestrator.record import to_parquet
+from hedgerow.orchestrator.metrics.fault_accounts import Account
+from hedgerow.orchestrator.metrics.observer import Batch
+from hedgerow.orchestrator.runs.writer import to_parquet
+from hedgerow.orchestrator.views.rerun.panels import quantities
 from hedgerow.topologies.faults import KINDS
 from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import resolve
 from hedgerow.wire import codec, keys, session
-from tests.networks import observe, read, simulate
+from tests.tools.networks import observe, read, simulate
 
 ROOT = Path(__file__).parents[1]
 DOCS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]

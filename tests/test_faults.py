@@ -11,14 +11,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hedgerow.agents.shard import Shard
-from hedgerow.orchestrator.assign import candidates_of, layout, views_of
+from hedgerow.orchestrator.ground.assignment import candidates_of, layout, views_of
 from hedgerow.topologies.hinf import contraction
 from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import resolve
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire.codec import Link, State
-from tests.networks import networks, partitions, read, simulate
-from tests.schedules import Plain, schedules, with_faults
+from tests.tools.networks import networks, partitions, read, simulate
+from tests.tools.schedules import Plain, schedules, with_faults
 
 
 @st.composite

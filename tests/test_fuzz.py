@@ -1,6 +1,6 @@
 """Files and messages as no one should write them: refused in words, or good all the way; never a traceback or a hang.
 
-CI tries FILES and PAYLOADS of them; `python -m tests.fuzz` tries 10,000 of each, and docs/reliability.md says what came
+CI tries FILES and PAYLOADS of them; `python -m tests.tools.fuzz` tries 10,000 of each, and docs/reliability.md says what came
 of it. Here stand the stories too: a law is code, a disk is full, a clock jumps.
 """
 
@@ -16,13 +16,13 @@ from pathlib import Path
 import pytest
 import rerun.blueprint as rrb
 
-from hedgerow.orchestrator import cli
-from hedgerow.orchestrator.opening import _unreadable
-from hedgerow.orchestrator.recorded import load_run
+from hedgerow.orchestrator.cli import main as cli
 from hedgerow.orchestrator.report.reading import METRICS, metrics
+from hedgerow.orchestrator.runs.reader import load_run
+from hedgerow.orchestrator.views.rerun.opening import _unreadable
 from hedgerow.topologies.errors import UserError
-from tests.fuzz import ROOT, fuzz
-from tests.processes import orchestrator
+from tests.tools.fuzz import ROOT, fuzz
+from tests.tools.processes import orchestrator
 
 FILES, PAYLOADS = 200, 2000
 SEED = 1
@@ -151,19 +151,19 @@ def test_a_disk_that_fills_up_ends_the_run_with_what_was_recorded(record: bool, 
 # ---- a clock that jumps
 
 WALL_CLOCK = {
-    "orchestrator/authority.py": "from when to when a certificate is good",
-    "orchestrator/registry.py": "since when a network runs, for people",
-    "orchestrator/folder.py": "names of folders and times of events, for people",
-    "orchestrator/run.py": "the wall clock's timeline in Rerun",
-    "orchestrator/rerun_stream.py": "the same",
-    "orchestrator/watch.py": "the name of a recording",
-    "orchestrator/soak.py": "the name of a folder",
-    "orchestrator/cli_soak.py": "the name of a folder",
+    "orchestrator/launch/certificates.py": "from when to when a certificate is good",
+    "orchestrator/runs/registry.py": "since when a network runs, for people",
+    "orchestrator/runs/folder.py": "names of folders and times of events, for people",
+    "orchestrator/launch/recording.py": "the wall clock's timeline in Rerun",
+    "orchestrator/views/rerun/stream.py": "the same",
+    "orchestrator/views/rerun/watch.py": "the name of a recording",
+    "orchestrator/experiments/soak.py": "the name of a folder",
+    "orchestrator/cli/soak.py": "the name of a folder",
     "orchestrator/testing/running.py": "an entry of the registry",
-    "orchestrator/cli.py": "since when a network runs, for people",
+    "orchestrator/cli/main.py": "since when a network runs, for people",
 }
 """Who may look at the wall clock, and what for: nobody waits by it."""
-BY_DATE = {"orchestrator/authority.py"}
+BY_DATE = {"orchestrator/launch/certificates.py"}
 """whose dates are compared: a certificate holds until its own"""
 WALL = {("time", "time"), ("time", "time_ns"), ("time", "strftime"), ("datetime", "now"), ("time", "localtime")}
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.kill_table import BEGIN, CELLS, DOCUMENT, END, WHAT, WHEN, WHO, Cell, run_cell, wrong
+from tests.tools.kill_table import BEGIN, CELLS, DOCUMENT, END, WHAT, WHEN, WHO, Cell, run_cell, wrong
 
 TRIED = [
     Cell("agent", signal.SIGTERM, "middle"),

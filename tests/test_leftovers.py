@@ -13,11 +13,11 @@ from pathlib import Path
 
 import pytest
 
-from tests.leftovers import MARK, marked
+from tests.tools.leftovers import MARK, marked
 
 STUCK = """
 import os, pathlib, signal, subprocess, sys
-from tests.leftovers import MARK, nothing_lives_on
+from tests.tools.leftovers import MARK, nothing_lives_on
 
 def test_that_never_ends():
     up = [sys.executable, "-P", "-m", "hedgerow.orchestrator", "up", "paper7", "--detach", "--rate", "10", "--steps", "100000"]

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from hedgerow.agents.law import Minimax
-from hedgerow.orchestrator.assign import candidates_of, layout
-from tests.networks import VECTORS, from_vector, observe, simulate
+from hedgerow.orchestrator.ground.assignment import candidates_of, layout
+from tests.tools.networks import VECTORS, from_vector, observe, simulate
 
 assert_near = partial(np.testing.assert_allclose, rtol=0.0, atol=1e-12)
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from benchmarks.peers.memory import pss_of
 from benchmarks.peers.network import BEGAN, Done, Network
-from hedgerow.orchestrator.recorded import load_run
+from hedgerow.orchestrator.runs.reader import load_run
 
 SLOW = ("--steps", "1000000", "--rate", "20")
 SETTLED = "step "

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 from hedgerow.topologies.errors import UserError
 
 if TYPE_CHECKING:
-    from hedgerow.orchestrator.recorded import RecordedRun
     from hedgerow.orchestrator.report.figures import Kind
+    from hedgerow.orchestrator.runs.reader import RecordedRun
 
 PAGE = "report.html"
 RUNS = 7

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from hedgerow.orchestrator.recorded import RecordedRun
 from hedgerow.orchestrator.report.curves import letter
+from hedgerow.orchestrator.runs.reader import RecordedRun
 
 
 def other_network(one: RecordedRun, other: RecordedRun) -> list[str]:

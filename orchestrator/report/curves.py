@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import StepPatch
 from matplotlib.ticker import MaxNLocator
 
-from hedgerow.orchestrator.recorded import RecordedRun
 from hedgerow.orchestrator.report.style import BLACK, SKY
+from hedgerow.orchestrator.runs.reader import RecordedRun
 from hedgerow.topologies.graph import Array, Index
 
 NODES = 12

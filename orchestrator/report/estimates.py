@@ -9,11 +9,11 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from hedgerow.orchestrator.recorded import RecordedRun
 from hedgerow.orchestrator.report.curves import NODES, Entries, bins, legend, plain, short, stairs, steps_axis
 from hedgerow.orchestrator.report.style import BLUE, GREY, ORANGE, RED, sheet
 from hedgerow.orchestrator.report.timeline import stretches
 from hedgerow.orchestrator.report.totals import Series, draw_series
+from hedgerow.orchestrator.runs.reader import RecordedRun
 from hedgerow.topologies.graph import Array
 
 _ROWS = 250

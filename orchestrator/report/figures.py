@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 from matplotlib.figure import Figure
 
-from hedgerow.orchestrator.recorded import RecordedRun
 from hedgerow.orchestrator.report import network, nodes, totals
 from hedgerow.orchestrator.report.curves import BINS, STEPS, as_quantiles
 from hedgerow.orchestrator.report.estimates import draw_estimates, has_estimates
 from hedgerow.orchestrator.report.timeline import draw_faults, has_faults
+from hedgerow.orchestrator.runs.reader import RecordedRun
 
 Runs = Sequence[RecordedRun]
 

@@ -10,10 +10,10 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from hedgerow.orchestrator.layout import positions
-from hedgerow.orchestrator.recorded import RecordedRun
 from hedgerow.orchestrator.report.curves import Entries, called, legend, plain, short
 from hedgerow.orchestrator.report.style import BLACK, GREY, RED, WIDTH_IN, sheet
+from hedgerow.orchestrator.runs.reader import RecordedRun
+from hedgerow.orchestrator.views.layout import positions
 from hedgerow.topologies.graph import Array, Mask
 
 NAMED = 40

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from hedgerow.orchestrator.recorded import RecordedRun
 from hedgerow.orchestrator.report.curves import called, draw_nodes, extremes, legend, letter, steps_axis
 from hedgerow.orchestrator.report.style import sheet
+from hedgerow.orchestrator.runs.reader import RecordedRun
 
 Runs = Sequence[RecordedRun]
 

@@ -12,13 +12,13 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 
-from hedgerow.orchestrator.check import _shown
-from hedgerow.orchestrator.recorded import RecordedRun
+from hedgerow.orchestrator.metrics.summary import _shown
 from hedgerow.orchestrator.report.compare import notices
 from hedgerow.orchestrator.report.curves import letter
 from hedgerow.orchestrator.report.figures import Kind
 from hedgerow.orchestrator.report.markup import Markup, join, listed, table, tag
 from hedgerow.orchestrator.report.reading import METRICS, growth, metrics, number, sentences
+from hedgerow.orchestrator.runs.reader import RecordedRun
 from hedgerow.topologies.resolve import to_yaml
 
 Runs = Sequence[RecordedRun]

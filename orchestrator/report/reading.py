@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from hedgerow.orchestrator.recorded import RecordedRun
-from hedgerow.orchestrator.schedule import Schedule
+from hedgerow.orchestrator.metrics.fault_schedule import Schedule
+from hedgerow.orchestrator.runs.reader import RecordedRun
 
 METRICS = {
     "nodes_right": "estimates that are the truth at the end",

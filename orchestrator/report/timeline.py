@@ -11,9 +11,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from hedgerow.orchestrator.recorded import RecordedRun
 from hedgerow.orchestrator.report.curves import Entries, bins, called, legend, plain, short, steps_axis
 from hedgerow.orchestrator.report.style import BLACK, BLUE, ORANGE, RED, sheet
+from hedgerow.orchestrator.runs.reader import RecordedRun
 from hedgerow.topologies.graph import Mask
 
 ROWS = 24

@@ -11,9 +11,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from hedgerow.orchestrator.recorded import RecordedRun
 from hedgerow.orchestrator.report.curves import Entries, called, extremes, law, legend, stairs, steps_axis, thin
 from hedgerow.orchestrator.report.style import BLACK, BLUE, GREY, ORANGE, colour, sheet
+from hedgerow.orchestrator.runs.reader import RecordedRun
 from hedgerow.topologies.graph import Array
 
 Runs = Sequence[RecordedRun]

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hedgerow.orchestrator.accounts import at_ends
-from hedgerow.orchestrator.kept import kept
-from hedgerow.orchestrator.verdict import Verdict
+from hedgerow.orchestrator.metrics.fault_accounts import at_ends
+from hedgerow.orchestrator.metrics.verdict import Verdict
+from hedgerow.orchestrator.runs.selection import kept
 from hedgerow.topologies.describe import describe
 from hedgerow.topologies.errors import HedgerowError, UserError
 from hedgerow.topologies.graph import Array, Mask

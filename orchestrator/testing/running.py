@@ -19,8 +19,8 @@ from typing import Any
 
 import psutil
 
-from hedgerow.orchestrator.live import FaultVerbs, Healed, Injected, Live
-from hedgerow.orchestrator.registry import Entry
+from hedgerow.orchestrator.launch.live import FaultVerbs, Healed, Injected, Live
+from hedgerow.orchestrator.runs.registry import Entry
 from hedgerow.orchestrator.testing.result import Result
 from hedgerow.topologies.errors import DeadlineError, HedgerowError, UserError
 from hedgerow.topologies.faults import Fault

@@ -9,14 +9,14 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
-from hedgerow.orchestrator import in_process
-from hedgerow.orchestrator.assign import layout, truth_of, views_of
-from hedgerow.orchestrator.folder import create
-from hedgerow.orchestrator.live import FaultVerbs, checked
-from hedgerow.orchestrator.run import Run, Watching
+from hedgerow.orchestrator.ground.assignment import layout, truth_of, views_of
+from hedgerow.orchestrator.launch.live import FaultVerbs, checked
+from hedgerow.orchestrator.launch.recording import Run, Watching
+from hedgerow.orchestrator.metrics.verdict import Ending
+from hedgerow.orchestrator.runs import reference as in_process
+from hedgerow.orchestrator.runs.folder import create
 from hedgerow.orchestrator.testing.result import Result
 from hedgerow.orchestrator.testing.running import Running, run_to_the_end
-from hedgerow.orchestrator.verdict import Ending
 from hedgerow.topologies.errors import UserError
 from hedgerow.topologies.faults import Fault
 from hedgerow.topologies.load import find, parse

@@ -1,0 +1,108 @@
+"""`agent`, the command: an agent on a machine of its own, which joins a run that is prepared elsewhere."""
+
+from __future__ import annotations
+
+import json
+import secrets
+import threading
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NoReturn
+
+from hedgerow.wire import standalone as anywhere  # before Zenoh and numpy are loaded
+
+import zenoh  # isort: skip
+
+from hedgerow.agents.plant_watch import PlantWatch
+from hedgerow.agents.process import LOG, Agent, Begin, Joined
+from hedgerow.agents.view import View
+from hedgerow.topologies.errors import DeadlineError, UserError
+from hedgerow.wire import config as configs
+from hedgerow.wire import keys
+from hedgerow.wire.config import Config
+from hedgerow.wire.credentials import Credentials
+from hedgerow.wire.handshake import introduction
+from hedgerow.wire.session import WireError
+
+TRIES = 2
+"""How often a plant whose token is there may leave us without an answer: one that leaves does so once."""
+
+
+def main(arguments: Sequence[str] | None = None) -> NoReturn:
+    """Run one agent of a network where it is started, until the plant says END."""
+    parser = anywhere.options("agent", main.__doc__ or "")
+    parser.add_argument("--name", help="the node's id; its config is then agent-NAME.toml, if --config says nothing")
+    known = parser.parse_args(arguments)
+
+    def find() -> Config:
+        config = configs.find(known.config, f"{_process(known.name)}.toml" if known.name else "agent.toml")
+        if config.process == keys.PLANT:
+            raise UserError(f"{known.config or configs.VARIABLE}: is the plant's; start it with `plant`")
+        if known.name and config.process not in (known.name, _process(known.name)):
+            raise UserError(f"--name {known.name}: that config is of {config.process}; choose one of the two")
+        return config
+
+    def body(config: Config, endpoint: str, credentials: Path | None) -> None:
+        take_part(config, endpoint, known.wait, credentials)
+
+    anywhere.main(find, known, body)
+
+
+def take_part(config: Config, endpoint: str, wait_s: float, credentials: Credentials | Path | None = None) -> None:
+    """Be one agent until the plant says END, and wait at most so long for the others; HedgerowError if in vain."""
+    view = anywhere.told(config, View.from_dict)
+    place = PlaceRequest(config, view.shard, wait_s)
+    LOG.info("%s of %s: looking for %s", config.process, config.namespace, endpoint)
+    agent = Agent(view, config.namespace, endpoint, Begin(place.take, wait_s), credentials)
+    with PlantWatch(agent.session, agent.joined.plant, agent.give_up):
+        agent.live()
+
+
+def _process(name: str) -> str:
+    return name if name.startswith(("agent-", "shard-")) else f"agent-{name}"
+
+
+class PlaceRequest:
+    """What asks the plant for a process's place in a run, again and again, until it has it."""
+
+    def __init__(self, config: Config, shard: int, within_s: float) -> None:
+        self._config, self._shard, self._within_s = config, shard, within_s
+        self._number = secrets.randbelow(2**31)
+        """which process we are, of those that may want it"""
+
+    def take(self, session: zenoh.Session) -> Joined:
+        """Ask until we have it.
+
+        UserError if the plant refuses us, DeadlineError if there is none, or if somebody else keeps the place.
+        """
+        who, by, unanswered = self._config.process, time.monotonic() + self._within_s, 0
+        while True:
+            # Whoever waits for its place may see one plant leave and another come.
+            anywhere.wait_for(session, keys.PLANT, max(anywhere.PAUSE_S, by - time.monotonic()))
+            answer = self._ask(session)
+            if answer is None:
+                unanswered += 1
+                if unanswered == TRIES:
+                    raise WireError(
+                        f"the plant is there and did not answer {who} within {anywhere.ASK_S:g} s; where the network is"
+                        f" secure, are those the keys of {who}?"
+                    )
+            elif "life" in answer:
+                return Joined(int(answer["life"]), int(answer["plant"]))
+            elif not answer.get("wait"):
+                raise UserError(f"the plant refuses {who}: {answer['error']}")
+            elif time.monotonic() > by:
+                raise DeadlineError(f"{who}: {answer['error']}, after {self._within_s:g} s; end that one first")
+            else:
+                unanswered = 0
+                LOG.warning("%s; waiting", answer["error"])
+            threading.Event().wait(anywhere.PAUSE_S)
+
+    def _ask(self, session: zenoh.Session) -> dict[str, Any] | None:
+        request = {"process": self._config.process, "number": self._number, **introduction(self._config.network)}
+        for reply in session.get(keys.join(self._shard), payload=json.dumps(request), timeout=anywhere.ASK_S):
+            if reply.ok is not None:
+                answer: dict[str, Any] = json.loads(reply.ok.payload.to_string())
+                return answer
+        return None

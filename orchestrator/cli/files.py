@@ -1,0 +1,31 @@
+"""The commands that read what a run left."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+Run = Annotated[str, typer.Argument(metavar="[RUN]", help="a run's folder, or its name in runs/")]
+To = Annotated[str, typer.Option(metavar="csv|parquet|npz|mat", help="tables, or named arrays")]
+Out = Annotated[
+    Path | None, typer.Option(metavar="PATH", help="the folder of the tables, or the file [RUN-FORM/, RUN.FORM]")
+]
+Force = Annotated[bool, typer.Option("--force", help="replace files that are there")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add these commands to the operator's."""
+    app.command()(export)
+
+
+def export(to: To, run: Run = "runs/latest", out: Out = None, force: Force = False) -> int:
+    """Write a run, over or not, into files that other tools open."""
+    from hedgerow.orchestrator.runs import export as exports  # noqa: PLC0415
+    from hedgerow.orchestrator.runs.reader import load_run  # noqa: PLC0415
+
+    recorded = load_run(run)
+    files = exports.export(recorded, to, out, force)
+    print(f"{recorded.T} steps of {recorded.run}: {', '.join(map(str, files))}")
+    return 0

@@ -1,0 +1,101 @@
+"""The commands about who may say and hear what: the matrix, and the keys that a router elsewhere needs."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hedgerow.orchestrator.cli.options import AsJson, File, Processes
+
+if TYPE_CHECKING:
+    from hedgerow.wire.access import Place
+
+MATRIX_MOST = 16
+"""processes that a matrix is drawn for; of more, a line each"""
+
+
+def register(app: typer.Typer) -> None:
+    """Add these commands to the operator's."""
+    app.command()(keys)
+    app.command()(audit)
+
+
+def _places(file: str, processes: int | None) -> tuple[str, list[Place]]:
+    from hedgerow.orchestrator.cli.main import read  # noqa: PLC0415
+    from hedgerow.orchestrator.ground.assignment import layout, places, views_of  # noqa: PLC0415
+
+    topology = read(file, None, processes=processes)
+    return topology.name, places(views_of(topology, layout(topology, topology.process_count)))
+
+
+def keys(
+    file: File,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="a new folder")],
+    router: Annotated[
+        str, typer.Option(metavar="ENDPOINT", help="where the router will be: tls/HOST:PORT")
+    ] = "tls/localhost:7447",
+    processes: Processes = None,
+    days: Annotated[float, typer.Option(metavar="N", min=0.01, max=366, help="how long the certificates hold")] = 7,
+) -> int:
+    """Make the keys of a secure network whose router stands elsewhere: a folder for each process, and the router's."""
+    from hedgerow.orchestrator.launch.certificates import CONFIGURATION, to_carry  # noqa: PLC0415
+    from hedgerow.orchestrator.launch.endpoints import namespace_of  # noqa: PLC0415
+    from hedgerow.wire.session import check_endpoint  # noqa: PLC0415
+
+    check_endpoint(router)
+    name, places = _places(file, processes)
+    made = to_carry(out, places, namespace_of(name), router, days)
+    print(f"{out}: keys for {', '.join(made)}; they hold for {days:g} days")
+    again = ["orchestrator", "up", file, "--secure", "--keys", str(out)]
+    again += [] if processes is None else ["--processes", str(processes)]
+    print(f"router: zenohd -c {CONFIGURATION}, in its folder; then: {shlex.join(again)}")
+    return 0
+
+
+def audit(
+    file: File,
+    processes: Processes = None,
+    as_rights: Annotated[
+        bool, typer.Option("--rights", help="all that the router of a secure run lets each process do")
+    ] = False,
+    as_json: AsJson = False,
+) -> int:
+    """Show who may hear whom: a row a process, and in it what it hears from the process of the column."""
+    from rich.console import Console  # noqa: PLC0415
+    from rich.table import Table  # noqa: PLC0415
+
+    from hedgerow.orchestrator.metrics.message_audit import channels  # noqa: PLC0415
+    from hedgerow.wire.access import rights  # noqa: PLC0415
+    from hedgerow.wire.keys import PLANT  # noqa: PLC0415
+
+    _, places = _places(file, processes)
+    found, granted = channels(places), rights(places)
+    if as_json:
+        heard = [{"key": one.key, "from": one.speaker, "to": one.listener} for one in found]
+        print(json.dumps({"channels": heard, "rights": {name: some._asdict() for name, some in granted.items()}}))
+        return 0
+    if as_rights:
+        for name, some in granted.items():
+            print(f"{name}:")
+            for right, allowed in some._asdict().items():
+                if allowed:
+                    print(f"  {right} {', '.join(allowed)}")
+        return 0
+    names = [PLANT, *(place.name for place in places)]
+    cells = {(one.listener, one.speaker): one.key for one in found}
+    if len(names) <= MATRIX_MOST:
+        table = Table("hears", *(f"of {name}" for name in names))
+        for listener in names:
+            table.add_row(listener, *(cells.get((listener, speaker), "") for speaker in names))
+    else:
+        table = Table("process", "hears")
+        for listener in names:
+            table.add_row(listener, ", ".join(cells[pair] for pair in cells if pair[0] == listener))
+    # A key that is cut short says nothing: a narrow terminal wraps the lines instead.
+    wide = Console(width=10_000).measure(table).maximum
+    Console(width=wide).print(table)
+    return 0

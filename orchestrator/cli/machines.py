@@ -1,0 +1,140 @@
+"""Commands for networks on many machines: bundle, compose."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hedgerow.orchestrator.cli.options import File, Law, Processes, Seed, Sets, Steps
+from hedgerow.topologies.errors import UserError, check_options
+
+Secure = Annotated[
+    bool | None, typer.Option("--secure/--open", help="keys for every process, and a router that refuses the rest")
+]
+Days = Annotated[float | None, typer.Option(metavar="N", min=0.01, max=366, help="how long the keys hold [7]")]
+Namespace = Annotated[str | None, typer.Option(metavar="KEY", help="where all meet [hedgerow/NAME]")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands."""
+    app.command()(bundle)
+    app.command()(compose)
+
+
+def bundle(
+    file: File,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="the folder to write, new or empty")],
+    router: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ENDPOINT", help="where the agents find the run, as seen from their machines [tcp/localhost:7447]"
+        ),
+    ] = None,
+    secure: Secure = None,
+    days: Days = None,
+    namespace: Namespace = None,
+    processes: Processes = None,
+    steps: Steps = None,
+    seed: Seed = None,
+    law: Law = None,
+    sets: Sets = None,
+) -> int:
+    """Write what each process is told, a file each, to carry to other machines, and how to start them there."""
+    from hedgerow.orchestrator.cli.main import read  # noqa: PLC0415
+    from hedgerow.orchestrator.deploy.bundle import write, write_secure  # noqa: PLC0415
+    from hedgerow.orchestrator.ground.assignment import layout, places, views_of  # noqa: PLC0415
+    from hedgerow.orchestrator.launch.certificates import LIFE_DAYS  # noqa: PLC0415
+    from hedgerow.orchestrator.launch.external_agents import configs, namespace_of  # noqa: PLC0415
+    from hedgerow.orchestrator.runs.folder import whole_folder  # noqa: PLC0415
+    from hedgerow.wire.session import check_endpoint, check_namespace  # noqa: PLC0415
+
+    topology = read(file, sets, steps=steps, seed=seed, law=law, processes=processes, secure=secure)
+    shards = layout(topology, topology.process_count)
+    _refuse_days(topology.secure, days)
+    router = router or f"{'tls' if topology.secure else 'tcp'}/localhost:7447"
+    check_endpoint(router)
+    meet = namespace_of(topology) if namespace is None else namespace
+    check_namespace(meet)
+    told = configs(topology, shards, router, meet)
+    try:
+        if topology.secure:
+            write_secure(out, topology, told, places(views_of(topology, shards)), days or LIFE_DAYS)
+        else:
+            with whole_folder(out, f"--out {out}") as part:
+                write(part, topology, told)
+    except OSError as error:
+        raise UserError(f"--out {out}: {error.strerror}; choose another folder") from None
+    print(f"{out}: {len(told)} processes; {out / 'README.md'} says how to start them")
+    return 0
+
+
+def _refuse_days(secure: bool, days: float | None) -> None:
+    if days is not None and not secure:
+        raise UserError(f"--days {days:g}: is how long keys hold, of a secure network; give --secure too")
+
+
+class Format(StrEnum):
+    """What runs the containers."""
+
+    COMPOSE = "compose"
+    KUBERNETES = "kubernetes"
+
+
+def compose(
+    file: File,
+    form: Annotated[Format, typer.Option("--format", help="for Docker, or for Kubernetes")] = Format.COMPOSE,
+    rate: Annotated[float, typer.Option(metavar="R", help="steps per second, 0 for as fast as possible")] = 10.0,
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help="write it there, for you alone to read")] = None,
+    secure: Secure = None,
+    keys: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="its folder of keys, made if it is not there [keys, beside FILE]")
+    ] = None,
+    days: Days = None,
+    registry: Annotated[
+        str, typer.Option(metavar="PREFIX", help="where the images are pushed, e.g. registry.example/team")
+    ] = "",
+    namespace: Namespace = None,
+    processes: Processes = None,
+    steps: Steps = None,
+    seed: Seed = None,
+    law: Law = None,
+    sets: Sets = None,
+) -> int:
+    """Print a Compose file, or Kubernetes manifests, that run a network in containers."""
+    from hedgerow.orchestrator.cli.main import read  # noqa: PLC0415
+    from hedgerow.orchestrator.deploy.compose import MOST_BYTES, to_compose  # noqa: PLC0415
+    from hedgerow.orchestrator.deploy.containers import containers, provide_keys  # noqa: PLC0415
+    from hedgerow.orchestrator.deploy.kubernetes import MOST_MAP_BYTES, to_kubernetes  # noqa: PLC0415
+    from hedgerow.orchestrator.ground.assignment import layout, places, views_of  # noqa: PLC0415
+    from hedgerow.orchestrator.launch.certificates import write_private  # noqa: PLC0415
+    from hedgerow.orchestrator.launch.external_agents import namespace_of  # noqa: PLC0415
+    from hedgerow.wire.session import check_namespace  # noqa: PLC0415
+
+    check_options(rate=rate)
+    topology = read(file, sets, steps=steps, seed=seed, law=law, processes=processes, secure=secure)
+    shards = layout(topology, topology.process_count)
+    meet, docker, folder = namespace_of(topology) if namespace is None else namespace, form is Format.COMPOSE, None
+    check_namespace(meet)
+    beside = out.parent if out else Path()
+    _refuse_days(topology.secure, days)
+    if topology.secure:
+        if out is None and not docker:
+            raise UserError("--secure: the manifests hold all keys; --out FILE writes a file that only you can read")
+        folder = keys or beside / "keys"
+        provide_keys(folder, places(views_of(topology, shards)), meet, days)
+    elif keys is not None:
+        raise UserError(f"--keys {keys}: is for a secure network; give --secure too")
+    most = MOST_BYTES if docker else MOST_MAP_BYTES
+    one = containers(topology, shards, meet, rate, most, folder, registry)
+    text = to_compose(one, beside) if docker else to_kubernetes(one)
+    if out is None:
+        print(text, end="")
+        return 0
+    try:
+        write_private(out, text.encode())
+    except OSError as error:
+        raise UserError(f"--out {out}: {error.strerror}; choose another name") from None
+    return 0

@@ -1,0 +1,32 @@
+"""The command that draws what a run left, for a paper and for a reader."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+Runs = Annotated[
+    list[str] | None, typer.Argument(metavar="[RUN ...]", help="runs' folders, or their names in runs/ [runs/latest]")
+]
+Out = Annotated[Path | None, typer.Option(metavar="DIR", help="the folder to write [RUN-report]")]
+Figures = Annotated[str | None, typer.Option(metavar="2,4,...", help="only these figures [all]")]
+Force = Annotated[bool, typer.Option("--force", help="replace a report that is there")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add this command to the operator's."""
+    app.command()(report)
+
+
+def report(runs: Runs = None, out: Out = None, figures: Figures = None, force: Force = False) -> int:
+    """Draw a run's figures as PDF and PNG, and a page with all of it; of several runs, beside each other."""
+    from hedgerow.orchestrator.report import report as write  # noqa: PLC0415
+    from hedgerow.orchestrator.runs.reader import load_run  # noqa: PLC0415
+
+    recorded = [load_run(run) for run in runs or ["runs/latest"]]
+    page, *drawn = write(recorded, out, figures, force)
+    kinds = len(drawn) // 2
+    print(f"{page}, and {kinds} figure{'s' * (kinds != 1)} as PDF and PNG beside it")
+    return 0

@@ -1,0 +1,48 @@
+"""The command that runs a network for long, and says whether it stays as it was."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hedgerow.orchestrator.cli.options import RunDir
+
+File = Annotated[str, typer.Argument(metavar="[FILE]", help="a topology file, a bundled name, or the folder of a run")]
+Minutes = Annotated[float, typer.Option(metavar="N", help="for how long")]
+Rate = Annotated[float, typer.Option(metavar="R", min=0, help="steps per second, 0 for as fast as possible")]
+Processes = Annotated[int | None, typer.Option(metavar="P", min=1, help="agent processes [one a node]")]
+Record = Annotated[bool, typer.Option("--record/--no-record", help="write run.rrd")]
+Faults = Annotated[bool, typer.Option("--faults/--no-faults", help="let things go wrong all the time")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add this command to the operator's."""
+    app.command()(soak)
+
+
+def soak(
+    file: File = "paper7",
+    minutes: Minutes = 20.0,
+    rate: Rate = 0.0,
+    processes: Processes = None,
+    run_dir: RunDir = None,
+    record: Record = True,
+    faults: Faults = True,
+) -> int:
+    """Run a network for long under faults; exit code 1 if memory, threads, open files or pace do not stay flat."""
+    from hedgerow.orchestrator.cli.main import read  # noqa: PLC0415
+    from hedgerow.orchestrator.experiments.soak import LEAST_MINUTES, LEAST_WARM_UP_S, run_soak  # noqa: PLC0415
+    from hedgerow.topologies.errors import UserError, check_options  # noqa: PLC0415
+
+    check_options(rate=rate)
+    if not LEAST_MINUTES <= minutes < 1e6:
+        raise UserError(
+            f"--minutes {minutes:g}: give at least {LEAST_MINUTES:g}; the first {LEAST_WARM_UP_S:g} s are not judged"
+        )
+    topology = read(file, None, processes=processes)
+    options = ["--rate", str(rate), *([] if record else ["--no-record"])]
+    directory = run_dir or Path("runs") / f"{topology.name}-soak-{time.strftime('%Y%m%d-%H%M%S')}"
+    return run_soak(topology, directory, minutes, faults, options, lambda text: print(text, flush=True))

@@ -1,0 +1,48 @@
+"""The command that runs a network many times."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hedgerow.orchestrator.launch.ray_cluster import check
+from hedgerow.topologies.errors import UserError
+
+File = Annotated[str, typer.Argument(metavar="FILE", help="a topology file, or a bundled name")]
+Seeds = Annotated[str, typer.Option(metavar="FIRST:STOP", help="every seed from FIRST up to, and without, STOP")]
+Sets = Annotated[
+    list[str] | None, typer.Option("--set", metavar="PATH=VALUE,...", help="the values that a key of the file takes")
+]
+Engine = Annotated[str, typer.Option(metavar="in-process|zenoh", help="in one process a run, or one an agent")]
+Out = Annotated[
+    Path | None, typer.Option(metavar="DIR", help="the sweep's folder, new or of this sweep [sweeps/NAME-HASH]")
+]
+Jobs = Annotated[int | None, typer.Option(metavar="N", help="runs at once [the cores; with --engine zenoh 1]")]
+On = Annotated[str | None, typer.Option(metavar="ray|ray://HOST:PORT", help="the cluster to run on [this machine]")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add this command to the operator's."""
+    app.command()(sweep)
+
+
+def sweep(
+    file: File,
+    seeds: Seeds,
+    sets: Sets = None,
+    engine: Engine = "in-process",
+    out: Out = None,
+    jobs: Jobs = None,
+    on: On = None,
+) -> int:
+    """Run a network under many seeds and settings, into one table; the same command goes on where it was stopped."""
+    from hedgerow.orchestrator.experiments.sweep import sweep as run  # noqa: PLC0415
+    from hedgerow.orchestrator.experiments.sweep.plan import plan  # noqa: PLC0415
+
+    if jobs is not None and jobs < 1:
+        raise UserError(f"--jobs {jobs}: is below 1; leave it out for all cores")
+    if on is not None:
+        check(on)
+    return run(plan(file, seeds, sets or [], engine), out, jobs, on)

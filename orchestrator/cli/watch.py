@@ -1,0 +1,58 @@
+"""The commands that show runs in a viewer: those that are going on, and those that are over."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from hedgerow.topologies.errors import UserError
+
+Running = Annotated[str | None, typer.Argument(metavar="[RUN]", help="a running network's name [the youngest]")]
+Runs = Annotated[
+    list[str] | None,
+    typer.Argument(
+        metavar="[RUN]...", help="a run's folder, or its name in runs/; several on the same axes [the latest]"
+    ),
+]
+Viewer = Annotated[str, typer.Option(metavar="native|web|URL", help="where to show it [native, if there is a display]")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add these commands to the operator's."""
+    app.command()(watch)
+    app.command(name="open")(open_)
+
+
+def _say(text: str) -> None:
+    print(text, flush=True)
+
+
+def watch(run: Running = None, viewer: Viewer = "auto") -> int:
+    """Show a running network from its first step, whenever it began, and follow it; it costs the run nothing."""
+    from hedgerow.orchestrator.runs import registry  # noqa: PLC0415
+    from hedgerow.orchestrator.views.rerun.viewer import choose_one  # noqa: PLC0415
+
+    try:
+        entry = registry.find(run)
+    except UserError as error:
+        raise UserError(f"{error}; what `simulate` runs, or is over, `orchestrator open` shows") from None
+    choice = choose_one(viewer, f"`orchestrator status {entry.run}` says how far it is")
+    from hedgerow.orchestrator.views.rerun.watch import watch as follow  # noqa: PLC0415
+
+    follow(entry, choice, _say)
+    return 0
+
+
+def open_(runs: Runs = None, viewer: Viewer = "auto") -> int:
+    """Show runs that are over in a viewer, several on the same axes."""
+    from hedgerow.orchestrator.runs.files import find_run  # noqa: PLC0415
+    from hedgerow.orchestrator.views.rerun.viewer import choose_one  # noqa: PLC0415
+
+    named = runs or ["runs/latest"]
+    folders = [find_run(run) for run in named]
+    choice = choose_one(viewer, f"or copy {folders[0] / 'run.rrd'} to where there is one, and `rerun run.rrd` there")
+    from hedgerow.orchestrator.views.rerun.opening import open_runs  # noqa: PLC0415
+
+    open_runs(named, choice, _say)
+    return 0

@@ -1,0 +1,1 @@
+"""A network on other machines: bundles, containers, Compose, Kubernetes."""

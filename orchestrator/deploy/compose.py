@@ -1,0 +1,228 @@
+"""A network as a Compose file, with all that each process is told in it; Docker's Compose and Swarm read the same."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import yaml
+
+from hedgerow.orchestrator.deploy.containers import (
+    CREDENTIALS,
+    KEYS,
+    OBSERVERS,
+    PAGE_CHECK,
+    PAGE_PORT,
+    ROUTER_IMAGE,
+    ROUTERS,
+    WAIT_S,
+    Containers,
+    Files,
+)
+from hedgerow.topologies.resolve import to_yaml
+from hedgerow.wire import keys
+from hedgerow.wire.access import ROUTER
+from hedgerow.wire.config import VARIABLE, Config
+
+MOST_BYTES = 100_000
+"""What one environment variable may hold; the kernel's limit is 128 KB."""
+
+
+def to_compose(one: Containers, folder: Path) -> str:
+    """A Compose file, which `docker compose up` and `docker stack deploy` take, to be written into `folder`."""
+    services = [_service(one, config) for config in one.configs]
+    return "\n".join([_head(one), *services, _observer(one), *_all_secrets(one, folder)])
+
+
+HEAD = """\
+# {name}: a router, the plant, {agents} agents, and the observer, who serves the viewer's page.
+# Made by `orchestrator compose`; with it, and the Dockerfile beside it:
+#   docker compose up       the page is at http://localhost:{page}; the run's folder is in the volume `runs`
+#   docker compose down     ends it and leaves nothing but that volume (`down --volumes`: not that either)
+#   docker stack deploy -c THIS-FILE {name}       once the images are built and pushed
+# Everybody waits for everybody else, so the order of starting does not matter. An agent that dies is started again and
+# goes on where it would be; the plant and the observer are the run, and end with it.
+{secure}
+x-agent: &agent
+  image: {image}
+  build: {{context: ., target: agent}}
+  command: {command}
+  init: true
+  networks: [wire]
+  depends_on: [router, plant]
+  restart: on-failure
+  deploy: {{restart_policy: {{condition: on-failure, delay: 1s}}}}
+  stop_grace_period: 5s
+{user}  healthcheck: &takes-part
+    test: {check}
+    interval: 10s
+    timeout: 10s
+    retries: 3
+    start_period: {wait}s
+
+networks:
+  wire: {{}}
+
+volumes:
+  runs: {{}}
+
+services:
+  router:
+    image: {router}
+    command: {router_command}
+{router_keys}    init: true
+    networks: [wire]
+    restart: unless-stopped
+    deploy: {{restart_policy: {{condition: any}}}}
+    healthcheck:
+      test: {router_check}
+      interval: 10s
+      timeout: 5s
+      retries: 3
+      start_period: 10s
+"""
+HEAD_SECURE = """\
+# Secure: every service has its own keys out of {keys}/ and nobody else's, and runs as who made them.
+"""
+AGENT = """\
+  {process}:
+    <<: *agent
+{own_keys}    environment:
+      {variable}: |
+{text}
+"""
+PLANT = """\
+  {process}:
+    image: {image}
+    build: {{context: ., target: agent}}
+    command: {command}
+    init: true
+    networks: [wire]
+    depends_on: [router]
+    restart: "no"
+    deploy: {{restart_policy: {{condition: none}}}}
+    stop_grace_period: 10s
+    healthcheck:
+      <<: *takes-part
+      test: {check}
+{own_keys}    environment:
+      {variable}: |
+{text}
+"""
+OBSERVER = """\
+  orchestrator:
+    image: {image}
+    build: {{context: ., target: orchestrator}}
+    command:
+      - /bin/sh
+      - -c
+      - printf '%s' "$$HEDGEROW_TOPOLOGY" > runs/topology.yaml && exec {command}
+    init: true
+    networks: [wire]
+    depends_on: [router]
+    ports: ["{page}:{page}"]
+    volumes: ["runs:/home/hedgerow/runs"]
+    restart: "no"
+    deploy: {{restart_policy: {{condition: none}}}}
+    stop_grace_period: 20s
+    healthcheck:
+      test: {check}
+      interval: 10s
+      timeout: 10s
+      retries: 3
+      start_period: {wait}s
+{own_keys}    environment:
+      HEDGEROW_TOPOLOGY: |
+{text}
+"""
+
+
+def _head(one: Containers) -> str:
+    agent = one.configs[-1]
+    return HEAD.format(
+        name=one.topology.name,
+        agents=len(one.configs) - 1,
+        page=PAGE_PORT,
+        image=one.image("hedgerow-agent"),
+        command=_words(one.command(agent)),
+        check=_test(one.check(agent)),
+        wait=WAIT_S,
+        router=ROUTER_IMAGE,
+        router_command=_words(one.router_command),
+        router_check=_test(one.router_check),
+        router_keys=_own_keys(one, ROUTERS, f"    {_user()}    working_dir: {KEYS}/{ROUTER}\n"),
+        secure=HEAD_SECURE.format(keys=one.keys) if one.keys else "",
+        user=f"  {_user()}" if one.keys else "",
+    )
+
+
+def _service(one: Containers, config: Config) -> str:
+    form = PLANT if config.process == keys.PLANT else AGENT
+    return form.format(
+        process=config.process,
+        image=one.image("hedgerow-agent"),
+        command=_words(one.command(config)),
+        check=_test(one.check(config)),
+        own_keys=_own_keys(one, one.own(config), f"    {_user()}" if config.process == keys.PLANT else ""),
+        variable=VARIABLE,
+        text=_block(config.to_toml()),
+    )
+
+
+def _observer(one: Containers) -> str:
+    return OBSERVER.format(
+        image=one.image("hedgerow"),
+        command=" ".join(one.observer("runs/topology.yaml")),
+        own_keys=_own_keys(one, OBSERVERS, f"    {_user()}"),
+        page=PAGE_PORT,
+        check=_test(PAGE_CHECK),
+        wait=WAIT_S,
+        text=_block(to_yaml(one.topology)),
+    )
+
+
+def _user() -> str:
+    """A container can read the files of who made them, with Docker Compose; Swarm lets everybody in it read them."""
+    return f'user: "{os.getuid()}:{os.getgid()}"\n'
+
+
+def _own_keys(one: Containers, files: Files, more: str) -> str:
+    """What a service says of its keys, and `more`."""
+    if one.keys is None:
+        return ""
+    lines = [
+        f"      - {{source: {one.services.get(home, home)}-{file}, target: {KEYS}/{home}/{file}}}\n"
+        for home, some in files.items()
+        for file in some
+    ]
+    return "".join([more, "    secrets:\n", *lines])
+
+
+def _all_secrets(one: Containers, beside: Path) -> list[str]:
+    """Where the keys of all services lie, as who reads the file looks for them: from the folder that it is in."""
+    if one.keys is None:
+        return []
+    folder = one.keys if one.keys.is_absolute() else f"./{os.path.relpath(one.keys, beside)}"
+    files = {**ROUTERS, **dict.fromkeys(one.services, CREDENTIALS), **OBSERVERS}
+    lines = [
+        f"  {one.services.get(home, home)}-{file}: {{file: {folder}/{home}/{file}}}"
+        for home, some in files.items()
+        for file in some
+    ]
+    return ["\n".join(["secrets:", *lines, ""])]
+
+
+def _words(words: Sequence[str]) -> str:
+    """A list on one line."""
+    text: str = yaml.safe_dump(list(words), default_flow_style=True, width=10**6)
+    return text.strip()
+
+
+def _test(words: Sequence[str]) -> str:
+    return _words(["CMD", *words])
+
+
+def _block(text: str) -> str:
+    """A text as a block of a Compose file, in which $ is written twice."""
+    return "\n".join(f"        {line}".rstrip() for line in text.replace("$", "$$").splitlines())

@@ -1,0 +1,196 @@
+"""A network as Kubernetes manifests, with all that each process is told in them."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import yaml
+
+from hedgerow.orchestrator.deploy.containers import (
+    KEYS,
+    OBSERVERS,
+    PAGE_CHECK,
+    PAGE_PORT,
+    ROUTER_IMAGE,
+    ROUTER_PORT,
+    ROUTERS,
+    Containers,
+    Files,
+)
+from hedgerow.topologies.resolve import to_yaml
+from hedgerow.wire import keys
+from hedgerow.wire.access import ROUTER
+
+MOST_MAP_BYTES = 1_000_000
+"""What one ConfigMap may hold; Kubernetes' limit is 1 MiB."""
+USER_ID = 10001
+"""The user in both images (Dockerfile)."""
+
+
+def to_kubernetes(one: Containers) -> str:
+    """Kubernetes manifests: a Deployment and a Service for the router, a Job and a ConfigMap for each process."""
+    name = one.topology.name.lower().replace("_", "-").replace(".", "-")
+    documents: list[Mapping[str, Any]] = [*_secrets(one, name, ROUTERS), *_router(one, name)]
+    for config in one.configs:
+        again, own = config.process != keys.PLANT, one.own(config)
+        mounted = _mounted(one, own)
+        documents += [
+            *_secrets(one, name, own),
+            _config_map(name, config.process, "told.toml", config.to_toml()),
+            _job(
+                name,
+                config.process,
+                one.image("hedgerow-agent"),
+                one.command(config),
+                one.check(config),
+                again,
+                mounted,
+            ),
+        ]
+    check = list(PAGE_CHECK)
+    command = one.observer("/told/topology.yaml")
+    documents += [
+        *_secrets(one, name, OBSERVERS),
+        _config_map(name, "orchestrator", "topology.yaml", to_yaml(one.topology)),
+        _volume_claim(name),
+        _job(name, "orchestrator", one.image("hedgerow"), command, check, False, _mounted(one, OBSERVERS)),
+        _page(name),
+    ]
+    return HEAD_KUBERNETES.format(name=name, page=PAGE_PORT) + yaml.safe_dump_all(
+        documents, sort_keys=False, width=10**6, explicit_start=True
+    )
+
+
+HEAD_KUBERNETES = """\
+# Made by `orchestrator compose --format kubernetes`; the images are those of the Dockerfile.
+#   kubectl create namespace {name} && kubectl apply -n {name} -f THIS-FILE
+#   kubectl port-forward -n {name} service/page {page}      the page is at http://localhost:{page}
+#   kubectl delete namespace {name}
+"""
+SECURITY = {"allowPrivilegeEscalation": False, "capabilities": {"drop": ["ALL"]}}
+
+
+def _meta(network: str, process: str) -> dict[str, Any]:
+    return {"name": process, "labels": _labels(network, process)}
+
+
+def _labels(network: str, process: str) -> dict[str, str]:
+    return {"app.kubernetes.io/name": "hedgerow", "app.kubernetes.io/instance": network, "hedgerow/process": process}
+
+
+Keys = Mapping[str, str]
+"""The folders of keys that a container has, and the Secrets that hold them."""
+
+
+def _mounted(one: Containers, files: Files) -> Keys:
+    return {home: one.services.get(home, home) for home in files} if one.keys else {}
+
+
+def _secrets(one: Containers, network: str, files: Files) -> Iterator[Mapping[str, Any]]:
+    """A Secret for each of the folders of keys."""
+    for home, secret in _mounted(one, files).items():
+        assert one.keys is not None
+        held = {file: base64.b64encode((one.keys / home / file).read_bytes()).decode() for file in files[home]}
+        yield {"apiVersion": "v1", "kind": "Secret", "metadata": _meta(network, secret), "data": held}
+
+
+def _key_volumes(own: Keys) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """What a container mounts, and the volumes of its pod; nobody but it and its group reads them."""
+    mounts = [
+        {"name": f"keys-{secret}", "mountPath": f"{KEYS}/{home}", "readOnly": True} for home, secret in own.items()
+    ]
+    volumes = [
+        {"name": f"keys-{secret}", "secret": {"secretName": secret, "defaultMode": 0o440}} for secret in own.values()
+    ]
+    return mounts, volumes
+
+
+def _router(one: Containers, network: str) -> list[Mapping[str, Any]]:
+    labels = _labels(network, "router")
+    container: dict[str, Any] = {
+        "name": "router",
+        "image": ROUTER_IMAGE,
+        "args": list(one.router_command),
+        "ports": [{"containerPort": ROUTER_PORT}],
+        "readinessProbe": {"tcpSocket": {"port": ROUTER_PORT}, "periodSeconds": 2},
+        "livenessProbe": {"exec": {"command": list(one.router_check)}, "periodSeconds": 10, "timeoutSeconds": 5},
+        "securityContext": SECURITY,
+    }
+    spec: dict[str, Any] = {"containers": [container], "automountServiceAccountToken": False}
+    if own := _mounted(one, ROUTERS):
+        container["workingDir"] = f"{KEYS}/{ROUTER}"
+        container["volumeMounts"], spec["volumes"] = _key_volumes(own)
+    pod = {"metadata": {"labels": labels}, "spec": spec}
+    return [
+        {
+            "apiVersion": "apps/v1",
+            "kind": "Deployment",
+            "metadata": _meta(network, "router"),
+            "spec": {"replicas": 1, "selector": {"matchLabels": labels}, "template": pod},
+        },
+        _a_service(network, "router", "router", ROUTER_PORT),
+    ]
+
+
+def _a_service(network: str, name: str, process: str, port: int) -> Mapping[str, Any]:
+    spec = {"selector": _labels(network, process), "ports": [{"port": port, "targetPort": port}]}
+    return {"apiVersion": "v1", "kind": "Service", "metadata": _meta(network, name), "spec": spec}
+
+
+def _page(network: str) -> Mapping[str, Any]:
+    return _a_service(network, "page", "orchestrator", PAGE_PORT)
+
+
+def _config_map(network: str, process: str, file: str, text: str) -> Mapping[str, Any]:
+    return {"apiVersion": "v1", "kind": "ConfigMap", "metadata": _meta(network, process), "data": {file: text}}
+
+
+def _volume_claim(network: str) -> Mapping[str, Any]:
+    spec = {"accessModes": ["ReadWriteOnce"], "resources": {"requests": {"storage": "1Gi"}}}
+    return {"apiVersion": "v1", "kind": "PersistentVolumeClaim", "metadata": _meta(network, "runs"), "spec": spec}
+
+
+def _job(
+    network: str, process: str, image: str, command: Sequence[str], check: Sequence[str], again: bool, own: Keys
+) -> Mapping[str, Any]:
+    """One process: started `again` when it fails, or not; each is told what its own ConfigMap holds and no more.
+
+    `own` are its folders of keys.
+    """
+    key_mounts, key_volumes = _key_volumes(own)
+    observer = process == "orchestrator"
+    container: dict[str, Any] = {
+        "name": process,
+        "image": image,
+        "command": list(command) if observer else [*command, "--config", "/told/told.toml"],
+        "readinessProbe": {
+            "exec": {"command": list(check) if observer else [*check, "--config", "/told/told.toml"]},
+            "periodSeconds": 10,
+            "timeoutSeconds": 10,
+        },
+        "volumeMounts": [{"name": "told", "mountPath": "/told", "readOnly": True}, *key_mounts],
+        "securityContext": SECURITY,
+    }
+    volumes: list[dict[str, Any]] = [{"name": "told", "configMap": {"name": process}}, *key_volumes]
+    if observer:
+        container["ports"] = [{"containerPort": PAGE_PORT}]
+        container["volumeMounts"].append({"name": "runs", "mountPath": "/home/hedgerow/runs"})
+        volumes.append({"name": "runs", "persistentVolumeClaim": {"claimName": "runs"}})
+    pod = {
+        "restartPolicy": "OnFailure" if again else "Never",
+        "automountServiceAccountToken": False,
+        "securityContext": {"runAsNonRoot": True, "runAsUser": USER_ID, "fsGroup": USER_ID},
+        "containers": [container],
+        "volumes": volumes,
+    }
+    return {
+        "apiVersion": "batch/v1",
+        "kind": "Job",
+        "metadata": _meta(network, process),
+        "spec": {
+            "backoffLimit": 6 if again else 0,
+            "template": {"metadata": {"labels": _labels(network, process)}, "spec": pod},
+        },
+    }

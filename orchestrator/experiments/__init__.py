@@ -1,0 +1,1 @@
+"""Many runs: sweeps, random faults, long runs."""

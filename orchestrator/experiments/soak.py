@@ -1,0 +1,362 @@
+"""Whether a network that runs for long stays as it was: memory, threads and descriptors of every process, and its pace.
+
+The network runs as any other, `orchestrator up` in a process of its own, with faults on: messages lost and late, edges
+closed, readings and inputs lost, and an agent killed and started again every CRASH_EVERY_S.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import json
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import astuple, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+from numpy.typing import NDArray
+from pydantic import TypeAdapter
+
+from hedgerow.orchestrator.ground.signals import Interrupts
+from hedgerow.orchestrator.launch.live import Live
+from hedgerow.orchestrator.runs import registry
+from hedgerow.orchestrator.runs.folder import RunFolder
+from hedgerow.topologies.errors import DeadlineError, HedgerowError
+from hedgerow.topologies.faults import Fault
+from hedgerow.topologies.resolve import to_yaml
+from hedgerow.topologies.schema import Topology
+from hedgerow.wire.session import WireError
+
+Say = Callable[[str], None]
+Array = NDArray[np.float64]
+_FAULT: TypeAdapter[Fault] = TypeAdapter(Fault)
+
+STEPS = 10**9
+"""more than any soak makes"""
+SAMPLES = 240
+"""about so many looks at the processes, but no two within EVERY_S"""
+EVERY_S = 0.5
+CRASH_EVERY_S = 15.0
+CRASHED_STEPS = 5
+WARM_UP = 0.25
+"""This part of the time is left out, but at least and at most so long."""
+LEAST_WARM_UP_S, LONGEST_WARM_UP_S = 10.0, 120.0
+LEAST_MINUTES = 0.25
+"""In less there is nothing to draw a line through."""
+YOUNG_S = 5.0
+"""A process that took another's place is not judged before it has taken part for so long: until then it learns."""
+ALONE = ("up", "nursery", "plant")
+HISTORY = 1000
+"""Past steps that are kept for back-filling: with the 100,000 of a file that says nothing, memory grows until there are
+so many."""
+START_DEADLINE_S = 60.0
+END_DEADLINE_S = 30.0
+
+GROWTH, GROWTH_MB = 0.03, 2.0
+"""A process is flat if the line through its sizes rises by less than this part of their mean, or by less than so many
+MB, over the time that counts."""
+MORE = 2.0
+"""The same of its threads and of its descriptors."""
+SLOWER = 0.2
+"""The steps/s are flat if the line through them falls by less than this part of their mean."""
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One look at one process."""
+
+    t_s: float
+    """since the first step"""
+    step: int
+    process: str
+    pid: int
+    pss_mb: float
+    """its share of the memory that is resident, where the kernel tells (Linux); else all of it"""
+    rss_mb: float
+    """resident memory, of which some is shared: unlike its share, it does not depend on who else is there"""
+    threads: int
+    descriptors: int
+
+
+@dataclass(frozen=True)
+class Trend:
+    """A line through what was measured of one thing: its mean, and what it grows by in a minute and in all."""
+
+    what: str
+    unit: str
+    mean: float
+    per_minute: float
+    grown: float
+    allowed: float
+    """by how much it may grow; below 0: may fall"""
+
+    @property
+    def flat(self) -> bool:
+        return self.grown <= self.allowed if self.allowed >= 0 else self.grown >= self.allowed
+
+    def __str__(self) -> str:
+        found = f"{self.what:20} {self.mean:8.2f} {self.unit:7} {self.per_minute:+8.3f} a minute"
+        bound = f"{'at most' if self.allowed >= 0 else 'at least'} {self.allowed:+.2f}"
+        return f"{found} {self.grown:+7.2f} in all ({bound}){'' if self.flat else '  NOT FLAT'}"
+
+
+def with_faults(topology: Topology) -> Topology:
+    """The resolved network with faults that strike by chance for as long as it runs; its own go on as they are."""
+    edges, nodes = topology.edges, topology.ids
+    added: list[dict[str, Any]] = [
+        {"kind": "sensor", "node": nodes[0], "probability": 0.02},
+        {"kind": "actuator", "node": nodes[len(nodes) // 2], "probability": 0.02},
+    ]
+    if edges:
+        added += [
+            {"kind": "drop", "link": edges[0], "probability": 0.05},
+            {"kind": "delay", "link": edges[len(edges) // 2], "by": 2, "probability": 0.05},
+            {"kind": "cut", "edge": edges[-1], "probability": 0.02},
+        ]
+    return topology.model_copy(update={"faults": (*topology.faults, *map(_FAULT.validate_python, added))})
+
+
+def run_soak(
+    topology: Topology, directory: Path, minutes: float, faults: bool, options: Sequence[str], say: Say
+) -> int:
+    """Run a resolved network for so long, leave soak.csv and soak.png in its new folder, and judge; the exit code.
+
+    `options` are more of `orchestrator up`. 0 is flat, 1 not flat or INVALID, 3 ended early. Raises HedgerowError.
+    """
+    folder = RunFolder(directory.resolve())
+    folder.path.parent.mkdir(parents=True, exist_ok=True)
+    topology = topology.model_copy(update={"steps": STEPS, "history": min(topology.history, HISTORY)})
+    if faults:
+        topology = with_faults(topology)
+    file = folder.path.with_name(f".{folder.name}.yaml")
+    wake = threading.Event()
+    with Interrupts(wake.set) as interrupts, _up(file, folder, topology, options) as up:
+        say(f"run folder {folder.path}")
+        entry = _entry(up, folder, records="--no-record" not in options)
+        samples = list(_samples(up, entry, minutes * 60, faults, lambda s: wake.wait(s) or interrupts.count > 0))
+        up.send_signal(signal.SIGINT)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            up.wait(END_DEADLINE_S)
+    _write(folder.path / "soak.csv", samples)
+    verdict = json.loads(folder.verdict.read_text(encoding="utf-8")) if folder.verdict.exists() else {}
+    trends = trends_of(samples)
+    for trend in worth_saying(trends):
+        say(str(trend))
+    if not trends:
+        raise HedgerowError(f"{folder.name}: ended before there was anything to measure; see {folder.logs}")
+    _draw(folder.path, samples, say)
+    invalid = verdict.get("verdict") not in ("valid", "unknown")
+    early = samples[-1].t_s < minutes * 60 * 0.95
+    wrong = [trend.what for trend in trends if not trend.flat]
+    word = f"not flat: {', '.join(wrong)}" if wrong else "flat"
+    word += f"; the run is {verdict.get('verdict', 'without a verdict')}" if invalid else ""
+    done, seconds = samples[-1].step, samples[-1].t_s
+    say(f"{word}: {done} steps in {seconds / 60:.1f} min, {verdict.get('restarts', 0)} restarts")
+    return 1 if wrong or invalid else 3 if early else 0
+
+
+@contextlib.contextmanager
+def _up(file: Path, folder: RunFolder, topology: Topology, options: Sequence[str]) -> Iterator[subprocess.Popen[bytes]]:
+    """`orchestrator up` of that network, which ends with us however we end."""
+    file.write_text(to_yaml(topology), encoding="utf-8")
+    command = [sys.executable, "-P", "-m", "hedgerow.orchestrator", "up", str(file), "--run-dir", str(folder.path)]
+    fixed = ["--viewer", "none", "--lifeline", "--plain"]
+    said = file.with_suffix(".log")
+    with said.open("wb") as log:
+        process = subprocess.Popen(
+            [*command, *fixed, *options], stdin=subprocess.PIPE, stdout=log, stderr=log, start_new_session=True
+        )
+    try:
+        yield process
+    finally:
+        assert process.stdin is not None
+        process.stdin.close()
+        try:
+            process.wait(END_DEADLINE_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+        file.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            said.replace(folder.logs / "up.log")
+        said.unlink(missing_ok=True)
+
+
+def _entry(up: subprocess.Popen[bytes], folder: RunFolder, records: bool) -> registry.Entry:
+    """The run among those that run, once it has made a step and all of it is loaded."""
+    until = time.monotonic() + START_DEADLINE_S
+    while not (
+        folder.events.exists()
+        and '"first_step"' in folder.events.read_text(encoding="utf-8")
+        and (folder.recording.exists() or not records)
+    ):
+        if up.poll() is not None:
+            log = folder.path.with_name(f".{folder.name}.log")
+            raise HedgerowError(f"{folder.name}: ended at once: {log.read_text(encoding='utf-8').strip()[-500:]}")
+        if time.monotonic() > until:
+            raise DeadlineError(f"{folder.name}: no step after {START_DEADLINE_S:g} s; see {folder.logs}")
+        time.sleep(0.05)
+    return next(entry for entry in registry.running() if entry.pid == up.pid)
+
+
+def _samples(
+    up: subprocess.Popen[bytes],
+    entry: registry.Entry,
+    seconds: float,
+    crashes: bool,
+    interrupted: Callable[[float], bool],
+) -> Iterator[Sample]:
+    """Look at every process again and again, and kill an agent now and then, until the time is over or the run is."""
+    every = max(EVERY_S, seconds / SAMPLES)
+    began = time.monotonic()
+    crash_at = began
+    with Live(entry) as live:
+        last = live.topology.process_count - 1
+        while time.monotonic() - began < seconds and up.poll() is None:
+            try:
+                status = live.status()
+                if crashes and time.monotonic() > crash_at:
+                    crash_at += CRASH_EVERY_S
+                    live.fault.crash(process=last, at=1, restart_after=CRASHED_STEPS)
+            except WireError:  # it is over, or busy
+                status = None
+            if status is not None:
+                looks = look(psutil.Process(up.pid), time.monotonic() - began, int(status["step"]))
+                absent = status["absent"].values()
+                yield from (one for one in looks if one.process not in absent)
+            if interrupted(every):
+                return
+
+
+def look(up: psutil.Process, t_s: float, step: int) -> Iterator[Sample]:
+    """Look at `up` and at every process of its run; one that has ended, and that nobody has asked yet how, is none."""
+    for process in (up, *up.children(recursive=True)):
+        with contextlib.suppress(psutil.NoSuchProcess, psutil.AccessDenied, psutil.ZombieProcess):
+            memory = process.memory_full_info()
+            name = "up" if process == up else process.name()
+            if name.startswith("python"):
+                name = "nursery"
+            pss, rss = getattr(memory, "pss", memory.rss) / 1e6, memory.rss / 1e6
+            if rss:
+                yield Sample(t_s, step, name, process.pid, pss, rss, process.num_threads(), process.num_fds())
+
+
+def _write(path: Path, samples: Sequence[Sample]) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        table = csv.writer(file)
+        table.writerow([field.name for field in fields(Sample)])
+        table.writerows([round(x, 3) if isinstance(x, float) else x for x in astuple(one)] for one in samples)
+
+
+def trends_of(samples: Sequence[Sample]) -> list[Trend]:
+    """A line through each thing that was measured, after the warm-up; none where there is too little of it."""
+    if not samples:
+        return []
+    later = [one for one in _grown(samples) if one.t_s >= warm_up_s(samples[-1].t_s)]
+    trends = []
+    for name in dict.fromkeys(one.process for one in later):
+        own = [one for one in later if one.process == name]
+        t = np.array([one.t_s for one in own])
+        for key, what, unit in (("rss_mb", "memory", "MB"), ("threads", "threads", ""), ("descriptors", "files", "")):
+            values = np.array([getattr(one, key) for one in own], dtype=float)
+            allowed = max(GROWTH_MB, GROWTH * values.mean()) if key == "rss_mb" else MORE
+            trends += _trend(f"{name} {what}", unit, t, values, allowed)
+    t, pace = pace_of(later)
+    trends += _trend("pace", "steps/s", t, pace, -SLOWER * float(pace.mean()) if len(pace) else 0.0)
+    return trends
+
+
+def _grown(samples: Sequence[Sample]) -> list[Sample]:
+    """Without the looks at a process that had just taken another's place."""
+    seen: dict[int, float] = {}
+    for one in samples:
+        seen.setdefault(one.pid, one.t_s)
+    began = samples[0].t_s
+    return [one for one in samples if seen[one.pid] == began or one.t_s - seen[one.pid] >= YOUNG_S]
+
+
+def warm_up_s(seconds: float) -> float:
+    """How much of so long a soak is not judged."""
+    return min(max(WARM_UP * seconds, LEAST_WARM_UP_S), LONGEST_WARM_UP_S)
+
+
+def worth_saying(trends: Sequence[Trend]) -> list[Trend]:
+    """Those that are not flat, those of what there is one of, and of the agents' the ones that grow the most."""
+    of_agents: dict[str, list[Trend]] = {}
+    said = []
+    for trend in trends:
+        process, _, quantity = trend.what.rpartition(" ")
+        if trend.what == "pace" or process in ALONE or not trend.flat:
+            said.append(trend)
+        else:
+            of_agents.setdefault(quantity, []).append(trend)
+    return said + [max(some, key=lambda trend: trend.grown) for some in of_agents.values()]
+
+
+def pace_of(samples: Sequence[Sample]) -> tuple[Array, Array]:
+    """Steps/s between each two looks, and when."""
+    looks = np.array(list({one.t_s: one.step for one in samples}.items()), dtype=float).reshape(-1, 2)
+    t = (looks[1:, 0] + looks[:-1, 0]) / 2
+    return t, np.diff(looks[:, 1]) / np.diff(looks[:, 0])
+
+
+def _trend(what: str, unit: str, t: Array, values: Array, allowed: float) -> list[Trend]:
+    if len(t) < 3 or t[-1] <= t[0]:
+        return []
+    slope = float(np.polyfit(t - t[0], values, 1)[0])
+    return [Trend(what, unit, float(values.mean()), 60 * slope, slope * float(t[-1] - t[0]), allowed)]
+
+
+def _draw(folder: Path, samples: Sequence[Sample], say: Say) -> None:
+    """soak.png and soak.pdf, if there is matplotlib."""
+    try:
+        from hedgerow.orchestrator.report.style import look, save, sheet  # noqa: PLC0415
+    except ModuleNotFoundError:
+        say("no picture: matplotlib is not installed; pip install 'hedgerow[report]'")
+        return
+    with look():
+        figure = sheet(4.4)
+        memory, counts, pace = figure.subplots(3, 1, sharex=True, height_ratios=(2, 1, 1))
+        for name, series in _sizes(samples).items():
+            memory.plot(*_lines(series), label=name)
+        memory.set_title("Resident memory of a process [MB]")
+        memory.legend(ncols=4)
+        for key, name in (("threads", "threads"), ("descriptors", "open files")):
+            counts.plot(*_lines(_sum(samples, key)), label=name)
+        counts.set_title("Threads and open files of all processes")
+        counts.legend(ncols=2)
+        t, steps = pace_of(samples)
+        pace.plot(t / 60, steps)
+        pace.set_title("Steps a second")
+        for axes in (memory, counts, pace):
+            axes.axvspan(0, warm_up_s(samples[-1].t_s) / 60, color="#EEEEEE", linewidth=0)
+            axes.set_ylim(bottom=0)
+        pace.set_xlabel("minutes; grey: warm-up, not judged")
+        save(figure, folder, "soak", "Soak")
+
+
+def _lines(series: Mapping[float, float]) -> tuple[Array, Array]:
+    return np.array([*series]) / 60, np.array([*series.values()])
+
+
+def _sizes(samples: Sequence[Sample]) -> dict[str, dict[float, float]]:
+    """Of each process that there is one of, its size at each look; of the agents, their mean."""
+    looks: dict[str, dict[float, list[float]]] = {}
+    for one in samples:
+        name = one.process if one.process in ALONE else "an agent"
+        looks.setdefault(name, {}).setdefault(one.t_s, []).append(one.rss_mb)
+    return {name: {t: float(np.mean(sizes)) for t, sizes in series.items()} for name, series in looks.items()}
+
+
+def _sum(samples: Sequence[Sample], key: str) -> dict[float, float]:
+    total: dict[float, float] = {}
+    for one in samples:
+        total[one.t_s] = total.get(one.t_s, 0.0) + getattr(one, key)
+    return total

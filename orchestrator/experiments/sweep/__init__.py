@@ -1,0 +1,100 @@
+"""Many runs of one network: every combination of some values, under every seed; resumed where it was left."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections import Counter
+from pathlib import Path
+
+from hedgerow.orchestrator.experiments.sweep import summary
+from hedgerow.orchestrator.experiments.sweep.folder import SweepFolder, default_out
+from hedgerow.orchestrator.experiments.sweep.plan import Plan
+from hedgerow.orchestrator.experiments.sweep.progress import progress
+from hedgerow.orchestrator.experiments.sweep.runs import Failure
+from hedgerow.orchestrator.experiments.sweep.workers import over_processes
+from hedgerow.orchestrator.ground.signals import Interrupts
+from hedgerow.orchestrator.metrics.verdict import EXIT_CODES, INVALID, UNKNOWN, VALID
+from hedgerow.topologies.errors import UserError
+
+
+def sweep(plan: Plan, out: Path | None = None, jobs: int | None = None, on: str | None = None) -> int:
+    """Make the runs of a plan that are not there yet, then the table of all, its summary and its box plots.
+
+    `on` is `ray` or ray://HOST:PORT, None for the cores of this machine, of which `jobs` are used. Returns the exit
+    code: 0 where all runs are valid, 1 where one is not, 3 where one is unknown or the sweep was stopped.
+    Raises UserError for a mistake, and HedgerowError where a run cannot be made.
+    """
+    with SweepFolder(plan, out or default_out(plan)) as folder:
+        there = folder.there
+        print(f"{plan.name}: {_counted(plan)}, into {folder.path}" + (f"; {there} were there" if there else ""))
+        if stopped := there < plan.runs and _run(plan, folder, jobs, on):
+            print(f"stopped: {stopped}: {folder.there} of {plan.runs} runs are there; the same command goes on")
+            return EXIT_CODES[UNKNOWN]
+        return _conclude(plan, folder)
+
+
+def _counted(plan: Plan) -> str:
+    settings = f"{len(plan.settings)} setting{'s' * (len(plan.settings) != 1)}"
+    return f"{plan.runs} run{'s' * (plan.runs != 1)} ({settings}, {len(plan.seeds)} seeds)"
+
+
+def _run(plan: Plan, folder: SweepFolder, jobs: int | None, on: str | None) -> str:
+    """Make the runs that lack; who stopped that, or nothing."""
+    chunks = plan.chunks(frozenset(folder.rows))
+    if on is not None:
+        from hedgerow.orchestrator.experiments.sweep.on_ray import over_ray  # noqa: PLC0415
+
+        answers = over_ray(plan, chunks, on, jobs)
+    else:
+        answers = over_processes(plan, chunks, jobs or (1 if plan.engine == "zenoh" else cores()))
+    with (
+        Interrupts() as interrupts,
+        contextlib.closing(progress(folder.there, plan.runs)) as shown,
+        contextlib.closing(answers),
+    ):
+        for rows in answers:
+            if isinstance(rows, Failure):
+                raise rows.error()
+            if rows:
+                folder.append(rows)
+                shown.advance(len(rows))
+            if interrupts.count:
+                return interrupts.name
+    return ""
+
+
+def cores() -> int:
+    """How many we may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _conclude(plan: Plan, folder: SweepFolder) -> int:
+    rows = [folder.asked(k) for k in range(len(plan.settings))]
+    try:
+        folder.write_table()
+        summary.write_csv(folder.path / "summary.csv", plan, rows)
+        drawn = _draw(plan, folder, rows)
+    except OSError as error:
+        raise UserError(f"{folder.path}: {error.strerror}; make room, then the same command goes on") from None
+    verdicts = Counter(row["verdict"] for own in rows for row in own)
+    worst = next(one for one in (INVALID, UNKNOWN, VALID) if verdicts[one])
+    print(summary.table(plan, rows))
+    print(f"{folder.table}, summary.csv, {drawn}")
+    first = next(row for own in rows for row in own if row["verdict"] == worst)
+    where = (
+        "" if worst == VALID else f" (first seed {first['seed']}, {plan.says(first['setting'])}: {first['reasons']})"
+    )
+    print(f"{worst}{where}: {verdicts[VALID]} of {plan.runs} runs valid")
+    return EXIT_CODES[worst]
+
+
+def _draw(plan: Plan, folder: SweepFolder, rows: list[list[dict[str, object]]]) -> str:
+    try:
+        from hedgerow.orchestrator.experiments.sweep.boxes import write  # noqa: PLC0415
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] != "matplotlib":
+            raise
+        return "no box plots: matplotlib is missing; install it with: pip install 'hedgerow[report]'"
+    write(folder.path, plan, rows)
+    return "boxes.pdf and boxes.png beside it"

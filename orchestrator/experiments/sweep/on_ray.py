@@ -1,0 +1,39 @@
+"""A sweep over a Ray cluster: a task a chunk; Ray places them, and begins those anew whose machine is gone."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Iterable
+from typing import Any
+
+from hedgerow.orchestrator.experiments.sweep.plan import Chunk, Plan
+from hedgerow.orchestrator.experiments.sweep.runs import Answer, answer
+from hedgerow.orchestrator.experiments.sweep.workers import LOOK_EVERY_S
+from hedgerow.orchestrator.launch.ray_cluster import joined
+from hedgerow.topologies.errors import HedgerowError
+
+
+def over_ray(
+    plan: Plan, chunks: Iterable[Chunk], address: str, jobs: int | None
+) -> Generator[Answer | None, None, None]:
+    """As `over_processes`; `address` is ray://HOST:PORT, or `ray`: the cluster that we are part of, or this machine."""
+    with joined(address) as cluster:
+        ray = cluster.ray
+        try:
+            task, told = ray.remote(answer), ray.put(plan)
+            # Twice as many as run at once, so that no core waits for us.
+            limit = jobs or 2 * max(1, int(ray.cluster_resources().get("CPU", 1)))
+            waiting = iter(chunks)
+            going: list[Any] = []
+            while True:
+                while len(going) < limit and (chunk := next(waiting, None)) is not None:
+                    going.append(task.remote(told, chunk))
+                if not going:
+                    return
+                ready, going = ray.wait(going, timeout=LOOK_EVERY_S)
+                if not ready:
+                    yield None
+                yield from ray.get(ready)
+        except ray.exceptions.RayError as error:
+            raise HedgerowError(
+                f"--on {address}: {str(error).strip().splitlines()[0]}; the same command goes on"
+            ) from None

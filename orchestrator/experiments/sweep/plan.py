@@ -1,0 +1,178 @@
+"""What a sweep is to run: every combination of the values that its keys take, under every seed."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+from collections.abc import Container, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from hedgerow.agents.shard import law_class
+from hedgerow.orchestrator.ground.assignment import law_of
+from hedgerow.orchestrator.runs.folder import versions
+from hedgerow.topologies.errors import TopologyError, UserError
+from hedgerow.topologies.load import find, load
+from hedgerow.topologies.resolve import resolve, to_yaml
+from hedgerow.topologies.schema import Topology
+from hedgerow.topologies.source import read_source
+
+ENGINES = ("in-process", "zenoh")
+MAX_RUNS = 10_000_000
+_STEPS_A_CHUNK = 600
+
+
+class Chunk(NamedTuple):
+    """Some runs that one process does in a row: the place of their setting, and their seeds."""
+
+    setting: int
+    seeds: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One combination of values."""
+
+    values: tuple[str, ...]
+    """a value a key of the sweep, as the command line spells it"""
+    topology: Topology
+    """not drawn yet: every seed draws its own"""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The runs of a sweep."""
+
+    keys: tuple[str, ...]
+    settings: tuple[Setting, ...]
+    seeds: range
+    engine: str
+    folder: Path
+    """where the CSV files of the topology lie"""
+
+    @property
+    def name(self) -> str:
+        """The network's."""
+        return self.settings[0].topology.name
+
+    @property
+    def runs(self) -> int:
+        """How many there are."""
+        return len(self.settings) * len(self.seeds)
+
+    def says(self, setting: int) -> str:
+        """A setting in words."""
+        values = self.settings[setting].values
+        return ", ".join(f"{key}={value}" for key, value in zip(self.keys, values, strict=True)) or self.name
+
+    @cached_property
+    def identity(self) -> dict[str, Any]:
+        """What two sweeps have in common whose runs may stand in one table: all but the seeds, which may grow."""
+        values = zip(*(setting.values for setting in self.settings), strict=True)
+        return {
+            "name": self.name,
+            "engine": self.engine,
+            "set": {key: list(dict.fromkeys(own)) for key, own in zip(self.keys, values, strict=True)},
+            "versions": dict(versions()),
+            # Drawn with the file's own seed, so that it holds the numbers of CSV files too.
+            "networks": [_digest(to_yaml(resolve(one.topology, self.folder))) for one in self.settings],
+        }
+
+    def chunks(self, done: Container[tuple[int, int]]) -> Iterator[Chunk]:
+        """The runs, less those that are `done`: (place of the setting, seed)."""
+        for k, setting in enumerate(self.settings):
+            size = 1 if self.engine == "zenoh" else max(1, _STEPS_A_CHUNK // setting.topology.steps)
+            lacking = (seed for seed in self.seeds if (k, seed) not in done)
+            while seeds := tuple(itertools.islice(lacking, size)):
+                yield Chunk(k, seeds)
+
+
+def plan(file: str, seeds: str, sets: Sequence[str], engine: str) -> Plan:
+    """The plan of a command line; raises UserError for a mistake in it, TopologyError for one in the file."""
+    if engine not in ENGINES:
+        raise UserError(f"--engine {engine}: is neither {' nor '.join(ENGINES)}; choose one of them")
+    asked, values = _seeds(seeds), _values(sets)
+    load(file)
+    settings = [
+        Setting(combination, _with(file, dict(zip(values, combination, strict=True))))
+        for combination in itertools.product(*values.values())
+    ]
+    if len(settings) * len(asked) > MAX_RUNS:
+        raise UserError(f"{len(settings)} settings with {len(asked)} seeds: at most {MAX_RUNS} runs; ask for fewer")
+    for setting in settings:
+        law_class(law_of(setting.topology))
+    return Plan(tuple(values), tuple(settings), asked, engine, find(file).parent)
+
+
+def _seeds(text: str) -> range:
+    first, _, stop = text.partition(":")
+    if not (first.isdecimal() and stop.isdecimal()):
+        raise UserError(f"--seeds {text}: is not FIRST:STOP; write for example 0:1000, which ends with 999")
+    seeds = range(int(first), int(stop))
+    if not seeds:
+        raise UserError(f"--seeds {text}: holds no seed; put the smaller number first, as in 0:1000")
+    if seeds.stop > 2**63:
+        raise UserError(f"--seeds {text}: goes too far; a seed is below 2^63")
+    return seeds
+
+
+def _values(sets: Sequence[str]) -> dict[str, list[str]]:
+    """By key, the values that it takes."""
+    values: dict[str, list[str]] = {}
+    for given in sets:
+        key, equals, text = given.partition("=")
+        if not key or not equals:
+            raise UserError(f"--set {given}: is not path=value,value; for example --set defaults.x0=0,15")
+        if key == "seed":
+            raise UserError(f"--set {given}: seeds are given with --seeds FIRST:STOP")
+        if key in values:
+            raise UserError(f"--set {given}: {key} is set twice; give all its values at once, with commas")
+        values[key] = split(text)
+        for value in values[key]:
+            if not value or values[key].count(value) > 1:
+                what = f"{value} stands there twice" if value else "a value is empty"
+                raise UserError(f"--set {given}: {what}; give each value once, with commas between them")
+    return values
+
+
+def split(text: str) -> list[str]:
+    """Values of YAML, apart at the commas that stand in no bracket and in no quotes."""
+    parts, depth, quote = [""], 0, ""
+    for sign in text:
+        if quote:
+            quote = "" if sign == quote else quote
+        elif sign in "'\"":
+            quote = sign
+        depth += not quote and (sign in "[{") - (sign in "]}")
+        if sign == "," and not quote and depth == 0:
+            parts.append("")
+        else:
+            parts[-1] += sign
+    return [part.strip() for part in parts]
+
+
+def _with(file: str, values: dict[str, str]) -> Topology:
+    """The topology with some values replaced; raises UserError, in a line, for a value that it cannot have."""
+    try:
+        topology = load(file, [f"{key}={value}" for key, value in values.items()])
+        resolve(topology, find(file).parent)
+    except TopologyError as error:
+        given = " ".join(f"--set {key}={value}" for key, value in values.items())
+        raise UserError(f"{given}: {error.problems[0]}") from None
+    return topology
+
+
+def typed(values: Sequence[str]) -> list[Any]:
+    """The values of a key as a column holds them: numbers or truths where all of them are, else as they are written."""
+    read = [read_source("--set", value.encode()).value for value in values]
+    if all(type(value) is int for value in read) or all(type(value) is bool for value in read):
+        return read
+    if all(type(value) in (int, float) for value in read):
+        return [float(value) for value in read]
+    return list(values)
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()[:16]

@@ -1,0 +1,105 @@
+"""One run of a sweep, and the row that it leaves; the same numbers as its verdict.json holds."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hedgerow.agents.shard import LawError
+from hedgerow.orchestrator.experiments.sweep.plan import Chunk, Plan
+from hedgerow.orchestrator.ground.assignment import layout, truth_of, views_of
+from hedgerow.orchestrator.metrics.observer import Observer, rows_at_once
+from hedgerow.orchestrator.metrics.verdict import Ending, judge
+from hedgerow.orchestrator.runs import reference as in_process
+from hedgerow.topologies.errors import HedgerowError, TopologyError, UserError
+from hedgerow.topologies.resolve import resolve
+from hedgerow.topologies.schema import Topology
+from hedgerow.wire.codec import End, Telemetry
+
+Row = dict[str, Any]
+METRICS = (
+    *("regret", "regret_nominal", "cost", "cost_oracle", "cost_regret", "cost_ratio", "disturbance_energy"),
+    *("gain", "gain_less_x0", "gamma_star", "rho", "nodes_right"),
+)
+"""Of verdict.json."""
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Why a chunk has no rows: the sweep cannot go on."""
+
+    text: str
+    users: bool
+    """whether it is a mistake of the user's"""
+
+    def error(self) -> HedgerowError:
+        """The same, to be raised."""
+        return UserError(self.text) if self.users else HedgerowError(self.text)
+
+
+Answer = list[Row] | Failure
+
+
+def answer(plan: Plan, chunk: Chunk) -> Answer:
+    """The rows of a chunk; whoever asks may be on another machine, so that an error travels as text."""
+    seed = chunk.seeds[0]
+    try:
+        rows = []
+        for seed in chunk.seeds:
+            rows.append({"setting": chunk.setting, "seed": seed, **_row(_content(plan, chunk.setting, seed))})
+        return rows
+    except TopologyError as error:
+        return Failure(f"seed {seed}, {plan.says(chunk.setting)}: {error.problems[0]}", users=True)
+    except HedgerowError as error:
+        return Failure(f"seed {seed}, {plan.says(chunk.setting)}: {error}", isinstance(error, UserError))
+    except Exception as error:
+        return Failure(f"seed {seed}, {plan.says(chunk.setting)}: {type(error).__name__}: {error}", users=False)
+
+
+def _content(plan: Plan, setting: int, seed: int) -> dict[str, Any]:
+    """What verdict.json holds, or would hold."""
+    topology = resolve(plan.settings[setting].topology.model_copy(update={"seed": seed}), plan.folder)
+    return _over_zenoh(topology) if plan.engine == "zenoh" else run_here(topology)
+
+
+def run_here(topology: Topology) -> dict[str, Any]:
+    """A run in this process that leaves nothing on disk."""
+    shards, observer = layout(topology, 1), Observer(topology)
+    ending = Ending(run=topology.name, engine="in-process", processes=0)
+    telemetry = in_process.run(truth_of(topology, shards), views_of(topology, shards))
+    try:
+        while rows := list(itertools.islice(telemetry, rows_at_once(observer.graph.n))):
+            if steps := [row for row in rows if isinstance(row, Telemetry)]:
+                observer.take(steps)
+            if isinstance(end := rows[-1], End):
+                observer.finish(end)
+    except LawError as error:
+        ending.stopped = str(error)
+    return judge(topology, observer, ending).content
+
+
+def _over_zenoh(topology: Topology) -> dict[str, Any]:
+    """The same by `orchestrator up`: a process an agent."""
+    from hedgerow.orchestrator.testing.running import run_to_the_end  # noqa: PLC0415
+
+    with tempfile.TemporaryDirectory(prefix="hedgerow-") as scratch:
+        folder = Path(scratch) / "run"
+        run_to_the_end(topology, folder, math.inf)
+        content: dict[str, Any] = json.loads((folder / "verdict.json").read_text(encoding="utf-8"))
+    return content
+
+
+def _row(content: dict[str, Any]) -> Row:
+    metrics = content["metrics"]
+    right = metrics.get("nodes_right")
+    return {
+        **{name: metrics.get(name) for name in METRICS},
+        "share_right": None if right is None else right / content["nodes"],
+        "verdict": content["verdict"],
+        "reasons": "; ".join(content["reasons"]),
+    }

@@ -1,0 +1,78 @@
+"""What a sweep says: by setting, the middle of each metric and how far it spreads."""
+
+from __future__ import annotations
+
+import csv
+import itertools
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from hedgerow.orchestrator.experiments.sweep.plan import Plan
+from hedgerow.orchestrator.experiments.sweep.runs import METRICS, Row
+from hedgerow.topologies.graph import Array
+
+SHOWN = {"regret": "regret D", "regret_nominal": "nominal D", "cost_regret": "cost regret", "gain": "gain"}
+"""Metrics whose quartiles stand on the screen, and what they are called there."""
+
+
+class Spread(NamedTuple):
+    """Some numbers at a glance; NaN where there are too few of them."""
+
+    runs: int
+    """that have the number"""
+    mean: float
+    error: float
+    """the standard error of the mean, over runs: the nodes of one run are not independent of each other"""
+    q1: float
+    median: float
+    q3: float
+
+
+def values_of(rows: Sequence[Row], metric: str) -> Array:
+    """A metric of some runs, less those in which it is undefined."""
+    return np.array([row[metric] for row in rows if row[metric] is not None], dtype=float)
+
+
+def spread(values: Array) -> Spread:
+    """Mean, standard error and quartiles."""
+    n = len(values)
+    if not n:
+        return Spread(0, *[np.nan] * 5)
+    error = float(values.std(ddof=1)) / n**0.5 if n > 1 else np.nan
+    return Spread(n, float(values.mean()), error, *np.quantile(values, [0.25, 0.5, 0.75]).tolist())
+
+
+def varied(plan: Plan) -> list[int]:
+    """The places of the keys that take more than one value."""
+    return [k for k in range(len(plan.keys)) if len({one.values[k] for one in plan.settings}) > 1]
+
+
+def write_csv(path: Path, plan: Plan, rows: Sequence[Sequence[Row]]) -> None:
+    """A line a setting and metric; `rows` are the runs of each setting."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        write = csv.writer(file).writerow
+        write([*plan.keys, "metric", *Spread._fields])
+        for setting, own in zip(plan.settings, rows, strict=True):
+            for metric in ("share_right", *METRICS):
+                write([*setting.values, metric, *spread(values_of(own, metric))])
+
+
+def table(plan: Plan, rows: Sequence[Sequence[Row]]) -> str:
+    """The same for the screen: the metrics that are looked at first."""
+    places = varied(plan)
+    lines = [
+        [*(plan.keys[k] for k in places), "runs", "nodes right", *(f"{name} [quartiles]" for name in SHOWN.values())]
+    ]
+    for setting, own in zip(plan.settings, rows, strict=True):
+        right = spread(values_of(own, "share_right"))
+        cells = [setting.values[k] for k in places] + [str(len(own)), f"{right.mean:.3f} ± {right.error:.3f}"]
+        for metric in SHOWN:
+            of = spread(values_of(own, metric))
+            cells.append(f"{of.median:.3g} [{of.q1:.3g}, {of.q3:.3g}]" if of.runs else "undefined")
+        lines.append(cells)
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    padded = (itertools.starmap(str.ljust, zip(line, widths, strict=True)) for line in lines)
+    return "\n".join("  ".join(cells).rstrip() for cells in padded)

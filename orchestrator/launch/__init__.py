@@ -1,0 +1,1 @@
+"""A network of processes: started, supervised, recorded, controlled."""

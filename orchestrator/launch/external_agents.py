@@ -1,0 +1,212 @@
+"""Processes of a run that somebody else starts, on whatever machine: who they are, what they hear, how they meet.
+
+They are told the same as a process that `up` forks, in a TOML text of their own (wire.config). They find each other in
+a namespace that is known beforehand, and the plant takes nobody in who has another network, release or message format
+(wire.handshake).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import zenoh
+
+from hedgerow.orchestrator.ground.assignment import Layout, process_name, truth_of, views_of
+from hedgerow.orchestrator.launch.control import ask
+from hedgerow.orchestrator.launch.endpoints import Wiring
+from hedgerow.topologies.errors import DeadlineError, HedgerowError, UserError
+from hedgerow.topologies.resolve import to_yaml
+from hedgerow.topologies.schema import Topology
+from hedgerow.wire import keys
+from hedgerow.wire.access import OBSERVER
+from hedgerow.wire.config import Config
+from hedgerow.wire.handshake import introduction
+from hedgerow.wire.refusal import refused
+from hedgerow.wire.session import WireError, direct
+
+PLANT_GONE_S = 30.0
+"""How long the plant may be out of sight before a run is given up; a cable that was pulled is put back sooner."""
+PLANT = -1
+"""The plant among the numbers of shards."""
+OWN_START_S = 60.0
+"""How much longer our own processes may take to begin than the others have to come."""
+ANY_HOST = ("0.0.0.0", "[::]")
+
+
+@dataclass(frozen=True)
+class External:
+    """Who is started elsewhere, and where and under which names all meet."""
+
+    shards: frozenset[int]
+    plant: bool
+    names: Sequence[str]
+    """of all of them, for people"""
+    namespace: str
+    network: str
+    """the fingerprint of the network"""
+    listen: str | None
+    """where our own plant listens for them; None where there is a router"""
+    wait_s: float
+    """how long they have to come"""
+
+    def __contains__(self, process: int) -> bool:
+        """Whether it is started elsewhere: a shard, or PLANT."""
+        return self.plant if process == PLANT else process in self.shards
+
+    def wiring(self, router: str | None, keys: Path | None) -> Wiring:
+        """How our own processes find the run: over a router that is there, or the port that our plant opens."""
+        endpoint = router or local(self.listen or "")
+        return Wiring(endpoint, self.namespace, listens=router is None, credentials=keys and keys.resolve())
+
+    def __str__(self) -> str:
+        return ", ".join(self.names)
+
+
+def namespace_of(topology: Topology) -> str:
+    """Where the processes of a network meet when they are not told a namespace of the run's own."""
+    return f"hedgerow/{topology.name}"
+
+
+def fingerprint(topology: Topology) -> str:
+    """What tells a resolved network from every other, without saying anything about it."""
+    return hashlib.sha256(to_yaml(topology).encode()).hexdigest()[:16]
+
+
+def chosen(
+    asked: str,
+    topology: Topology,
+    shards: Layout,
+    router: str | None,
+    listen: str | None,
+    namespace: str,
+    wait_s: float,
+) -> External:
+    """Who `--external ASKED` means: `all`, `plant`, ids of nodes and names of processes, with commas between.
+
+    Raises UserError for a name that is none, and where nobody could reach us.
+    """
+    names = [process_name(view) for view in views_of(topology, shards)]
+    home = {str(topology.ids[k]): p for p, nodes in enumerate(shards) for k in nodes} | {
+        name: p for p, name in enumerate(names)
+    }
+    words = [word for part in asked.split(",") if (word := part.strip())]
+    unknown = [word for word in words if word not in home and word not in ("all", keys.PLANT)]
+    if unknown or not words:
+        raise UserError(
+            f"--external {asked}: there is no {', '.join(unknown) or 'name in it'};"
+            f" name nodes, `plant` or `all`; the processes are {', '.join([keys.PLANT, *names][:12])}"
+        )
+    wanted = set(range(len(shards))) if "all" in words else {home[word] for word in words if word != keys.PLANT}
+    plant = keys.PLANT in words
+    if plant and router is None:
+        raise UserError("--external plant: say where it is with --router, e.g. --router tcp/bench:7447")
+    if plant and listen:
+        raise UserError("--listen is for our own plant: give it to the plant that is started elsewhere")
+    if router is None and listen is None:
+        raise UserError(
+            "--external: how do they reach us? --listen tcp/0.0.0.0:7447 opens a port on this machine, and"
+            " --router tcp/host:7447 uses a Zenoh router that is there"
+        )
+    return External(
+        frozenset(wanted),
+        plant,
+        [*([keys.PLANT] if plant else []), *(names[p] for p in sorted(wanted))],
+        namespace,
+        fingerprint(topology),
+        listen,
+        wait_s,
+    )
+
+
+def local(endpoint: str, here: str = "127.0.0.1") -> str:
+    """How who listens on `endpoint` is reached at our own address, for ourselves or as others know it."""
+    for host in ANY_HOST:
+        endpoint = endpoint.replace(f"/{host}:", f"/{here}:")
+    return endpoint
+
+
+def configs(topology: Topology, shards: Layout, router: str, namespace: str) -> list[Config]:
+    """What each process is told, the plant first; see `orchestrator bundle`."""
+    network = fingerprint(topology)
+    told = {keys.PLANT: truth_of(topology, shards).to_dict()}
+    told |= {process_name(view): view.to_dict() for view in views_of(topology, shards)}
+    return [Config(name, namespace, router, network, one) for name, one in told.items()]
+
+
+class Meeting:
+    """The others, as the observer sees them: whether they come, and whether the plant stays."""
+
+    def __init__(self, external: External, session: zenoh.Session, plant_log: Path) -> None:
+        self._external, self._session = external, session
+        self._log, self._read = plant_log, 0
+        self._refused: set[str] = set()
+        self._began = time.monotonic()
+        self._changed = threading.Condition()
+        self._there = False
+        self._gone_at = self._began
+        self.reason = ""
+        """why there is nothing to wait for any more"""
+
+    @contextlib.contextmanager
+    def watched(self) -> Iterator[None]:
+        """Watch the plant's token while the block lasts."""
+        listener = direct(self._take)
+        with self._session.liveliness().declare_subscriber(keys.alive(keys.PLANT, "*"), listener, history=True):
+            yield
+
+    def _take(self, sample: zenoh.Sample) -> None:
+        with self._changed:
+            self._there = sample.kind == zenoh.SampleKind.PUT
+            self._gone_at = time.monotonic()
+            self._changed.notify_all()
+
+    def introduce(self) -> None:
+        """Wait for a plant that is started elsewhere, and compare versions; HedgerowError if we do not fit."""
+        with self._changed:
+            if not self._changed.wait_for(lambda: self._there, self._external.wait_s):
+                raise DeadlineError(f"plant: not there after {self._external.wait_s:g} s; is it started?")
+        answer = ask(
+            self._session, f"join/{OBSERVER}", {"process": "the observer", **introduction(self._external.network)}
+        )
+        if "error" in answer:
+            raise HedgerowError(f"the plant refuses us: {answer['error']}")
+
+    def refused(self) -> list[str]:
+        """Whom our router refused since the last time, if it is in our plant; each cause is told once."""
+        if not self._log.exists():
+            return []
+        with self._log.open("rb") as log:
+            log.seek(self._read)
+            lines = log.read().rpartition(b"\n")[0]
+        self._read += len(lines)
+        found = {why for line in lines.decode(errors="replace").splitlines() if (why := refused(line))}
+        self._refused, new = self._refused | found, found - self._refused
+        return sorted(new)
+
+    def is_over(self, begun: bool) -> bool:
+        """Whether nobody is to be waited for any more; `reason` says why."""
+        now = time.monotonic()
+        with self._changed:
+            if self._external.plant and not self._there and now - self._gone_at > PLANT_GONE_S:
+                self.reason = f"the plant is gone: not seen for {PLANT_GONE_S:g} s"
+        waited_s = now - self._began - self._external.wait_s
+        if not begun and waited_s > 0:
+            absent = self._absent()
+            # Of ours, who has a neighbour among the others waits for them.
+            others = [who for p, who in absent.items() if p in self._external]
+            if others or waited_s > OWN_START_S:
+                names = ", ".join((others or list(absent.values()))[:8]) or "nobody is missing, yet the first step is"
+                self.reason = f"{names} not there after {self._external.wait_s:g} s; who starts them?"
+        return bool(self.reason)
+
+    def _absent(self) -> dict[int, str]:
+        """Who is not there, by shard."""
+        with contextlib.suppress(WireError):
+            return {int(p): name for p, name in ask(self._session, "status")["absent"].items()}
+        return {PLANT: keys.PLANT}

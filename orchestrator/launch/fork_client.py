@@ -1,0 +1,148 @@
+"""Our end of the fork server: told to start processes, it says who runs and who has ended.
+
+It is started before anything else of a command, so that it loads while we do: nothing heavy is imported here.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+
+from hedgerow.topologies.errors import DeadlineError
+from hedgerow.wire.runtime import runtime_environment
+
+FORK_DEADLINE_S = 30.0
+END_DEADLINE_S = 5.0
+
+
+def _leave_ctrl_c_to_us() -> None:
+    """Who asks for the end asks us; the nursery's own part is to end when we do."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+class Nursery:
+    """Our end of `hedgerow.orchestrator.launch.fork_server`: who it forked, and who of them has ended."""
+
+    def __init__(self) -> None:
+        held, self._lifeline = socket.socketpair()
+        # -P: a folder called `agents` in the user's working directory is not ours.
+        self._process = subprocess.Popen(
+            [sys.executable, "-P", "-m", "hedgerow.orchestrator.launch.fork_server", str(held.fileno())],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            pass_fds=(held.fileno(),),
+            env=os.environ | runtime_environment() | {"PYTHONUNBUFFERED": "1"},
+            start_new_session=True,
+            preexec_fn=_leave_ctrl_c_to_us,  # noqa: PLW1509 (a system call, no lock)
+        )
+        held.close()
+        self.pid = self._process.pid
+        self.pids: dict[str, int] = {}
+        self.codes: dict[str, int] = {}
+        self.on_end: Callable[[], None] = lambda: None
+        """called when somebody has ended, on a thread of ours"""
+        self._closing = False
+        self._changed = threading.Condition()
+        self._listener = threading.Thread(target=self._listen, name="nursery", daemon=True)
+        self._listener.start()
+
+    def _listen(self) -> None:
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
+            said = json.loads(line)
+            with self._changed:
+                (self.pids if "pid" in said else self.codes)[said["name"]] = said.get("pid", said.get("code"))
+                self._changed.notify_all()
+            if "code" in said:
+                self.on_end()
+        with self._changed:
+            if not self._closing:
+                self.codes["nursery"] = self._process.wait() or 1
+            self._changed.notify_all()
+        self.on_end()
+
+    def fork(self, name: str, module: str, arguments: Sequence[str], log: Path) -> None:
+        """Have `python -m MODULE ARGUMENTS` run in a process of its own, which logs to `log`."""
+        with self._changed:
+            self.pids.pop(name, None)
+            self.codes.pop(name, None)
+        self._tell(name=name, module=module, arguments=list(arguments), log=str(log))
+
+    def leave_no(self, paths: Sequence[Path]) -> None:
+        """Have these files and folders removed when the nursery ends, as it does, with its processes, if we die."""
+        self._tell(leave=list(map(str, paths)))
+
+    def _tell(self, **what: object) -> None:
+        assert self._process.stdin is not None
+        with contextlib.suppress(BrokenPipeError):  # `codes` says that it has ended
+            self._process.stdin.write(json.dumps(what).encode() + b"\n")
+            self._process.stdin.flush()
+
+    def wait_until_forked(self, names: Sequence[str]) -> None:
+        """Return once all of them run; raise DeadlineError past the deadline."""
+        with self._changed:
+            ok = self._changed.wait_for(lambda: set(names) <= self.pids.keys() or self.codes, FORK_DEADLINE_S)
+        if not ok:
+            raise DeadlineError(f"no process of its own for {names[0]} after {FORK_DEADLINE_S:g} s")
+
+    def kill(self, name: str) -> None:
+        """End one of them at once, if it runs."""
+        with self._changed:
+            pid = self.pids.get(name) if name not in self.codes else None
+        if pid is not None:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+
+    def wait(self, names: Iterable[str], timeout_s: float) -> None:
+        """Wait until these have ended, as far as they were forked, at most so long."""
+        with self._changed:
+            self._changed.wait_for(
+                lambda: "nursery" in self.codes or self.pids.keys() & names <= self.codes.keys(), timeout_s
+            )
+
+    def clear(self) -> None:
+        """End whoever is still there, at once; return when all are gone and forgotten."""
+        with self._changed:
+            left = self.pids.keys() - self.codes.keys()
+        for name in left:
+            self.kill(name)
+        if "nursery" in self.codes:
+            self._let_go()
+        elif left:
+            self.wait(left, END_DEADLINE_S)
+        with self._changed:
+            self.pids.clear()
+            self.codes.clear()
+
+    def close(self) -> None:
+        """The same, and then end the nursery itself."""
+        self._closing = True  # its own end is none that anybody need hear of
+        self.clear()
+        assert self._process.stdin is not None
+        with contextlib.suppress(OSError):
+            self._process.stdin.close()
+        try:
+            self._process.wait(END_DEADLINE_S)
+        except subprocess.TimeoutExpired:  # it was frozen
+            self._process.kill()
+            self._process.wait()
+        self._listener.join()
+        assert self._process.stdout is not None
+        self._process.stdout.close()
+        self._let_go()
+        self._lifeline.close()
+
+    def _let_go(self) -> None:
+        """Let go of the lifeline: whoever holds its other end ends, heard of or not; return when all have."""
+        with contextlib.suppress(OSError):
+            self._lifeline.settimeout(END_DEADLINE_S)
+            self._lifeline.shutdown(socket.SHUT_WR)
+            self._lifeline.recv(1)

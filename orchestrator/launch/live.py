@@ -1,0 +1,409 @@
+"""A network while it runs: where it is, its clock, and faults that come and go.
+
+    with Live() as network:                                     # the youngest that runs here
+        print(network.fault.drop((2, 4), steps=range(50)))      # fault 1: drop 2-4 from step 214 to 264
+        network.wait_for_step(300)
+        network.heal()
+
+Whatever is asked takes effect at a step that the answer names, and steps of a fault are counted from there.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Generic, TypeVar
+
+import psutil
+import zenoh
+from pydantic import TypeAdapter, ValidationError
+
+from hedgerow.orchestrator.launch.control import ask
+from hedgerow.orchestrator.runs import registry
+from hedgerow.topologies.base import node_id
+from hedgerow.topologies.describe import describe
+from hedgerow.topologies.errors import DeadlineError, HedgerowError, TopologyError, UserError
+from hedgerow.topologies.faults import Fault, Jump, effects
+from hedgerow.topologies.load import load, parse
+from hedgerow.topologies.rules import broken_faults
+from hedgerow.topologies.schema import Topology
+from hedgerow.wire.session import WireError, open_client
+
+NodeId = int | str
+Pair = tuple[NodeId, NodeId]
+Steps = range | tuple[int, int] | None
+T_co = TypeVar("T_co", covariant=True)
+
+WAIT_DEADLINE_S = 60.0
+_LOOK_EVERY_S = 0.01
+_FAULT: TypeAdapter[Fault] = TypeAdapter(Fault)
+
+
+class FaultVerbs(ABC, Generic[T_co]):
+    """Every kind of fault as a method; `steps` is a range or (from, to), and every step if left out."""
+
+    @abstractmethod
+    def inject(self, fault: Fault | Mapping[str, Any]) -> T_co:
+        """Any fault: a model of `hedgerow.topologies.faults`, or a mapping as a file spells it."""
+
+    def _inject(self, kind: str, **keys: Any) -> T_co:
+        return self.inject({"kind": kind} | {key: value for key, value in keys.items() if value is not None})
+
+    def drop(
+        self,
+        link: Pair | None = None,
+        *,
+        steps: Steps = None,
+        one_way: bool = False,
+        probability: float | None = None,
+        at: Mapping[int, Sequence[Pair]] | None = None,
+    ) -> T_co:
+        """Messages between two neighbours are lost; `one_way`: those of the first to the second alone.
+
+        `at` alone lists, by step, the pairs (from, to) whose message is lost.
+        """
+        return self._inject("drop", **_ends(link, one_way), steps=_window(steps), probability=probability, at=at)
+
+    def delay(
+        self,
+        link: Pair,
+        *,
+        by: int,
+        steps: Steps = None,
+        one_way: bool = False,
+        probability: float | None = None,
+    ) -> T_co:
+        """Messages between two neighbours arrive `by` steps late; `one_way` as for `drop`."""
+        return self._inject("delay", **_ends(link, one_way), by=by, steps=_window(steps), probability=probability)
+
+    def cut(
+        self,
+        edge: Pair | None = None,
+        *,
+        steps: Steps = None,
+        probability: float | None = None,
+        at: Mapping[int, Sequence[Pair]] | None = None,
+    ) -> T_co:
+        """An edge carries no flow, at both its ends; `at` alone lists the edges by step."""
+        return self._inject("cut", edge=edge, steps=_window(steps), probability=probability, at=at)
+
+    def partition(self, *groups: Sequence[NodeId], steps: Steps = None, cut: bool = False) -> T_co:
+        """All messages between groups of nodes are lost; with `cut`, their edges carry no flow either."""
+        return self._inject("partition", groups=groups, steps=_window(steps), cut=cut)
+
+    def sensor(self, node: NodeId, *, steps: Steps = None, probability: float | None = None) -> T_co:
+        """The reading of a node's state is lost, and the node sends no input."""
+        return self._inject("sensor", node=node, steps=_window(steps), probability=probability)
+
+    def actuator(self, node: NodeId, *, steps: Steps = None, probability: float | None = None) -> T_co:
+        """A node's input is lost on its way to the plant."""
+        return self._inject("actuator", node=node, steps=_window(steps), probability=probability)
+
+    def crash(
+        self,
+        node: NodeId | None = None,
+        *,
+        process: int | None = None,
+        at: int = 0,
+        restart_after: int | None = None,
+    ) -> T_co:
+        """A node's agent, or a whole process of agents, dies; it is back `restart_after` steps later, or never."""
+        return self._inject("crash", node=node, process=process, at=at, restart_after=restart_after)
+
+    def jump(self, node: NodeId, *, to: float, at: int = 0) -> T_co:
+        """A node's true a becomes another of its candidates."""
+        return self._inject("jump", node=node, at=at, a=to)
+
+
+def _ends(link: Pair | None, one_way: bool) -> dict[str, Any]:
+    if link is None or not one_way:
+        return {"link": link}
+    return {"from": link[0], "to": link[1]}
+
+
+def _window(steps: Steps) -> tuple[int, int] | None:
+    if isinstance(steps, range):
+        if steps.step != 1:
+            raise UserError(f"steps={steps}: a fault holds at every step of its window; use a range with no stride")
+        return steps.start, steps.stop
+    return steps
+
+
+def checked(fault: Fault | Mapping[str, Any], topology: Topology) -> Fault:
+    """A fault for a resolved topology; raises UserError with all that a file would be refused for."""
+    if isinstance(fault, Mapping):
+        entry = _plain(fault)
+        kind = entry.get("kind", "fault")
+        try:
+            model: Fault = _FAULT.validate_python(entry)
+        except ValidationError:
+            raise UserError("\n".join(_said(kind, _schema_problems(entry)))) from None
+    else:
+        kind, model = fault.kind, fault
+    if problems := broken_faults(topology.model_copy(update={"faults": (model,)})):
+        raise UserError("\n".join(_said(kind, problems)))
+    return model
+
+
+def _plain(value: Any) -> Any:
+    """Python's values, numpy's among them, as a file would have given them."""
+    if isinstance(value, Mapping):
+        return {_plain(key): _plain(inside) for key, inside in value.items()}
+    if isinstance(value, range):
+        return _window(value)
+    if isinstance(value, list | tuple):
+        return [_plain(inside) for inside in value]
+    return value.item() if hasattr(value, "item") else value
+
+
+def _schema_problems(entry: Any) -> Sequence[Any]:
+    least = {"name": "one", "b": 0.1, "steps": 1, "nodes": [0], "faults": [entry]}
+    try:
+        parse(json.dumps(least, default=str).encode(), "fault", Path())
+    except TopologyError as error:
+        return error.problems
+    raise AssertionError("a file takes what Python does not")
+
+
+def _said(kind: str, problems: Sequence[Any]) -> Iterator[str]:
+    for problem in problems:
+        yield f"{kind}: " + str(problem).removeprefix("fault 1").removeprefix(": ")
+
+
+def pair(text: str, topology: Topology) -> Pair:
+    """The two nodes that `2-4` names; `2,4` says the same where names with a '-' in them leave it open."""
+    if "," in text:
+        one, _, other = text.partition(",")
+        return _known(one, text, topology), _known(other, text, topology)
+    splits = [(node_id(text[:k]), node_id(text[k + 1 :])) for k, sign in enumerate(text) if sign == "-"]
+    found = [ends for ends in splits if all(map(topology.has, ends))]
+    linked = [ends for ends in found if topology.graph.joins(*map(topology.position, ends))]
+    meant = linked or found
+    if len(meant) == 1:
+        return meant[0]
+    if meant:
+        readings = " or ".join(f"{i},{j}" for i, j in meant)
+        raise UserError(f"{text}: may be read as {readings}; write the one that you mean")
+    if len(splits) == 1:
+        return _known(splits[0][0], text, topology), _known(splits[0][1], text, topology)
+    raise UserError(f"{text}: names no two nodes, as 2-4 does; the nodes are {_listed(topology)}")
+
+
+def groups(text: str, topology: Topology) -> list[list[NodeId]]:
+    """The groups of nodes that `1,2,3/4,5` names."""
+    return [[_known(node, text, topology) for node in group.split(",")] for group in text.split("/")]
+
+
+def _known(name: NodeId, text: str, topology: Topology) -> NodeId:
+    node: NodeId = node_id(name)
+    if not topology.has(node):
+        raise UserError(f"{text}: {name} is no node; the nodes are {_listed(topology)}")
+    return node
+
+
+def _listed(topology: Topology) -> str:
+    return ", ".join(map(str, topology.ids[:12])) + (", …" if len(topology.ids) > 12 else "")
+
+
+@dataclass(frozen=True)
+class Injected:
+    """A fault that a running network was given."""
+
+    number: int
+    """by which `heal` ends it, from 1"""
+    step: int
+    """the first step that it could have; its own steps are counted from there"""
+    fault: Fault
+    """as the run's topology.yaml holds it, by steps of the run"""
+
+    def __str__(self) -> str:
+        return f"fault {self.number}: {describe(self.fault)}"
+
+
+@dataclass(frozen=True)
+class Healed:
+    """Faults that were ended."""
+
+    numbers: tuple[int, ...]
+    step: int
+    """the first step without them; a crashed agent is back one step later"""
+
+    def __str__(self) -> str:
+        if not self.numbers:
+            return "no fault to heal"
+        which = "fault" if len(self.numbers) == 1 else "faults"
+        return f"{which} {', '.join(map(str, self.numbers))} healed from step {self.step}"
+
+
+class Live:
+    """A session with a running network; a context manager.
+
+    run: the name of a network, or its beginning, or what `registry` knows of it; the youngest if left out. Every method
+    raises UserError for what the network refuses, and WireError when its plant does not answer.
+    """
+
+    def __init__(self, run: str | registry.Entry | None = None) -> None:
+        self.entry = run if isinstance(run, registry.Entry) else registry.find(run)
+        self._session: zenoh.Session | None = None
+        self._added: dict[int, Fault] = {}
+
+    def __enter__(self) -> Live:
+        credentials = self.entry.credentials and Path(self.entry.credentials)
+        self._session = open_client(self.entry.endpoint, self.entry.namespace, credentials or None)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Leave the network, which runs on."""
+        if self._session is not None:
+            self._session.close()  # type: ignore[no-untyped-call]
+            self._session = None
+
+    @property
+    def run(self) -> str:
+        """The name of the run."""
+        return self.entry.run
+
+    @property
+    def folder(self) -> Path:
+        """The folder of the run."""
+        return Path(self.entry.folder)
+
+    @cached_property
+    def topology(self) -> Topology:
+        """The network, resolved, with the faults of the moment when it was first asked for."""
+        return load(str(self.folder))
+
+    def _ask(self, command: str, **request: Any) -> dict[str, Any]:
+        if self._session is None:
+            raise HedgerowError("no session with the network; use `with Live() as network:`")
+        answer = ask(self._session, command, request)
+        if "error" in answer:
+            raise UserError(f"{self.run}: {answer['error']}")
+        return answer
+
+    def status(self) -> dict[str, Any]:
+        """`step` of `steps`, whether it is `running` and `paused`, its `rate`, who is `missing` and who is `lost`."""
+        return self._ask("status")
+
+    def inject(self, fault: Fault | Mapping[str, Any]) -> Injected:
+        """Add a fault, its steps counted from the first that it can have: [0, 50) is the next 50 steps."""
+        model = checked(fault, self.topology)
+        if isinstance(model, Jump) and not isinstance(model.a, float):
+            listed = ", ".join(map(repr, self.topology.nodes[model.node].candidates))  # type: ignore[arg-type]
+            raise UserError(
+                f"jump: a: nothing is drawn while a network runs; name a candidate of {model.node}: {listed}"
+            )
+        struck = [effect.to_dict() for effect in effects([model], self.topology)]
+        answer = self._ask("fault", entry=model.written(), effects=struck)
+        added = Injected(answer["fault"], answer["step"], _FAULT.validate_python(answer["entry"]))
+        self._added[added.number] = added.fault
+        return added
+
+    @property
+    def fault(self) -> FaultVerbs[Injected]:
+        """Every kind of fault as a method: `network.fault.drop((2, 4), steps=range(50))`."""
+        return _Injecting(self)
+
+    def heal(self, number: int | None = None) -> Healed:
+        """End a fault, by its number from 1; or all that can be ended."""
+        answer = self._ask("heal", fault=number)
+        return Healed(tuple(answer["faults"]), answer["step"])
+
+    def faults(self) -> dict[int, Fault]:
+        """The faults of the file, and those that were added, by their numbers and by steps of the run."""
+        return self._added | dict(enumerate(load(str(self.folder)).faults, start=1))
+
+    def pause(self) -> int:
+        """Make no step after this one."""
+        return int(self._ask("pause")["step"])
+
+    def resume(self) -> int:
+        """Go on."""
+        return int(self._ask("resume")["step"])
+
+    def step(self, steps: int = 1) -> int:
+        """Make so many steps more and pause."""
+        if steps < 1:
+            raise UserError(f"step {steps}: one step is the least")
+        return int(self._ask("step", steps=steps)["step"])
+
+    def rate(self, rate: float) -> int:
+        """So many steps a second from now on; 0 for as fast as possible."""
+        if rate < 0:
+            raise UserError(f"rate {rate:g}: must not be negative; 0 is as fast as possible")
+        return int(self._ask("rate", rate=rate)["step"])
+
+    def stop(self) -> int:
+        """End the run after the current step; its verdict comes a moment later."""
+        return int(self._ask("stop")["step"])
+
+    def wait_for_step(self, step: int, deadline_s: float = WAIT_DEADLINE_S) -> int:
+        """Wait until all steps before `step` are made; returns the step that the network is at.
+
+        Raises DeadlineError past the deadline, and HedgerowError when the run ends before that step.
+        """
+        until = time.monotonic() + deadline_s
+        last = "its plant does not answer"
+        while time.monotonic() < until:
+            try:
+                status = self.status()
+            except WireError:
+                gone, done = self._gone(), self._done()
+                if done is not None and done >= step:
+                    return done
+                if gone or done is not None:
+                    how = "without a verdict" if done is None else f"at step {done}"
+                    raise HedgerowError(f"{self.run}: ended {how}, before step {step}; see {self.folder}") from None
+            else:
+                if step > status["steps"]:
+                    raise UserError(f"{self.run}: has {status['steps']} steps, and never comes to step {step}")
+                if status["step"] >= step:
+                    return int(status["step"])
+                last = f"it is at {where(status)}"
+            time.sleep(_LOOK_EVERY_S)
+        raise DeadlineError(f"{self.run}: not at step {step} after {deadline_s:g} s: {last}")
+
+    def _gone(self) -> bool:
+        try:
+            return bool(psutil.Process(self.entry.pid).status() == psutil.STATUS_ZOMBIE)
+        except psutil.NoSuchProcess:
+            return True
+
+    def _done(self) -> int | None:
+        """How many steps were made, once the run has its verdict."""
+        try:
+            verdict: dict[str, Any] = json.loads((self.folder / "verdict.json").read_text(encoding="utf-8"))
+        except OSError:
+            return None
+        return int(verdict["steps_done"])
+
+
+class _Injecting(FaultVerbs[Injected]):
+    def __init__(self, live: Live) -> None:
+        self._live = live
+
+    def inject(self, fault: Fault | Mapping[str, Any]) -> Injected:
+        return self._live.inject(fault)
+
+
+def where(status: Mapping[str, Any]) -> str:
+    """Where a network is, and what it waits for."""
+    said = f"step {status['step']} of {status['steps']}"
+    if status["paused"]:
+        said += ", paused"
+    if status["missing"]:
+        said += f", waiting for {', '.join(status['missing'][:8])}"
+    if status["lost"]:
+        said += f", without {', '.join(status['lost'][:8])}"
+    return said

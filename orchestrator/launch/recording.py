@@ -1,0 +1,203 @@
+"""One run being recorded: telemetry in; tables, Rerun and a verdict out. Whoever drives it, over a wire or not."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hedgerow.orchestrator.ground.background import Aside
+from hedgerow.orchestrator.metrics.observer import Batch, Observer, rows_at_once
+from hedgerow.orchestrator.metrics.verdict import Ending, Verdict, judge
+from hedgerow.orchestrator.runs.folder import RunFolder, write_json
+from hedgerow.orchestrator.views.rerun.viewer import Viewer, start
+from hedgerow.topologies.errors import HedgerowError
+from hedgerow.topologies.resolve import to_yaml
+from hedgerow.topologies.schema import Topology
+from hedgerow.wire.codec import End, Telemetry, Trips
+
+if TYPE_CHECKING:
+    from hedgerow.orchestrator.runs.round_trips import RoundTrips
+    from hedgerow.orchestrator.runs.writer import Recorder
+    from hedgerow.orchestrator.views.rerun.stream import RerunStream
+
+CLOSE_DEADLINE_S = 5.0
+TABLES = ("telemetry", "edges", "summary")
+"""of which there is no summary where `record:` says so"""
+
+
+@dataclass(frozen=True)
+class Watching:
+    """Where Rerun data goes: into run.rrd or not, and to which viewer, as `hedgerow.orchestrator.views.rerun.viewer.choose` names it."""
+
+    record: bool = True
+    viewer: str = "none"
+    split_mb: float = 256.0
+    """past so many MB run.rrd goes on in another file; 0 for never"""
+
+
+class Run:
+    """Feeds the observer and keeps what it computes."""
+
+    def __init__(
+        self,
+        topology: Topology,
+        folder: RunFolder,
+        watching: Watching,
+        ending: Ending,
+        processes: Sequence[str] = (),
+    ) -> None:
+        """`processes` are those that answer states, in the order of their shards."""
+        self._processes = processes
+        self._round_trips: RoundTrips | None = None
+        """where something crosses a wire, from the first step on"""
+        self.topology, self.folder, self.ending = topology, folder, ending
+        self.observer = Observer(topology)
+        self.rows_at_once = rows_at_once(self.observer.graph.n)
+        self._watching = watching
+        self._aside: Aside | None = None
+        """who feeds the stream: Rerun takes a second to load, and nobody waits for it"""
+        self._stream: RerunStream | None = None
+        self._notes: list[tuple[str, str, int]] = []
+        """what was noted before there was a stream"""
+        self.viewer: Viewer | None = None
+        self.warnings: deque[str] = deque()
+        """what is wrong with the viewer, for whoever started the run; grows on other threads"""
+        self._watched = False
+
+    @cached_property
+    def _recorder(self) -> Recorder:
+        # Arrow takes a while to load: not before the processes of the run have been launched.
+        from hedgerow.orchestrator.runs.writer import Recorder  # noqa: PLC0415
+
+        return Recorder(self.topology, self.folder.path)
+
+    def take(self, rows: Sequence[Telemetry]) -> Batch:
+        """Observe and record some steps, `rows_at_once` at most; OSError when the disk is full."""
+        batch = self.observer.take(rows)
+        if self._processes and self._round_trips is None:
+            from hedgerow.orchestrator.runs.round_trips import RoundTrips  # noqa: PLC0415
+
+            self._round_trips = RoundTrips(self._processes, self.folder.path)
+        self._recorder.write(batch)
+        if not self._watched:
+            self._watched = True
+            self._open_stream()
+        at = time.time()
+        self._show(lambda stream: stream.log(batch, at), batch.size)
+        return batch
+
+    def take_trips(self, trips: Trips) -> None:
+        """Record how long the processes took to answer, at some steps that were taken in; OSError as `take`."""
+        assert self._round_trips is not None, "they come after their steps"
+        self._round_trips.take(trips)
+        at = time.time()
+        self._show(lambda stream: stream.round_trips(trips, at))
+
+    def finish(self, end: End) -> None:
+        """Take in the final state."""
+        self.observer.finish(end)
+        self._recorder.write_end(self.observer, end)
+        self._show(lambda stream: stream.end(self.observer))
+        self.note(f"the run ended after {end.t} steps", "INFO", end.t)
+
+    def change(self, topology: Topology) -> None:
+        """The faults are these from the next step on: the observer goes by them, and so will who runs the folder again.
+
+        Raises OSError when the disk is full.
+        """
+        self.topology = topology
+        self.observer.change(topology)
+        part = self.folder.topology.with_name("topology.yaml.part")
+        try:
+            part.write_text(to_yaml(topology), encoding="utf-8")
+            part.rename(self.folder.topology)
+        finally:
+            part.unlink(missing_ok=True)
+
+    def note(self, text: str, level: str, step: int) -> None:
+        """Show a line among the viewer's events; `level` is INFO, WARN or ERROR."""
+        if self._watched:
+            self._show(lambda stream: stream.event(text, level, step))
+        else:
+            self._notes.append((text, level, step))
+
+    def tell_faults(self) -> None:
+        """Write down the faults that the file schedules."""
+        for number, fault in enumerate(self.topology.faults, 1):
+            self.folder.event("fault", fault=number, entry=fault.written())
+
+    def _open_stream(self) -> None:
+        if not self._watching.record and self._watching.viewer == "none":
+            return
+        path = self.folder.recording if self._watching.record else None
+        self.viewer = start(self._watching.viewer)
+        self._aside = Aside("rerun")
+        self._aside.do(lambda: self._load(path))
+        for note in self._notes:
+            self.note(*note)
+        self.folder.event(
+            "recording", path=str(path) if path else None, viewer=self.viewer.url if self.viewer else None
+        )
+
+    def _load(self, path: Path | None) -> None:
+        from hedgerow.orchestrator.views.rerun.stream import RerunStream  # noqa: PLC0415
+
+        part_bytes = int(self._watching.split_mb * 1e6)
+        self._stream = RerunStream(
+            self.topology,
+            self.observer,
+            self.folder.name,
+            path,
+            self.viewer,
+            part_bytes,
+            self.warnings.append,
+            processes=self._processes,
+        )
+
+    def _show(self, show: Callable[[RerunStream], object], size: int = 0) -> None:
+        def job() -> None:
+            assert self._stream is not None, "it is loaded first"
+            show(self._stream)
+
+        if self._aside is not None:
+            self._aside.do(job, size)
+
+    def close_tables(self) -> None:
+        """Bring the tables into their final form; nothing can be taken in afterwards."""
+        self._recorder.close()
+        if self._round_trips is not None:
+            self._round_trips.close()
+
+    def close(self) -> Verdict:
+        """Close the tables and the recording, judge the run and write the verdict."""
+        try:
+            if self._aside is not None:
+                self._aside.close()
+            if self._stream is not None and not self._stream.close(CLOSE_DEADLINE_S):
+                self.folder.event("viewer_stalled", deadline_s=CLOSE_DEADLINE_S)
+            self.close_tables()
+        except (OSError, HedgerowError) as error:  # a full disk: the streams hold what was recorded, and can be read
+            self.ending.stopped = self.ending.stopped or str(error)
+        if self._round_trips is not None:
+            self.ending.round_trips = self._round_trips.summary()
+        verdict = judge(self.topology, self.observer, self.ending)
+        with contextlib.suppress(OSError):
+            self.folder.event("verdict", verdict=verdict.verdict, reasons=verdict.content["reasons"])
+            write_json(self.folder.verdict, verdict.content)
+        return verdict
+
+
+def same_tables(one: Path, other: Path) -> bool:
+    """Whether two run folders hold the same tables, bit for bit; by a summary's checksums, of all nodes and steps."""
+    names = [f"{name}.parquet" for name in TABLES]
+    return all(_content(one / name) == _content(other / name) for name in names)
+
+
+def _content(file: Path) -> bytes | None:
+    return file.read_bytes() if file.exists() else None

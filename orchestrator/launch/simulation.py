@@ -1,0 +1,99 @@
+"""A run without a wire: the in-process reference, with the same folder and the same verdict."""
+
+from __future__ import annotations
+
+import itertools
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hedgerow.agents.shard import LawError, law_class
+from hedgerow.orchestrator.ground.assignment import Layout, law_of, layout, truth_of, views_of
+from hedgerow.orchestrator.ground.signals import EndNowError, Interrupts
+from hedgerow.orchestrator.launch.recording import Run, Watching, same_tables
+from hedgerow.orchestrator.metrics.verdict import Ending, Verdict
+from hedgerow.orchestrator.runs import reference as in_process
+from hedgerow.orchestrator.runs.folder import RunFolder, create
+from hedgerow.orchestrator.views.screen import Quiet, Screen
+from hedgerow.topologies.errors import HedgerowError
+from hedgerow.topologies.load import find, load
+from hedgerow.topologies.resolve import resolve
+from hedgerow.topologies.schema import Topology
+from hedgerow.wire.codec import End, Telemetry
+
+if TYPE_CHECKING:
+    from hedgerow.orchestrator.runs.reader import RecordedRun
+
+
+def simulate(network: str | Path, *settings: str, run_dir: str | Path | None = None) -> RecordedRun:
+    """Run a network in this process, and read back what it left: `simulate("paper7", "steps=300", "law=hinf")`.
+
+    network: a bundled name, a file, or the folder of a run. settings: `path=value`, as for `--set` on the command line.
+    run_dir: a new folder for the run, else one in runs/. Raises HedgerowError for a mistake, or if no step was made.
+    """
+    # `up` comes by here, and has no use for what reads runs.
+    from hedgerow.orchestrator.runs.reader import load_run  # noqa: PLC0415
+
+    topology = resolve(load(str(network), settings), find(str(network)).parent)
+    law_class(law_of(topology))  # a mistake in it is better known before there is a folder
+    folder = create(topology, None if run_dir is None else Path(run_dir))
+    verdict = simulate_into(topology, folder, layout(topology, 1), Watching(record=False), Quiet())
+    if not verdict.content["steps_done"]:
+        raise HedgerowError(verdict.line())
+    return load_run(folder.path)
+
+
+def simulate_into(topology: Topology, folder: RunFolder, shards: Layout, watching: Watching, screen: Screen) -> Verdict:
+    """Run a resolved topology in this process; Ctrl-C ends it cleanly with the verdict unknown."""
+    ending = Ending(run=folder.name, engine="in-process", processes=0)
+    run = Run(topology, folder, watching, ending)
+    folder.event("start", engine=ending.engine)
+    run.tell_faults()
+    began = time.monotonic()
+    telemetry = in_process.run(truth_of(topology, shards), views_of(topology, shards))
+    with Interrupts() as interrupts:
+        try:
+            for rows in _batches(telemetry, run.rows_at_once):
+                if steps := [row for row in rows if isinstance(row, Telemetry)]:
+                    screen.progress(run.take(steps))
+                    ending.first_step_s = ending.first_step_s or time.monotonic() - began
+                if isinstance(rows[-1], End):
+                    run.finish(rows[-1])
+                elif interrupts.count:
+                    ending.stopped = f"stopped at step {run.observer.next_step}: {interrupts.name}"
+                    break
+        except (EndNowError, LawError, OSError) as error:
+            ending.stopped = f"stopped at step {run.observer.next_step}: {error}"
+        verdict = run.close()
+        for warning in run.warnings:
+            screen.say(warning)
+        screen.verdict(verdict, folder.path)
+        if run.viewer is not None:
+            run.viewer.end()
+        return verdict
+
+
+def _batches(telemetry: Iterator[Telemetry | End], size: int) -> Iterator[list[Telemetry | End]]:
+    """Rows, so many at once; what there is before a law fails comes before its error."""
+    failure: LawError | None = None
+    while failure is None:
+        rows: list[Telemetry | End] = []
+        try:
+            rows.extend(itertools.islice(telemetry, size))
+        except LawError as error:
+            failure = error
+        if rows:
+            yield rows
+        elif failure is None:
+            return
+    raise failure
+
+
+def equals_reference(topology: Topology, folder: RunFolder) -> bool:
+    """Whether a finished run's tables equal those of the in-process reference, bit for bit."""
+    with tempfile.TemporaryDirectory(prefix="hedgerow-") as scratch:
+        reference = create(topology, Path(scratch) / "reference")
+        simulate_into(topology, reference, [range(len(topology.ids))], Watching(record=False), Quiet())
+        return same_tables(folder.path, reference.path)

@@ -1,0 +1,191 @@
+"""The processes of a run: started with what they are told, watched, and gone when we are."""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from hedgerow.agents.view import View
+from hedgerow.orchestrator.ground.assignment import process_name
+from hedgerow.orchestrator.launch.endpoints import Wiring
+from hedgerow.orchestrator.launch.external_agents import OWN_START_S, External
+from hedgerow.orchestrator.launch.fork_client import Nursery
+from hedgerow.orchestrator.runs.folder import RunFolder
+from hedgerow.plant.truth import Truth
+from hedgerow.wire import keys
+from hedgerow.wire.child import ERROR_PREFIX, USER_ERROR
+
+
+@dataclass(frozen=True)
+class Dead:
+    """A process that ended: its name, how, and the error that its log ends with (empty when it says none)."""
+
+    name: str
+    code: int
+    error: str
+
+    def __str__(self) -> str:
+        how = f"was killed by {signal.Signals(-self.code).name}" if self.code < 0 else f"ended with code {self.code}"
+        return f"{self.name} {how}" + (f": {self.error}" if self.error else "")
+
+
+def cause(dead: Sequence[Dead]) -> str:
+    """What to tell the user about processes that died."""
+    others = f" (and {len(dead) - 1} more: {', '.join(one.name for one in dead[1:8])})" if len(dead) > 1 else ""
+    return f"{dead[0]}{others}"
+
+
+RESTARTS = 5
+"""How often an agent that died by itself is started again; then it stays down."""
+BACKOFF_S = 0.1
+"""How long to wait before the first time; twice as long before each next one."""
+
+
+@dataclass
+class _Agent:
+    """One agent process over all its lives."""
+
+    shard: int
+    life: int = 0
+    alive: bool = True
+    starting: bool = False
+    """it was started again, and its process id is not known yet"""
+    killed: bool = False
+    """we ended this life, or are about to"""
+    told: bool = False
+    """the plant knows of this life's end"""
+    again: bool = False
+    """another life is to follow"""
+    due: float = 0.0
+    """not before this time, by time.monotonic()"""
+    deaths: int = 0
+    """those that nobody asked for"""
+
+
+class Processes:
+    """The plant and the agents of one run, each a process of its own with a log of its own."""
+
+    def __init__(self, nursery: Nursery, folder: RunFolder, wiring: Wiring) -> None:
+        self._nursery, self._folder = nursery, folder
+        self._wiring = wiring
+        self._connect = ["--connect", wiring.endpoint]
+        self._names: list[str] = []
+        self._agents: dict[str, _Agent] = {}
+        self.restarts = 0
+        self.down: list[Dead] = []
+        """agents that stay down"""
+
+    def start_agent(self, view: View) -> None:
+        """Launch one shard with its local view and nothing else."""
+        name = process_name(view)
+        self._agents[name] = _Agent(view.shard)
+        view.write(self._folder.processes / f"{name}.npz")
+        self._start(name, "agents", self._connect)
+        self._names.append(name)
+
+    def start_plant(self, truth: Truth, rate: float, deadline_s: float, external: External | None = None) -> None:
+        """Launch the plant, the router of the run if it has none, with a port for who is `external`."""
+        options = ["--rate", str(rate), "--deadline", str(deadline_s)]
+        if external is not None:
+            options += ["--network", external.network, "--start", str(external.wait_s + OWN_START_S)]
+        listen = external.listen if external and external.listen else self._wiring.endpoint
+        options += ["--listen", listen] if self._wiring.listens else self._connect
+        truth.write(self._folder.processes / f"{keys.PLANT}.npz")
+        self._start(keys.PLANT, "plant", options)
+        self._names.append(keys.PLANT)
+
+    def _start(self, name: str, module: str, options: Sequence[str]) -> None:
+        file = self._folder.processes / f"{name}.npz"
+        arguments = [str(file), "--namespace", self._wiring.namespace, *options]
+        credentials = self._wiring.of(name)
+        if credentials is not None:
+            arguments += ["--credentials", str(credentials)]
+        self._nursery.fork(name, module, arguments, self._folder.logs / f"{name}.log")
+
+    def wait_until_started(self) -> dict[str, int]:
+        """The process ids by name, once all run."""
+        self._nursery.wait_until_forked(self._names)
+        return dict(self._nursery.pids)
+
+    def kill(self, shard: int, life: int, restart: bool) -> None:
+        """End the agent process of a shard, for a crash that the plant has decided; start it again if it comes back."""
+        name, agent = self._agent(shard)
+        if agent.life == life:
+            agent.killed, agent.again = True, restart
+            self._nursery.kill(name)
+
+    def revive(self, shard: int) -> None:
+        """Start the agent process of a shard again, if it was to stay down."""
+        _, agent = self._agent(shard)
+        agent.again = agent.again or agent.killed
+
+    def _agent(self, shard: int) -> tuple[str, _Agent]:
+        return next((name, agent) for name, agent in self._agents.items() if agent.shard == shard)
+
+    def tend(self, tell_died: Callable[[int, int], bool]) -> list[dict[str, Any]]:
+        """See who has died, and start again who is due; returns what happened since the last time, as events.
+
+        `tell_died(shard, life)` lets the plant know, and says whether it does; it is called again until then.
+        """
+        happened: list[dict[str, Any]] = []
+        for name, agent in self._agents.items():
+            if agent.starting and (pid := self._nursery.pids.get(name)) is not None:
+                agent.starting = False
+                happened.append({"kind": "restarted", "process": name, "pid": pid, "life": agent.life})
+            code = self._nursery.codes.get(name)
+            if agent.alive and code not in (None, 0, USER_ERROR):
+                agent.alive, agent.told = False, False
+                if not agent.killed:
+                    happened.append({"kind": "died", "process": name, "how": str(self._unasked(name, agent, code))})
+            if not agent.alive and not agent.told:
+                agent.told = tell_died(agent.shard, agent.life)
+            if agent.told and agent.again and time.monotonic() >= agent.due:
+                agent.life += 1
+                agent.alive = agent.starting = True
+                agent.killed = agent.told = agent.again = False
+                self.restarts += 1
+                self._start(name, "agents", [*self._connect, "--life", str(agent.life)])
+        return happened
+
+    def _unasked(self, name: str, agent: _Agent, code: int) -> Dead:
+        """Decide what follows a death that nobody asked for."""
+        dead = Dead(name, code, self._last_error(name))
+        agent.again = agent.deaths < RESTARTS
+        agent.due = time.monotonic() + BACKOFF_S * 2**agent.deaths
+        agent.deaths += 1
+        if not agent.again:
+            self.down.append(dead)
+        return dead
+
+    @property
+    def next_due(self) -> float | None:
+        """When `tend` should be called again at the latest, by time.monotonic()."""
+        return min((agent.due for agent in self._agents.values() if agent.told and agent.again), default=None)
+
+    def dead(self) -> list[Dead]:
+        """Who has ended, other than in good order, and ends the run: not an agent, unless the fault is its user's."""
+        return [
+            Dead(name, code, self._last_error(name))
+            for name, code in dict(self._nursery.codes).items()
+            if code and (name not in self._agents or code == USER_ERROR)
+        ]
+
+    def ended(self, name: str) -> bool:
+        """Whether that process is gone, in good order or not."""
+        return name in self._nursery.codes or "nursery" in self._nursery.codes
+
+    def wait(self, plant_s: float, agents_s: float) -> None:
+        """Wait for the plant to end by itself, at most so long, and then for the agents."""
+        self._nursery.wait([keys.PLANT], plant_s)
+        self._nursery.wait(list(self._agents), agents_s)
+
+    def _last_error(self, name: str) -> str:
+        try:
+            lines = (self._folder.logs / f"{name}.log").read_text(encoding="utf-8", errors="replace").splitlines()
+        except OSError:
+            return ""
+        errors = [line for line in lines if line.startswith(ERROR_PREFIX)]
+        return errors[-1].removeprefix(ERROR_PREFIX) if errors else ""

@@ -1,0 +1,1 @@
+"""From telemetry to metrics, checks and the verdict."""

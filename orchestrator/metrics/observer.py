@@ -1,0 +1,314 @@
+"""From telemetry to every metric of docs/theory.md: the twins, regret, costs and gains, as the run goes on."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hedgerow.agents.law import control
+from hedgerow.orchestrator.ground.assignment import candidates_of
+from hedgerow.orchestrator.metrics.certificate import Certificate, running
+from hedgerow.orchestrator.metrics.checks import Motion, Worst
+from hedgerow.orchestrator.metrics.fault_accounts import Accounts, Told
+from hedgerow.orchestrator.metrics.fault_schedule import Schedule
+from hedgerow.orchestrator.metrics.twins import Twins
+from hedgerow.plant.world import dynamics
+from hedgerow.topologies.graph import Array, Graph
+from hedgerow.topologies.schema import Topology
+from hedgerow.wire.codec import End, Telemetry
+
+Matrix = NDArray[np.float64]
+
+ROWS = 512
+BATCH_BYTES, ROW_BYTES = 2**26, 256
+"""what a batch may take, and what a row of it takes a node, about"""
+
+
+@dataclass(frozen=True)
+class Batch:
+    """What some consecutive steps brought: B rows, n nodes, E edges; sums run from step 0 to the row's own."""
+
+    t: NDArray[np.int64]
+    a: Matrix
+    """the truth at each step, (B, n)"""
+    x: Matrix
+    """states, (B, n)"""
+    u: Matrix
+    """inputs, NaN where one is missing, (B, n)"""
+    w: Matrix
+    """disturbances, (B, n)"""
+    ahat: Matrix
+    """estimates, NaN where nobody is there, (B, n)"""
+    index: NDArray[np.int32]
+    """which candidate ahat is, from 0 in list order, the first of equals, (B, n); -1 where it is none"""
+    margin: Matrix
+    """J_(2) - J_(1), infinite without a rival, (B, n)"""
+    a_ls: Matrix
+    """the least-squares a = sum x (a x + w) / sum x^2 over past samples, NaN before there is one, (B, n)"""
+    beta: Matrix
+    """a_LS less the truth, (B, n)"""
+    edge_open: NDArray[np.bool_]
+    link_up: NDArray[np.bool_]
+    """whether the row of the step crossed the link of each incidence in that step, (B, 2E)"""
+    u_edge: Matrix
+    """u_j - u_i of each edge (i, j), 0 where closed, (B, E)"""
+    x_oracle: Matrix
+    x_nominal: Matrix
+    regret: Matrix
+    """r_i = |x_i - x_i*|, (B, n); the paper's figure 4"""
+    nominal_gap: Matrix
+    """|x_i* - x_i^nom|, (B, n); figure 5"""
+    regret_sum: Array
+    """D = sum of r_i^2 so far, (B,)"""
+    nominal_regret_sum: Array
+    """the same of the nominal twin, (B,)"""
+    cost: Array
+    """c = |x|^2 + |u_e|^2, (B,)"""
+    cost_oracle: Array
+    cost_sum: Array
+    cost_oracle_sum: Array
+    energy_sum: Array
+    """sum of |w|^2, (B,)"""
+    slack: Array
+    """how far the oracle's certificate is from being violated, NaN where there is none, (B,)"""
+    right: NDArray[np.int64]
+    """nodes whose ahat is the truth, (B,)"""
+
+    @property
+    def size(self) -> int:
+        """Bytes, about."""
+        return sum(getattr(self, one.name).nbytes for one in fields(self))
+
+    @property
+    def cost_regret(self) -> Array:
+        """R = sum (c - c*), signed, (B,)."""
+        return self.cost_sum - self.cost_oracle_sum
+
+    @property
+    def ratio(self) -> Array:
+        """Sum c / sum c*, the hindsight ratio, (B,)."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return self.cost_sum / self.cost_oracle_sum
+
+    def gain(self, less: float = 0.0) -> Array:
+        """sqrt(max(0, sum c - less) / sum |w|^2), NaN until w is not 0, (B,)."""
+        return gain(self.cost_sum, self.energy_sum, less)
+
+
+def gain(cost_sum: Array, energy_sum: Array, less: float = 0.0) -> Array:
+    """sqrt(max(0, sum c - less) / sum |w|^2), NaN until w is not 0."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        found = np.sqrt(np.maximum(0.0, cost_sum - less) / energy_sum)
+    return np.where(energy_sum > 0, found, np.nan)
+
+
+def rows_at_once(n: int) -> int:
+    """How many rows of n nodes are best taken in at once: what they bring must fit into memory."""
+    return max(1, min(ROWS, BATCH_BYTES // (ROW_BYTES * n)))
+
+
+class Observer:
+    """Takes telemetry in the order of its steps and computes all that is shown, recorded and judged."""
+
+    def __init__(self, topology: Topology) -> None:
+        network = topology.network
+        self.topology = topology
+        self.graph: Graph = network.graph
+        self.b, self._a0 = network.b, network.a
+        self._a = self._a0
+        """the truth at the last step taken in"""
+        self.x0, self.nominal = network.x0, network.nominal
+        models = candidates_of(topology)
+        self._largest = np.nanmax(models, axis=0)
+        self.rho = float(self._contraction(self._a0))
+        """the largest that held so far"""
+        self._models = models
+        """what each node chooses among under the law of the run, (M, n), NaN where there are fewer"""
+        self._twins = Twins(self.b, self.graph, self.x0, self._a0, self.nominal)
+        self._certificate = Certificate(self._a0, self.b, self.graph, self.x0)
+        self.v0 = self._certificate.v0
+        self._motion = Motion()
+        self._estimates = Worst()
+        self._sums = np.zeros(5)
+        self._sxx, self._sxd = np.zeros(self.graph.n), np.zeros(self.graph.n)
+        self._right = 0
+        self.next_step = 0
+        self.end: End | None = None
+        self.x_oracle_end = self.x_nominal_end = self.x0
+        self.lost: list[int] = []
+        """steps whose telemetry never came"""
+        self.schedule = Schedule(topology)
+        self._jumps = deque(self.schedule.jumps(0))
+        self._jumped = False
+        self.accounts = Accounts(self.graph, self.schedule)
+        self.checks = {
+            "dynamics": self._motion.dynamics,
+            "contraction": self._motion.contraction,
+            "oracle_certificate": self._certificate.check,
+            "estimates": self._estimates,
+            **self.accounts.checks,
+        }
+
+    def change(self, topology: Topology) -> None:
+        """The faults are these from now on; the steps that were taken in are not judged again."""
+        self.topology = topology
+        self.schedule = Schedule(topology)
+        self._jumps = deque(self.schedule.jumps(self.next_step))
+        self.accounts.change(self.schedule)
+
+    def take(self, rows: Sequence[Telemetry]) -> Batch:
+        """The metrics of some rows, at least one, which must follow those taken before."""
+        for row in rows:
+            self._expect(row.t)
+            self.next_step = row.t + 1
+        t = np.array([row.t for row in rows], dtype=np.int64)
+        x, u, w, report = (_rows(rows, name) for name in ("x", "u", "w", "report"))
+        edge_open, link_up = (_rows(rows, name).astype(np.bool_) for name in ("edge_open", "link_up"))
+        closed = None if edge_open.all() else edge_open
+        a, turns = self._truth(t)
+        (x_oracle, x_nominal), (u_oracle, _) = self._twins.run(w, closed, turns)
+        u_edge = self.graph.edge_input(u, closed)
+        regret, gap = np.abs(x - x_oracle), np.abs(x_oracle - x_nominal)
+        cost, cost_oracle = (
+            _energy(x) + _energy(u_edge),
+            _energy(x_oracle) + _energy(self.graph.edge_input(u_oracle, closed)),
+        )
+        sums = running(self._sums, np.stack([_energy(regret), _energy(gap), cost, cost_oracle, _energy(w)], axis=1))
+        self._sums = sums[-1].copy()
+        a_ls, beta = self._least_squares(x, w, a)
+        ahat, margin = report[:, 0], report[:, 1]
+        right = (ahat == a).sum(axis=1)
+        self._right = int(right[-1])
+
+        rho = self._contraction(a) if turns else self._contraction(self._a)
+        self.rho = max(self.rho, float(rho.max()))
+        bound = rho * np.abs(x).sum(axis=1) + np.abs(w).sum(axis=1)
+        self._motion.take(t, x, dynamics(a, self.b, self.graph, x, u, w, closed), bound)
+        index = self._named(ahat)
+        self._check_estimates(t, x, u, ahat, index)
+        changed: NDArray[np.bool_] = np.asarray(~edge_open.all(axis=1))
+        changed[list(turns)] = True
+        x_oracle_next = np.vstack([x_oracle[1:], self._twins.x[:1]])
+        slack = self._certificate.take(t, w, x_oracle_next, sums[:, 3], changed)
+        missing = ~np.isfinite(u)
+        silent = missing & np.isnan(report).all(axis=1) if missing.any() else missing
+        self.accounts.take(Told(t, missing, silent, edge_open, link_up, _rows(rows, "took")))
+        return Batch(
+            t=t, a=a, x=x, u=u, w=w, ahat=ahat, index=index, margin=margin,
+            a_ls=a_ls, beta=beta, edge_open=edge_open, link_up=link_up, u_edge=u_edge,
+            x_oracle=x_oracle, x_nominal=x_nominal, regret=regret, nominal_gap=gap,
+            regret_sum=sums[:, 0], nominal_regret_sum=sums[:, 1], cost=cost, cost_oracle=cost_oracle,
+            cost_sum=sums[:, 2], cost_oracle_sum=sums[:, 3], energy_sum=sums[:, 4], slack=slack, right=right,
+        )  # fmt: skip
+
+    def finish(self, end: End) -> None:
+        """Take in the final state, and close the last checks."""
+        self.end = end
+        self._expect(end.t)
+        self.x_oracle_end, self.x_nominal_end = self._twins.x
+        self._sums[0] += np.square(end.x - self.x_oracle_end).sum()
+        self._sums[1] += np.square(self.x_nominal_end - self.x_oracle_end).sum()
+        self._motion.finish(end.t, end.x)
+        self.accounts.finish()
+
+    def _expect(self, t: int) -> None:
+        """The next step to be taken in is t: all before it that were not are lost."""
+        self.lost += range(self.next_step, t)
+        self.next_step = t
+
+    @property
+    def gamma_star(self) -> float:
+        """Of the truth at t = 0."""
+        return self.topology.network.gamma_star
+
+    @property
+    def regret_sum(self) -> float:
+        """D at the last state, the final one included once it is known."""
+        return float(self._sums[0])
+
+    @property
+    def nominal_regret_sum(self) -> float:
+        """The same of the nominal twin."""
+        return float(self._sums[1])
+
+    def _truth(self, t: NDArray[np.int64]) -> tuple[Matrix, dict[int, Array]]:
+        """The true a at some steps, (B, n), and by row where it becomes another, (n,)."""
+        a, turns = np.broadcast_to(self._a, (len(t), self.graph.n)), {}
+        while self._jumps and self._jumps[0].start <= t[-1]:
+            jump = self._jumps.popleft()
+            row = int(np.searchsorted(t, jump.start))
+            self._a, self._jumped = self._a.copy(), True
+            self._a[jump.targets[0]] = jump.a
+            a = np.concatenate([a[:row], np.broadcast_to(self._a, (len(t) - row, self.graph.n))])
+            turns[row] = self._a
+        return a, turns
+
+    def _contraction(self, a: Matrix) -> Array:
+        """The rho of each row of a; topologies.hinf.contraction."""
+        return np.asarray(np.maximum(a, self._largest - a).max(axis=-1))
+
+    def _least_squares(self, x: Matrix, w: Matrix, a: Matrix) -> tuple[Matrix, Matrix]:
+        """a_LS(t) and beta(t), by the samples before t, as ahat(t) is: what they exceed a(0) by, and a(t)."""
+        moved = a - self._a0 if self._jumped else None
+        sxx = running(self._sxx, x * x)
+        sxd = running(self._sxd, x * w if moved is None else x * (moved * x + w))
+        before_xx, before_xd = _before(self._sxx, sxx), _before(self._sxd, sxd)
+        self._sxx, self._sxd = sxx[-1], sxd[-1]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            excess = np.asarray(before_xd / before_xx)
+        return self._a0 + excess, excess if moved is None else excess - moved
+
+    def _named(self, ahat: Matrix) -> NDArray[np.int32]:
+        """Which candidate each ahat is, the first of equals; -1 where it is none."""
+        index = np.full(ahat.shape, -1, dtype=np.int32)
+        for m in reversed(range(len(self._models))):
+            index[ahat == self._models[m]] = m
+        return index
+
+    def _check_estimates(
+        self, t: NDArray[np.int64], x: Matrix, u: Matrix, ahat: Matrix, index: NDArray[np.int32]
+    ) -> None:
+        """Of those who are there, every ahat is a candidate, and every u that came is equation (6) of it."""
+        listed = index >= 0
+        good = listed & (control(self.b, x, ahat) == u)
+        if not good.all():
+            good |= (listed & np.isnan(u)) | self.schedule.absent(t)
+        self._estimates.see_exact(good.all(axis=1), t)
+
+    def summary(self) -> dict[str, float | int | None]:
+        """The metrics at the end, as verdict.json holds them; None for what is undefined."""
+        _, _, cost, cost_oracle, energy = (float(value) for value in self._sums)
+        return {
+            "regret": self.regret_sum,
+            "regret_nominal": self.nominal_regret_sum,
+            "cost": cost,
+            "cost_oracle": cost_oracle,
+            "cost_regret": cost - cost_oracle,
+            "cost_ratio": cost / cost_oracle if cost_oracle > 0 else None,
+            "disturbance_energy": energy,
+            "gain": np.sqrt(cost / energy) if energy > 0 else None,
+            "gain_less_x0": np.sqrt(max(0.0, cost - self.v0) / energy) if energy > 0 else None,
+            "gamma_star": self.gamma_star,
+            "rho": self.rho,
+            "nodes_right": self._right,
+        }
+
+
+def _rows(rows: Sequence[Telemetry], name: str) -> NDArray[Any]:
+    """One array of all rows, (B, ...); that of a single one is not copied."""
+    return getattr(rows[0], name)[None] if len(rows) == 1 else np.array([getattr(row, name) for row in rows])
+
+
+def _before(first: Array, sums: Matrix) -> Matrix:
+    """The sums up to each row, without it."""
+    return first[None] if len(sums) == 1 else np.vstack([first, sums[:-1]])
+
+
+def _energy(values: Matrix) -> Array:
+    """The sum of squares of each row."""
+    return np.asarray((values * values).sum(axis=1))

@@ -1,0 +1,206 @@
+"""What a run is worth: valid, INVALID or unknown, what was checked, and the numbers; all computed in that run."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+from hedgerow.orchestrator.metrics.checks import Worst
+from hedgerow.orchestrator.metrics.message_audit import CLAIM, Audit
+from hedgerow.orchestrator.metrics.observer import Observer
+from hedgerow.orchestrator.runs.folder import versions
+from hedgerow.orchestrator.views.event_texts import gain_said
+from hedgerow.topologies.describe import describe
+from hedgerow.topologies.errors import Exit
+from hedgerow.topologies.partition import cut, partition
+from hedgerow.topologies.schema import LAWS, Topology
+
+VALID, INVALID, UNKNOWN = "valid", "INVALID", "unknown"
+EXIT_CODES = {VALID: Exit.VALID, INVALID: Exit.INVALID, UNKNOWN: Exit.UNKNOWN}
+
+CLAIMS = {
+    "dynamics": "every x(t+1) is equation (1) of x, u, w and the open edges, to the bit",
+    "estimates": "every ahat is one of its candidates, and every u that came is equation (6) of it, to the bit",
+    "contraction": "|x(t+1)|_1 <= rho |x(t)|_1 + |w(t)|_1 at every step",
+    "oracle_certificate": "sum (|x*|^2 + |u*_e|^2) <= sum w'Q^-1 w + V(x(0)) - V(x*(t+1)) at every step"
+    " before the first at which an edge is closed or an a jumps",
+    "missing_inputs": "an edge carries flow only where both its ends sent an input",
+    "links": "what every node says it took in of a step is what was open and crossed in that step",
+    "faults": "every fault fired as scheduled, was seen where it struck, and nothing else went wrong",
+}
+_OF_THE_LAW = {"estimates", "contraction"}
+"""Checks that hold for the paper's law and not for any other."""
+
+
+@dataclass
+class Ending:
+    """How a run came to its end, and in what circumstances."""
+
+    run: str
+    engine: str
+    processes: int
+    first_step_s: float | None = None
+    """from the start of the command to the arrival of the first telemetry"""
+    stopped: str = ""
+    """why the run ended early; empty when it did not"""
+    reference_equal: bool | None = None
+    """telemetry equal to the in-process reference, bit for bit; None where not asked"""
+    restarts: int = 0
+    """processes that were started again"""
+    audit: Audit | None = None
+    """who heard what; None where nobody counted"""
+    round_trips: dict[str, dict[str, float | int | None]] | None = None
+    """how long each process took to answer; None where nothing crossed a wire"""
+    down: list[str] = field(default_factory=list)
+    """processes that ended, unplanned, and were not started again, each in words"""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The verdict as verdict.json holds it."""
+
+    verdict: str
+    content: dict[str, Any]
+
+    @property
+    def exit_code(self) -> int:
+        return EXIT_CODES[self.verdict]
+
+    def line(self) -> str:
+        """The last line on the screen."""
+        c, m = self.content, self.content["metrics"]
+        numbers = [f"{c['steps_done']} of {c['steps']} steps"]
+        if c["steps_per_s"]:
+            numbers.append(f"{c['steps_per_s']:.0f} steps/s")
+        for what, thing in (
+            ("restarts", "restart"),
+            ("missing_inputs", "missing input"),
+            ("lost_messages", "lost message"),
+        ):
+            if number := c[what]:
+                numbers.append(f"{number} {thing}{'s' if number > 1 else ''}")
+        if m:
+            # What is no finite number grew too large; but of a disturbance that was 0 there is no gain.
+            large = math.nan if m["disturbance_energy"] == 0 else math.inf
+            gain, less = (large if m[name] is None else m[name] for name in ("gain", "gain_less_x0"))
+            numbers += [
+                f"regret D {_number(m['regret'])} (nominal {_number(m['regret_nominal'])})",
+                f"cost regret {_number(m['cost_regret'], '+')}",
+                gain_said(gain, less, m["gamma_star"], c["checks"]["oracle_certificate"]["steps"] == c["steps_done"]),
+                f"{m['nodes_right']} of {c['nodes']} estimates right",
+            ]
+        why = f" ({'; '.join(c['reasons'])})" if c["reasons"] else ""
+        return f"{self.verdict}{why}: {', '.join(numbers)}"
+
+
+def _number(value: float | None, sign: str = "") -> str:
+    return "too large" if value is None else f"{value:{sign}.4g}"
+
+
+def judge(topology: Topology, observer: Observer, ending: Ending) -> Verdict:
+    """The verdict of a run: INVALID if any check failed, unknown if it ended early or lost rows, else valid."""
+    claimed = {
+        name: worst for name, worst in observer.checks.items() if topology.law in LAWS or name not in _OF_THE_LAW
+    }
+    checks = {name: _check(name, worst) for name, worst in claimed.items()}
+    if ending.audit is not None:
+        checks["information"] = {"ok": not ending.audit.wrong, "claim": CLAIM, "why": ending.audit.wrong}
+    if ending.reference_equal is not None:
+        checks["reference"] = {
+            "ok": ending.reference_equal,
+            "claim": "telemetry equals the in-process reference, bit for bit",
+        }
+    failed = [
+        f"{name} fails"
+        + (f" at step {check['step']}" if "step" in check else "")
+        + (f": {'; '.join(check['why'][:8])}" if check.get("why") else "")
+        for name, check in checks.items()
+        if not check["ok"]
+    ]
+    doubts = []
+    if ending.stopped:
+        doubts.append(ending.stopped)
+    if observer.lost:
+        doubts.append(f"{len(observer.lost)} steps of telemetry lost, the first {observer.lost[0]}")
+    doubts += [f"stayed down: {one}" for one in ending.down]
+    if observer.end is None and not doubts:
+        doubts.append("the final state never came")
+    faults = _faults(topology, observer)
+    doubts += [
+        f"fault {k + 1} ({faults[k]['what']}) could not fire: {why}"
+        for k, why in observer.schedule.idle(topology.steps).items()
+    ]
+    verdict = INVALID if failed else UNKNOWN if doubts else VALID
+    done = observer.end.t if observer.end is not None else observer.next_step
+    elapsed_s = observer.end.elapsed_s if observer.end is not None else None
+    content = {
+        "verdict": verdict,
+        "exit_code": EXIT_CODES[verdict],
+        "reasons": failed + doubts,
+        "run": ending.run,
+        "name": topology.name,
+        "law": topology.law,
+        "seed": topology.seed,
+        "engine": ending.engine,
+        "processes": ending.processes,
+        "cut_edges": cut(observer.graph, partition(observer.graph, ending.processes or 1)),
+        "nodes": observer.graph.n,
+        "edges": len(observer.graph.edges),
+        "steps": topology.steps,
+        "steps_done": done,
+        "elapsed_s": elapsed_s,
+        "steps_per_s": done / elapsed_s if elapsed_s else None,
+        "first_step_s": ending.first_step_s,
+        "round_trips": ending.round_trips,
+        "lost_rows": len(observer.lost) * observer.graph.n,
+        "missing_inputs": observer.accounts.missing_inputs,
+        "lost_messages": observer.accounts.lost_messages,
+        "forgotten_rows": observer.end.forgotten if observer.end is not None else 0,
+        "restarts": ending.restarts,
+        "down": ending.down,
+        "faults": faults,
+        "checks": checks,
+        "information": ending.audit.to_dict() if ending.audit is not None else None,
+        "metrics": {name: _finite(value) for name, value in observer.summary().items()} if done else {},
+        "versions": versions(),
+    }
+    return Verdict(verdict, content)
+
+
+def _faults(topology: Topology, observer: Observer) -> list[dict[str, Any]]:
+    """What became of each fault, as verdict.json holds it."""
+    if not topology.faults:
+        return []
+
+    done = observer.end.t if observer.end is not None else observer.next_step
+    return [
+        {
+            "fault": k,
+            "kind": fault.kind,
+            "what": describe(fault),
+            "scheduled": account.scheduled,
+            "fired": account.fired,
+            "masked": account.masked,
+            "seen": account.seen if fault.kind != "jump" else None,
+            "beyond": beyond,
+        }
+        for k, (fault, account, beyond) in enumerate(
+            zip(topology.faults, observer.accounts, observer.schedule.beyond(done), strict=True), 1
+        )
+    ]
+
+
+def _check(name: str, worst: Worst) -> dict[str, Any]:
+    return {
+        "ok": bool(worst.excess <= 0),
+        "claim": CLAIMS[name],
+        "steps": worst.steps,
+        "step": worst.step,
+        "excess": _finite(worst.excess),
+    }
+
+
+def _finite(value: float | int | None) -> float | int | None:
+    """A number that JSON can hold."""
+    return value if value is not None and math.isfinite(value) else None

@@ -1,0 +1,1 @@
+"""The run folder: written, read, exported, listed; and the in-process reference."""

@@ -1,0 +1,157 @@
+"""A run in files that other tools open: tables as CSV or Parquet, or named arrays as .npz or .mat (docs/data.md)."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+from pyarrow.csv import CSVWriter
+
+from hedgerow.orchestrator.runs.reader import RecordedRun
+from hedgerow.orchestrator.runs.table import Table
+from hedgerow.orchestrator.runs.writer import ROW_GROUP
+from hedgerow.topologies.errors import UserError
+
+FORMS = ("csv", "parquet", "npz", "mat")
+NAMES = (
+    *("run", "law", "verdict", "T", "b", "gamma_star", "ids", "edges", "candidates", "nominal", "lost", "steps"),
+    *("x", "x_oracle", "x_nominal", "regret", "nominal_gap", "regret_sum", "nominal_regret_sum"),
+    *("a", "u", "w", "ahat", "index", "margin", "a_ls", "beta", "identifiable", "right"),
+    *("cost", "cost_oracle", "cost_regret", "energy_sum", "gain", "gain_less_x0"),
+    *("u_edge", "open", "i_hears", "j_hears"),
+)
+"""The arrays of a .npz and a .mat, each what the RecordedRun has by that name."""
+OF_ALL = ("a_ls", "beta", "identifiable")
+"""Those that take all rows to know."""
+TOTALS = (
+    *("regret_sum", "nominal_regret_sum", "right", "cost", "cost_oracle", "cost_regret", "energy_sum"),
+    *("gain", "gain_less_x0"),
+)
+"""Those that take all rows to know, or a summary."""
+PLACES = ("edges", "index")
+"""Those that count places: from 0, but in a .mat from 1, as MATLAB does."""
+MAT_BYTES = 2**31 - 1
+"""What one array of a .mat can hold."""
+
+
+def export(run: RecordedRun, to: str, out: Path | None = None, force: bool = False) -> list[Path]:
+    """Write a run in the form `to`, one of FORMS, and return its files; all of them are whole, or none is there.
+
+    `out` is a folder for tables, else a file. Raises UserError for a mistake, and where there is no room.
+    """
+    if to not in FORMS:
+        raise UserError(f"--to {to}: is no form of a run; there are {', '.join(FORMS)}")
+    files = _files(run, to, out)
+    for file in files:
+        if file.resolve() in (table.parquet for table in run.tables.values()):
+            raise UserError(f"{file}: is the run's own; --out names another folder")
+        if file.is_dir():
+            raise UserError(f"{file}: is a folder; --out names the file to write")
+        if file.exists() and not force:
+            raise UserError(f"{file}: is there already; --force replaces it, --out names another place")
+    _write(files)
+    return list(files)
+
+
+def arrays(run: RecordedRun) -> dict[str, NDArray[Any]]:
+    """All of a run by name: numbers, flags and text, never objects; what is left out by `record:` is not there."""
+    there = NAMES if run.whole else [name for name in NAMES if name not in OF_ALL]
+    if "summary" not in run.tables and not run.whole:
+        there = [name for name in there if name not in TOTALS]
+    return {name: _array(getattr(run, name)) for name in there}
+
+
+def _array(value: Any) -> NDArray[Any]:
+    if isinstance(value, Mapping):
+        return np.array(value.get("verdict", ""))
+    return np.asarray(value)
+
+
+Write = Callable[[Path], object]
+
+
+def _files(run: RecordedRun, to: str, out: Path | None) -> dict[Path, Write]:
+    """Each file of a form, and what writes it."""
+    if to in ("csv", "parquet"):
+        folder = out or Path(f"{run.run}-{to}")
+        write = _csv if to == "csv" else _parquet
+        return {folder / f"{name}.{to}": partial(write, table) for name, table in run.tables.items()}
+    return {out or Path(f"{run.run}.{to}"): partial(_npz if to == "npz" else _mat, run)}
+
+
+def _csv(table: Table, path: Path) -> None:
+    """The shortest numbers that are read back to the same bits; nothing where there is null."""
+    with CSVWriter(str(path), table.schema) as writer:
+        for batch in table.batches():
+            writer.write_batch(batch)
+
+
+def _parquet(table: Table, path: Path) -> None:
+    """The bytes that the run leaves, or would have left."""
+    if table.over:
+        shutil.copyfile(table.parquet, path)
+    else:
+        pq.write_table(table.whole(), path, row_group_size=ROW_GROUP)
+
+
+def _npz(run: RecordedRun, path: Path) -> None:
+    content: dict[str, Any] = arrays(run)
+    with path.open("wb") as file:
+        np.savez(file, **content)
+
+
+def _mat(run: RecordedRun, path: Path) -> None:
+    from scipy.io import savemat  # noqa: PLC0415 (a third of a second)
+
+    content = {name: _of_matlab(name, values) for name, values in arrays(run).items()}
+    for name, values in content.items():
+        if values.nbytes > MAT_BYTES:
+            raise UserError(f"--to mat: an array of such a file holds 2 GB at most, and {name} is larger; use npz")
+    with path.open("wb") as file:
+        savemat(file, content, oned_as="column")
+
+
+def _of_matlab(name: str, values: NDArray[Any]) -> NDArray[Any]:
+    """Numbers as MATLAB has them, doubles, with which every operation works; text in a list as cells."""
+    match values.dtype.kind:
+        case "U" if values.ndim:
+            return values.astype(object)
+        case "i" if name != "ids":
+            return values.astype(np.float64) + (name in PLACES)
+    return values
+
+
+def _write(files: Mapping[Path, Write]) -> None:
+    """Write all beside where they belong, and only then put them there."""
+    file = next(iter(files))
+    folder = file.parent
+    is_new = not folder.exists()
+    parts = {file: file.with_name(f".{file.name}.{os.getpid()}.part") for file in files}
+    done = False
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for file, part in parts.items():
+            files[file](part)
+        for file, part in parts.items():
+            part.replace(file)
+        done = True
+    except (OSError, pa.ArrowInvalid) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise UserError(f"{file}: is not written: {reason}; --out names another place") from None
+    except MemoryError:
+        raise UserError(f"{file}: is not written: no memory; csv and parquet are written piece by piece") from None
+    finally:
+        with contextlib.suppress(OSError):
+            for part in parts.values():
+                part.unlink(missing_ok=True)
+            if is_new and not done:
+                folder.rmdir()

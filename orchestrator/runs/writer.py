@@ -1,0 +1,273 @@
+"""The tables of a run: telemetry.parquet, one row a step and node, edges.parquet, one row a step and edge, and
+summary.parquet, one row a step. `record:` of the topology says which nodes and steps have rows in the first two.
+
+While the run goes on, rows are kept in Arrow streams, which can be read up to their last batch however the run
+ends; at the end they become Parquet, in row groups of one size, so that equal runs leave equal files.
+"""
+
+from __future__ import annotations
+
+import functools
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from hedgerow.orchestrator.metrics.fault_accounts import at_ends
+from hedgerow.orchestrator.metrics.observer import Batch, Observer
+from hedgerow.orchestrator.runs.columns import column, names
+from hedgerow.orchestrator.runs.selection import kept
+from hedgerow.topologies.archive import id_array
+from hedgerow.topologies.graph import Index
+from hedgerow.topologies.schema import Topology
+from hedgerow.wire.codec import End
+
+ROW_GROUP = 2**16
+
+
+def _id_type(topology: Topology) -> pa.DataType:
+    return pa.int64() if id_array(topology.ids).dtype == np.int64 else pa.string()
+
+
+def _ids(topology: Topology, positions: Index) -> pa.Array:
+    if _id_type(topology) == pa.int64():
+        return column(id_array(topology.ids)[positions])
+    return names([str(topology.ids[k]) for k in positions.tolist()])
+
+
+class _Table:
+    """One growing table: an Arrow stream while it grows, a Parquet file once it is closed."""
+
+    def __init__(self, folder: Path, name: str, schema: pa.Schema) -> None:
+        self.stream = folder / f"{name}.arrows"
+        self.parquet = folder / f"{name}.parquet"
+        self.schema = schema
+        self._writer = pa.ipc.new_stream(pa.OSFile(str(self.stream), "wb"), schema)
+
+    def append(self, columns: dict[str, pa.Array]) -> None:
+        arrays = [columns[name] for name in self.schema.names]
+        self._writer.write_batch(pa.RecordBatch.from_arrays(arrays, schema=self.schema))
+
+    def close(self) -> None:
+        if not self.stream.exists():
+            return
+        self._writer.close()
+        to_parquet(self.stream, self.parquet)
+        self.stream.unlink()
+
+
+def to_parquet(stream: Path, parquet: Path) -> None:
+    """Turn an Arrow stream, whole or cut short, into a Parquet file, which is there whole or not at all."""
+    part = parquet.with_suffix(".parquet.part")
+    try:
+        with (
+            pa.OSFile(str(stream), "rb") as source,
+            pa.ipc.open_stream(source) as reader,
+            pq.ParquetWriter(part, reader.schema) as writer,
+        ):
+            for table in _row_groups(reader):
+                writer.write_table(table, row_group_size=ROW_GROUP)
+        part.rename(parquet)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def _row_groups(reader: Any) -> Iterator[pa.Table]:
+    """The stream as tables of a multiple of ROW_GROUP rows, and the rest."""
+    waiting: list[pa.RecordBatch] = []
+    rows = 0
+    for batch in whole_batches(reader):
+        waiting.append(batch)
+        rows += batch.num_rows
+        if rows >= ROW_GROUP:
+            table, whole = pa.Table.from_batches(waiting), rows - rows % ROW_GROUP
+            yield table.slice(0, whole)
+            waiting, rows = table.slice(whole).to_batches(), rows - whole
+    if rows:
+        yield pa.Table.from_batches(waiting)
+
+
+def whole_batches(reader: Any) -> Iterator[pa.RecordBatch]:
+    """The batches of an Arrow stream, up to where a writer that was killed left off."""
+    while True:
+        try:
+            yield reader.read_next_batch()
+        except (
+            StopIteration,
+            pa.ArrowInvalid,
+            OSError,
+        ):  # the end, or where a killed writer left off
+            return
+
+
+SUMMARY = {
+    "step": "int64",
+    **dict.fromkeys(("x_sum", "x_max", "u_sum", "u_max", "regret_max"), "double"),
+    **dict.fromkeys(("regret_sum", "nominal_regret_sum"), "double"),
+    **dict.fromkeys(("cost", "cost_oracle", "cost_sum", "cost_oracle_sum", "energy_sum"), "double"),
+    **dict.fromkeys(("right", "missing", "edges_cut", "messages_lost", "checksum"), "int64"),
+}
+"""The columns of summary.parquet."""
+
+
+def summary(batch: Batch) -> dict[str, NDArray[Any]]:
+    """What is true of the whole network at each step of a batch, by name of the column, (B,)."""
+    x, u = np.abs(batch.x), np.abs(batch.u)
+    missing = np.isnan(u)
+    if missing.any():
+        u[missing] = 0.0
+    return {
+        "step": batch.t,
+        "x_sum": x.sum(axis=1),
+        "x_max": x.max(axis=1),
+        "u_sum": u.sum(axis=1),
+        "u_max": u.max(axis=1),
+        "regret_max": batch.regret.max(axis=1),
+        **{name: getattr(batch, name) for name in ("regret_sum", "nominal_regret_sum", "cost", "cost_oracle")},
+        **{name: getattr(batch, name) for name in ("cost_sum", "cost_oracle_sum", "energy_sum", "right")},
+        "missing": missing.sum(axis=1),
+        "edges_cut": batch.edge_open.shape[1] - np.count_nonzero(batch.edge_open, axis=1),
+        "messages_lost": batch.link_up.shape[1] - np.count_nonzero(batch.link_up, axis=1),
+        "checksum": checksums(
+            batch.x, batch.u, batch.w, batch.ahat, batch.index, batch.margin, batch.edge_open, batch.link_up
+        ),
+    }
+
+
+def checksums(*columns: NDArray[Any]) -> Index:
+    """A CRC-32 of each row of some arrays, one after the other: all NaN are alike, as are all nulls of a table."""
+    same = [
+        np.where(np.isnan(one), np.nan, one) if one.dtype.kind == "f" and np.isnan(one).any() else one
+        for one in columns
+    ]
+    rows = [np.ascontiguousarray(one) for one in same]
+    return np.array([functools.reduce(lambda crc, one: zlib.crc32(one[k], crc), rows, 0) for k in range(len(rows[0]))])
+
+
+class Recorder:
+    """Writes what the observer computes to the tables of a run's folder; OSError when the disk is full."""
+
+    def __init__(self, topology: Topology, folder: Path) -> None:
+        node = _id_type(topology)
+        f8 = pa.float64()
+        self._kept = kept(topology)
+        self._nodes, self._e = self._kept.nodes, self._kept.edges
+        ends = topology.graph.edges[self._e]
+        self._hears = at_ends(topology.graph)[self._e]
+        self._ids = _ids(topology, self._nodes)
+        self._i, self._j = (_ids(topology, ends[:, end]) for end in (0, 1))
+        floats = [(name, f8) for name in ("x", "u", "w", "ahat")]
+        self._telemetry = _Table(
+            folder,
+            "telemetry",
+            pa.schema(
+                [
+                    ("step", pa.int64()),
+                    ("node", node),
+                    *floats,
+                    ("index", pa.int32()),
+                    ("margin", f8),
+                    ("x_oracle", f8),
+                    ("x_nominal", f8),
+                ]
+            ),
+        )
+        self._edge_inputs = _Table(
+            folder,
+            "edges",
+            pa.schema(
+                [
+                    ("step", pa.int64()),
+                    ("i", node),
+                    ("j", node),
+                    ("u_edge", f8),
+                    ("open", pa.bool_()),
+                    ("i_hears", pa.bool_()),
+                    ("j_hears", pa.bool_()),
+                ]
+            ),
+        )
+        columns = [(name, {"int64": pa.int64(), "double": f8}[kind]) for name, kind in SUMMARY.items()]
+        self._summary = _Table(folder, "summary", pa.schema(columns)) if topology.record.summary else None
+
+    def write(self, batch: Batch) -> None:
+        """Append the rows of one batch."""
+        if self._summary is not None:
+            self._summary.append({name: column(values) for name, values in summary(batch).items()})
+        rows = self._kept.rows(batch.t)
+        t, n, e = batch.t[rows], len(self._nodes), len(self._e)
+
+        def of(values: NDArray[Any], columns: Index) -> NDArray[Any]:
+            if len(rows) < len(values):
+                values = values[rows]
+            return values if len(columns) == values.shape[1] else values[:, columns]
+
+        if len(rows) and n:
+            u, ahat, margin = (of(values, self._nodes) for values in (batch.u, batch.ahat, batch.margin))
+            unknown = np.isnan(ahat)
+            states = ("x", "w", "x_oracle", "x_nominal")
+            self._telemetry.append(
+                {
+                    "step": column(np.repeat(t, n)),
+                    "node": pa.concat_arrays([self._ids] * len(rows)),
+                    **{name: column(of(getattr(batch, name), self._nodes)) for name in states},
+                    "u": column(u, np.isnan(u)),
+                    "ahat": column(ahat, unknown),
+                    "index": column(of(batch.index, self._nodes), unknown),
+                    "margin": column(margin, ~np.isfinite(margin)),
+                }
+            )
+        if len(rows) and e:
+            self._edge_inputs.append(
+                {
+                    "step": column(np.repeat(t, e)),
+                    "i": pa.concat_arrays([self._i] * len(rows)),
+                    "j": pa.concat_arrays([self._j] * len(rows)),
+                    "u_edge": column(of(batch.u_edge, self._e)),
+                    "open": column(of(batch.edge_open, self._e)),
+                    "i_hears": column(of(batch.link_up, self._hears[:, 0])),
+                    "j_hears": column(of(batch.link_up, self._hears[:, 1])),
+                }
+            )
+
+    def write_end(self, observer: Observer, end: End) -> None:
+        """Append the last states: at step T nothing acts, so all but the states is null."""
+        nodes, n = self._nodes, len(self._nodes)
+        nothing = {name: pa.nulls(n, pa.float64()) for name in ("u", "w", "ahat", "margin")}
+        if n:
+            self._telemetry.append(
+                {
+                    "step": column(np.full(n, end.t)),
+                    "node": self._ids,
+                    "x": column(end.x[nodes]),
+                    **nothing,
+                    "index": pa.nulls(n, pa.int32()),
+                    "x_oracle": column(observer.x_oracle_end[nodes]),
+                    "x_nominal": column(observer.x_nominal_end[nodes]),
+                }
+            )
+        if self._summary is not None:
+            x = np.abs(end.x)
+            last = {
+                "x_sum": x.sum(),
+                "x_max": x.max(),
+                "regret_max": np.abs(end.x - observer.x_oracle_end).max(),
+                "regret_sum": observer.regret_sum,
+                "nominal_regret_sum": observer.nominal_regret_sum,
+            }
+            known = {name: np.array([value]) for name, value in last.items()}
+            known |= {"step": np.array([end.t]), "checksum": checksums(end.x[None])}
+            nulls = {field.name: pa.nulls(1, field.type) for field in self._summary.schema}
+            self._summary.append(nulls | {name: column(value) for name, value in known.items()})
+
+    def close(self) -> None:
+        """Turn the streams into Parquet files."""
+        self._telemetry.close()
+        self._edge_inputs.close()
+        if self._summary is not None:
+            self._summary.close()

@@ -1,0 +1,69 @@
+"""The pytest plugin: the fixture `network`, and failures that say what was lost on the way (docs/testing.md).
+
+Nothing heavy is imported before a test asks for the fixture.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Generator
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from hedgerow.orchestrator.testing import Networks, Result
+
+_RESULTS = pytest.StashKey[list["Result"]]()
+"""The runs that the test at hand has made."""
+
+
+@pytest.fixture(scope="session")
+def network(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Networks:
+    """Networks to test with: `network("paper7").drop((2, 4), steps=range(10, 20)).run()`; see orchestrator.testing."""
+    from hedgerow.orchestrator.launch import live  # noqa: PLC0415
+    from hedgerow.orchestrator.testing import Networks, result, running, scenario  # noqa: PLC0415
+
+    for ours in (live, result, running, scenario):
+        vars(ours)["__tracebackhide__"] = _is_the_users
+    results = request.config.stash[_RESULTS]
+    return Networks(tmp_path_factory.mktemp, results.append)
+
+
+def _is_the_users(mistake: pytest.ExceptionInfo[BaseException]) -> bool:
+    """Of a mistake in a test the test's own line is shown, and none of ours."""
+    from hedgerow.topologies.errors import UserError  # noqa: PLC0415
+
+    return isinstance(mistake.value, UserError)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """A place for the runs of a test."""
+    config.stash[_RESULTS] = []
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """The next test has made no runs yet."""
+    item.config.stash[_RESULTS].clear()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """A test that fails names its runs: what is wrong with them, and where they can be looked at."""
+    report = yield
+    if report.failed and (results := item.config.stash[_RESULTS]):
+        report.sections.append(("networks", "\n".join(result.summary() for result in results[-_SHOWN:])))
+    return report
+
+
+_SHOWN = 4
+
+
+def pytest_assertrepr_compare(left: object, right: object, op: str) -> list[str] | None:
+    """Why two runs, or the estimates of two, are not equal."""
+    testing = sys.modules.get("hedgerow.orchestrator.testing.result")
+    if testing is None or op != "==":
+        return None
+    said: list[str] | None = testing.explain(left, right)
+    return said

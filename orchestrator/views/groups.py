@@ -1,0 +1,101 @@
+"""A network of many nodes as a picture can show it: some hundred groups of neighbours, and the edges between them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hedgerow.orchestrator.metrics.observer import Batch
+from hedgerow.topologies.graph import Graph, Index, Mask
+from hedgerow.topologies.partition import partition
+
+GROUPS = 500
+
+
+class Scene(NamedTuple):
+    """What a picture is drawn from: the fields of a Batch of these names, of R rows."""
+
+    t: NDArray[np.int64]
+    a: NDArray[np.float64]
+    x: NDArray[np.float64]
+    u: NDArray[np.float64]
+    ahat: NDArray[np.float64]
+    u_edge: NDArray[np.float64]
+    edge_open: Mask
+    link_up: Mask
+
+
+class Groups:
+    """Parts of one size, cut where few edges cross; what is drawn of a group is the worst of its nodes.
+
+    |x| and the flow of an edge are the largest there are, an edge is cut and a message lost where one is, a group is
+    dead or without input where a node is, and its model is wrong where those of more than half of its nodes are.
+    """
+
+    def __init__(self, graph: Graph) -> None:
+        parts = partition(graph, GROUPS)
+        self.size = max(map(len, parts))
+        """nodes of a group, about"""
+        self._nodes = np.concatenate(parts)
+        self._starts = np.cumsum([0, *map(len, parts)])[:-1]
+        home = np.empty(graph.n, dtype=np.int64)
+        home[self._nodes] = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
+        low, high = np.sort(home[graph.edges], axis=1).T
+        crossing = np.flatnonzero(low != high)
+        pairs, place = np.unique(low[crossing] * len(parts) + high[crossing], return_inverse=True)
+        self.graph = Graph(len(parts), np.stack([pairs // len(parts), pairs % len(parts)], axis=1))
+        self._edges = _Gathered(crossing, place, len(pairs))
+        outward = np.flatnonzero(home[graph.node] != home[graph.neighbour])
+        own = self.graph.node * len(parts) + self.graph.neighbour
+        at = np.searchsorted(own, home[graph.node[outward]] * len(parts) + home[graph.neighbour[outward]])
+        self._links = _Gathered(outward, at, len(own))
+
+    def name(self, group: int, ids: Sequence[int | str]) -> str:
+        """What a group is called: after its first node."""
+        return f"{ids[int(self._nodes[self._starts[group]])]}…"
+
+    def scene(self, batch: Batch, rows: Index) -> Scene:
+        """Some rows of a batch."""
+
+        def of(values: NDArray[Any], most: np.ufunc = np.maximum) -> NDArray[Any]:
+            return np.asarray(most.reduceat(values[:, self._nodes], self._starts, axis=1))
+
+        x, u, ahat = np.abs(batch.x[rows]), batch.u[rows], batch.ahat[rows]
+        missing = np.isnan(u)
+        silent, dead = of(missing, np.logical_or), of(missing & np.isnan(ahat), np.logical_or)
+        size = np.diff(np.append(self._starts, len(self._nodes)))
+        wrong = of((ahat != batch.a[rows]).astype(np.int64), np.add) > size / 2
+        return Scene(
+            t=batch.t[rows],
+            a=np.zeros(wrong.shape),
+            x=of(x),
+            u=np.where(silent, np.nan, 0.0),
+            ahat=np.where(dead, np.nan, wrong),
+            u_edge=self._edges.most(np.abs(batch.u_edge[rows])),
+            edge_open=self._edges.all(batch.edge_open[rows]),
+            link_up=self._links.all(batch.link_up[rows]),
+        )
+
+
+class _Gathered:
+    """Columns of an array, ordered by where they belong; each of `count` places has one or more."""
+
+    def __init__(self, columns: Index, places: Index, count: int) -> None:
+        order = np.argsort(places, kind="stable")
+        self._columns = columns[order]
+        self._starts = np.searchsorted(places[order], np.arange(count))
+
+    def most(self, values: NDArray[Any]) -> NDArray[Any]:
+        """The largest of each place."""
+        if not len(self._starts):
+            return np.empty((len(values), 0))
+        return np.asarray(np.maximum.reduceat(values[:, self._columns], self._starts, axis=1))
+
+    def all(self, values: Mask) -> Mask:
+        """Whether it holds for all of each place."""
+        if not len(self._starts):
+            return np.empty((len(values), 0), dtype=np.bool_)
+        return np.asarray(np.logical_and.reduceat(values[:, self._columns], self._starts, axis=1))

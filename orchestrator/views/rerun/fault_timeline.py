@@ -1,0 +1,148 @@
+"""What went wrong, when and where: a lane a link and node, as telemetry has it, whatever was planned.
+
+A lane begins with the first thing that goes wrong in it. Lanes of an edge tell what crossed it, lanes of a node
+whether it was there, gave an input, and had the right model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from hedgerow.orchestrator.metrics.fault_accounts import at_ends
+from hedgerow.orchestrator.metrics.observer import Batch
+from hedgerow.orchestrator.views import palette
+from hedgerow.orchestrator.views.palette import Color
+from hedgerow.topologies.schema import Topology
+
+LANES = 24
+"""more links and nodes than that have no lane of their own"""
+FINE: Color = (38, 44, 54, 255)
+HEARD, NOT_I, NOT_J, CLOSED = 0, 1, 2, 4
+"""of an edge (i, j); they add up"""
+THERE, MISTAKEN, TURNED, NO_INPUT, GONE = range(5)
+"""of a node, the worst of what holds"""
+OF_NODE: Sequence[tuple[str, Color]] = (
+    ("ok", FINE),
+    ("wrong model", palette.WRONG),
+    ("a jumps", (250, 250, 120, 255)),
+    ("no input", palette.NO_INPUT),
+    ("dead", palette.DEAD),
+)
+
+
+def of_edge(i: str, j: str) -> Sequence[tuple[str, Color]]:
+    """What may be said of the edge (i, j), by its code, and in which colour."""
+    one, other, both = f"lost {j}→{i}", f"lost {i}→{j}", "lost both ways"
+    return (
+        ("ok", FINE),
+        *((what, palette.LOST) for what in (one, other, both)),
+        ("cut", palette.CUT),
+        *((f"cut, {what}", palette.BOTH) for what in (one, other, both)),
+    )
+
+
+@dataclass(frozen=True)
+class Lane:
+    """A row of the timeline."""
+
+    entity: str
+    says: Sequence[tuple[str, Color]]
+
+    def log_static(self, stream: rr.RecordingStream) -> None:
+        """Send what may be said, in its colours."""
+        values, colors = [what for what, _ in self.says], [color for _, color in self.says]
+        stream.log(self.entity, rr.StateConfiguration(values=values, colors=colors), static=True)
+
+
+@dataclass(frozen=True)
+class Changes:
+    """By lane, at which steps it says something else, and what."""
+
+    lanes: Mapping[str, tuple[NDArray[np.int64], NDArray[np.float64], list[str]]]
+    begun: Sequence[Lane] = ()
+    """the lanes among them that are new"""
+
+    def write(self, stream: rr.RecordingStream) -> None:
+        """Send them."""
+        for lane in self.begun:
+            lane.log_static(stream)
+        for entity, (t, wall, says) in self.lanes.items():
+            index = [rr.TimeColumn("step", sequence=t), rr.TimeColumn("wall", timestamp=wall)]
+            stream.send_columns(entity, index, rr.StateChange.columns(state=says))
+
+    @property
+    def size(self) -> int:
+        """Bytes, roughly."""
+        return sum(40 * len(t) for t, _, _ in self.lanes.values())
+
+    @staticmethod
+    def joined(parts: Sequence[Changes]) -> Changes:
+        """One after the other."""
+        found: dict[str, tuple[NDArray[np.int64], NDArray[np.float64], list[str]]] = {}
+        for entity in dict.fromkeys(entity for part in parts for entity in part.lanes):
+            own = [part.lanes[entity] for part in parts if entity in part.lanes]
+            t, wall = (np.concatenate([one[k] for one in own]) for k in (0, 1))
+            found[entity] = t, wall, [what for one in own for what in one[2]]
+        return Changes(found, [lane for part in parts for lane in part.begun])
+
+
+def _entity(name: str) -> str:
+    """The path of a lane, which is its title too: with no escapes for blanks in it."""
+    return "faults/" + rr.escape_entity_path_part(name.replace(" ", "_"))
+
+
+class Lanes:
+    """Sees what changes from step to step."""
+
+    def __init__(self, topology: Topology, models: bool) -> None:
+        """`models`: whether wrong models are told of, beside faults."""
+        self._ids, self._edges = topology.ids, topology.graph.edges
+        self._models = models
+        self._ends = at_ends(topology.graph)
+        self._before = np.zeros(len(self._edges) + len(self._ids), dtype=np.uint8)
+        self._a: NDArray[np.float64] | None = None
+        self.begun: dict[int, Lane] = {}
+
+    def _lane(self, k: int) -> Lane:
+        if k >= len(self._edges):
+            return Lane(_entity(f"node {self._ids[k - len(self._edges)]}"), OF_NODE)
+        i, j = (str(self._ids[end]) for end in self._edges[k].tolist())
+        return Lane(_entity(f"link {i}-{j}"), of_edge(i, j))
+
+    def codes(self, batch: Batch) -> NDArray[np.uint8]:
+        """What each lane says at each step, (B, E + n)."""
+        if len(self._ends):
+            lost = ~batch.link_up[:, self._ends]
+            links = NOT_I * lost[:, :, 0] + NOT_J * lost[:, :, 1] + CLOSED * ~batch.edge_open
+        else:
+            links = np.zeros((len(batch.t), 0))
+        before = batch.a[:1] if self._a is None else self._a[None]
+        turned = batch.a != np.concatenate([before, batch.a[:-1]])
+        self._a = batch.a[-1].copy()
+        missing, nobody = np.isnan(batch.u), np.isnan(batch.ahat)
+        # At step 0 an estimate is the first of a list: nobody has learned anything.
+        nodes = np.where((batch.ahat != batch.a) & self._models & (batch.t > 0)[:, None], MISTAKEN, THERE)
+        nodes = np.where(turned, TURNED, nodes)
+        nodes = np.where(missing, np.where(nobody, GONE, NO_INPUT), nodes)
+        return np.concatenate([links, nodes], axis=1).astype(np.uint8)
+
+    def changes(self, batch: Batch, wall: NDArray[np.float64]) -> Changes:
+        """What changes with this batch."""
+        codes = self.codes(batch)
+        changed = codes != np.concatenate([self._before[None], codes[:-1]])
+        self._before = codes[-1].copy()
+        new, found = [], {}
+        for k in changed.any(axis=0).nonzero()[0].tolist():
+            if k not in self.begun:
+                if len(self.begun) >= LANES:
+                    continue
+                self.begun[k] = self._lane(k)
+                new.append(self.begun[k])
+            rows, lane = changed[:, k].nonzero()[0], self.begun[k]
+            found[lane.entity] = batch.t[rows], wall[rows], [lane.says[code][0] for code in codes[rows, k].tolist()]
+        return Changes(found, new)

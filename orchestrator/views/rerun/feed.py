@@ -1,0 +1,128 @@
+"""A thread that brings what is written for a viewer to it, and lets nobody wait for a viewer that does not read."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+
+import rerun as rr
+
+from hedgerow.orchestrator.views.rerun.viewer import Viewer
+from hedgerow.orchestrator.views.rerun.viewer_version import compare
+
+Write = Callable[[rr.RecordingStream], None]
+
+WAITING_BYTES = 64 * 2**20
+"""numbers that may wait for a viewer; the oldest are dropped beyond"""
+POLL_S = 0.1
+"""how often a viewer is tried that does not listen or does not take what it was sent"""
+
+
+class Feeder:
+    """A thread that brings writes to a viewer which may stall, go away, come late or never come."""
+
+    def __init__(
+        self, viewer: Viewer, open_stream: Callable[[rr.GrpcSink], rr.RecordingStream], warn: Callable[[str], None]
+    ) -> None:
+        """`warn` is told, on any thread, what is wrong with the viewer."""
+        self._viewer, self._open, self._warn = viewer, open_stream, warn
+        self._writes: deque[tuple[Write, int]] = deque()
+        self._bytes = 0
+        self._changed = threading.Condition()
+        self._by: float | None = None
+        self._stuck: rr.RecordingStream | None = None
+        self.dropped = 0
+        self._thread = threading.Thread(target=self._run, name="viewer", daemon=True)
+        self._thread.start()
+
+    @property
+    def waiting(self) -> int:
+        """Bytes that wait for the viewer."""
+        return self._bytes
+
+    def put(self, write: Write, size: int) -> None:
+        """Queue a write of about `size` bytes, and drop the oldest ones beyond WAITING_BYTES."""
+        with self._changed:
+            self._writes.append((write, size))
+            self._bytes += size
+            while self._bytes > WAITING_BYTES and len(self._writes) > 1:
+                self._bytes -= self._writes.popleft()[1]
+                self.dropped += 1
+            self._changed.notify()
+
+    def finish(self, by: float) -> None:
+        """Nothing more is put: bring what waits, until the monotonic time `by`."""
+        with self._changed:
+            self._by = by
+            self._changed.notify()
+
+    def join(self, by: float) -> bool:
+        """Wait until `by`; whether the thread has ended and left nothing behind that could block."""
+        self._thread.join(max(0.0, by - time.monotonic()))
+        return not self._thread.is_alive() and self._stuck is None
+
+    def _run(self) -> None:
+        if self._until_it_listens():
+            compare(self._viewer, self._warn)
+            while not self._feed() and self._until_it_listens():
+                pass
+        with self._changed:
+            self.dropped += len(self._writes)
+            self._writes.clear()
+
+    def _until_it_listens(self) -> bool:
+        """Wait for the viewer; False when it will not come, or not in time."""
+        while not self._viewer.listens():
+            # At the end of a run our own viewer, which is starting, is worth waiting for; a stranger's is not.
+            hopeless = self._by is not None and self._viewer.process is None
+            if self._viewer.gone or hopeless or self._late():
+                return False
+            time.sleep(POLL_S)
+        return True
+
+    def _feed(self) -> bool:
+        """Bring writes over one connection; True when there are no more, False when the connection broke."""
+        stream = self._open(rr.GrpcSink(self._viewer.url))
+        self._stuck = stream
+        while (item := self._next()) is not None:
+            item[0](stream)
+            if not self._taken(stream):
+                with self._changed:
+                    self._writes.appendleft(item)
+                    self._bytes += item[1]
+                self._stuck = None
+                return False
+            if self._late():
+                return True
+        stream.disconnect()
+        self._stuck = None
+        return True
+
+    def _next(self) -> tuple[Write, int] | None:
+        with self._changed:
+            self._changed.wait_for(lambda: self._writes or self._by is not None)
+            if not self._writes:
+                return None
+            item = self._writes.popleft()
+            self._bytes -= item[1]
+            return item
+
+    def _taken(self, stream: rr.RecordingStream) -> bool:
+        """Wait until the viewer has what was written, so that no more than one batch is ever inside Rerun.
+
+        Beyond some megabytes Rerun would block, and could not be closed. False when the connection is broken.
+        """
+        while not self._late():
+            try:
+                stream.flush(timeout_sec=POLL_S)
+            except RuntimeError as error:
+                if "timed out" in str(error):
+                    continue
+                return False
+            return True
+        return True
+
+    def _late(self) -> bool:
+        return self._by is not None and time.monotonic() > self._by - 2 * POLL_S

@@ -1,0 +1,302 @@
+"""Runs that are over, opened in a viewer: one from its run.rrd, or from its tables; several on the same axes."""
+
+from __future__ import annotations
+
+import colorsys
+import threading
+import warnings
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from numpy.typing import NDArray
+from rerun.chunk import RrdReader
+
+from hedgerow.orchestrator.ground.signals import Interrupts
+from hedgerow.orchestrator.metrics.fault_accounts import at_ends
+from hedgerow.orchestrator.metrics.observer import Observer
+from hedgerow.orchestrator.runs import registry
+from hedgerow.orchestrator.runs.files import find_run, load_resolved
+from hedgerow.orchestrator.runs.reader import RecordedRun, load_run
+from hedgerow.orchestrator.runs.round_trips import processes_of
+from hedgerow.orchestrator.views.rerun.rrd_file import parts
+from hedgerow.orchestrator.views.rerun.stream import APPLICATION, RerunStream
+from hedgerow.orchestrator.views.rerun.viewer import Viewer, start
+from hedgerow.orchestrator.views.rerun.viewer_version import VERSION_DEADLINE_S, compare
+from hedgerow.orchestrator.views.rerun.watch import (
+    CLOSE_DEADLINE_S,
+    MEMORY,
+    READ_STEPS,
+    PatientStream,
+    as_begun,
+    keep_page,
+    told,
+)
+from hedgerow.topologies.errors import HedgerowError, UserError
+from hedgerow.wire.codec import TAKEN, End, Telemetry
+
+Say = Callable[[str], None]
+Columns = NDArray[np.float64]
+
+CHUNKS = 64
+"""how many are sent between two looks at whether the viewer takes them"""
+FLUSH_DEADLINE_S = 30.0
+ROWS = 2**14
+"""of a comparison, in a chunk"""
+
+
+def open_runs(runs: Sequence[str], choice: str, say: Say) -> None:
+    """Show runs in the viewer of a choice that was made before, and leave it open; a page until Ctrl-C.
+
+    Raises UserError where there is nothing to show, HedgerowError when the viewer fails.
+    """
+    folders = [find_run(run) for run in runs]
+    for folder in folders:
+        if any(Path(entry.folder) == folder for entry in registry.running()):
+            say(f"{folder.name}: is still running: this is as far as it has come; `orchestrator watch` follows it")
+    compared = [load_run(folder) for folder in folders] if len(folders) > 1 else []
+    if compared:
+        common_nodes(compared)
+    wake = threading.Event()
+    with Interrupts(wake.set) as interrupts:
+        viewer = start(choice, MEMORY, MEMORY)
+        assert viewer is not None, "nothing opens in no viewer"
+        try:
+            viewer.wait_until_it_listens()
+            compare(viewer, say).join(VERSION_DEADLINE_S)
+            if compared:
+                _compare(compared, viewer)
+            else:
+                _open(folders[0], viewer, say, lambda: not interrupts.count)
+            say(f"{' and '.join(folder.name for folder in folders)}: shown at {viewer.link or viewer.url}")
+            keep_page(viewer, interrupts, wake, say)
+        finally:
+            viewer.end()
+
+
+def _open(folder: Path, viewer: Viewer, say: Say, go_on: Callable[[], bool]) -> None:
+    files = parts(folder / "run.rrd")
+    if why := _unreadable(files):
+        say(f"{folder.name}: {why}: shown from its tables")
+        _replay(load_run(folder), viewer, say, go_on)
+        return
+    topology = load_resolved(folder)
+    # The layout is today's, whichever the run was recorded with.
+    made = RerunStream(topology, Observer(topology), folder.name, None, None, processes=processes_of(folder, topology))
+    stream = made.opened(rr.GrpcSink(viewer.url))
+    with warnings.catch_warnings(action="ignore"):
+        for file in files:
+            _send(_chunks(file), stream, viewer)
+    stream.disconnect()
+
+
+def _chunks(file: Path) -> Iterator[Any]:
+    """What a recording holds, to where it can be read."""
+    chunks = iter(RrdReader(file).stream())
+    while True:
+        try:
+            chunk = next(chunks)
+        except StopIteration:
+            return
+        except BaseException as error:
+            # A panic of Rerun's reader comes as one that is no Exception, and of a class that cannot be imported.
+            if not isinstance(error, RuntimeError | ValueError | OSError) and type(error).__name__ != "PanicException":
+                raise
+            why = str(error).splitlines()[0]
+            raise UserError(f"{file}: is damaged ({why}); move it away, and the run is shown from its tables") from None
+        yield chunk
+
+
+def _unreadable(files: Sequence[Path]) -> str:
+    """Why some recording cannot be opened, in words; empty where it can."""
+    if not files:
+        return "there is no run.rrd"
+    for file in files:
+        try:
+            with file.open("rb") as opened:
+                head = opened.read(8)
+        except OSError as error:
+            return f"{file.name} cannot be read ({error.strerror})"
+        if len(head) < 8 or not head.startswith(b"RRF"):
+            return f"{file.name} is empty or no recording"
+        written, ours = (head[4], head[5]), tuple(int(part) for part in rr.__version__.split(".")[:2])
+        if written > ours:
+            return f"{file.name} was written by Rerun {head[4]}.{head[5]}, newer than {rr.__version__} here"
+        try:
+            with warnings.catch_warnings(action="ignore"):  # a killed run left no footer, which only costs time
+                if not RrdReader(file).recordings():
+                    raise ValueError("it holds no recording")
+        except (RuntimeError, ValueError, OSError) as error:
+            return f"{file.name} cannot be read ({error})"
+    return ""
+
+
+def _send(chunks: Iterable[Any], stream: rr.RecordingStream, viewer: Viewer) -> None:
+    for number, chunk in enumerate(chunks, 1):
+        stream.send_chunks(chunk)
+        if number % CHUNKS == 0:
+            _flush(stream, viewer)
+    _flush(stream, viewer)
+
+
+def _flush(stream: rr.RecordingStream, viewer: Viewer) -> None:
+    """Wait until the viewer has all that was sent, so that Rerun never holds so much that it would block."""
+    try:
+        stream.flush(timeout_sec=FLUSH_DEADLINE_S)
+    except RuntimeError as error:
+        if "timed out" in str(error):
+            raise HedgerowError(
+                f"{viewer.url}: has taken nothing for {FLUSH_DEADLINE_S:g} s: the viewer is frozen; close it, and open"
+                " the run again"
+            ) from None
+        raise HedgerowError(
+            f"{viewer.url}: the viewer was closed ({error}); the run is untouched: open it again"
+        ) from None
+
+
+def _replay(run: RecordedRun, viewer: Viewer, say: Say, go_on: Callable[[], bool]) -> None:
+    """Show a run from its tables, each metric computed again."""
+    run.need_all("to be shown from its tables")
+    begun = as_begun(run.topology, run.folder)
+    observer = Observer(begun)
+    stream = PatientStream(begun, observer, run.run, viewer, say, run.T)
+    observer.change(run.topology)
+    for line in filter(None, map(told, run.events)):
+        stream.event(*line)
+    ends = at_ends(run.topology.graph)
+    took = np.full(ends.size, TAKEN, np.uint8)
+    heard = np.ones((run.T, ends.size), np.uint8)
+    heard[:, ends[:, 0]], heard[:, ends[:, 1]] = run.i_hears, run.j_hears
+    report = np.stack([run.ahat, run.margin], axis=1)
+    steps = np.setdiff1d(np.arange(run.T), run.lost)
+    for some in np.array_split(steps, -(-len(steps) // READ_STEPS)):
+        if not go_on():
+            break
+        rows = [Telemetry(int(t), run.x[t], run.u[t], run.w[t], report[t], run.open[t], heard[t], took) for t in some]
+        stream.log(observer.take(rows))
+        stream.wait(go_on)
+    else:
+        observer.finish(End(run.T, run.x[-1], 0.0))
+        stream.end(observer)
+    stream.close(CLOSE_DEADLINE_S)
+
+
+def common_nodes(runs: Sequence[RecordedRun]) -> list[int | str]:
+    """The nodes that all runs have, in the order of the first; raises UserError where there is none."""
+    found = [node for node in runs[0].ids if all(node in run.ids for run in runs)]
+    if not found:
+        networks = ", ".join(f"{run.run} has {_some(run.ids)}" for run in runs)
+        raise UserError(f"these runs have no node in common, so no axes: {networks}; open them one by one")
+    return found
+
+
+def _some(ids: Sequence[int | str]) -> str:
+    return ", ".join(map(str, ids[:4])) + (", …" if len(ids) > 4 else "")
+
+
+def labels(runs: Sequence[RecordedRun]) -> list[str]:
+    """A name for each run: its law where no two have the same, else its folder's, numbered if that is there twice."""
+    laws = [run.law for run in runs]
+    names = laws if len(set(laws)) == len(runs) else [run.run for run in runs]
+    times = Counter(names)
+    return [name if times[name] == 1 else f"{name} ({number})" for number, name in enumerate(names, 1)]
+
+
+SHARED = {
+    "x": "States x",
+    "regret_sum": "Cumulative regret D = Σ|x − x*|² [x²]",
+    "cost_regret": "Cost regret R [x²]",
+    "gain": "Gain √(Σcost / Σ|w|²); thin: γ*, the oracle's",
+    "nodes_right": "Estimates right [nodes]",
+}
+"""What runs are compared in: an entity in the folder of each, and the title of the panel that they share."""
+
+
+def _compare(runs: Sequence[RecordedRun], viewer: Viewer) -> None:
+    names = labels(runs)
+    stream = rr.RecordingStream(APPLICATION + " comparison", recording_id=" and ".join(run.run for run in runs))
+    stream.set_log_time_enabled(False)
+    stream.set_sinks(rr.GrpcSink(viewer.url), default_blueprint=comparison_blueprint(names))
+    stream.log("about", rr.TextDocument(_about(runs, names), media_type=rr.MediaType.MARKDOWN), static=True)
+    nodes = common_nodes(runs)
+    for place, (run, name) in enumerate(zip(runs, names, strict=True)):
+        hue = place / len(runs)
+        width = 2.5 / (1 + place)  # the lines of x have the colours of their nodes: the first run's are the boldest
+        for entity, titles, colors, widths, values in _series(run, name, nodes, hue, width):
+            path = rr.new_entity_path([name, entity])
+            stream.log(path, rr.SeriesLines(names=titles, colors=colors, widths=widths), static=True)
+            steps = run.steps if entity == "x" else np.arange(len(values))
+            for first in range(0, len(steps), ROWS):
+                some = steps[first : first + ROWS]
+                index, part = rr.TimeColumn("step", sequence=some), values[some]
+                stream.send_columns(path, [index], rr.Scalars.columns(scalars=part))
+            _flush(stream, viewer)
+    stream.disconnect()
+
+
+Series = tuple[str, list[str], list[tuple[int, int, int]], list[float], Columns]
+
+
+def _series(run: RecordedRun, name: str, nodes: Sequence[int | str], hue: float, width: float) -> Iterable[Series]:
+    """Each shared entity of a run: the names, colours and widths of its series, and their values, (steps, series)."""
+    places = [run.ids.index(node) for node in nodes]
+    hues = [_color(0.55 + k * 0.6180339887 % 1) for k in range(len(nodes))]
+    yield "x", [f"{name}: {node}" for node in nodes], hues, [width] * len(nodes), run.x[:, places]
+    own = _color(0.55 + hue)
+    for entity, values in (
+        ("regret_sum", run.regret_sum),
+        ("cost_regret", run.cost_regret),
+        ("nodes_right", run.right.astype(np.float64)),
+    ):
+        yield entity, [name], [own], [2.0], values[:, None]
+    gains = np.stack([run.gain, np.full(run.T, run.gamma_star)], axis=1)
+    yield "gain", [name, f"{name}: γ*"], [own, own], [2.0, 0.75], gains
+
+
+def _color(hue: float) -> tuple[int, int, int]:
+    r, g, b = colorsys.hsv_to_rgb(hue % 1, 0.6, 0.95)
+    return int(255 * r), int(255 * g), int(255 * b)
+
+
+def comparison_blueprint(names: Sequence[str]) -> rrb.Blueprint:
+    """A panel for each shared quantity, with all runs in it, and a page of words."""
+    plots = [
+        rrb.TimeSeriesView(
+            origin="/",
+            contents=[rr.new_entity_path([name, entity]) for name in names],
+            name=title,
+            plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=entity != "x"),
+        )
+        for entity, title in SHARED.items()
+    ]
+    words = rrb.TextDocumentView(origin="/about", name="About")
+    return rrb.Blueprint(
+        rrb.Grid(*plots, words, grid_columns=2),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline="step", play_state="paused"),
+    )
+
+
+def _about(runs: Sequence[RecordedRun], names: Sequence[str]) -> str:
+    """A table of what is compared, in Markdown."""
+    lines = [
+        f"| {name} | {run.run} | {run.topology.name} | {run.law} | {run.topology.seed} | {run.T} |"
+        f" {run.regret_sum[-1]:.4g} | {run.cost_regret[-1]:+.4g} | {run.verdict.get('verdict', '–')} |"
+        for run, name in zip(runs, names, strict=True)
+    ]
+    head = "| shown as | run | network | law | seed | steps | D | R | verdict |\n|---|---|---|---|---|---|---|---|---|"
+    return "\n".join(
+        [
+            "# Runs compared\n",
+            head,
+            *lines,
+            "\nIn *States* a colour is a node, and the first run has the boldest lines. Elsewhere a colour is a run.",
+            "D and R compare each run with the oracle of its *own* disturbances: those of two runs are about the same",
+            "thing only if both had the same network, seed and faults.",
+        ]
+    )

@@ -1,0 +1,319 @@
+"""What Rerun shows of a run: its quantities, and where they stand on the screen."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from numpy.typing import NDArray
+
+from hedgerow.orchestrator.metrics.observer import Batch, Observer
+from hedgerow.orchestrator.runs.selection import evenly, kept
+from hedgerow.orchestrator.views.palette import BACKGROUND, GREEN, GREY, ORANGE, Color, hues
+from hedgerow.orchestrator.views.palette import CUT as RED
+from hedgerow.orchestrator.views.palette import LOST as AMBER
+from hedgerow.orchestrator.views.palette import NO_INPUT as BLUE
+from hedgerow.orchestrator.views.rerun.fault_timeline import LANES
+from hedgerow.orchestrator.views.rerun.network_picture import Legend
+from hedgerow.topologies.graph import Index
+from hedgerow.topologies.schema import Topology
+from hedgerow.wire.codec import Trips
+
+Matrix = NDArray[np.float64]
+
+LEGEND_NODES = 10
+"""larger networks have no legend of nodes: it would cover the plot; the picture and pointing at a line name them too"""
+LINES = 10_000
+"""of more nodes or edges, so many have a line, whatever has rows"""
+LARGE = 24
+"""networks of more nodes are shown by quantiles and counts, with the plots of every node in tabs behind"""
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One entity of the recording: k series over the steps, named and coloured once."""
+
+    entity: str
+    of: Callable[[Batch], NDArray[Any]]
+    """the columns of a batch of B steps, (B, k) or (B,)"""
+    names: Sequence[str]
+    colors: Sequence[Color]
+    width: float = 1.5
+    steps: bool = False
+    """whether the values hold until the next step, rather than lead to it"""
+
+    def style(self) -> rr.SeriesLines:
+        """Names, colours and widths [points] of the k series."""
+        mode = rr.components.InterpolationMode
+        return rr.SeriesLines(
+            names=self.names,
+            colors=self.colors,
+            widths=[self.width] * len(self.names),
+            interpolation_mode=mode.StepAfter if self.steps else mode.Linear,
+        )
+
+    def columns(self, batch: Batch) -> Matrix:
+        """The series, (B, k); what is infinite has no place in a plot and becomes NaN."""
+        values = np.asarray(self.of(batch), dtype=np.float64).reshape(len(batch.t), -1)
+        return np.where(np.isinf(values), np.nan, values)
+
+
+def quantities(topology: Topology, observer: Observer) -> list[Quantity]:
+    """What is shown of a batch: an entity each, named as the field of Batch that it shows."""
+    return [*lines(topology), *totals(topology, observer)]
+
+
+def lines(topology: Topology) -> list[Quantity]:
+    """A line a node, or an edge, that has rows; of LINES at most."""
+    which, graph = kept(topology), topology.graph
+    nodes, flows = lined(which.nodes), lined(which.edges)
+    ids = [str(topology.ids[k]) for k in nodes.tolist()]
+    edges = [f"{topology.ids[i]}–{topology.ids[j]}" for i, j in graph.edges[flows].tolist()]
+    node, pale = hues(len(ids)), hues(len(ids), alpha=140)
+
+    def each(name: str) -> Callable[[Batch], Matrix]:
+        return lambda batch: _some(getattr(batch, name), nodes)
+
+    listed = [
+        Quantity("x", each("x"), ids, node),
+        Quantity("x_oracle", each("x_oracle"), _each(ids, "oracle"), pale, 1.0),
+        Quantity("x_nominal", each("x_nominal"), _each(ids, "nominal"), pale, 1.0),
+        Quantity("u", each("u"), ids, node, steps=True),
+        Quantity("u_edge", lambda batch: _some(batch.u_edge, flows), edges, hues(len(edges)), steps=True),
+        Quantity("w", each("w"), ids, node, steps=True),
+        Quantity("ahat", each("ahat"), ids, node, 2.0, steps=True),
+        Quantity(
+            "index", lambda batch: _named(_some(batch.ahat, nodes), _some(batch.index, nodes)), ids, node, steps=True
+        ),
+        Quantity("truth", each("a"), _each(ids, "truth"), pale, 1.0, steps=True),
+        Quantity("a_ls", each("a_ls"), ids, node),
+        Quantity("margin", each("margin"), ids, node),
+        Quantity("regret", each("regret"), ids, node),
+        Quantity("nominal_gap", each("nominal_gap"), ids, node),
+    ]
+    return [quantity for quantity in listed if quantity.names]
+
+
+def lined(some: Index) -> Index:
+    """Which of some nodes or edges have a line."""
+    return some[evenly(len(some), LINES)]
+
+
+def totals(topology: Topology, observer: Observer) -> list[Quantity]:
+    """What is one number, or a few, of the whole network."""
+    limit = topology.network.gamma_star_now
+
+    def gains(batch: Batch) -> Matrix:
+        gamma_star = np.full(len(batch.t), limit)
+        return np.stack([batch.gain(), batch.gain(float(observer.v0)), gamma_star], axis=1)
+
+    def sums(batch: Batch) -> Matrix:
+        return np.stack([batch.regret_sum, batch.nominal_regret_sum], axis=1)
+
+    return [
+        Quantity("nodes_right", lambda batch: batch.right, ["nodes right"], [GREEN], steps=True),
+        Quantity("regret_sum", sums, [topology.law, "nominal"], [GREEN, ORANGE], 2.0),
+        Quantity("cost_regret", lambda batch: batch.cost_regret, ["R"], [GREEN], 2.0),
+        Quantity("cost_ratio", lambda batch: batch.ratio, ["cost / oracle's cost"], [GREEN], 2.0),
+        Quantity("gain", gains, ["gain", "gain less x(0)", "γ* (oracle's)"], [ORANGE, GREEN, GREY], 2.0),
+    ]
+
+
+def _some(values: NDArray[Any], columns: Index) -> NDArray[Any]:
+    return values if len(columns) == values.shape[1] else values[:, columns]
+
+
+def _named(ahat: Matrix, index: NDArray[Any]) -> Matrix:
+    """Which candidates the estimates are, from 0; -1 for none of them, and a gap where there is no estimate."""
+    return np.where(np.isnan(ahat), np.nan, index)
+
+
+def aggregates(topology: Topology) -> list[Quantity]:
+    """What is shown of a large network in place of a line a node: computed for the viewer, and told by no table."""
+    if len(topology.ids) <= LARGE:
+        return []
+    names, colors = ["largest", "90 %", "median"], [ORANGE, GREEN, GREY]
+
+    def counts(batch: Batch) -> NDArray[Any]:
+        down = (~batch.edge_open, ~batch.link_up, np.isnan(batch.u))
+        return np.stack([which.sum(axis=1) for which in down], axis=1)
+
+    return [
+        Quantity("quantiles/x", lambda batch: _quantiles(np.abs(batch.x)), names, colors),
+        Quantity("quantiles/regret", lambda batch: _quantiles(batch.regret), names, colors),
+        Quantity("quantiles/u", lambda batch: _quantiles(np.abs(np.nan_to_num(batch.u))), names, colors, steps=True),
+        Quantity("quantiles/down", counts, list(DOWN), [RED, AMBER, BLUE], 2.0, steps=True),
+    ]
+
+
+ROUND_TRIPS = "round_trip_ms"
+
+
+class RoundTripLines:
+    """How long processes take to answer: a line each, or where they are many the slowest, 90 % and the median."""
+
+    def __init__(self, processes: Sequence[str]) -> None:
+        self._many = len(processes) > LARGE
+        self.names = ["slowest", "90 %", "median"] if self._many else list(processes)
+
+    def style(self) -> rr.SeriesLines:
+        """Names, colours and widths [points]."""
+        colors = [ORANGE, GREEN, GREY] if self._many else hues(len(self.names))
+        return rr.SeriesLines(names=self.names, colors=colors, widths=[1.5] * len(self.names))
+
+    def columns(self, trips: Trips) -> Matrix:
+        """The series [ms], a row a step, NaN where nobody answered."""
+        ms = 1e3 * trips.seconds
+        return _quantiles(np.nan_to_num(ms)) if self._many else ms
+
+
+DOWN = ("edges cut", "messages lost", "nodes without input")
+
+
+def _quantiles(values: Matrix) -> Matrix:
+    """The largest, the 90 % and the median of each row."""
+    n = values.shape[1]
+    at = [n - 1, int(0.9 * (n - 1)), (n - 1) // 2]
+    return np.asarray(np.partition(values, at, axis=1)[:, at])
+
+
+def _each(ids: Sequence[str], what: str) -> list[str]:
+    return [f"{node} {what}" for node in ids]
+
+
+def blueprint(topology: Topology, gamma_star: float, legend: Legend, wired: bool = False) -> rrb.Blueprint:
+    """The layout: the network and how it fares at the left; six plots, the faults and the events at the right.
+
+    Where something crosses a wire, round trips stand beside the events.
+    """
+    nodes = len(topology.ids)
+    large = nodes > LARGE
+    network = rrb.Spatial2DView(
+        origin="/network",
+        name=f"Network: {topology.name}, fill by |x| [x], edges by |u_j − u_i|",
+        background=list(BACKGROUND),
+        visual_bounds=rrb.VisualBounds2D(x_range=legend.x_range, y_range=legend.y_range),
+    )
+    words = rrb.Tabs(
+        rrb.TextDocumentView(origin="/now", name="Now"),
+        rrb.TextDocumentView(origin="/about", name="About this run"),
+        active_tab=0,
+    )
+    told = rrb.Vertical(network, words, row_shares=[5, 2])
+    events = rrb.TextLogView(
+        origin="/events",
+        name="Events",
+        columns=rrb.TextLogColumns(timeline_columns=["step"], text_log_columns=["loglevel", "body"]),
+    )
+    title = f"Faults (the first {LANES} links and nodes with any)" if large else "Faults and wrong models by link, node"
+    lanes = rrb.StateTimelineView(origin="/faults", name=title, time_view=_whole())
+    trips = [_plot("Round trips [ms]", ROUND_TRIPS, legend="LeftTop" if nodes <= LEGEND_NODES else None)]
+    if large:
+        down = _plot("Down [count]", "quantiles/down", legend="LeftTop")
+        first = rrb.Tabs(down, *trips) if wired else down
+        happened = rrb.Horizontal(first, lanes, events, column_shares=[2, 3, 2])
+    elif wired:
+        happened = rrb.Horizontal(*trips, lanes, events, column_shares=[2, 3, 2])
+    else:
+        happened = rrb.Horizontal(lanes, events, column_shares=[3, 2])
+    plots = _aggregated(topology, gamma_star) if large else _plots(topology, gamma_star)
+    return rrb.Blueprint(
+        rrb.Horizontal(told, rrb.Vertical(plots, happened, row_shares=[2.4, 1]), column_shares=[1, 2]),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline="step", play_state="following"),
+    )
+
+
+def _plots(topology: Topology, gamma_star: float) -> rrb.Grid:
+    legend = "RightBottom" if len(topology.ids) <= LEGEND_NODES else None
+    edge_inputs = [_plot("Edge flows u_j − u_i [u]", "u_edge", legend=legend)] if topology.edges else []
+    return rrb.Grid(
+        rrb.Tabs(_plot("States x [x], pale: oracle's", "x", "x_oracle"), _plot("Disturbances w [x]", "w")),
+        # One legend of nodes for all panels: the colours are the same, and it covers a part of the plot.
+        rrb.Tabs(_plot("Inputs u [u]", "u", legend=legend), *edge_inputs),
+        rrb.Tabs(
+            _plot("Estimates â [1], pale: truth", "ahat", "truth"),
+            _plot("a_LS [1]", "a_ls"),
+            _plot("Margin J₂ − J₁ [x²]", "margin"),
+            _plot("Nodes right", "nodes_right"),
+        ),
+        rrb.Tabs(_plot("Regret |x − x*| [x]", "regret"), _plot("Nominal gap |x* − x_nom| [x]", "nominal_gap")),
+        *_totals(gamma_star),
+        grid_columns=3,
+    )
+
+
+def _aggregated(topology: Topology, gamma_star: float) -> rrb.Grid:
+    nodes, lined_up = len(topology.ids), len(lined(kept(topology).nodes))
+    every = "every node" if lined_up == nodes else f"{lined_up} nodes"
+    heat = rrb.TensorView(
+        origin="/heat",
+        name="Heat map: |x| [x], largest of each patch",
+        scalar_mapping=rrb.TensorScalarMapping(colormap="Viridis", gamma=0.6, mag_filter="Nearest"),
+        view_fit="Fill",
+    )
+    edge_inputs = [_plot("Edge flows u_j − u_i [u]", "u_edge")] if topology.edges else []
+    return rrb.Grid(
+        rrb.Tabs(
+            _plot("|x| [x]: largest, 90 %, median", "quantiles/x", legend="RightTop"),
+            _plot(f"States x [x], {every}", "x"),
+            _plot("Oracle's x* [x]", "x_oracle"),
+            _plot("w [x]", "w"),
+        ),
+        heat,
+        rrb.Tabs(
+            _plot(f"Right models [of {nodes}]", "nodes_right"),
+            _plot("Estimates â [1], every node", "ahat"),
+            _plot("Truth a [1]", "truth"),
+            _plot("a_LS [1]", "a_ls"),
+            _plot("Margin [x²]", "margin"),
+        ),
+        rrb.Tabs(
+            _plot("Regret [x]: largest, 90 %, median", "quantiles/regret", legend="RightTop"),
+            _plot(every.capitalize(), "regret"),
+            _plot("Nominal gap [x]", "nominal_gap"),
+            _plot("|u| [u]: largest, 90 %, median", "quantiles/u", legend="RightTop"),
+            _plot(f"Inputs u [u], {every}", "u"),
+            *edge_inputs,
+        ),
+        *_totals(gamma_star),
+        grid_columns=3,
+    )
+
+
+def _totals(gamma_star: float) -> list[rrb.Tabs | rrb.TimeSeriesView]:
+    """What it costs."""
+    gain = rrb.ScalarAxis(range=(0.0, 4 * gamma_star), zoom_lock=False) if gamma_star > 0 else None
+    return [
+        rrb.Tabs(
+            _plot("Cumulative regret D [x²]", "regret_sum", legend="RightBottom"),
+            _plot("Cost regret R [x²]", "cost_regret"),
+            _plot("Cost ratio [1]", "cost_ratio"),
+        ),
+        # A large x(0) makes the first gains huge: the axis begins where they can be compared.
+        _plot("Gain √(Σcost / Σ|w|²) [1], axis to 4 γ*", "gain", legend="LeftTop", axis=gain),
+    ]
+
+
+def _plot(
+    title: str, *entities: str, legend: str | None = None, axis: rrb.ScalarAxis | None = None
+) -> rrb.TimeSeriesView:
+    return rrb.TimeSeriesView(
+        origin="/",
+        contents=[f"/{entity}" for entity in entities],
+        name=title,
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.auto(legend or "RightTop"), visible=legend is not None),
+        axis_x=_whole(),
+        axis_y=axis,
+    )
+
+
+def _whole() -> rrb.archetypes.TimeAxis:
+    """The whole run so far: left alone, the viewer shows the last thousand steps of a run that goes on."""
+    boundary = rrb.TimeRangeBoundary.infinite()
+    return rrb.archetypes.TimeAxis(view_range=rr.TimeRange(start=boundary, end=boundary))

@@ -1,0 +1,288 @@
+"""What `--viewer` means: which Rerun viewer shows a run live, and who starts it.
+
+    native    a window of its own, which stays open after the run
+    web       a page, served until the run has ended
+    auto      native where there is a display, else none
+    http://HOST:PORT    the same page on one port of that address, 0.0.0.0 for all, until Ctrl-C: for containers
+    none      nothing live
+    rerun+http://HOST:PORT/proxy    a viewer that somebody else starts, now or later
+
+Whatever else is started here listens on loopback only. A started viewer counts as listening only when the port is in
+the hands of its own process: a second `rerun` on a busy port would hand all data to whoever holds the port.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import importlib.util
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from urllib.parse import quote, urlsplit
+
+import psutil
+
+from hedgerow.topologies.errors import HedgerowError, UserError
+from hedgerow.wire.ports import LOOPBACK, free_port
+
+NATIVE_MEMORY = "1GB"
+"""what the native viewer keeps of a run; it drops the oldest steps beyond"""
+SERVER_MEMORY = "256MiB"
+"""what a server keeps for pages that are opened late"""
+NICE = 5
+"""how much more a run's processes get of the processor than a viewer"""
+START_DEADLINE_S = 20.0
+"""how long a viewer has to start where somebody waits for it"""
+
+
+@dataclass(frozen=True)
+class Viewer:
+    """A Rerun viewer that listens at `url`, or will."""
+
+    url: str
+    link: str | None = None
+    """what to open in a browser, for a viewer that is a page"""
+    process: subprocess.Popen[bytes] | None = None
+    """the viewer's own process; None if somebody else starts it"""
+    door: subprocess.Popen[bytes] | None = None
+    """the process that puts a page on one port, where that was asked for"""
+
+    @property
+    def gone(self) -> bool:
+        """Whether the viewer that we started has ended, so that its port may be anybody's."""
+        return self.process is not None and self.process.poll() is not None
+
+    def listens(self) -> bool:
+        """Whether the viewer itself, and not a stranger on its port, takes connections now."""
+        address = urlsplit(self.url)
+        if self.process is not None:
+            return (LOOPBACK, address.port) in listening(self.process.pid)
+        try:
+            socket.create_connection((address.hostname or "", address.port or 0), 1).close()
+        except OSError:
+            return False
+        return True
+
+    def wait_until_it_listens(self, deadline_s: float = START_DEADLINE_S) -> None:
+        """Return once it takes connections; HedgerowError, with what to do, if it never does."""
+        by = time.monotonic() + deadline_s
+        while not self.listens():
+            if self.gone:
+                raise HedgerowError(
+                    "the viewer ended at once: there may be no graphics driver here; --viewer web shows it in a browser"
+                )
+            if time.monotonic() > by:
+                raise HedgerowError(f"{self.url}: {self.unheard}")
+            time.sleep(0.05)
+
+    @property
+    def unheard(self) -> str:
+        """What to do when nobody listens."""
+        if self.process is not None:
+            return "the viewer does not start; try again, or --viewer web"
+        port = urlsplit(self.url).port
+        return (
+            f"nobody listens there; start a viewer of rerun-sdk {version('rerun-sdk')} with"
+            f" `rerun --port {port} --bind {LOOPBACK}`, or choose --viewer web"
+        )
+
+    def end(self) -> None:
+        """Stop the server behind a page; a native viewer lives on until its window is closed."""
+        if self.process is not None and self.link is not None:
+            for process in (self.process, self.door):
+                if process is not None:
+                    process.terminate()
+                    process.wait()
+
+
+def choose(asked: str) -> str:
+    """What `--viewer ASKED` comes to on this machine: native, web, none or an address.
+
+    Raises UserError when it is none of these, native without a display, or a page on a port that we cannot have.
+    """
+    match asked:
+        case "auto":
+            return "native" if has_display() else "none"
+        case "native" if not has_display():
+            raise UserError(
+                "--viewer native: there is no display (DISPLAY and WAYLAND_DISPLAY are not set); choose --viewer web,"
+                " or --viewer none and open run.rrd with `rerun` where there is one"
+            )
+        case "native" | "web" | "none":
+            return asked
+        case _ if _is_page(asked):
+            _check_free(asked)
+            return asked
+        case _ if _is_address(asked):
+            return asked
+        case _:
+            raise UserError(
+                f"--viewer {asked}: is none of auto, native, web, none and no viewer's address;"
+                " an address is written rerun+http://HOST:PORT/proxy, and http://HOST:PORT serves a page there"
+            )
+
+
+def choose_one(asked: str, instead: str) -> str:
+    """The same where something has to be seen; UserError for none, and where nobody can, which says what to do."""
+    choice = choose(asked) if asked != "native" or has_display() else "none"
+    if choice == "none":
+        raise UserError(
+            f"--viewer {asked}: there is no display (DISPLAY and WAYLAND_DISPLAY are not set): --viewer web serves a"
+            f" page; {instead}"
+            if asked != "none"
+            else "--viewer none: shows nothing; choose native, web or a viewer's address"
+        )
+    return choice
+
+
+def start(choice: str, memory: str = NATIVE_MEMORY, server_memory: str = SERVER_MEMORY) -> Viewer | None:
+    """The viewer of a choice that `choose` returned, its process started if it is ours to start; None for none."""
+    match choice:
+        case "none":
+            return None
+        case "native":
+            return native(memory=memory)
+        case "web":
+            return _web(server_memory)
+        case _ if _is_page(choice):
+            return _published(choice, server_memory)
+        case _:
+            return Viewer(choice)
+
+
+def has_display() -> bool:
+    """Whether a window can be opened here."""
+    if sys.platform in ("darwin", "win32"):
+        return True
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def _is_address(asked: str) -> bool:
+    try:
+        parts = urlsplit(asked)
+        known = parts.scheme in ("rerun+http", "rerun+https") and parts.path == "/proxy"
+        return known and bool(parts.hostname and parts.port)
+    except ValueError:  # a port that is no number, or too large
+        return False
+
+
+def _is_page(asked: str) -> bool:
+    try:
+        parts = urlsplit(asked)
+        return parts.scheme == "http" and parts.path in ("", "/") and bool(parts.hostname and parts.port)
+    except ValueError:
+        return False
+
+
+def _check_free(page: str) -> None:
+    parts = urlsplit(page)
+    host = str(parts.hostname)
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    try:
+        socket.create_server((host, int(parts.port or 0)), family=family).close()
+    except OSError as error:
+        why = (error.strerror or str(error)).partition(" (while")[0]
+        raise UserError(f"--viewer {page}: no page there: {why}; choose another port, or an address of ours") from None
+
+
+def native(*options: str, port: int | None = None, memory: str = NATIVE_MEMORY) -> Viewer:
+    """A viewer in a window of its own, at a free port; `options` are more of rerun's, such as --headless for none."""
+    port = free_port() if port is None else port
+    return Viewer(_url(port), process=_begin("--port", str(port), "--memory-limit", memory, *options))
+
+
+def _web(memory: str) -> Viewer:
+    port, page = free_port(), free_port()
+    ports = ("--port", str(port), "--web-viewer-port", str(page))
+    process = _begin("--serve-web", *ports, server_memory=memory, first=_end_with_parent)
+    # The colours of the network's picture are those of the dark theme; a browser would choose by its own.
+    link = f"http://{LOOPBACK}:{page}/?url={quote(_url(port), safe='')}&theme=dark"
+    return Viewer(_url(port), link, process)
+
+
+def _published(address: str, memory: str) -> Viewer:
+    """The page and its data on one port (orchestrator.views.rerun.one_port), which others than we can reach."""
+    port, page, parts = free_port(), free_port(), urlsplit(address)
+    process = _begin(
+        *("--port", str(port), "--web-viewer-port", str(page), "--serve-web"),
+        server_memory=memory,
+        first=_end_with_parent,
+    )
+    host, outside = str(parts.hostname), int(parts.port or 0)
+    door = subprocess.Popen(
+        [
+            sys.executable,
+            "-P",
+            "-m",
+            "hedgerow.orchestrator.views.rerun.one_port",
+            *map(str, (host, outside, port, page)),
+        ],
+        stdin=subprocess.DEVNULL,
+        start_new_session=True,
+        preexec_fn=_end_with_parent,  # noqa: PLW1509 (system calls, no lock)
+    )
+    return Viewer(_url(port), f"http://{'localhost' if host == '0.0.0.0' else host}:{outside}", process, door)
+
+
+def _url(port: int) -> str:
+    return f"rerun+http://{LOOPBACK}:{port}/proxy"
+
+
+def _step_back() -> None:
+    """What draws leaves the processor to the run: it may stutter, a step may not."""
+    os.nice(NICE)
+
+
+def _end_with_parent() -> None:
+    """A page's server does not outlive the run, even if that is killed (where the kernel can see to it: Linux)."""
+    _step_back()
+    if sys.platform == "linux":
+        pr_set_pdeathsig = 1
+        ctypes.CDLL(None).prctl(pr_set_pdeathsig, signal.SIGKILL)
+
+
+def _begin(
+    *options: str, server_memory: str = SERVER_MEMORY, first: Callable[[], None] = _step_back
+) -> subprocess.Popen[bytes]:
+    # A session of its own: neither Ctrl-C nor the end of the run's terminal reaches the viewer.
+    return subprocess.Popen(
+        [
+            str(executable()),
+            *("--bind", LOOPBACK, "--server-memory-limit", server_memory, "--hide-welcome-screen"),
+            *options,
+        ],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+        preexec_fn=first,  # noqa: PLW1509 (system calls, no lock)
+        env={**os.environ, "RERUN_APP_ONLY": "true"},
+    )
+
+
+def executable() -> Path:
+    """The viewer of the installed rerun-sdk itself: the `rerun` on the path is a shim, or another version."""
+    package = importlib.util.find_spec("rerun_cli")
+    if package is None or package.origin is None:
+        raise UserError("--viewer: rerun-sdk has no viewer here; reinstall it, or --viewer none")
+    folder = Path(package.origin).parent
+    bundle = folder / "Rerun.app" / "Contents" / "MacOS" / "Rerun"
+    if sys.platform == "darwin" and bundle.exists():
+        return bundle
+    return folder / ("rerun.exe" if sys.platform == "win32" else "rerun")
+
+
+def listening(pid: int) -> set[tuple[str, int]]:
+    """The addresses at which a process takes TCP connections; none if it has ended."""
+    try:
+        sockets = psutil.Process(pid).net_connections("tcp")
+    except psutil.Error:
+        return set()
+    return {(one.laddr.ip, one.laddr.port) for one in sockets if one.status == psutil.CONN_LISTEN}

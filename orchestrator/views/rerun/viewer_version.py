@@ -1,0 +1,41 @@
+"""A viewer that somebody else started may be of another version than we are, which seems to work and need not."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+
+from hedgerow.orchestrator.views.rerun.viewer import Viewer
+
+VERSION_DEADLINE_S = 2.0
+"""how long an answer is worth waiting for: a frozen viewer never gives one"""
+
+
+def compare(viewer: Viewer, say: Callable[[str], None]) -> threading.Thread:
+    """Ask a viewer that listens for its version, on a thread, and say what to do if it is not ours."""
+
+    def ask() -> None:
+        if viewer.process is not None:
+            return
+        import rerun  # noqa: PLC0415
+        from rerun.experimental import ViewerClient  # noqa: PLC0415
+
+        ours = rerun.__version__
+        try:
+            theirs = ViewerClient.connect(viewer.url).get_state().viewer_version
+        except (RuntimeError, OSError) as error:
+            if "Unimplemented" in str(error):
+                say(
+                    f"the viewer at {viewer.url} does not say its version: it is old, or only passes on what it is"
+                    f" sent; if nothing is shown, install rerun-sdk=={ours} there"
+                )
+            return
+        if theirs != ours:
+            say(
+                f"the viewer at {viewer.url} is Rerun {theirs}, and this is {ours}: what it shows may be wrong;"
+                f" install rerun-sdk=={ours} there"
+            )
+
+    asking = threading.Thread(target=ask, name="version", daemon=True)
+    asking.start()
+    return asking

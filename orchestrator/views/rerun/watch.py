@@ -1,0 +1,378 @@
+"""A running network watched from outside, from its step 0: its folder is read, and nobody in the run is asked.
+
+    telemetry.arrows, edges.arrows ---> Trail ---> Observer ---> viewer
+    topology.yaml (live faults) --------------------^  ^
+    events.jsonl ---------------------------------------'
+
+So it costs the run nothing but the reading of two files, may come late, and may be there twice.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from hedgerow.orchestrator.ground.signals import Interrupts
+from hedgerow.orchestrator.metrics.fault_accounts import at_ends
+from hedgerow.orchestrator.metrics.observer import Observer
+from hedgerow.orchestrator.metrics.verdict import Verdict
+from hedgerow.orchestrator.runs import registry
+from hedgerow.orchestrator.runs.files import load_resolved, read_events, reading
+from hedgerow.orchestrator.runs.folder import RunFolder
+from hedgerow.orchestrator.runs.registry import Entry
+from hedgerow.orchestrator.runs.round_trips import TABLE, processes_of, trips_in
+from hedgerow.orchestrator.runs.selection import kept
+from hedgerow.orchestrator.views.rerun.stream import RerunStream
+from hedgerow.orchestrator.views.rerun.viewer import Viewer, start
+from hedgerow.orchestrator.views.rerun.viewer_version import VERSION_DEADLINE_S, compare
+from hedgerow.topologies.errors import HedgerowError, UserError
+from hedgerow.topologies.graph import Graph
+from hedgerow.topologies.schema import Topology
+from hedgerow.wire.codec import TAKEN, End, Telemetry
+
+Say = Callable[[str], None]
+
+POLL_S = 0.2
+ALIVE_EVERY_S = 1.0
+"""how often it is asked whether the run, and the viewer, are still there"""
+READ_STEPS = 2048
+ROW_BYTES = 76
+"""of a step and node in telemetry.arrows, where ids are numbers"""
+WAITING_BYTES = 8 * 2**20
+"""numbers that may wait for the viewer before more are read: of a past, nothing is dropped"""
+FROZEN_S = 10.0
+"""a viewer that takes nothing for so long is complained of"""
+CLOSE_DEADLINE_S = 30.0
+MEMORY = "50%"
+"""of the machine's, that a viewer, or a page's server, may keep where somebody asks for the whole past"""
+
+
+class ArrowTail:
+    """An Arrow stream that may still grow, batch by batch from its first."""
+
+    def __init__(self, path: Path) -> None:
+        self._file = pa.OSFile(str(path), "rb")
+        self._schema: pa.Schema | None = None
+        self.over = False
+        """its writer has closed it, and all was read"""
+
+    @property
+    def bytes(self) -> int:
+        """What is written so far."""
+        return int(self._file.size())
+
+    def next(self) -> pa.RecordBatch | None:
+        """The next whole batch; None if there is none yet."""
+        before = at = self._file.tell()
+        try:
+            if self._schema is None:
+                self._schema = pa.ipc.read_schema(self._file)
+                at = self._file.tell()
+            message = pa.ipc.read_message(self._file)
+        except EOFError:  # nothing, or the mark that ends a stream
+            self.over = self._schema is not None and self._file.tell() > at
+        except (pa.ArrowInvalid, OSError):  # half of one is written
+            pass
+        else:
+            return pa.ipc.read_record_batch(message, self._schema)
+        self._file.seek(at if self._schema is not None else before)
+        return None
+
+
+class Trail:
+    """The telemetry that a run has left in its folder so far, and leaves while it is read.
+
+    The tables hold all of it but what nodes say that they took in, which is set to all that there was, and margins
+    that are infinite for want of a rival, which come out as NaN.
+    """
+
+    def __init__(self, folder: Path, graph: Graph) -> None:
+        """Raise FileNotFoundError where the streams are not there: not yet, or no more."""
+        self._folder = folder
+        with reading(folder):
+            self._telemetry = ArrowTail(folder / "telemetry.arrows")
+            self._edges = ArrowTail(folder / "edges.arrows")
+        self._graph, self._ends = graph, at_ends(graph)
+        self._waiting: pa.RecordBatch | None = None
+        self.end: End | None = None
+
+    @property
+    def past(self) -> int:
+        """About how many steps are there now."""
+        return self._telemetry.bytes // (ROW_BYTES * self._graph.n)
+
+    @property
+    def over(self) -> bool:
+        """Whether nothing more will come."""
+        return self._telemetry.over and self._waiting is None
+
+    def take(self, steps: int) -> list[Telemetry]:
+        """New rows, about so many at most; UserError where the streams are not those of this network."""
+        rows: list[Telemetry] = []
+        with reading(self._folder):
+            while len(rows) < steps and (some := self._next()) is not None:
+                rows += some
+        return rows
+
+    def _next(self) -> list[Telemetry] | None:
+        """The rows of the next batch of both streams."""
+        self._waiting = self._waiting or self._telemetry.next()
+        if (nodes := self._waiting) is None:
+            return None
+        n, e = self._graph.n, len(self._graph.edges)
+        if nodes["w"].null_count:  # at the last step nothing acts
+            self._waiting = None
+            self.end = End(nodes["step"][0].as_py(), nodes["x"].to_numpy(), 0.0)
+            return None
+        edges = self._edges.next() if e else None
+        if e and edges is None:  # it is written right behind
+            return None
+        self._waiting = None
+        t = nodes["step"].to_numpy()[::n]
+        x, u, w = (_numbers(nodes, name).reshape(-1, n) for name in ("x", "u", "w"))
+        report = np.stack([_numbers(nodes, name).reshape(-1, n) for name in ("ahat", "margin")], axis=1)
+        is_open, link_up = np.ones((len(t), e), np.uint8), np.ones((len(t), 2 * e), np.uint8)
+        if edges is not None:
+            is_open[:] = _numbers(edges, "open").reshape(-1, e)
+            for end, name in enumerate(("i_hears", "j_hears")):
+                link_up[:, self._ends[:, end]] = _numbers(edges, name).reshape(-1, e)
+        took = np.full(2 * e, TAKEN, np.uint8)
+        return [
+            Telemetry(int(step), x[k], u[k], w[k], report[k], is_open[k], link_up[k], took) for k, step in enumerate(t)
+        ]
+
+
+def _numbers(batch: pa.RecordBatch, name: str) -> Any:
+    """A column, NaN where it is null."""
+    return batch[name].to_numpy(zero_copy_only=False)
+
+
+class Happenings:
+    """The lines of events.jsonl, those of a run that goes on among them."""
+
+    def __init__(self, path: Path) -> None:
+        self._path, self._at = path, 0
+
+    def new(self) -> Iterator[Mapping[str, Any]]:
+        """What has happened since it was last asked."""
+        try:
+            with reading(self._path), self._path.open("rb") as file:
+                file.seek(self._at)
+                text = file.read()
+        except FileNotFoundError:
+            return
+        with reading(self._path):
+            yield from read_events(text)
+        self._at += text.rfind(b"\n") + 1
+
+
+def told(event: Mapping[str, Any]) -> tuple[str, str, int] | None:
+    """A line for the log of events, its level and its step; None for what the viewer need not show."""
+    match event:
+        case {"event": "lost", "who": who, "cause": cause, "step": step}:
+            return f"step {step}: going on without {who}: {cause}", "WARN", step
+        case {"event": "back", "who": who, "at": step}:
+            return f"step {step}: {who} is back", "INFO", step
+        case {"event": "fault", "fault": number, "at": step}:
+            return f"step {step}: fault {number} begins", "WARN", step
+        case {"event": "heal", "fault": number, "at": step}:
+            return f"step {step}: fault {number} ends", "INFO", step
+    return None
+
+
+def as_begun(topology: Topology, folder: Path) -> Topology:
+    """A run's topology with the faults of its file alone: those that were added while it ran are told as they begin."""
+    begun = sum(event["event"] == "fault" and "at" not in event for event in Happenings(folder / "events.jsonl").new())
+    return topology.model_copy(update={"faults": topology.faults[:begun]})
+
+
+class PatientStream(RerunStream):
+    """A stream to a viewer alone that is waited for, since all of a past is to arrive; it is waited for in vain once.
+
+    Whoever plays a run back has the time that a loop has not.
+    """
+
+    def __init__(
+        self,
+        topology: Topology,
+        observer: Observer,
+        name: str,
+        viewer: Viewer,
+        say: Say,
+        past: int,
+        processes: Sequence[str] = (),
+    ) -> None:
+        super().__init__(topology, observer, name, None, viewer, past=past, processes=processes)
+        self._viewer, self._say = viewer, say
+        self._complained = False
+
+    @property
+    def waiting(self) -> int:
+        """Bytes of numbers that wait for the viewer."""
+        return self._feeder.waiting if self._feeder is not None else 0
+
+    def wait(self, go_on: Callable[[], bool], below: int = WAITING_BYTES) -> None:
+        """Return when less than so much waits, or `go_on` says no; HedgerowError when the viewer was closed."""
+        least, since = self.waiting, time.monotonic()
+        while (now := self.waiting) >= below and go_on():
+            if now < least:
+                least, since = now, time.monotonic()
+            if time.monotonic() - since > FROZEN_S:
+                self.check()
+                if not self._complained:
+                    self._complained = True
+                    self._say(
+                        f"the viewer at {self._viewer.url} has taken nothing for {FROZEN_S:g} s: it is frozen, or busy;"
+                        " wake it up, or press Ctrl-C and use another; nothing is lost"
+                    )
+            time.sleep(0.02)
+
+    def check(self) -> None:
+        """Raise HedgerowError when there is no viewer any more."""
+        if self._viewer.gone:
+            raise HedgerowError("the viewer was closed; the run is untouched: the same command opens it again")
+        if not self._viewer.listens():
+            raise HedgerowError(f"{self._viewer.url}: {self._viewer.unheard}; the run is untouched")
+
+
+def watch(entry: Entry, choice: str, say: Say) -> None:
+    """Show a running network from step 0 until it ends or Ctrl-C; the viewer stays open.
+
+    Raises UserError where there is nothing to attach to, HedgerowError when the viewer fails.
+    """
+    folder = RunFolder(Path(entry.folder))
+    wake = threading.Event()
+    with Interrupts(wake.set) as interrupts:
+        topology = load_resolved(folder.path)
+        if not (what := kept(topology)).whole:
+            raise UserError(
+                f"{entry.run}: keeps {what}, and can only be watched where all is kept; start it with --viewer, or see"
+                f" what it has so far with `orchestrator open {entry.folder}`"
+            )
+        if (trail := _attached(entry, topology, wake, interrupts)) is None:
+            return
+        viewer = start(choice, MEMORY, MEMORY)
+        assert viewer is not None, "there is nothing to watch without"
+        try:
+            viewer.wait_until_it_listens()
+            compare(viewer, say).join(VERSION_DEADLINE_S)
+            say(f"{entry.run}: watch it at {viewer.link or viewer.url}; Ctrl-C stops watching, not the run")
+            _Watch(entry, folder, topology, trail, viewer, say, interrupts, wake).follow()
+            keep_page(viewer, interrupts, wake, say)
+        finally:
+            viewer.end()
+
+
+def keep_page(viewer: Viewer, interrupts: Interrupts, wake: threading.Event, say: Say) -> None:
+    """Serve a page until Ctrl-C; a window needs nobody."""
+    if viewer.link is None or interrupts.count:
+        return
+    say(f"{viewer.link} stays until Ctrl-C")
+    while not interrupts.count and not viewer.gone:
+        wake.wait(POLL_S)
+
+
+def _attached(entry: Entry, topology: Topology, wake: threading.Event, interrupts: Interrupts) -> Trail | None:
+    """The trail of a run, as soon as that has done a step; None after Ctrl-C."""
+    while not interrupts.count:
+        try:
+            return Trail(Path(entry.folder), topology.graph)
+        except FileNotFoundError:
+            over = any((Path(entry.folder) / name).exists() for name in ("telemetry.parquet", "verdict.json"))
+            if over or entry not in registry.running():
+                raise UserError(f"{entry.run}: has just ended; `orchestrator open {entry.folder}` shows it") from None
+        wake.wait(POLL_S)
+    return None
+
+
+class _Watch:
+    def __init__(
+        self,
+        entry: Entry,
+        folder: RunFolder,
+        topology: Topology,
+        trail: Trail,
+        viewer: Viewer,
+        say: Say,
+        interrupts: Interrupts,
+        wake: threading.Event,
+    ) -> None:
+        self._entry, self._folder, self._trail = entry, folder, trail
+        self._say, self._interrupts, self._wake = say, interrupts, wake
+        topology = as_begun(topology, folder.path)
+        self._observer = Observer(topology)
+        # Not the run's own name: two that show it in one viewer would be taken for one recording, its rows twice.
+        name = f"{entry.run} watched at {time.strftime('%H:%M:%S')}-{time.monotonic_ns() % 1000:03}"
+        processes = processes_of(folder.path, topology)
+        self._trips: ArrowTail | None = None
+        with contextlib.suppress(FileNotFoundError):  # nothing crosses a wire, or the run has just ended
+            self._trips = ArrowTail(folder.path / f"{TABLE}.arrows")
+        self._stream = PatientStream(topology, self._observer, name, viewer, say, trail.past, processes)
+        self._happenings = Happenings(folder.events)
+        self._file: tuple[int, int] | None = None
+        """which topology.yaml was read"""
+        self._looked_at = 0.0
+        self._alive = True
+
+    def follow(self) -> None:
+        try:
+            while not self._interrupts.count:
+                self._look()
+                alive = self._alive
+                if self._read():
+                    self._stream.wait(lambda: not self._interrupts.count)
+                elif self._trail.over or not alive:
+                    self._end()
+                    return
+                else:
+                    self._wake.wait(POLL_S)
+        finally:
+            self._stream.close(1.0 if self._interrupts.count else CLOSE_DEADLINE_S)
+
+    def _look(self) -> None:
+        """See, now and then, whether the run and the viewer are still there."""
+        if time.monotonic() - self._looked_at > ALIVE_EVERY_S:
+            self._looked_at = time.monotonic()
+            self._alive = self._entry in registry.running()
+            self._stream.check()
+
+    def _read(self) -> bool:
+        """Show what is new; whether anything was."""
+        rows = self._trail.take(READ_STEPS)
+        # Whatever strikes a step stands in the file before that step is recorded: it is read after the rows.
+        status = self._folder.topology.stat()
+        if (status.st_ino, status.st_mtime_ns) != self._file:
+            self._file = (status.st_ino, status.st_mtime_ns)
+            self._observer.change(load_resolved(self._folder.path))
+        for event in self._happenings.new():
+            if (line := told(event)) is not None:
+                self._stream.event(*line)
+        if rows:
+            self._stream.log(self._observer.take(rows))
+        while self._trips is not None and (batch := self._trips.next()) is not None:
+            self._stream.round_trips(trips_in(batch), time.time())
+        if self._trail.end is not None and self._observer.end is None:
+            self._observer.finish(self._trail.end)
+            self._stream.end(self._observer)
+            return True
+        return bool(rows)
+
+    def _end(self) -> None:
+        """Say what became of the run, as soon as that is known."""
+        while not self._folder.verdict.exists() and self._entry in registry.running() and not self._interrupts.count:
+            self._wake.wait(POLL_S)
+        if self._folder.verdict.exists():
+            content = json.loads(self._folder.verdict.read_text(encoding="utf-8"))
+            text = Verdict(content["verdict"], content).line()
+        else:
+            text = f"{self._entry.run}: was killed after step {self._observer.next_step - 1}; what it left is shown"
+        self._stream.event(text, "INFO", self._observer.next_step)
+        self._say(text)

@@ -1,0 +1,312 @@
+"""Speaking to a running network: what is asked, what is answered, and what the run remembers of it."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hedgerow.orchestrator.cli import main as cli
+from hedgerow.orchestrator.launch.live import Live, checked, groups, pair
+from hedgerow.topologies.describe import describe
+from hedgerow.topologies.effects import FOREVER
+from hedgerow.topologies.errors import DeadlineError, HedgerowError, TopologyError, UserError
+from hedgerow.topologies.load import load
+from hedgerow.topologies.resolve import resolve
+from hedgerow.topologies.schema import Topology
+from tests.tools.networks import read
+from tests.tools.processes import Orchestrator, orchestrator
+
+LINE = "{name: line, b: 0.1, steps: 9, nodes: [1, 2, 3, a-b, c], edges: [[1, 2], [2, 3], [3, a-b], [a-b, c]]}"
+
+
+def named(*nodes: str) -> Topology:
+    """A ring of nodes of these names."""
+    ring = [[i, j] for i, j in zip(nodes, [*nodes[1:], nodes[0]], strict=True)][: len(nodes) if len(nodes) > 2 else 1]
+    return read(json.dumps({"name": "ring", "b": 0.1, "steps": 3, "nodes": list(nodes), "edges": ring}))
+
+
+@pytest.mark.parametrize(
+    ("text", "meant"),
+    [("1-2", (1, 2)), ("2-1", (2, 1)), ("3-a-b", (3, "a-b")), ("a-b-c", ("a-b", "c")), ("a-b,c", ("a-b", "c"))],
+)
+def test_two_nodes_are_named_as_a_person_names_them(text: str, meant: tuple[Any, Any]) -> None:
+    assert pair(text, read(LINE)) == meant
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("2-9", "2-9: 9 is no node; the nodes are 1, 2, 3, a-b, c"),
+        ("2,9", "2,9: 9 is no node"),
+        ("a-x-c", "a-x-c: names no two nodes, as 2-4 does; the nodes are"),
+        ("12", "12: names no two nodes"),
+    ],
+)
+def test_a_name_that_nobody_has_is_said(text: str, said: str) -> None:
+    with pytest.raises(UserError, match=said):
+        pair(text, read(LINE))
+
+
+def test_a_name_of_two_readings_is_asked_about() -> None:
+    topology = named("a", "b-c", "a-b", "c")  # a ring: a to b-c, and a-b to c, are edges both
+    with pytest.raises(UserError, match="a-b-c: may be read as a,b-c or a-b,c; write the one that you mean"):
+        pair("a-b-c", topology)
+    assert pair("a,b-c", topology) == ("a", "b-c")
+
+
+def reading(text: str, topology: Topology) -> tuple[Any, Any] | str:
+    """What `pair` makes of it: the two nodes, or the question."""
+    try:
+        return pair(text, topology)
+    except UserError as error:
+        return str(error)
+
+
+NAMES = st.text("ab-", min_size=1, max_size=4).filter(lambda name: name[0] != "-")
+
+
+@given(names=st.lists(NAMES, min_size=2, max_size=5, unique=True))
+def test_every_edge_can_be_named(names: list[str]) -> None:
+    """With a '-' it is found or asked about, never mistaken for another; with a comma it is found."""
+    topology = named(*names)
+    for i, j in topology.edges:
+        assert pair(f"{i},{j}", topology) == (i, j)
+        read_as = reading(f"{i}-{j}", topology)
+        assert read_as == (i, j) or f"{i},{j}" in read_as
+
+
+def test_groups_are_named_with_commas_and_a_slash() -> None:
+    assert groups("1,2/3,a-b,c", read(LINE)) == [[1, 2], [3, "a-b", "c"]]
+    with pytest.raises(UserError, match="1,2/9: 9 is no node"):
+        groups("1,2/9", read(LINE))
+
+
+WORDS: dict[str, dict[str, Any]] = {
+    "drop 2-4 from step 10 to 20": {"kind": "drop", "link": [2, 4], "steps": [10, 20]},
+    "drop 2->4 with probability 0.3 at every step": {"kind": "drop", "from": 2, "to": 4, "probability": 0.3},
+    "drop of 3 by a table from step 10 to 13": {"kind": "drop", "at": {10: [[2, 4], [4, 2]], 12: [[2, 4]]}},
+    "delay 2-4 by 3 at every step": {"kind": "delay", "link": [2, 4], "by": 3},
+    "cut 2-4 from step 10 to 20": {"kind": "cut", "edge": [2, 4], "steps": [10, 20]},
+    "partition 1,2,3/4,5 with its edges from step 1 to 2": {
+        "kind": "partition", "groups": [[1, 2, 3], [4, 5]], "steps": [1, 2], "cut": True,
+    },
+    "sensor 3 from step 5": {"kind": "sensor", "node": 3, "steps": [5, FOREVER]},
+    "actuator 3 with probability 0.5 from step 5 to 9": {
+        "kind": "actuator", "node": 3, "steps": [5, 9], "probability": 0.5,
+    },
+    "crash 4 from step 12 to 17": {"kind": "crash", "node": 4, "at": 12, "restart_after": 5},
+    "crash process 2 from step 12": {"kind": "crash", "process": 2, "at": 12},
+    "jump 4 to 0.3 from step 15": {"kind": "jump", "node": 4, "at": 15, "a": 0.3},
+}  # fmt: skip
+
+
+def paper7() -> Topology:
+    return resolve(load("paper7", ["nodes.4={a: 0.6, candidates: [0.3, 0.6]}"]))
+
+
+@pytest.mark.parametrize("words", WORDS)
+def test_a_fault_in_a_few_words(words: str) -> None:
+    assert describe(checked(WORDS[words], paper7())) == words
+
+
+@pytest.mark.parametrize(
+    "entry",
+    [
+        {"kind": "drop", "link": [2, 5]},
+        {"kind": "drop", "link": [2, 9]},
+        {"kind": "drop", "link": [2, 4], "from": 2},
+        {"kind": "drop", "link": [2, 4], "steps": [5, 5]},
+        {"kind": "drop", "link": [2, 4], "probability": 1.5},
+        {"kind": "dorp", "link": [2, 4]},
+        {"link": [2, 4]},
+        {"kind": "cut", "at": {3: [[1, 7], [2, 4]]}},
+        {"kind": "delay", "link": [2, 4]},
+        {"kind": "partition", "groups": [[1, 2], [2, 3]]},
+        {"kind": "crash", "process": 7, "at": 1},
+        {"kind": "jump", "node": 4, "at": 1, "a": 0.5},
+        {"kind": "sensor", "node": 4, "stepz": [1, 2]},
+    ],
+    ids=json.dumps,
+)
+def test_what_a_file_is_refused_for_is_refused_with_the_same_words(entry: dict[str, Any]) -> None:
+    with pytest.raises(UserError) as here:
+        checked(entry, paper7())
+    with pytest.raises(TopologyError) as there:
+        resolve(load("paper7", ["nodes.4={a: 0.6, candidates: [0.3, 0.6]}", f"faults={json.dumps([entry])}"]))
+    kind = entry.get("kind", "fault")
+    said = [str(problem).removeprefix("fault 1").removeprefix(": ") for problem in there.value.problems]
+    assert str(here.value).splitlines() == [f"{kind}: {one}" for one in said]
+
+
+# Over a real network.
+
+
+@pytest.fixture
+def running(here: Path) -> Iterator[Orchestrator]:
+    """paper7 running for ever, past its first step."""
+    candidates = "nodes.4={a: 0.6, candidates: [0.3, 0.6]}"
+    options = ("--steps", "1000000", "--rate", "200", "--viewer", "none", "--no-record", "--set", candidates)
+    with Orchestrator("up", "paper7", *options) as network:
+        network.wait_for("running")
+        yield network
+
+
+def say(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    """What the command prints; it raises what the command line would say as an error."""
+    capsys.readouterr()
+    assert (cli.app(list(arguments), standalone_mode=False) or 0) == 0
+    return capsys.readouterr().out
+
+
+def told(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, Any]:
+    answer: dict[str, Any] = json.loads(say(capsys, *arguments, "--json"))
+    return answer
+
+
+def listed(capsys: pytest.CaptureFixture[str], key: str, wanted: list[Any], within_s: float = 10.0) -> list[Any]:
+    """One thing of every fault in the list, once it is as wanted: the file is written a moment after the answer."""
+    until = time.monotonic() + within_s
+    pause = threading.Event()
+    while (found := [fault[key] for fault in told(capsys, "fault", "list")["faults"]]) != wanted:
+        if time.monotonic() > until:
+            break
+        pause.wait(0.05)
+    return found
+
+
+INJECTED: list[tuple[str, dict[str, Any]]] = [
+    ("drop 2-4 --for 50", {"kind": "drop", "link": [2, 4], "steps": [0, 50]}),
+    ("drop 2-4 --one-way --probability 0.3 --after 5", {
+        "kind": "drop", "from": 2, "to": 4, "steps": [5, FOREVER], "probability": 0.3,
+    }),
+    ("delay 2-4 --by 3 --after 5 --for 5", {"kind": "delay", "link": [2, 4], "by": 3, "steps": [5, 10]}),
+    ("cut 2-4", {"kind": "cut", "edge": [2, 4]}),
+    ("partition 1,2,3,5/4,6,7 --cut --for 3", {
+        "kind": "partition", "groups": [[1, 2, 3, 5], [4, 6, 7]], "steps": [0, 3], "cut": True,
+    }),
+    ("sensor 3 --for 4", {"kind": "sensor", "node": 3, "steps": [0, 4]}),
+    ("actuator 3 --for 4", {"kind": "actuator", "node": 3, "steps": [0, 4]}),
+    ("crash 5 --restart-after 5", {"kind": "crash", "node": 5, "at": 0, "restart_after": 5}),
+    ("crash --process 6 --restart-after 2 --after 9", {"kind": "crash", "process": 6, "at": 9, "restart_after": 2}),
+    ("jump 4 --to 0.3", {"kind": "jump", "node": 4, "at": 0, "a": 0.3}),
+]  # fmt: skip
+
+
+def shifted(entry: dict[str, Any], by: int) -> dict[str, Any]:
+    """The same fault so many steps later."""
+    if "at" in entry:
+        return entry | {"at": entry["at"] + by}
+    return entry | {"steps": [min(t + by, FOREVER) for t in entry["steps"]] if "steps" in entry else [by, FOREVER]}
+
+
+@pytest.mark.slow
+def test_every_fault_comes_by_command_and_the_run_can_be_repeated(
+    running: Orchestrator, here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Each is acknowledged with its number and step, listed, and stands in the file; the folder gives the same run."""
+    expected = []
+    for number, (command, entry) in enumerate(INJECTED, start=1):
+        answer = told(capsys, "fault", *command.split())
+        assert answer["fault"] == number
+        begins = entry["at"] if "at" in entry else entry.get("steps", [0])[0]
+        expected.append(shifted(entry, answer["step"] - begins))
+        assert answer["entry"] == expected[-1]
+    steps = [entry["at"] if "at" in entry else entry["steps"][0] for entry in expected]
+    healed = told(capsys, "heal", "4")
+    assert healed["faults"] == [4]
+    expected[3]["steps"][1] = healed["step"]
+    with Live() as live:
+        live.wait_for_step(max(steps) + 20)
+        rest = live.heal()
+        assert rest.numbers == (2,)
+        expected[1]["steps"][1] = rest.step
+        live.wait_for_step(rest.step + 10)
+    assert listed(capsys, "entry", expected) == expected
+    said = say(capsys, "fault", "list")
+    assert f"\n  6  over     sensor 3 from step {steps[5]} to {steps[5] + 4}\n" in said
+
+    stopped = orchestrator("stop")
+    assert stopped.returncode == 0, stopped.stderr
+    verdict = json.loads((here / "runs/latest/verdict.json").read_text())
+    events = [json.loads(line) for line in (here / "runs/latest/events.jsonl").read_text().splitlines()]
+    assert [event["entry"] for event in events if event["event"] == "fault"][3]["kind"] == "cut"
+    again = orchestrator(
+        "simulate", "runs/latest", "--no-record", "--run-dir", "again", "--steps", str(verdict["steps_done"])
+    )
+    assert again.returncode == 0, again.stdout + again.stderr
+    assert (here / "again/telemetry.parquet").read_bytes() == (here / "runs/latest/telemetry.parquet").read_bytes()
+
+
+def test_a_command_says_what_it_did_or_why_not(
+    running: Orchestrator, here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    said = say(capsys, "fault", "drop", "2-4", "--for", "50000", "--run", "paper7")
+    step = int(said.split()[-3])
+    assert said == f"fault 1: drop 2-4 from step {step} to {step + 50000}\n"
+    assert say(capsys, "fault", "heal", "1").startswith("fault 1 healed from step ")
+    assert say(capsys, "heal") == "no fault to heal\n"
+    with pytest.raises(UserError, match="there is no fault 7; there are 1"):
+        say(capsys, "heal", "7")
+    with pytest.raises(UserError, match="drop: link: 2 and 5 are not neighbours; the neighbours of 2 are 1, 3, 4"):
+        say(capsys, "fault", "drop", "2-5")
+    with pytest.raises(UserError, match=r"jump: a: 0.4 is not among the candidates of node 4; they are 0.3, 0.6"):
+        say(capsys, "fault", "jump", "4", "--to", "0.4")
+    with pytest.raises(UserError, match="nobody: is not running; running now: paper7"):
+        say(capsys, "fault", "list", "--run", "nobody")
+    say(capsys, "fault", "cut", "2-4", "--after", "100000")
+    say(capsys, "fault", "actuator", "3")
+    assert listed(capsys, "when", now := ["over", "to come", "now"]) == now
+
+    refused = orchestrator("fault", "sensor", "9")
+    assert (refused.returncode, refused.stdout) == (2, "")
+    assert refused.stderr == "error: sensor: node: 9 is no node; the nodes are 1, 2, 3, 4, 5, 6, 7\n"
+
+
+def test_the_clock_is_held_and_let_go(running: Orchestrator, here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Paused, nothing moves until it is asked to, step by step; a wait for more has a deadline, and a name past it."""
+    assert say(capsys, "rate", "0").endswith("\n")
+    at = told(capsys, "pause")["step"]
+    with Live() as live:
+        live.wait_for_step(at)
+        assert told(capsys, "step", "5")["run"] == live.run
+        assert live.wait_for_step(at + 5) == at + 5
+        with pytest.raises(DeadlineError, match=rf"not at step {at + 6} after 0.2 s: it is at step {at + 5} .*paused"):
+            live.wait_for_step(at + 6, deadline_s=0.2)
+        assert say(capsys, "status") == f"{live.run}: step {at + 5} of 1000000, paused\n"
+        say(capsys, "resume")
+        live.wait_for_step(at + 50)
+        with pytest.raises(UserError, match="has 1000000 steps, and never comes to step 1000001"):
+            live.wait_for_step(1000001)
+        live.stop()
+        with pytest.raises(HedgerowError, match=r"ended at step \d+, before step 1000000"):
+            live.wait_for_step(1000000)
+    assert running.wait() == 3
+
+
+def test_nobody_runs(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for command in ("pause", "resume", "step", "heal", "rate 5", "fault list", "fault drop 1-2"):
+        with pytest.raises(UserError, match="no network is running"):
+            say(capsys, *command.split())
+
+
+def test_what_has_not_begun_cannot_be_healed(
+    running: Orchestrator, here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The fault stands in the file as it was given, and the file can be read."""
+    cut = told(capsys, "fault", "cut", "2-4", "--after", "500000")
+    with Live() as live:
+        with pytest.raises(UserError, match="fault 1 has not begun"):
+            live.heal(1)
+        assert live.heal().numbers == ()
+        live.stop()
+    assert running.wait() == 3
+    (fault,) = load("runs/latest").faults
+    assert list(fault.written()["steps"]) == cut["entry"]["steps"] == [cut["step"], FOREVER]

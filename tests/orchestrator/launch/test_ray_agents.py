@@ -1,0 +1,287 @@
+"""Agents on the machines of a Ray cluster: Ray places them and starts them again, and the run is the same to the bit.
+
+The cluster has two machines, network namespaces with an address each, so that what crosses between them crosses a wire.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from threading import Event
+from typing import Any
+
+import psutil
+import pytest
+
+from hedgerow.orchestrator.launch.ray_agents import MOST_PER_CPU, share_of
+from hedgerow.topologies.errors import UserError
+from tests.tools.machines import Machines, Program, machines
+from tests.tools.processes import Orchestrator, gone, orchestrator, parquet_bytes
+
+HAVE_RAY = importlib.util.find_spec("ray") is not None
+needs_ray = pytest.mark.skipif(not HAVE_RAY, reason="Ray is not installed: pip install 'hedgerow[ray]'")
+START = (sys.executable, "-c", "from ray.scripts.scripts import main; main()", "start", "--block", "--num-cpus", "1")
+MEMORY = ("--object-store-memory", "80000000")
+ENVIRONMENT = {
+    "RAY_USAGE_STATS_ENABLED": "0",
+    # A token that somebody has made for clusters of their own is none for ours, which nobody else can reach.
+    "RAY_AUTH_MODE": "disabled",
+    # Ray's server for clients starts processes; gRPC, in between fork and exec, may abort them otherwise.
+    "GRPC_ENABLE_FORK_SUPPORT": "0",
+    # After how long a machine that says nothing is gone; else that takes Ray more than half a minute.
+    "RAY_health_check_period_ms": "500",
+    "RAY_health_check_timeout_ms": "2000",
+    "RAY_health_check_failure_threshold": "2",
+}
+UP = ("--viewer", "none", "--no-record", "--verify")
+START_DEADLINE_S = 120.0
+
+
+def runs(program: Program) -> None:
+    """Wait until a machine of the cluster says that it runs."""
+    by, pause = time.monotonic() + START_DEADLINE_S, Event()
+    while "will now block forever" not in (said := program.log.read_text()):
+        assert time.monotonic() < by, said
+        assert program.process.poll() is None, said
+        pause.wait(0.05)
+
+
+@pytest.fixture(scope="module")
+def kept_by_ray() -> Iterator[Path]:
+    """Where Ray writes what it writes; its Unix sockets stand below it, and their paths must not be long."""
+    with tempfile.TemporaryDirectory(prefix="ray-", ignore_cleanup_errors=True) as folder:
+        yield Path(folder)
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory: pytest.TempPathFactory, kept_by_ray: Path) -> Iterator[Machines]:
+    """Two machines, `head` and `other`; `spare`, which a test may add; and `bench`, which is none of the cluster."""
+    place = tmp_path_factory.mktemp("ray")
+    with ExitStack() as stack:
+        head = ("--head", "--port", "6379", "--ray-client-server-port", "10001", "--temp-dir", str(kept_by_ray))
+        lab = stack.enter_context(machines("head", "other", "spare", "bench"))
+        for name, how in (("head", head), ("other", ())):
+            stack.callback(ended, joined(lab, name, place, *how))
+        yield lab
+
+
+def joined(lab: Machines, name: str, place: Path, *how: str) -> Program:
+    """A machine's part of the cluster, once it runs."""
+    how = how or ("--address", f"{lab.address['head']}:6379")
+    words = (*START, *how, *MEMORY, "--node-ip-address", lab.address[name])
+    program = Program(lab.on(name), words, place / name, ENVIRONMENT)
+    runs(program)
+    return program
+
+
+def ended(program: Program) -> None:
+    """End a machine's part of the cluster: SIGTERM ends all of its processes."""
+    assert program.process.poll() is None, program.log.read_text()
+    children = {str(one.pid): one.pid for one in psutil.Process(program.process.pid).children(recursive=True)}
+    program.process.terminate()
+    assert gone(children, START_DEADLINE_S), program.log.read_text()
+    program.end()
+
+
+def cut_off(program: Program) -> None:
+    """A machine's part of the cluster dies."""
+    own = psutil.Process(program.process.pid)
+    everybody = [*own.children(recursive=True), own]
+    for one in everybody:
+        with contextlib.suppress(psutil.NoSuchProcess):
+            one.kill()
+    program.end()
+    assert gone({str(one.pid): one.pid for one in everybody})
+
+
+@pytest.fixture
+def environment(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in ENVIRONMENT.items():
+        monkeypatch.setenv(name, value)
+
+
+def verdict() -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(Path("runs/latest/verdict.json").read_text())
+    return found
+
+
+def events(kind: str) -> list[dict[str, Any]]:
+    lines = Path("runs/latest/events.jsonl").read_text().splitlines()
+    return [event for event in map(json.loads, lines) if event["event"] == kind]
+
+
+@needs_ray
+@pytest.mark.slow
+@pytest.mark.parametrize("how", [(), ("--secure",)], ids=["open", "secure"])
+def test_agents_on_two_machines_of_a_cluster_change_nothing(
+    cluster: Machines, kept_by_ray: Path, environment: None, how: tuple[str, ...]
+) -> None:
+    with Orchestrator(
+        "up", "paper7", "--processes", "3", "--on", "ray://head:10001", *UP, *how, inside=cluster.on("bench")
+    ) as network:
+        assert network.wait() == 0, network.output
+        assert network.children.keys() == {"plant"}
+    assert verdict()["verdict"] == "valid"
+    assert verdict()["checks"]["reference"]["ok"]
+    assert gone({event["process"]: event["pid"] for event in events("placed")})
+    assert {event["machine"] for event in events("placed")} == {cluster.address["head"], cluster.address["other"]}
+    for shard in range(3):
+        log = Path(f"runs/latest/logs/shard-{shard}.log").read_text()
+        assert "end: 30 steps answered, 0 messages refused" in log, log
+    assert orchestrator("simulate", "paper7", "--run-dir", "local", "--no-record").returncode == 0
+    assert parquet_bytes(Path("local")) == parquet_bytes(Path("runs/latest"))
+    assert events("start")[0]["endpoint"].startswith("tls/" if how else "tcp/")
+    written = [path for path in kept_by_ray.rglob("*") if path.is_file()]
+    assert len(written) > 10
+    assert [path for path in written if b"PRIVATE KEY" in path.read_bytes()] == []
+
+
+@needs_ray
+@pytest.mark.slow
+def test_an_agent_that_is_killed_on_a_cluster_is_started_again_by_ray(
+    cluster: Machines, environment: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("RAY_ADDRESS", f"{cluster.address['head']}:6379")
+    arguments = ("paper7", "--processes", "2", "--steps", "3000", "--rate", "50", "--on", "ray")
+    with Orchestrator("up", *arguments, *UP, inside=cluster.on("head")) as network:
+        network.wait_for("Ray has placed")
+        victim = events("placed")[0]
+        network.wait_for_log(victim["process"], "ready: shard")  # its log comes by Ray, and later than it is said
+        network.wait_for("running: first step")
+        os.kill(victim["pid"], signal.SIGKILL)
+        network.wait_for("going on without shard")
+        network.wait_for("is back")
+        assert network.wait_for_event("restarted")["process"] == victim["process"]
+        said = Program(
+            cluster.on("head"), (sys.executable, "-P", "-m", "hedgerow.orchestrator", "rate", "0"), Path("rate")
+        )
+        assert said.process.wait() == 0, said.log.read_text()
+        assert network.wait() == 0, network.output
+    assert verdict()["verdict"] == "valid"
+    assert verdict()["restarts"] == 1
+    assert verdict()["checks"]["reference"]["ok"]
+    log = Path(f"runs/latest/logs/{victim['process']}.log").read_text()
+    assert log.count("looking for") == 2, log
+
+
+@needs_ray
+@pytest.mark.slow
+def test_agents_of_a_machine_that_is_gone_for_good_live_on_where_there_is_room(
+    cluster: Machines, environment: None, tmp_path: Path
+) -> None:
+    """All processes of it are killed at once, Ray's own among them, and nobody says goodbye."""
+    spare = joined(cluster, "spare", tmp_path)
+    # Two of the four fit on a machine: the other two machines have room for all.
+    arguments = ("paper7", "--processes", "4", "--steps", "3000", "--rate", "50", "--deadline", "2", "--secure")
+    up = Orchestrator("up", *arguments, "--on", "ray://head:10001", *UP, inside=cluster.on("bench"))
+    with up as network:
+        network.wait_for("Ray has placed")
+        lost = {event["process"] for event in events("placed") if event["machine"] == cluster.address["spare"]}
+        assert lost
+        network.wait_for_event("first_step")  # who dies before is waited for, and never lost
+        cut_off(spare)
+        network.wait_for_event("back", times=len(lost))
+        said = Program(
+            cluster.on("bench"), (sys.executable, "-P", "-m", "hedgerow.orchestrator", "rate", "0"), tmp_path / "rate"
+        )
+        assert said.process.wait() == 0, said.log.read_text()
+        assert network.wait() == 0, network.output
+    assert verdict()["verdict"] == "valid"
+    assert verdict()["checks"]["reference"]["ok"]
+    again = {event["process"]: event["machine"] for event in events("restarted")}
+    assert again.keys() == lost
+    assert cluster.address["spare"] not in again.values()
+
+
+@needs_ray
+@pytest.mark.slow
+def test_the_sweep_on_that_cluster_is_the_same_table(cluster: Machines, environment: None) -> None:
+    command = ("sweep", "paper7", "--seeds", "0:60", "--set", "law=minimax,nominal")
+    on = Orchestrator(*command, "--out", "there", "--on", "ray://head:10001", inside=cluster.on("bench"))
+    with on as sweep:
+        assert sweep.wait() == 0, sweep.output
+    assert orchestrator(*command, "--out", "here").returncode == 0
+    assert Path("there/sweep.parquet").read_bytes() == Path("here/sweep.parquet").read_bytes()
+
+
+@needs_ray
+@pytest.mark.slow
+def test_ctrl_c_leaves_nothing_of_a_cluster_that_we_started(environment: None) -> None:
+    with Orchestrator(
+        "up", "paper7", "--processes", "2", "--steps", "100000", "--rate", "50", "--on", "ray", *UP
+    ) as up:
+        up.wait_for("Ray has placed")
+        up.wait_for("running: first step")
+        started = {str(one.pid): one.pid for one in psutil.Process(up.pid).children(recursive=True)}
+        assert len(started) > 4
+        up.send(signal.SIGINT)
+        assert up.wait() == 3, up.output
+        assert gone(started)
+    assert verdict()["steps_done"] > 0
+
+
+@needs_ray
+def test_a_cluster_that_is_not_there_is_a_mistake_in_words(environment: None) -> None:
+    done = orchestrator("up", "paper7", "--on", "ray://127.0.0.1:1")
+    assert done.returncode == 2
+    said = "no cluster: Connection refused; is `ray start --head` running there? clients come in at port 10001"
+    assert done.stderr.startswith(f"error: --on ray://127.0.0.1:1: {said}"), done.stderr
+    assert not Path("runs").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--on", "mars"), "error: --on mars: is no cluster; write ray, or ray://HOST:PORT"),
+        (("--on", "ray://head"), "error: --on ray://head: names no port; write ray://HOST:10001"),
+        (("--on", "ray", "--external", "3"), "error: --external --on: choose one; on a cluster, Ray starts all agents"),
+    ],
+)
+def test_what_names_no_cluster_is_said_at_once(here: Path, arguments: tuple[str, ...], said: str) -> None:
+    done = orchestrator("up", "paper7", *arguments)
+    assert done.returncode == 2
+    assert done.stderr == f"{said}\n"
+
+
+@pytest.mark.parametrize("command", [("up", "paper7"), ("sweep", "paper7", "--seeds", "0:2")])
+def test_without_ray_it_says_what_to_install(
+    here: Path, monkeypatch: pytest.MonkeyPatch, command: tuple[str, ...]
+) -> None:
+    (here / "ray.py").write_text("raise ModuleNotFoundError('there is no ray', name='ray')\n")
+    monkeypatch.setenv("PYTHONPATH", str(here))
+    done = orchestrator(*command, "--on", "ray")
+    assert done.returncode == 2
+    assert done.stderr == "error: --on ray: Ray is not installed; install it with: pip install 'hedgerow[ray]'\n"
+
+
+def test_a_machine_of_a_cluster_needs_what_an_agent_needs() -> None:
+    """What Ray loads there brings numpy and Zenoh, and none of the operator's packages."""
+    code = """
+import sys
+from hedgerow.orchestrator.launch.ray_agents import Seat
+import hedgerow.agents.standalone
+print([name for name in ("pydantic", "yaml", "scipy", "pyarrow", "rerun", "rich", "typer") if name in sys.modules])
+"""
+    done = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"
+
+
+def test_every_agent_has_a_cpu_where_there_are_enough_and_else_a_part_of_one() -> None:
+    assert share_of(4, 4.0, 2) == 1.0
+    for agents, cpus in ((7, [2, 2]), (5, [1, 1, 2]), (38, [2]), (100, [3, 5])):
+        share = share_of(agents, float(sum(cpus)), len(cpus))
+        assert sum(cpu // share for cpu in cpus) >= agents
+    with pytest.raises(UserError, match=f"{MOST_PER_CPU} a CPU at most: add machines, .* --processes 38"):
+        share_of(1000, 2.0, 2)
+    with pytest.raises(UserError, match="0 free CPUs on 2 machines"):
+        share_of(1, 0.0, 2)

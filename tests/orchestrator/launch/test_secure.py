@@ -1,0 +1,224 @@
+"""Secure runs: nothing but what the information structure allows, the same numbers, and no key left anywhere."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+from cryptography import x509
+
+from hedgerow.orchestrator.launch.certificates import LIFE_DAYS, SLACK
+from hedgerow.wire.ports import free_port
+from tests.tools.processes import COMMAND, Orchestrator, gone, orchestrator
+
+QUIET = ("--viewer", "none", "--no-record")
+ROUTER = """
+import signal, zenoh
+with zenoh.open(zenoh.Config.from_file("zenohd.json5")):
+    print("open", flush=True)
+    signal.pause()
+"""
+
+
+def verdict_of(folder: Path) -> dict[str, Any]:
+    verdict: dict[str, Any] = json.loads((folder / "verdict.json").read_text())
+    return verdict
+
+
+def secrets(here: Path) -> list[Path]:
+    """Everything of any run's credentials."""
+    return [*(here / f"hedgerow-{os.getuid()}").glob("*.keys/**/*")]
+
+
+def contents(folder: Path) -> bytes:
+    return b"".join(path.read_bytes() for path in folder.rglob("*") if path.is_file())
+
+
+def test_a_secure_run_gives_the_same_bits_through_a_crash(here: Path) -> None:
+    """The reference knows no security: equal to it is equal to the open run. A restarted agent is let in again."""
+    crash = "faults=[{kind: crash, node: 3, at: 8, restart_after: 5}, {kind: drop, link: [2, 4], steps: [0, 12]}]"
+    done = orchestrator("up", "paper7", "--secure", "--verify", "--set", crash, *QUIET)
+    assert done.returncode == 0, done.stdout + done.stderr
+    verdict = verdict_of(here / "runs/latest")
+    assert verdict["checks"]["reference"]["ok"]
+    assert verdict["checks"]["information"]["ok"]
+    assert verdict["restarts"] == 1
+    assert "secure: true" in (here / "runs/latest/topology.yaml").read_text()
+
+
+def test_everybody_heard_what_was_said_to_them_and_nothing_else(here: Path) -> None:
+    done = orchestrator("up", "paper7", *QUIET)
+    assert done.returncode == 0, done.stderr
+    information = verdict_of(here / "runs/latest")["information"]
+    assert (information["strange"], information["silent"]) == ({}, [])
+    channels = information["channels"]
+    assert len(channels) == 7 + 7 + 2 * 6
+    assert all(one["heard"] == one["said"] for one in channels if one["listener"] == "plant")
+    assert all(30 <= one["heard"] <= one["said"] <= 31 for one in channels if one["key"].startswith("link/"))
+    shown = json.loads(orchestrator("audit", "paper7", "--json").stdout)["channels"]
+    assert [(one["key"], one["from"], one["to"]) for one in shown] == [
+        (one["key"], one["speaker"], one["listener"]) for one in channels
+    ]
+
+
+def test_what_is_said_again_passes_a_router_that_drops_what_comes_too_often(here: Path) -> None:
+    """While one agent is frozen, all others say something again with every state that the plant repeats."""
+    with Orchestrator("up", "paper7", "--secure", "--steps", "200", "--rate", "200", *QUIET) as network:
+        network.wait_for("running")
+        os.kill(network.children["agent-3"], signal.SIGSTOP)
+        network.wait_for_log("plant", "repeated, still without shards", 4)
+        os.kill(network.children["agent-3"], signal.SIGCONT)
+        assert network.wait() == 0, network.output
+    everything = verdict_of(here / "runs/latest")["information"]["channels"]
+    channels = [one for one in everything if one["speaker"] not in ("plant", "agent-3")]
+    assert all(one["heard"] >= one["said"] - 1 for one in channels), channels
+    assert min(one["said"] for one in channels) >= 200 + 4
+
+
+@pytest.fixture
+def network(here: Path) -> Iterator[Orchestrator]:
+    """A secure paper7 running for ever."""
+    with Orchestrator("up", "paper7", "--secure", "--steps", "1000000", "--rate", "200", *QUIET) as network:
+        network.wait_for("running")
+        yield network
+
+
+def test_keys_are_their_users_alone_short_lived_and_in_no_log(here: Path, network: Orchestrator) -> None:
+    found = secrets(here)
+    files = [path for path in found if path.is_file()]
+    assert {path.parent.name for path in files} == {
+        "router",
+        "observer",
+        "operator",
+        *(f"agent-{i}" for i in range(1, 8)),
+    }
+    assert {path.stat().st_mode & 0o777 for path in files} == {0o600}
+    assert {path.stat().st_mode & 0o777 for path in {*found} - {*files}} == {0o700}
+    now = datetime.now(UTC)
+    for path in files:
+        if path.name == "cert.pem":
+            certificate = x509.load_pem_x509_certificate(path.read_bytes())
+            assert certificate.subject.rfc4514_string() == f"CN={path.parent.name}"
+            assert timedelta() < now - certificate.not_valid_before_utc - SLACK < timedelta(minutes=2)
+            assert certificate.not_valid_after_utc - now < timedelta(days=LIFE_DAYS)
+    said = contents(here / "runs") + network.output.encode()
+    assert b"PRIVATE KEY" not in said
+    assert not any(path.read_text().splitlines()[1].encode() in said for path in files if path.name == "key.pem")
+    # Who operates the network has keys of their own.
+    assert orchestrator("status").returncode == 0
+    assert orchestrator("fault", "drop", "2-4", "--for", "5").returncode == 0
+    assert orchestrator("stop").returncode == 0
+    assert network.wait() == 3
+    assert secrets(here) == []
+
+
+def test_a_killed_up_leaves_no_key(here: Path, network: Orchestrator) -> None:
+    children = network.children
+    nursery = psutil.Process(children["plant"]).ppid()
+    network.send(signal.SIGKILL)
+    assert gone({**children, "nursery": nursery})
+    assert secrets(here) == []
+    assert [*(here / f"hedgerow-{os.getuid()}").iterdir()] == []
+
+
+def test_a_nursery_that_hears_of_its_children_first_leaves_no_key_either(here: Path, network: Orchestrator) -> None:
+    """It wakes up, and there is nobody left to tell that they have died."""
+    children = network.children
+    nursery = psutil.Process(children["plant"]).ppid()
+    os.kill(nursery, signal.SIGSTOP)
+    network.send(signal.SIGKILL)
+    network.wait()
+    assert psutil.wait_procs([psutil.Process(pid) for pid in children.values()], 0)[1]  # it reaps them
+    os.kill(nursery, signal.SIGCONT)
+    assert gone({**children, "nursery": nursery})
+    assert secrets(here) == []
+
+
+def test_whoever_looks_for_networks_removes_the_keys_of_dead_ones(here: Path, network: Orchestrator) -> None:
+    """`up`, its nursery and the plant killed at once: nobody of the run is left to do it."""
+    assert gone(network.kill_all_who_could_clean_up())
+    assert secrets(here) != []
+    assert orchestrator("ps").stdout == "no network is running\n"
+    assert secrets(here) == []
+
+
+def test_a_router_elsewhere_keeps_the_same_rules(here: Path) -> None:
+    endpoint = f"tls/127.0.0.1:{free_port()}"
+    made = orchestrator("keys", "paper7", "--router", endpoint, "--out", "keys")
+    assert made.returncode == 0, made.stderr
+    assert {path.name for path in (here / "keys").iterdir()} == {
+        "plant", "observer", "operator", "router", *(f"agent-{i}" for i in range(1, 8))
+    }  # fmt: skip
+    command = [sys.executable, "-c", ROUTER]
+    with subprocess.Popen(command, cwd=here / "keys/router", stdout=subprocess.PIPE, text=True) as router:
+        try:
+            assert router.stdout is not None
+            assert router.stdout.readline() == "open\n"
+            done = orchestrator("up", "paper7", "--secure", "--keys", "keys", "--verify", *QUIET)
+            assert done.returncode == 0, done.stdout + done.stderr
+            assert verdict_of(here / "runs/latest")["information"]["silent"] == []
+            assert "chmod" not in done.stderr
+            (here / "keys/observer/key.pem").chmod(0o644)
+            with Orchestrator("up", "paper7", "--secure", "--keys", "keys", "--steps", "100000", *QUIET) as network:
+                network.wait_for("running")
+                assert orchestrator("stop").returncode == 0
+                assert network.wait() == 3
+            assert "keys/observer/key.pem: everybody here may read it" in network.output
+        finally:
+            router.kill()
+    assert (here / "keys/agent-1/key.pem").exists()  # theirs who made them
+    other = orchestrator("up", "ring6", "--secure", "--keys", "keys", *QUIET)
+    assert other.returncode == 2
+    assert "made for another network" in other.stderr
+
+
+def test_the_command_that_uses_keys_can_be_copied(here: Path) -> None:
+    made = orchestrator("keys", "paper7", "--out", "our keys", "--processes", "2")
+    assert made.stdout.endswith("then: orchestrator up paper7 --secure --keys 'our keys' --processes 2\n")
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--secure", "--router", "tcp/127.0.0.1:7447"), "needs a router that speaks TLS: tls/HOST:PORT"),
+        (("--secure", "--router", "tls/127.0.0.1:7447"), "makes its configuration and everybody's keys"),
+        (("--secure", "--keys", "nowhere"), "no folder of keys"),
+        (("--keys", "nowhere"), "give --secure too"),
+    ],
+)
+def test_what_cannot_be_secure_is_said_before_anything_runs(here: Path, options: tuple[str, ...], said: str) -> None:
+    done = orchestrator("up", "paper7", *options, *QUIET)
+    assert done.returncode == 2
+    assert said in done.stderr
+    assert not (here / "runs").exists()
+
+
+def test_a_missing_library_is_named(here: Path) -> None:
+    (here / "without").mkdir()
+    (here / "without/cryptography.py").write_text("raise ImportError('not installed')")
+    path = os.pathsep.join([str(here / "without"), *sys.path])
+    done = subprocess.run(
+        [*COMMAND, "up", "paper7", "--secure", *QUIET],
+        capture_output=True, text=True, check=False, env=os.environ | {"PYTHONPATH": path},
+    )  # fmt: skip
+    assert done.returncode == 2
+    assert done.stderr == (
+        "error: --secure: needs the library cryptography; install it with: pip install 'hedgerow[secure]'\n"
+    )
+
+
+def test_a_folder_of_somebody_else_is_not_trusted(here: Path) -> None:
+    (here / f"hedgerow-{os.getuid()}").mkdir(mode=0o777)
+    (here / f"hedgerow-{os.getuid()}").chmod(0o777)
+    done = orchestrator("up", "paper7", "--secure", *QUIET)
+    assert done.returncode == 2
+    assert "must be a folder that is yours alone" in done.stderr

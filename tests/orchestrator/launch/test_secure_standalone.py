@@ -1,0 +1,247 @@
+"""Secure processes that somebody else starts: what each carries, who is let in, and what those are told who are not."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from cryptography import x509
+
+from hedgerow.orchestrator.launch.certificates import Authority, to_carry
+from hedgerow.topologies.errors import UserError
+from hedgerow.wire.access import access_control
+from hedgerow.wire.credentials import CA, CERTIFICATE, PRIVATE_KEY
+from hedgerow.wire.handshake import room
+from hedgerow.wire.ports import free_port
+from hedgerow.wire.refusal import refused
+from hedgerow.wire.session import WireError, close, open_client, open_router
+from hedgerow.wire.standalone import wait_for
+from tests.agents.test_standalone import UP, start, verdict
+from tests.orchestrator.launch.test_rogues import PLACES
+from tests.orchestrator.launch.test_secure import ROUTER
+from tests.tools.machines import Program
+from tests.tools.processes import DEADLINE_S, Orchestrator, orchestrator, parquet_bytes
+
+__all__ = ["start"]
+
+
+@pytest.fixture
+def port(here: Path) -> int:
+    return free_port()
+
+
+def bundle(port: int, *arguments: str) -> None:
+    made = ("bundle", "paper7", "--secure", "--out", "lab", "--router", f"tls/localhost:{port}", *arguments)
+    done = orchestrator(*made)
+    assert done.returncode == 0, done.stderr
+
+
+def up(port: int, *arguments: str) -> Orchestrator:
+    """A run whose plant opens that port."""
+    listen = ("--listen", f"tls/0.0.0.0:{port}", "--keys", "lab")
+    return Orchestrator("up", "lab/topology.yaml", *listen, *UP, *arguments)
+
+
+def test_everybody_carries_their_own_and_nobody_elses(here: Path, port: int) -> None:
+    bundle(port, "--days", "2")
+    folders = {path.name: path for path in Path("lab").iterdir() if path.is_dir()}
+    agents = {f"agent-{name}" for name in range(1, 8)}
+    assert folders.keys() == {"plant", "observer", "operator", "router", *agents}
+    secrets = {name: (folder / PRIVATE_KEY).read_text() for name, folder in folders.items()}
+    assert len(set(secrets.values())) == len(folders)
+    truth = yaml.safe_load(Path("lab/topology.yaml").read_text())["nodes"]
+    for name, folder in folders.items():
+        assert folder.stat().st_mode & 0o777 == 0o700
+        files = [*folder.iterdir()]
+        assert {path.stat().st_mode & 0o777 for path in files} == {0o600}
+        said = "".join(path.read_text() for path in files)
+        assert [one for one, secret in secrets.items() if secret.splitlines()[1] in said] == [name]
+        if name in agents:
+            known = {f"agent-{node}" for node in truth if all(str(a) in said for a in truth[node]["candidates"])}
+            assert known == {name}
+        certificate = x509.load_pem_x509_certificate((folder / CERTIFICATE).read_bytes())
+        assert certificate.subject.rfc4514_string() == f"CN={name}"
+        assert certificate.not_valid_after_utc - certificate.not_valid_before_utc < timedelta(days=2, hours=1)
+    assert "PRIVATE KEY" not in (Path("lab/README.md").read_text() + Path("lab/topology.yaml").read_text())
+    again = orchestrator("bundle", "paper7", "--secure", "--out", "lab", "--router", f"tls/localhost:{port}")
+    assert again.returncode == 2
+    assert "holds something already" in again.stderr
+
+
+def test_agents_elsewhere_are_let_in_with_their_keys_and_change_nothing(here: Path, port: int, start: Any) -> None:
+    """One is given its folder, one finds it by its name, one is told where its keys lie; all end with the run."""
+    bundle(port)
+    shutil.copytree("lab/agent-6", "keys-of-6")
+    (here / "lab/agent-6/key.pem").unlink()
+    told: list[tuple[str, ...]] = [("--config", "lab/agent-3"), ("--config", "lab/agent-5.toml")]
+    told.append(("--config", "lab/agent-6/told.toml", "--credentials", "keys-of-6"))
+    agents = [start("agents", *words) for words in told]
+    with up(port, "--external", "3,5,6") as network:
+        assert network.wait() == 0, network.output
+        assert network.children.keys() == {"plant", *(f"agent-{name}" for name in (1, 2, 4, 7))}
+    assert verdict()["checks"]["reference"]["ok"]
+    assert verdict()["checks"]["information"]["ok"]
+    assert [agent.wait()[0] for agent in agents] == [0, 0, 0]
+    assert (here / "lab/agent-3/key.pem").exists()  # theirs who made them
+
+
+def test_everybody_elsewhere_over_a_router_with_the_rules_it_was_given(here: Path, port: int, start: Any) -> None:
+    bundle(port, "--processes", "2", "--steps", "20")
+    router = Program((), (sys.executable, "-c", ROUTER), Path("lab/router").absolute())
+    try:
+        with Orchestrator("up", "lab/topology.yaml", "--external", "plant,all", "--keys", "lab", *UP) as network:
+            network.wait_for("waiting for plant, shard-0, shard-1")
+            others = [start("plant", "--config", "lab/plant")]
+            others += [start("agents", "--config", f"lab/shard-{p}") for p in (0, 1)]
+            assert network.wait() == 0, network.output
+        assert [one.wait()[0] for one in others] == [0, 0, 0]
+    finally:
+        router.end()
+    assert orchestrator("simulate", "lab/topology.yaml", "--run-dir", "here", "--no-record").returncode == 0
+    assert parquet_bytes(Path("here")) == parquet_bytes(Path("runs/latest"))
+
+
+def test_plant_and_observer_may_see_that_a_plant_is_there(here: Path, port: int, start: Any) -> None:
+    bundle(port)
+    router = Program((), (sys.executable, "-c", ROUTER), Path("lab/router").absolute())
+    try:
+        first = start("plant", "--config", "lab/plant")
+        with open_client(f"tls/localhost:{port}", "hedgerow/paper7", Path("lab/observer"), DEADLINE_S) as session:
+            wait_for(session, "plant", DEADLINE_S)
+            told: list[str] = []
+            with room(session, "hedgerow/paper7", told.append, lambda: bool(told)):
+                assert told
+        start("plant", "--config", "lab/plant").wait_for("a plant is there already at hedgerow/paper7")
+        assert first.process.poll() is None
+    finally:
+        router.end()
+
+
+def test_a_plant_elsewhere_is_the_router_with_the_routers_keys(here: Path, port: int, start: Any) -> None:
+    bundle(port, "--processes", "2", "--steps", "20")
+    listen = ("--listen", f"tls/127.0.0.1:{port}")
+    code, said = start("plant", "--config", "lab/plant", *listen).wait()
+    assert code == 1
+    assert "no keys of a router" in said
+    assert "take the folder `router`" in said
+    plant = start("plant", "--config", "lab/plant", *listen, "--credentials", "lab/router")
+    agents = [start("agents", "--config", f"lab/shard-{p}") for p in (0, 1)]
+    with Orchestrator("up", "lab/topology.yaml", "--external", "plant,all", "--keys", "lab", *UP) as network:
+        assert network.wait() == 0, network.output
+    assert [one.wait()[0] for one in (plant, *agents)] == [0, 0, 0]
+    assert verdict()["checks"]["reference"]["ok"]
+
+
+def in_place_of_agent_3(folder: str, other: str, *files: str) -> None:
+    """Its folder, with files from another."""
+    shutil.copytree("lab/agent-3", folder)
+    for file in files:
+        shutil.copy(f"{other}/{file}", folder)
+
+
+def test_who_has_no_right_keys_is_told_why_at_both_ends(here: Path, port: int, start: Any) -> None:
+    """Another authority's keys, and those of another agent: one line each, soon, and no traceback."""
+    bundle(port, "--steps", "20")
+    Authority().issue(Path("issued"), "agent-3")
+    in_place_of_agent_3("foreign", "issued", CERTIFICATE, PRIVATE_KEY)  # the router refuses it
+    in_place_of_agent_3("distrusting", "issued", CA)  # it refuses the router
+    in_place_of_agent_3("swapped", "lab/agent-5", CERTIFICATE, PRIVATE_KEY)
+    said = {}
+    with up(port, "--external", "3") as network:
+        network.wait_for("waiting for agent-3")
+        wrong = {name: start("agents", "--config", name) for name in ("foreign", "distrusting", "swapped")}
+        wrong["open"] = start("agents", "--config", "lab/agent-3", "--router", f"tcp/localhost:{port}")
+        for name, agent in wrong.items():
+            code, said[name] = agent.wait()
+            assert code in (1, 2), said[name]
+            assert "Traceback" not in said[name]
+        network.wait_for("somebody's certificate was refused: it is of another authority")
+        network.wait_for("somebody refused our certificate: it is of another authority")
+        right = start("agents", "--config", "lab/agent-3")
+        assert network.wait() == 0, network.output
+        assert right.wait()[0] == 0
+    refuses = f"the router at tls/localhost:{port} refuses the certificate in foreign: it is of another authority"
+    assert refuses in said["foreign"]
+    assert f"we refuse the certificate of the router at tls/localhost:{port}" in said["distrusting"]
+    assert "take keys that were made together with the router's" in said["distrusting"]
+    assert "are those the keys of agent-3?" in said["swapped"]
+    assert "needs a router that speaks TLS" in said["open"]
+
+
+def test_an_observer_whose_keys_are_wrong_does_not_wait_for_all_others(here: Path, port: int) -> None:
+    for folder in ("lab", "other"):
+        to_carry(Path(folder), PLACES, "hedgerow/paper7", f"tls/localhost:{port}", days=1)
+    router = open_router(f"tls/127.0.0.1:{port}", "hedgerow/paper7", Path("other/router"))
+    try:
+        up = ("up", "paper7", "--secure", "--keys", "lab", "--external", "plant,all", "--wait", "600", *UP)
+        with Orchestrator(*up) as network:
+            assert network.wait() == 3, network.output
+    finally:
+        close(router)
+    assert f"we refuse the certificate of the router at tls/localhost:{port}: it is of another" in network.output
+    assert "tried for" not in network.output
+
+
+@pytest.mark.parametrize(
+    "rules",
+    [
+        *("{}", "[1]", "3", '{"access_control": null}', '{"access_control": {"enabled": false}}'),
+        '{"access_control": {"enabled": true, "default_permission": "allow"}}',
+    ],
+)
+def test_a_router_that_would_keep_nobody_out_does_not_open(here: Path, rules: str) -> None:
+    Authority().issue(Path("router"), "router", host="localhost")
+    Path("router/access.json").write_text(rules)
+    with pytest.raises(UserError, match=r"access.json: does not refuse what it does not allow .*; take the folder"):
+        open_router(f"tls/127.0.0.1:{free_port()}", "here", Path("router"))
+
+
+def test_what_has_expired_is_said_at_both_ends(here: Path, port: int, capfd: pytest.CaptureFixture[str]) -> None:
+    authority = Authority()
+    authority.issue(Path("router"), "router", host="localhost")
+    Path("router/access.json").write_text(json.dumps({"access_control": access_control({}, "here")}))
+    authority.until = datetime.now(UTC) - timedelta(minutes=1)
+    authority.issue(Path("agent-3"), "agent-3")
+    router = open_router(f"tls/127.0.0.1:{port}", "here", Path("router"))
+    try:
+        with pytest.raises(WireError, match="refuses the certificate in agent-3: it has expired"):
+            open_client(f"tls/localhost:{port}", "here", Path("agent-3"))
+    finally:
+        close(router)
+    logged = "".join(capfd.readouterr())
+    assert "somebody's certificate was refused: it has expired" in map(refused, logged.splitlines())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("paper7", "--secure", "--listen", "tls/0.0.0.0:1"), "`orchestrator bundle FILE --secure --router"),
+        (("lab/topology.yaml", "--listen", "tcp/0.0.0.0:1", "--keys", "lab"), "--listen tcp/0.0.0.0:1: a secure"),
+        (("lab/topology.yaml", "--keys", "lab", "--namespace", "x"), "were made for hedgerow/paper7; leave the"),
+        (("lab/topology.yaml", "--keys", "old"), "--keys old: they held until "),
+        (("ring6", "--secure", "--keys", "lab"), "made for another network"),
+    ],
+)  # fmt: skip
+def test_what_cannot_work_is_said_at_once(here: Path, arguments: tuple[str, ...], said: str) -> None:
+    if "old" in arguments:
+        to_carry(Path("old"), PLACES, "hedgerow/paper7", "tls/localhost:1", days=-0.001)
+    bundle(1)
+    done = orchestrator("up", *arguments, "--external", "3", *UP)
+    assert done.returncode == 2, done.stdout + done.stderr
+    assert said in done.stderr
+    assert not (here / "runs").exists()
+
+
+def test_without_keys_nobody_is_let_in(here: Path, start: Any) -> None:
+    bundle(1)
+    told = Path("lab/agent-3/told.toml")
+    told.write_text(told.read_text().replace('credentials = "."\n', ""))
+    code, said = start("agents", "--config", "lab/agent-3").wait()
+    assert code == 2
+    assert "the network is secure; --credentials says where its keys lie" in said

@@ -1,0 +1,230 @@
+"""What of a run is written down: `record:` of a file says which nodes and steps have rows, and changes nothing else.
+
+all rows --+--> verdict, metrics, regret: of all nodes and steps, whatever is kept
+           +--> summary.parquet: a row a step, of all nodes
+           '--> telemetry, edges, run.rrd: the rows that are kept, the bits that they always were
+"""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hedgerow.orchestrator.ground.assignment import layout
+from hedgerow.orchestrator.launch.recording import Watching
+from hedgerow.orchestrator.launch.simulation import simulate_into
+from hedgerow.orchestrator.metrics.verdict import Verdict
+from hedgerow.orchestrator.report import report
+from hedgerow.orchestrator.runs.export import export
+from hedgerow.orchestrator.runs.folder import create
+from hedgerow.orchestrator.runs.reader import RecordedRun, load_run
+from hedgerow.orchestrator.runs.selection import kept
+from hedgerow.orchestrator.testing.result import Result
+from hedgerow.orchestrator.views.screen import Quiet
+from hedgerow.topologies import hinf
+from hedgerow.topologies.errors import TopologyError, UserError
+from hedgerow.topologies.load import load
+from hedgerow.topologies.resolve import resolve
+from hedgerow.topologies.schema import Record, Topology
+from tests.test_faults import faulty
+from tests.tools.networks import read
+from tests.tools.processes import orchestrator, parquet_bytes
+
+FAULTS = "faults=[{kind: drop, link: [2, 4], steps: [3, 9]}, {kind: cut, edge: [3, 5], steps: [5, 8]}]"
+
+
+def ran(topology: Topology, folder: Path, record: Any = None) -> Verdict:
+    if record is not None:
+        topology = topology.model_copy(update={"record": Record.model_validate(record)})
+    return simulate_into(topology, create(topology, folder), layout(topology, 1), Watching(record=False), Quiet())
+
+
+def said(verdict: Verdict) -> dict[str, Any]:
+    """All of a verdict but its name and how long it took."""
+    return {
+        key: value
+        for key, value in verdict.content.items()
+        if key not in ("run", "elapsed_s", "steps_per_s", "first_step_s")
+    }
+
+
+@st.composite
+def records(draw: st.DrawFn, n: int) -> dict[str, Any]:
+    nodes: Any = draw(st.one_of(st.just("all"), st.integers(0, n + 1), st.lists(st.integers(0, n - 1), max_size=n)))
+    return {"every": draw(st.integers(1, 14)), "nodes": nodes, "summary": draw(st.booleans())}
+
+
+@given(faulty(), st.data())
+@settings(max_examples=25, deadline=None)
+def test_what_is_kept_changes_nothing_but_how_much_there_is(topology: Topology, data: st.DataObject) -> None:
+    """The verdict and its metrics are equal, the rows that are kept are those of the whole run, bit for bit."""
+    n = len(topology.ids)
+    record = data.draw(records(n))
+    if isinstance(record["nodes"], list):
+        record["nodes"] = [topology.ids[k] for k in record["nodes"]]
+    with tempfile.TemporaryDirectory() as scratch:
+        whole, some = Path(scratch) / "whole", Path(scratch) / "some"
+        assert said(ran(topology, whole, {"nodes": "all"})) == said(ran(topology, some, record))
+        what = kept(topology.model_copy(update={"record": Record.model_validate(record)}))
+        T, ids = topology.steps, [topology.ids[k] for k in what.nodes]
+        steps = [t for t in range(T) if t % record["every"] == 0 or t == T - 1]
+        of_nodes = pl.read_parquet(whole / "telemetry.parquet")
+        expected = of_nodes.filter(pl.col("step").is_in([*steps, T]) & pl.col("node").is_in(ids))
+        assert pl.read_parquet(some / "telemetry.parquet").equals(expected)
+        of_edges = pl.read_parquet(whole / "edges.parquet")
+        at = pl.col("i").is_in(ids) | pl.col("j").is_in(ids)
+        assert pl.read_parquet(some / "edges.parquet").equals(of_edges.filter(pl.col("step").is_in(steps) & at))
+        assert (some / "summary.parquet").exists() == record["summary"]
+        if record["summary"]:
+            assert (some / "summary.parquet").read_bytes() == (whole / "summary.parquet").read_bytes()
+
+
+def test_a_summary_is_what_the_rows_of_all_nodes_add_up_to(tmp_path: Path) -> None:
+    topology = read((load_text("paper7")), FAULTS)
+    ran(topology, tmp_path / "run")
+    run = load_run(tmp_path / "run")
+    row = run.summary("polars").row(6, named=True)
+    assert row["x_sum"] == pytest.approx(np.abs(run.x[6]).sum(), rel=1e-12)
+    assert row["x_max"] == np.abs(run.x[6]).max()
+    assert row["u_max"] == np.nanmax(np.abs(run.u[6]))
+    assert row["regret_max"] == run.regret[6].max()
+    assert (row["edges_cut"], row["messages_lost"], row["missing"]) == (1, 2, 0)
+    assert row["right"] == (run.ahat[6] == run.a[6]).sum()
+    last = run.summary("polars").row(-1, named=True)
+    assert (last["step"], last["regret_sum"], last["cost"]) == (30, run.regret_sum[-1], None)
+
+
+def load_text(name: str) -> str:
+    return (Path(__file__).parents[3] / f"topologies/{name}.yaml").read_text(encoding="utf-8")
+
+
+@pytest.fixture
+def thin(tmp_path: Path) -> tuple[RecordedRun, RecordedRun]:
+    """The same run, whole, and with every seventh step of two nodes."""
+    topology = resolve(load("paper7"))
+    ran(topology, tmp_path / "whole")
+    ran(topology, tmp_path / "thin", {"every": 7, "nodes": [2, 6]})
+    return load_run(tmp_path / "whole"), load_run(tmp_path / "thin")
+
+
+def test_what_is_there_is_read_and_the_sums_are_of_all(thin: tuple[RecordedRun, RecordedRun]) -> None:
+    whole, some = thin
+    assert (some.T, some.ids) == (30, (2, 6))
+    assert some.steps.tolist() == [0, 7, 14, 21, 28, 29, 30]
+    columns = [whole.ids.index(2), whole.ids.index(6)]
+    for name in ("x", "x_oracle", "regret"):
+        assert np.array_equal(getattr(some, name)[some.steps], getattr(whole, name)[some.steps][:, columns])
+    assert np.isnan(some.x[1]).all()
+    for name in ("a", "candidates", "nominal"):
+        value = getattr(whole, name)
+        assert np.array_equal(getattr(some, name), value[:, columns] if name == "a" else value[columns], equal_nan=True)
+    for name in ("cost", "cost_regret", "gain", "gain_less_x0", "right", "regret_sum", "nominal_regret_sum", "lost"):
+        assert np.array_equal(getattr(some, name), getattr(whole, name), equal_nan=True), name
+    assert some.metrics == whole.metrics
+    named = whole.topology.edges
+    touching = [edge for edge in named if {2, 6} & {*edge}]
+    shown = [tuple(some.ids[k] if k >= 0 else None for k in pair) for pair in some.edges.tolist()]
+    assert shown == [tuple(end if end in (2, 6) else None for end in edge) for edge in touching]
+
+
+def test_what_takes_all_rows_says_how_to_have_them(thin: tuple[RecordedRun, RecordedRun], tmp_path: Path) -> None:
+    _, some = thin
+    how = r"kept every 7th step and the last of 2 of 7 nodes.*orchestrator simulate .* --set 'record={nodes: all}'"
+    with pytest.raises(UserError, match=how):
+        _ = some.a_ls
+    with pytest.raises(UserError, match=how):
+        report([some], tmp_path / "report")
+    with pytest.raises(UserError, match="kept every 7th step"):
+        Result.read(some.folder)
+    export(some, "npz", tmp_path / "some.npz")
+    with np.load(tmp_path / "some.npz") as arrays:
+        assert "a_ls" not in arrays
+        assert arrays["regret_sum"][-1] == some.regret_sum[-1]
+        assert arrays["steps"].tolist() == some.steps.tolist()
+
+
+def test_a_run_is_made_whole_again_from_its_folder(here: Path) -> None:
+    """What a run kept is in its file, and so is all that it did not keep."""
+    done = orchestrator(
+        "simulate", "paper7", "--no-record", "--run-dir", "thin", "--set", "record={every: 7, nodes: 2}"
+    )
+    first, *_ = done.stdout.splitlines()
+    assert first.startswith("recorded: every 7th step and the last of 2 of 7 nodes and their edges, and a summary")
+    orchestrator("simulate", "paper7", "--no-record", "--run-dir", "whole")
+    orchestrator("simulate", "thin", "--no-record", "--run-dir", "again")
+    orchestrator("simulate", "thin", "--no-record", "--run-dir", "all", "--set", "record={nodes: all}")
+    assert parquet_bytes(here / "again") == parquet_bytes(here / "thin") != parquet_bytes(here / "whole")
+    assert parquet_bytes(here / "all") == parquet_bytes(here / "whole")
+
+
+def test_a_network_of_processes_is_verified_at_all_nodes_though_few_have_rows(here: Path) -> None:
+    """By the checksums of the summary; and a run of another seed has others at every step."""
+    few = ("--set", "record={every: 10, nodes: 1}")
+    up = orchestrator(
+        "up", "grid16", "--processes", "2", "--steps", "40", "--viewer", "none", "--no-record", "--verify", *few
+    )
+    assert up.returncode == 0, up.stdout
+    orchestrator("simulate", "grid16", "--steps", "40", "--no-record", "--run-dir", "other", "--seed", "77", *few)
+    one, other = (
+        pl.read_parquet(folder / "summary.parquet")["checksum"] for folder in (here / "runs/latest", here / "other")
+    )
+    assert (one[1:] != other[1:]).all()
+
+
+def test_of_a_large_network_a_sample_has_rows(tmp_path: Path) -> None:
+    """And the file of the run says so, whatever a later version would choose."""
+    text = "{name: n, b: 0.1, steps: 3, graph: {kind: ring, nodes: 10001}}"
+    topology = read(text)
+    assert topology.record == Record(nodes=1000)
+    verdict = ran(topology, tmp_path / "run")
+    assert verdict.verdict == "valid"
+    assert pl.read_parquet(tmp_path / "run/telemetry.parquet").height == 4 * 1000
+    assert "record: {nodes: 1000}" in (tmp_path / "run/topology.yaml").read_text()
+    assert load_run(tmp_path / "run").regret_sum[-1] == verdict.content["metrics"]["regret"]
+    assert read(text.replace("10001", "10000")).record == Record()
+    assert read(text, "record.nodes=all").record == Record(nodes="all")
+
+
+@pytest.mark.parametrize(
+    ("override", "said"),
+    [
+        ("record={nodes: [1, 99]}", "record: nodes: 1: 99 is no node; the nodes are 1, 2, 3, 4, 5, 6, 7"),
+        ("record={nodes: some}", "is neither `all`, nor how many, nor a list of node ids"),
+        ("record={evry: 2}", "unknown key `evry`; did you mean `every`?"),
+        ("record.every=0", "0 is below 1"),
+    ],
+)
+def test_mistakes_are_refused(override: str, said: str) -> None:
+    with pytest.raises(TopologyError) as refused:
+        load("paper7", [override])
+    assert said in str(refused.value)
+
+
+@pytest.mark.parametrize("kind", ["ring", "grid", "scale_free"])
+def test_of_a_large_network_the_supply_is_known_from_both_sides(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """w'Q^-1 w by its factors lies between what conjugate gradients prove, for noise and for what hardly changes."""
+    network = read(f"{{name: n, b: 0.1, steps: 1, graph: {{kind: {kind}, nodes: 600, max_degree: 9}}}}").network
+    exact = hinf.supply_rate(network.a, network.b, network.graph)
+    monkeypatch.setattr(hinf, "FACTORED", 500)
+    near = hinf.supply_rate(network.a, network.b, network.graph)
+    noise = np.random.default_rng(1)
+    for t in range(8):
+        w = noise.standard_normal(600) if t % 2 else np.sin(np.arange(600) + 0.01 * t)
+        (value, _), (least, more) = exact(w), near(w)
+        assert least <= value * (1 + 1e-12)
+        assert value <= (least + more) * (1 + 1e-12)
+        assert more <= hinf.SUPPLY_RTOL * least
+    assert near(np.zeros(600)) == (0.0, 0.0)
+
+
+def test_json_of_the_schema_knows_record() -> None:
+    schema = json.loads(json.dumps(Topology.model_json_schema()))
+    assert {*schema["$defs"]["Record"]["properties"]} == {"every", "nodes", "summary"}

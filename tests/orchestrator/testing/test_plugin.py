@@ -1,0 +1,474 @@
+"""The fixture `network`, and what pytest makes of it: scenarios, results, explanations, and no process left."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import psutil
+import pytest
+
+from hedgerow.orchestrator.runs import registry
+from hedgerow.orchestrator.testing import Networks, Result
+from hedgerow.orchestrator.testing.result import explain
+from hedgerow.topologies.errors import DeadlineError, HedgerowError, TopologyError, UserError
+from hedgerow.topologies.faults import Drop
+from hedgerow.topologies.load import load
+from hedgerow.topologies.resolve import resolve
+
+pytest_plugins = ["pytester"]
+
+ALONE = ("-p", "no:cacheprovider", "-p", "no:hypothesispytest")
+"""Of a pytest in a process of its own: without what takes time and has nothing to do with us."""
+PAIR = "{name: pair, b: 0.1, steps: 4, defaults: {x0: 5}, nodes: {1: {}, two: {x0: 1}}, edges: [[two, 1]]}"
+
+
+def test_a_dropped_link_costs_no_estimate(network: Networks) -> None:
+    run = network("paper7").drop((2, 4), steps=range(10, 20)).run()
+    assert run.estimates_at(29) == network("paper7").run().estimates_at(29)
+
+
+# Scenarios.
+
+
+def test_a_scenario_never_changes(network: Networks) -> None:
+    """Tests may share one: each method returns another."""
+    plain = network("paper7")
+    dropped = plain.drop((2, 4))
+    assert (len(plain.topology.faults), len(dropped.topology.faults)) == (0, 1)
+    assert plain.set("steps=5").topology.steps == 5
+    assert plain.topology.steps == 30
+    assert dropped.cut((2, 4)).topology.faults[0] == dropped.topology.faults[0]
+    assert plain == network("paper7")
+
+
+def test_every_method_is_what_a_file_spells(network: Networks) -> None:
+    """The faults of the file come first, in its order, and those that are added after them."""
+    file = [{"kind": "sensor", "node": 1, "steps": [0, 1]}]
+    scenario = (
+        network("paper7", "nodes.4={a: 0.6, candidates: [0.3, 0.6]}", f"faults={json.dumps(file)}")
+        .drop((2, 4), steps=range(10, 20), probability=0.5)
+        .drop((2, 4), one_way=True)
+        .drop(at={10: [(2, 4), (3, 5)]})
+        .delay((4, 2), by=3, steps=(0, 9), one_way=True)
+        .cut((2, 4), steps=range(3))
+        .cut(at={3: [(2, 4)]})
+        .partition([1, 2, 3, 5], [4, 6, 7], cut=True)
+        .sensor(3, steps=(5, 9))
+        .actuator(3, probability=0.25)
+        .crash(4, at=12, restart_after=5)
+        .crash(process=2, at=12)
+        .jump(4, at=15, to=0.3)
+        .inject({"kind": "drop", "at": {np.int64(3): [(np.int64(6), 4)]}})
+        .inject(Drop(link=(7, 4)))
+    )
+    faults = scenario.topology.faults
+    assert [fault.model_dump(mode="json", by_alias=True, exclude_defaults=True) for fault in faults] == [
+        {"node": 1, "steps": [0, 1]},
+        {"link": [2, 4], "steps": [10, 20], "probability": 0.5},
+        {"from": 2, "to": 4},
+        {"at": {"10": [[2, 4], [3, 5]]}},
+        {"from": 4, "to": 2, "by": 3, "steps": [0, 9]},
+        {"edge": [2, 4], "steps": [0, 3]},
+        {"at": {"3": [[2, 4]]}},
+        {"groups": [[1, 2, 3, 5], [4, 6, 7]], "cut": True},
+        {"node": 3, "steps": [5, 9]},
+        {"node": 3, "probability": 0.25},
+        {"node": 4, "at": 12, "restart_after": 5},
+        {"process": 2, "at": 12},
+        {"node": 4, "at": 15, "a": 0.3},
+        {"at": {"3": [[6, 4]]}},
+        {"link": [7, 4]},
+    ]  # fmt: skip
+    assert [fault.kind for fault in faults] == [
+        "sensor", "drop", "drop", "drop", "delay", "cut", "cut", "partition",
+        "sensor", "actuator", "crash", "crash", "jump", "drop", "drop",
+    ]  # fmt: skip
+
+
+def test_a_network_is_a_name_a_file_a_folder_a_topology_or_text(network: Networks, tmp_path: Path) -> None:
+    file = tmp_path / "pair.yaml"
+    file.write_text(PAIR)
+    wanted = network(file).run()
+    assert wanted.ids == (1, "two")
+    for same in (str(file), PAIR, resolve(load(str(file))), load(str(file)), wanted.folder, str(wanted.folder)):
+        assert network(same).run() == wanted
+    assert network(file, "steps=2", "defaults.x0=3").run().x[0].tolist() == [3.0, 1.0]
+    with pytest.raises(UserError, match="papr7: no such file; did you mean paper7"):
+        network("papr7")
+
+
+def test_samples_lie_beside_the_file(network: Networks, tmp_path: Path) -> None:
+    (tmp_path / "w.csv").write_text("1,two\n" + "0.5,-0.5\n" * 4)
+    settings = "defaults.disturbance={kind: samples, file: w.csv}"
+    (tmp_path / "pair.yaml").write_text(PAIR)
+    assert network(tmp_path / "pair.yaml", settings).run().w.tolist() == [[0.5, -0.5]] * 4
+
+
+def test_a_mistake_is_shown_where_it_is_made(network: Networks) -> None:
+    """Not when the scenario runs: each call below is the wrong one."""
+    right = network("paper7")
+    for wrong, said in (
+        (lambda: right.drop((2, 5)), "drop: link: 2 and 5 are not neighbours; the neighbours of 2 are 1, 3, 4"),
+        (lambda: right.drop((2, 4), steps=range(0, 10, 2)), "use a range with no stride"),
+        (lambda: right.drop((2, 4), at={3: [(2, 4)]}), "give exactly one of them"),
+        (lambda: right.crash(9, at=3), "crash: node: 9 is no node"),
+        (lambda: right.crash(process=7, at=3), "there is no process 7; they are 0 to 6"),
+        (lambda: right.jump(4, to=0.123456), "0.123456 is not among the candidates of node 4"),
+        (
+            lambda: right.run(engine="zeno"),  # type: ignore[arg-type]
+            "engine='zeno': is neither 'in-process' nor 'zenoh'",
+        ),
+    ):
+        with pytest.raises(UserError, match=said.replace("?", r"\?")):
+            wrong()
+    with pytest.raises(TopologyError, match="unknown key `stepz`"):
+        right.set("stepz=3")
+
+
+# Results.
+
+
+def test_a_result_has_the_arrays_of_the_run(network: Networks) -> None:
+    run = network("paper7").run(steps=12, seed=5)
+    assert run.steps == run.topology.steps == 12
+    assert run.topology.seed == 5
+    assert run.x.shape == run.regret.shape == (13, 7)
+    assert run.u.shape == run.w.shape == run.ahat.shape == run.index.shape == (12, 7)
+    assert run.x[0].tolist() == [15.0] * 7
+    candidates = run.topology.nodes[3].candidates
+    assert isinstance(candidates, tuple)
+    assert run.ahat[5, run.column(3)] == candidates[run.index[5, run.column(3)]] == run.estimates_at(5)[3]
+    assert run.verdict.verdict == "valid"
+    assert (run.regret**2).sum() == pytest.approx(run.verdict.content["metrics"]["regret"])
+    assert [event["event"] for event in run.events] == ["start", "verdict"]
+    assert (run.folder / "telemetry.parquet").exists()
+    with pytest.raises(UserError, match="8 is no node; the nodes are 1, 2, 3, 4, 5, 6, 7"):
+        run.column(8)
+    with pytest.raises(UserError, match="the run has steps 0 to 11"):
+        run.estimates_at(12)
+
+
+def test_what_was_missed_and_what_was_closed(network: Networks) -> None:
+    run = network("paper7").delay((2, 4), by=2, steps=(3, 5), one_way=True).cut((4, 2), steps=(8, 10)).run(steps=12)
+    assert run.missing((2, 4)) == [3, 4]
+    assert run.missing((4, 2)) == run.missing((1, 2)) == []
+    assert run.open((2, 4)) == run.open((4, 2)) == [*range(8), 10, 11]
+    assert run.open((1, 2)) == [*range(12)]
+    for ask in (run.missing, run.open):
+        with pytest.raises(UserError, match="1 and 7 are not neighbours"):
+            ask((1, 7))
+
+
+def test_a_network_without_edges_has_nothing_to_miss(network: Networks) -> None:
+    run = network("{name: one, b: 0.1, steps: 3, nodes: [1]}").run()
+    assert run.heard.shape == run.edge_open.shape == (3, 0)
+
+
+def test_who_is_not_there_has_no_estimate_and_no_input(network: Networks) -> None:
+    run = network("paper7").crash(4, at=3, restart_after=2).run(steps=8)
+    assert [run.estimates_at(t)[4] is None for t in range(8)] == [False] * 3 + [True] * 2 + [False] * 3
+    assert np.flatnonzero(np.isnan(run.u[:, run.column(4)])).tolist() == [3, 4]
+    assert run.index[3, run.column(4)] == -1
+    assert run == network("paper7").crash(4, at=3, restart_after=2).run(steps=8), "NaN equals NaN here"
+
+
+def test_two_runs_are_equal_to_the_last_bit(network: Networks) -> None:
+    run, other = (network("paper7").run(seed=seed) for seed in (1, 1))
+    assert run == other
+    almost = run.x.copy()
+    almost[30, 6] = np.nextafter(almost[30, 6], np.inf)
+    assert run != replace(run, x=almost)
+    with pytest.raises(ValueError, match="read-only"):
+        run.x[30, 6] = 0
+    assert run != network("paper7").run(seed=2)
+    assert run != network("paper7").run(steps=29)
+    assert run != "a run"
+
+
+@pytest.fixture(scope="module")
+def apart(network: Networks) -> tuple[Result, Result]:
+    """Two runs that part: nothing is made up for in the first."""
+    forgetful = network("paper7", "backfill=false")
+    return forgetful.drop((2, 4), steps=range(25)).run(), forgetful.run()
+
+
+def test_a_difference_is_explained(apart: tuple[Result, Result]) -> None:
+    """Which node, which step first, and which messages were lost until then."""
+    one, other = apart
+    said = explain(one.estimates_at(5), other.estimates_at(5))
+    assert said is not None
+    assert said[0].startswith("estimates at step 5 differ: node 2: ")
+    assert said[1].startswith("first at step 1: ahat of node 2 ")
+    assert said[2:4] == [
+        "until then, left:  messages lost or late: 4->2 at 0-1, 2->4 at 0-1",
+        "until then, right: no message lost or late",
+    ]
+    assert explain(one, other) == ["runs differ", *said[1:]]
+    assert explain(one, {"a": 1}) is None
+    with pytest.raises(AssertionError, match="first at step 1: ahat of node 2 "):
+        one.assert_same_estimates(other)
+    one.assert_same_estimates(other, 0)
+
+
+def test_a_failing_test_says_why_and_where_to_look(pytester: pytest.Pytester) -> None:
+    pytester.makepyfile(
+        """
+        def test_estimates(network):
+            run = network("paper7", "backfill=false").drop((2, 4), steps=range(25)).run()
+            assert run.estimates_at(5) == network("paper7").run().estimates_at(5)
+
+        def test_runs(network):
+            assert network("paper7").cut((2, 4), steps=(3, 9)).run() == network("paper7").run()
+
+        def test_mistake(network):
+            network("paper7").drop((2, 5))
+
+        def test_without_a_run(network):
+            assert not network("paper7")
+        """
+    )
+    ran = pytester.runpytest_subprocess("-q", *ALONE)
+    ran.assert_outcomes(failed=4)
+    ran.stdout.fnmatch_lines(
+        [
+            "E       assert estimates at step 5 differ: node 2: *",
+            "E         first at step 1: ahat of node 2 *",
+            "E         until then, left:  messages lost or late: 4->2 at 0-1, 2->4 at 0-1",
+            "* networks *",
+            "  fault 1: drop 2-4 from step 0 to 25",
+            "  valid: 30 of 30 steps*",
+            "E       assert runs differ",
+            "E         first at step 4: x of node 2 * != *; x of node 4 *",
+            "  fault 1: cut 2-4 from step 3 to 9",
+            ">       network(\"paper7\").drop((2, 5))",
+            "E       topologies.errors.UserError: drop: link: 2 and 5 are not neighbours; the neighbours of 2 are *",
+        ]
+    )  # fmt: skip
+    assert "def inject" not in ran.stdout.str(), "frames of ours in a mistake of the test's"
+    assert str(ran.stdout).count("networks") == 2
+
+
+def test_the_plugin_is_light(tmp_path: Path) -> None:
+    """A test session that never asks for a network loads nothing of ours but the plugin."""
+    code = "import sys, orchestrator.testing.pytest_plugin; print(*sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    heavy = {"numpy", "pyarrow", "zenoh", "rerun", "scipy", "pydantic", "topologies", "hedgerow.orchestrator.testing"}
+    assert "hedgerow.orchestrator.testing.pytest_plugin" in loaded
+    assert not heavy & {*loaded}
+
+
+# Real processes.
+
+
+EVERYTHING = (
+    {"kind": "drop", "link": [2, 4], "probability": 0.4},
+    {"kind": "delay", "from": 4, "to": 6, "by": 2, "steps": [3, 20]},
+    {"kind": "cut", "edge": [3, 5], "steps": [6, 9]},
+    {"kind": "partition", "groups": [[1, 2], [3, 4]], "steps": [9, 13]},
+    {"kind": "sensor", "node": 3, "steps": [5, 9], "probability": 0.5},
+    {"kind": "actuator", "node": 7, "steps": [12, 15]},
+    {"kind": "crash", "node": 6, "at": 8, "restart_after": 4},
+    {"kind": "crash", "process": 1, "at": 20, "restart_after": 3},
+    {"kind": "jump", "node": 5, "at": 15, "a": "random"},
+)
+
+
+@pytest.mark.parametrize("processes", [None, 3])
+def test_both_engines_give_the_same_bits(network: Networks, processes: int | None) -> None:
+    """With everything that can go wrong, for a process a node and for three."""
+    scenario = network("paper7").set(f"faults={json.dumps(EVERYTHING)}")
+    if processes:
+        scenario = scenario.set(f"processes={processes}")
+    real, reference = scenario.run(engine="zenoh"), scenario.run()
+    assert real == reference
+    assert (real.heard == reference.heard).all()
+    assert (real.edge_open == reference.edge_open).all()
+    assert real.verdict.content["engine"] == "zenoh"
+    assert real.verdict.content["processes"] == (processes or 7)
+    assert real.verdict.content["restarts"] == 2 if processes is None else 1
+
+
+def processes_of(folder: Path) -> list[psutil.Process]:
+    """Every process of runs in this folder or below it: they keep their list of running networks beside the run."""
+    found = []
+    for process in psutil.process_iter():
+        with contextlib.suppress(psutil.Error, OSError):  # it ends while it is looked at
+            inside = process.environ().get("XDG_RUNTIME_DIR", "").startswith(str(folder.resolve()))
+            if inside and process.status() != psutil.STATUS_ZOMBIE:
+                found.append(process)
+    return found
+
+
+def wait_until(holds: Callable[[], bool], what: str, within_s: float = 60.0) -> None:
+    """Return once it holds; fail by name past the deadline."""
+    until = time.monotonic() + within_s
+    pause = threading.Event()
+    while not holds():
+        assert time.monotonic() < until, f"{what}: not after {within_s:g} s"
+        pause.wait(0.1)
+
+
+ALL_OF_PAPER7 = 10
+"""`up`, the fork server, the plant and seven agents."""
+
+
+def test_a_run_that_takes_too_long_is_ended_and_named(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    with pytest.raises(DeadlineError, match=r"run: still runs after 2 s"):
+        Networks(lambda _: folder)("paper7").run(engine="zenoh", steps=10**6, deadline_s=2)
+    assert folder.with_name("run.runtime").exists(), "what is looked for has another name now"
+    wait_until(
+        lambda: processes_of(folder) == [], "all are gone", within_s=30
+    )  # who was still loading ends a bit later
+
+
+def test_a_law_that_cannot_be_loaded_is_said_by_both_engines(network: Networks) -> None:
+    scenario = network("paper7", "law=no.such:Law")
+    engines: tuple[Literal["in-process"], Literal["zenoh"]] = "in-process", "zenoh"
+    for engine in engines:
+        with pytest.raises(HedgerowError, match=r"law no\.such:Law: cannot be loaded"):
+            scenario.run(engine=engine)
+
+
+@pytest.mark.slow
+def test_a_network_is_spoken_to_while_it_runs(network: Networks) -> None:
+    """Faults by call, a real SIGKILL and a real freeze; and the same course again from its folder, to the bit."""
+    with network("paper7", "seed=3").up(rate=200, step_deadline_s=3.0) as net:
+        assert {*net.processes} == {"plant", *(f"agent-{k}" for k in range(1, 8))}
+        assert net.folder.name not in [entry.run for entry in registry.running()], "nobody else may stop it"
+        lost = net.fault.drop((2, 4), steps=range(20))
+        with pytest.raises(UserError, match="drop: link: 2 and 5 are not neighbours"):
+            net.fault.drop((2, 5))
+        cut = net.fault.cut((1, 2))
+        assert (lost.number, cut.number) == (1, 2)
+        net.wait_for_step(cut.step + 10)
+        healed = net.heal(2)
+        assert healed.numbers == (2,)
+
+        before = net.processes["agent-6"]
+        net.kill("agent-6")
+        assert net.wait_for_event("lost")["who"] == "agent 6"
+        net.wait_for_event("back")
+        assert net.processes["agent-6"] != before
+
+        net.freeze("agent-4")
+        wait_until(lambda: net.status()["lost"] == ["agent 4"], "agent 4 is lost")
+        net.wait_for_step(net.status()["step"] + 10)
+        net.thaw("agent-4")
+        wait_until(lambda: net.status()["lost"] == [], "agent 4 is back")
+        with pytest.raises(UserError, match="agent-9: no such process; there are agent-1, agent-2"):
+            net.kill("agent-9")
+        with pytest.raises(DeadlineError, match=r"no event 'flood' after 0\.1 s; there were start, first_step"):
+            net.wait_for_event("flood", deadline_s=0.1)
+        net.wait_for_step(net.status()["step"] + 10)
+        assert [fault.kind for fault in net.faults().values()] == ["drop", "cut", "crash", "crash"]
+        run = net.stop()
+
+    assert processes_of(net.folder) == []
+    assert run.missing((2, 4))[:20] == [*range(lost.step, lost.step + 20)]
+    assert {*range(cut.step, healed.step)}.isdisjoint(run.open((1, 2)))
+    assert run.verdict.content["restarts"] == 1
+    again = network(run.folder).run(steps=run.steps)
+    assert again == run
+    assert (again.heard == run.heard).all()
+
+
+def test_the_clock_of_a_network_is_the_tests(network: Networks) -> None:
+    """Held, it makes the steps that it is told to and no other."""
+    with network("paper7").up(processes=3) as net:
+        assert {*net.processes} == {"plant", "shard-0", "shard-1", "shard-2"}
+        at = net.pause()
+        net.wait_for_step(at)
+        net.step(7)
+        net.wait_for_step(at + 7)
+        status = net.status()
+        assert (status["step"], status["paused"]) == (at + 7, True)
+        run = net.stop()
+    assert run.steps == at + 7
+
+
+def test_a_network_may_come_to_its_end(network: Networks) -> None:
+    with network("paper7").up(steps=None) as net:
+        assert net.wait_for_step(30) == 30
+        assert net.wait().steps == 30
+        with pytest.raises(HedgerowError, match="ended at step 30, before step 31"):
+            net.wait_for_step(31)
+    assert net.stop() == network("paper7").run()
+
+
+def test_nothing_is_left_of_a_network_when_its_test_fails(network: Networks) -> None:
+    """Not even an agent that is frozen and cannot notice that all others are gone."""
+    net = network("paper7").up(rate=50)
+
+    def test_that_fails() -> None:
+        with net:
+            net.freeze("agent-4")
+            assert len(processes_of(net.folder)) == ALL_OF_PAPER7
+            assert net.status()["paused"], "nobody paused it"
+
+    with pytest.raises(AssertionError, match="nobody paused it"):
+        test_that_fails()
+    assert processes_of(net.folder) == []
+
+
+WAITING = {
+    "up": "with network('paper7').up(rate=50) as net: net.wait_for_step(900_000, deadline_s=600)",
+    "run": "network('paper7').run(engine='zenoh', steps=10**6, deadline_s=600)",
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("body", "how"), [("up", signal.SIGINT), ("run", signal.SIGKILL)])
+def test_nothing_is_left_when_pytest_is_interrupted_or_killed(
+    pytester: pytest.Pytester, body: str, how: signal.Signals
+) -> None:
+    pytester.makepyfile(f"def test_that_waits(network):\n    {WAITING[body]}\n")
+    command = [sys.executable, "-m", "pytest", "-q", *ALONE, f"--basetemp={pytester.path / 'runs'}"]
+    process = subprocess.Popen(command, cwd=pytester.path, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    try:
+        wait_until(lambda: len(processes_of(pytester.path)) == ALL_OF_PAPER7, "the network runs")
+        process.send_signal(how)
+        said, _ = process.communicate(timeout=30)
+    finally:
+        process.kill()
+    assert process.returncode == (2 if how is signal.SIGINT else -how), said
+    wait_until(lambda: processes_of(pytester.path) == [], "all are gone", within_s=30)
+
+
+@pytest.mark.slow
+def test_tests_may_run_in_parallel(pytester: pytest.Pytester) -> None:
+    """Networks of one name, in two workers of pytest-xdist: neither goes on before the other is there."""
+    pytester.makepyfile(
+        """
+        import pathlib, time
+        import pytest
+
+        @pytest.mark.parametrize(("mine", "other", "steps"), [("a", "b", 5), ("b", "a", 9)])
+        def test_every_network_is_its_own(network, mine, other, steps):
+            with network("paper7").up(rate=200) as net:
+                pathlib.Path(mine).touch()
+                until = time.monotonic() + 60
+                while not pathlib.Path(other).exists():
+                    assert time.monotonic() < until
+                    net.wait_for_step(net.status()["step"] + 1)
+                lost = net.fault.drop((2, 4), steps=range(steps))
+                net.wait_for_step(lost.step + 20)
+                run = net.stop()
+            assert run.missing((2, 4)) == [*range(lost.step, lost.step + steps)]
+            assert network(run.folder).run(steps=run.steps) == run
+        """
+    )
+    ran = pytester.runpytest_subprocess("-q", "-n", "2", *ALONE)
+    ran.assert_outcomes(passed=2)
+    assert processes_of(pytester.path) == []

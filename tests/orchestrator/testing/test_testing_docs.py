@@ -1,0 +1,60 @@
+"""docs/testing.md, run as a reader would: its programs are tests that pass, and what fails says what is shown."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from pathlib import Path
+
+import pytest
+
+from hedgerow.orchestrator import testing
+from hedgerow.orchestrator.launch.live import FaultVerbs
+from tests.test_docs import ROOT, Scratch, blocks, commands, same_output, table
+
+PAGE = ROOT / "docs" / "testing.md"
+
+
+@pytest.mark.slow
+def test_the_examples_are_tests_and_pass(tmp_path: Path) -> None:
+    scratch = Scratch(tmp_path)
+    scratch.environment["PYTEST_ADDOPTS"] = "-p no:cacheprovider -p no:hypothesispytest"
+    shown = [block.name for block in blocks(PAGE) if block.language == "python"]
+    assert len(shown) >= 5
+    for block in blocks(PAGE):
+        if block.language == "python":
+            (tmp_path / block.name).write_text(block.text, encoding="utf-8")
+    for block in blocks(PAGE):
+        if block.language != "console":
+            continue
+        for command in re.findall(r"^\$ (pytest .*)$", block.text, re.MULTILINE):
+            (call, claimed, output) = next(commands(block.text.replace("$ pytest", "$ orchestrator pytest")))
+            code, printed = scratch.run("bash", "-c", call.removeprefix("orchestrator "))
+            assert code == claimed, f"{command}: exit code {code}\n{printed}"
+            assert same_output(output, printed), printed
+            shown.remove(call.split()[-1])
+    code, printed = scratch.run("pytest", "-q", *shown)
+    assert code == 0, printed
+    tests = sum(len(re.findall(r"^def test_", (tmp_path / name).read_text(), re.MULTILINE)) for name in shown)
+    assert int(re.findall(r"(\d+) passed", printed)[0]) >= tests
+
+
+def test_every_method_is_in_a_table() -> None:
+    """What the tables of the page name is there, and what is there they name."""
+    rows = [table("testing.md", "Everything there is", k) for k in range(3)]
+    named = [set(re.findall(r"\b[a-z_]\w*", " ".join(next(iter(row.values())) for row in some))) for some in rows]
+    for cls, words in zip((testing.Scenario, testing.Result, testing.Running), named, strict=True):
+        own = vars(cls).keys() | (vars(FaultVerbs).keys() if cls is testing.Scenario else set())
+        fields = getattr(cls, "__dataclass_fields__", {}).keys()
+        public = {name for name in own | fields if not name.startswith("_")}
+        assert public - words - _INSIDE[cls] == set(), cls
+    parameters = set(inspect.signature(testing.Scenario.run).parameters) - {"self"}
+    assert parameters <= named[0]
+
+
+_INSIDE = {
+    testing.Scenario: {"text", "name", "folder", "new_folder", "on_result", "settings", "faults", "topology"},
+    testing.Result: {"read", "edge_open", "heard", "truth", "summary"},
+    testing.Running: {"topology", "folder"},
+}
+"""What a test has no need of."""

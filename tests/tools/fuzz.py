@@ -1,0 +1,655 @@
+"""`python -m tests.tools.fuzz`: files and messages as no one should write them, and what becomes of them.
+
+Each case is drawn from (seed, number) alone, so `--only NUMBER` tries one again. Files go through the commands that a
+user would give them to; a file is refused in words, or it is good all the way. Messages go through the decoders; one
+is taken, or is a MessageError. Anything else is a finding: another exception, 20 s of processor time, 4 GB of memory,
+a death.
+
+The cases run in a process of their own, which says what it begins with: if it dies or hangs, the case has a number.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import io
+import json
+import os
+import random
+import re
+import resource
+import shutil
+import signal
+import struct
+import subprocess
+import sys
+import tempfile
+import time
+import traceback
+import warnings
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import typer.main
+
+from hedgerow.agents.view import View
+from hedgerow.orchestrator.cli import main as cli
+from hedgerow.orchestrator.ground.assignment import layout, truth_of, views_of
+from hedgerow.orchestrator.launch.recording import Watching
+from hedgerow.orchestrator.launch.simulation import simulate_into
+from hedgerow.orchestrator.metrics.observer import Observer
+from hedgerow.orchestrator.runs.files import load_resolved
+from hedgerow.orchestrator.runs.folder import create
+from hedgerow.orchestrator.views.rerun.opening import _open
+from hedgerow.orchestrator.views.rerun.viewer import Viewer
+from hedgerow.orchestrator.views.rerun.watch import Happenings, Trail, told
+from hedgerow.orchestrator.views.screen import Quiet
+from hedgerow.plant.truth import Truth
+from hedgerow.topologies import table
+from hedgerow.topologies.errors import HedgerowError
+from hedgerow.topologies.load import bundled, find, load
+from hedgerow.topologies.resolve import resolve
+from hedgerow.wire import codec
+from hedgerow.wire.codec import MessageError
+from hedgerow.wire.ports import free_port
+from hedgerow.wire.stream import Inbox
+
+ROOT = Path(__file__).parents[2]
+CASE_CPU_S = 20.0
+CASE_WALL_S = 180.0
+"""past it, whoever waits for the worker takes the case for a hang"""
+WORKER_CASES = 1000
+"""a worker tries so many: what the libraries keep of damaged files is not what is looked for"""
+MEMORY_BYTES = 4 * 2**30
+SHOWN = 20
+
+Random = random.Random
+
+
+# ---- how a text goes wrong
+
+PIECES = (
+    *(b"\n", b" ", b"\t", b":", b": ", b"- ", b"[", b"]", b"{", b"}", b"#", b"&a ", b"*a", b"!!x ", b"---\n", b"..."),
+    *(b"'", b'"', b"|\n", b">\n", b"%YAML 1.1\n", b"? ", b"<<: ", b"!!python/object/apply:os.system ", b"\0", b"\xff"),
+    *(b"\xef\xbb\xbf", b"\r", b"\xe2\x80\xa8", b"\xed\xa0\x80", "é".encode(), b"\x1b[2J", b"\x85"),
+)
+VALUES = (
+    *(b"0", b"-1", b"1e400", b"-1e400", b".nan", b".inf", b"1e-320", b"1" * 400, b"9" * 5000, b"-0.0", b"1e308"),
+    *(b"9223372036854775807", b"9223372036854775808", b"18446744073709551616", b"2147483648", b"1_000", b"0x1F"),
+    *(b"~", b"true", b"no", b"", b"random", b"worst_case", b"none", b"[]", b"{}", b"[[]]", b"{random: 1000000}"),
+    *(b"{random: 9223372036854775807}", b"1000000000000", b"'" + b"x" * 10_000 + b"'", b"[1, 2]", b"{a: {b: {c: d}}}"),
+    *(b"../../../../etc/passwd", b"/dev/zero", b"/etc/hostname", b"con", b"a.csv", b"http://x/y", b"\\\\host\\share"),
+    *(b"os:system", b"antigravity:x", b"this:c", b"nowhere.at_all:Law", b"minimax:", b":", b".:x", b"a..b:C"),
+    *(b"{kind: samples, file: w.csv}", b"{kind: samples, file: ../w.csv}", b"{kind: samples, values: []}"),
+    *(b"{kind: white, std: 1e308}", b"[{kind: crash, node: 1, at: 99999999999}]", b"{kind: sinusoid, omega: 1e308}"),
+)
+_NUMBER = re.compile(rb"-?\d+(\.\d+)?(e-?\d+)?")
+_DIGIT = re.compile(rb"\d")
+
+
+def bent_text(text: bytes, rng: Random, others: Sequence[bytes]) -> bytes:
+    """A text after a few slips, or with something hostile in it."""
+    slips, hostile = rng.choice(((1, False), (2, False), (1, True), (2, True), (3, True), (8, True)))
+    for _ in range(slips):
+        at = rng.randrange(len(text) + 1)
+        lines = text.splitlines(keepends=True) or [b""]
+        k = rng.randrange(len(lines))
+        match rng.randrange(11) if hostile else rng.choice((0, 2, 6, 10, 10, 10)):
+            case 0:
+                text = text[:at] + rng.choice(PIECES) + text[at + rng.randrange(4) :]
+            case 1:
+                text = text[:at] + text[at + rng.randrange(1, 40) :]
+            case 2 | 3 | 4:
+                text = _swapped(_NUMBER, text, VALUES, rng)
+            case 5:
+                key, colon, _ = lines[k].partition(b":")
+                lines[k] = key + colon + b" " + rng.choice(VALUES) + b"\n"
+                text = b"".join(lines)
+            case 6:
+                lines[k : k + 1] = rng.choice(([], [lines[k]] * 2, [rng.choice(lines)], [lines[k], rng.choice(lines)]))
+                text = b"".join(lines)
+            case 7:
+                other = rng.choice(others)
+                text = text[:at] + other[rng.randrange(len(other) + 1) :]
+            case 8 if rng.random() < 0.3:
+                text = _bomb(rng) + text
+            case 8:
+                depth = rng.choice((10, 40, 2000, 100_000))
+                pair = rng.choice(((b"[", b"]"), (b"{a: ", b"}"), (b"- ", b""), (b'{"a":', b"}")))
+                text = text[:at] + pair[0] * depth + rng.choice((b"", pair[1] * depth)) + text[at:]
+            case 9:
+                text = bent_bytes(text, rng)
+            case 10:
+                text = _swapped(_DIGIT, text, (b"0", b"1", b"4", b"9"), rng)
+    return text
+
+
+def _swapped(what: re.Pattern[bytes], text: bytes, values: Sequence[bytes], rng: Random) -> bytes:
+    """The text with one of the places that match as another value."""
+    places = [match.span() for match in what.finditer(text)]
+    if not places:
+        return text
+    start, stop = rng.choice(places)
+    return text[:start] + rng.choice(values) + text[stop:]
+
+
+def _bomb(rng: Random) -> bytes:
+    """Aliases that multiply: few lines, a great many values."""
+    wide, deep = rng.choice((2, 9, 30)), rng.choice((3, 9, 25))
+    lines = [b"a0: &a0 [x, x]"]
+    lines += [f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * wide)}]".encode() for k in range(1, deep)]
+    return b"\n".join(lines) + b"\n"
+
+
+# ---- how bytes go wrong
+
+NUMBERS = tuple(
+    struct.pack(form, value)
+    for form, values in {
+        "<q": (0, -1, 1, 2**31, 2**63 - 1, -(2**63), 10**12),
+        "<i": (0, -1, 1, 2**31 - 1, -(2**31), 65536),
+        "<H": (0, 1, 0xFFFF),
+        "<B": (0, 1, 0x7F, 0x80, 0xFF),
+        "<d": (float("nan"), float("inf"), -1e308, 5e-324),
+    }.items()
+    for value in values
+)
+
+
+def bent_bytes(content: bytes, rng: Random) -> bytes:
+    """Bytes after some of them were lost, doubled, moved or changed."""
+    for _ in range(rng.choice((1, 1, 2, 3, 8))):
+        at = rng.randrange(len(content) + 1)
+        length = rng.choice((1, 2, 4, 8, 16, 100, 1000))
+        match rng.randrange(8):
+            case 0:
+                content = content[:at]
+            case 1:
+                content = content[:at] + content[at + length :]
+            case 2:
+                content = content[:at] + rng.randbytes(length) + content[at + length :]
+            case 3:
+                content = content[:at] + bytes(length) + content[at + length :]
+            case 4 | 5:
+                number = rng.choice(NUMBERS)
+                content = content[:at] + number + content[at + len(number) :]
+            case 6:
+                content = content[:at] + content[at : at + length] + content[at:]
+            case 7 if content:
+                at = min(at, len(content) - 1)
+                content = content[:at] + bytes([content[at] ^ 1 << rng.randrange(8)]) + content[at + 1 :]
+    return content
+
+
+# ---- what is bent
+
+FAULTY = b"""\
+name: faulty
+b: 0.1
+steps: 20
+seed: 3
+processes: 2
+defaults: {x0: {random: [-1, 1]}, candidates: {random: 3}, disturbance: {kind: white, std: 0.1}}
+nodes: [1, 2, hub, 4]
+edges: [[1, hub], [hub, 2], [4, hub]]
+faults:
+  - {kind: drop, link: [1, hub], steps: [3, 9], probability: 0.5}
+  - {kind: drop, from: hub, to: 2}
+  - {kind: delay, from: hub, to: 4, by: 3}
+  - {kind: cut, edge: [2, hub], steps: [0, 5]}
+  - {kind: partition, groups: [[1, hub], [2, 4]], cut: true}
+  - {kind: sensor, node: 1, steps: [5, 9]}
+  - {kind: crash, process: 1, at: 4, restart_after: 5}
+  - {kind: jump, node: 4, at: 15, a: random}
+"""
+SAMPLED = b"""\
+name: sampled
+b: 0.1
+steps: 4
+nodes: {a: {a: 0.5, candidates: [0.5, 0.3]}, b: {a: 0.3, candidates: [0.3]}}
+edges: [[a, b]]
+defaults: {disturbance: {kind: samples, file: w.csv}}
+"""
+RULED = b"""\
+name: ruled
+b: 0.05
+steps: 3
+graph: {kind: random_regular, nodes: 10, degree: 3}
+nodes: {7: {x0: 3}}
+defaults: {candidates: {random: 3}, disturbance: {kind: white, std: 0.1}}
+"""
+TABLED = b"{name: tabled, b: 0.05, steps: 3, table: t.npz}\n"
+SAMPLES = (b"a,b\n1,2\n0.5,-1\n1e-3,4\n0,0\n", b"1,2\n3,4\n5,6\n7,8\n", b'"a","b"\r\n1,2\r\n3,4\r\n1,1\r\n2,2\r\n')
+
+
+def topology_texts() -> list[bytes]:
+    """The bundled networks, the examples of the docs, and one with everything that can go wrong."""
+    files = [find(name) for name in bundled()] + sorted((ROOT / "docs/examples").glob("*.yaml"))
+    return [FAULTY, SAMPLED, RULED, TABLED, *(file.read_bytes() for file in files)]
+
+
+def record_folder(directory: Path) -> Path:
+    """A run's folder with everything in it: tables, streams as of a run that goes on, a recording, processes."""
+    text = directory / "faulty.yaml"
+    text.write_bytes(FAULTY)
+    topology = resolve(load(str(text)))
+    folder = create(topology, directory / "run")
+    shards = layout(topology, 2)
+    simulate_into(topology, folder, shards, Watching(record=True), Quiet())
+    for view in views_of(topology, shards):
+        view.write(folder.processes / f"shard-{view.shard}.npz")
+    truth_of(topology, shards).write(folder.processes / "plant.npz")
+    for name in ("telemetry", "edges"):
+        rows = pq.read_table(folder.path / f"{name}.parquet")
+        with pa.ipc.new_stream(str(folder.path / f"{name}.arrows"), rows.schema) as stream:
+            width = len(topology.ids) if name == "telemetry" else len(topology.edges)
+            for first in range(0, len(rows), 5 * width):  # the last state is a batch of its own
+                stream.write_table(rows.slice(first, 5 * width))
+    folder.event("lost", shard=0, who="agent 1", cause="silent", step=7)
+    return folder.path
+
+
+# ---- the cases
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A case that came to no good end."""
+
+    kind: str
+    number: int
+    what: str
+
+    def __str__(self) -> str:
+        return f"{self.kind} {self.number}: {self.what}"
+
+
+def _worded(error: HedgerowError) -> None:
+    """An error says something that a person reads on one screen."""
+    if not 0 < len(str(error).strip()) < 20_000:
+        raise ValueError(f"an error of {len(str(error))} characters")
+
+
+class SlowError(BaseException):
+    """A case took too much of the processor; no `except Exception` is to swallow it."""
+
+
+class Files:
+    """Files of all kinds, each given to the command that reads it."""
+
+    def __init__(self, seed: int, scratch: Path) -> None:
+        self._seed, self._scratch = seed, scratch
+        self._texts = topology_texts()
+        self._command = typer.main.get_command(cli.app)
+        self._folder = record_folder(scratch)
+        self._table = scratch / "t.npz"
+        ruled = scratch / "ruled.yaml"
+        ruled.write_bytes(RULED)
+        table.write(resolve(load(str(ruled))).network, self._table)
+        self._case = scratch / "case"
+
+    @cached_property
+    def _viewer(self) -> Viewer:
+        """Something that takes what a viewer takes."""
+        import rerun as rr  # noqa: PLC0415
+
+        self._server = rr.RecordingStream("fuzz")
+        return Viewer(self._server.serve_grpc(grpc_port=free_port(), server_memory_limit="16MB"))
+
+    def try_one(self, number: int) -> str:
+        """What became of a case: `refused` or `good`, and of what; raises what it should not."""
+        rng = Random(f"files {self._seed} {number}")
+        shutil.rmtree(self._case, ignore_errors=True)
+        self._case.mkdir()
+        kind, body = rng.choices(
+            (
+                ("topology", self._topology),
+                ("samples", self._samples),
+                ("run folder", self._run_folder),
+                ("process file", self._process_file),
+                ("table", self._numbers),
+            ),
+            (46, 10, 32, 6, 6),
+        )[0]
+        try:
+            body(rng)
+        except HedgerowError as error:
+            _worded(error)
+            return f"{kind}: refused"
+        return f"{kind}: good"
+
+    def _run(self, *words: str) -> None:
+        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+            self._command.main([*words], standalone_mode=False)
+
+    def _topology(self, rng: Random) -> None:
+        file = self._case / "bent.yaml"
+        file.write_bytes(bent_text(rng.choice(self._texts), rng, self._texts))
+        (self._case / "w.csv").write_bytes(SAMPLES[0])
+        shutil.copy(self._table, self._case)
+        self._check_and_run(file)
+
+    def _check_and_run(self, file: Path) -> None:
+        self._run("check", str(file))
+        # As far as it was checked it is good: so it runs. (Its steps and its law are whatever they came to be.)
+        if len(resolve(load(str(file)), file.parent).ids) < 1000:
+            sets = ("--steps", "3", "--set", "faults=[]", "--set", "law=minimax", "--set", "processes=1")
+            with contextlib.suppress(HedgerowError):  # samples may be too short for 3 steps
+                self._run("simulate", str(file), *sets, "--no-record", "--run-dir", str(self._case / "ran"))
+
+    def _samples(self, rng: Random) -> None:
+        file = self._case / "sampled.yaml"
+        file.write_bytes(SAMPLED)
+        content = rng.choice(SAMPLES)
+        bent = bent_bytes(content, rng) if rng.random() < 0.3 else bent_text(content, rng, SAMPLES)
+        (self._case / "w.csv").write_bytes(bent)
+        self._check_and_run(file)
+
+    def _numbers(self, rng: Random) -> None:
+        file = self._case / "tabled.yaml"
+        file.write_bytes(TABLED)
+        (self._case / "t.npz").write_bytes(bent_bytes(self._table.read_bytes(), rng))
+        self._check_and_run(file)
+
+    def _process_file(self, rng: Random) -> None:
+        file = rng.choice(sorted((self._folder / "processes").iterdir()))
+        bent = self._case / file.name
+        bent.write_bytes(bent_bytes(file.read_bytes(), rng))
+        (Truth if "plant" in file.name else View).read(bent)
+
+    def _run_folder(self, rng: Random) -> None:
+        folder = self._case / "run"
+        shutil.copytree(self._folder, folder)
+        going_on = rng.random() < 0.3
+        for name in ("telemetry", "edges"):
+            (folder / f"{name}.{'parquet' if going_on else 'arrows'}").unlink()
+        files = [file for file in sorted(folder.iterdir()) if file.is_file()]
+        for file in rng.sample(files, rng.choice((1, 1, 1, 2, 3))):
+            self._bend(file, rng)
+        ways: dict[str, Callable[[], None]] = {
+            "export": lambda: self._export(folder, rng),
+            "simulate": lambda: self._run(
+                "simulate", str(folder), "--no-record", "--run-dir", str(self._case / "ran"), "--steps", "2"
+            ),
+            "open": lambda: _open(folder, self._viewer, lambda _: None, lambda: True),
+            "watch": lambda: self._watch(folder),
+            "report": lambda: self._run("report", str(folder), "--figures", "4", "--out", str(self._case / "out")),
+        }
+        ways[rng.choices([*ways], (50, 15, 20, 12, 3))[0]]()
+
+    def _bend(self, file: Path, rng: Random) -> None:
+        whim = rng.random()
+        if whim < 0.04:
+            file.unlink()
+        elif whim < 0.08:
+            file.write_bytes(b"")
+        elif whim < 0.12:
+            file.unlink()
+            file.symlink_to(rng.choice(("nowhere", ".", str(file), "/dev/null", "../run", "/etc/hostname")))
+        elif whim < 0.15:
+            file.unlink()
+            file.mkdir()
+        elif file.suffix in (".yaml", ".json", ".jsonl") and whim < 0.9:
+            file.write_bytes(bent_text(file.read_bytes(), rng, self._texts))
+        else:
+            file.write_bytes(bent_bytes(file.read_bytes(), rng))
+
+    def _export(self, folder: Path, rng: Random) -> None:
+        form = rng.choice(("csv", "parquet", "npz", "npz", "mat"))
+        self._run("export", str(folder), "--to", form, "--out", str(self._case / "out"))
+
+    def _watch(self, folder: Path) -> None:
+        topology = load_resolved(folder)
+        try:
+            trail = Trail(folder, topology.graph)
+        except FileNotFoundError:
+            return
+        for event in Happenings(folder / "events.jsonl").new():
+            told(event)
+        observer = Observer(topology)
+        while rows := trail.take(64):
+            observer.take(rows)
+
+
+class Payloads:
+    """Messages of every kind, each given to every decoder that may meet it."""
+
+    def __init__(self, seed: int, _: Path) -> None:
+        self._seed = seed
+        k, m, n, e = 3, 5, 4, 6
+        x, flags = np.arange(float(k)), np.ones(m, np.uint8)
+        back, degrees = np.array([True, False, True]), np.array([2, 1, 2])
+        record = codec.Record(9, back, 5, np.ones((4, 2)), np.ones((4, 2)), np.ones((4, 4), np.uint8))
+        link = codec.Link(7, 7, x.tobytes(), x.tobytes())
+        far = codec.Link(7, 5, np.ones((3, 3)).tobytes(), np.ones((3, 3)).tobytes())
+        ones, bits = np.ones(n), np.ones(e, np.uint8)
+        row = codec.Telemetry(
+            4,
+            ones,
+            ones,
+            ones,
+            np.ones((codec.REPORT_ROWS, n)),
+            bits,
+            np.ones(2 * e, np.uint8),
+            np.ones(2 * e, np.uint8),
+        )
+        self._messages: list[bytes] = [
+            codec.encode_state(7, x, flags),
+            codec.encode_state(7, x, flags, [codec.Span(2, 1, 0, 0, 3)]),
+            codec.encode_record(record),
+            codec.encode_input(7, x, np.ones((codec.REPORT_ROWS, k)), flags),
+            codec.encode_link(link, k),
+            codec.encode_link(far, k),
+            codec.join(codec.encode_telemetry(row)),
+            codec.join(codec.encode_telemetry(row, whole=True)),
+            codec.encode_trips(codec.Trips(2, np.ones((3, k)))),
+            codec.encode_end(codec.End(9, ones, 1.5)),
+            codec.encode_seen(12),
+            codec.encode_event(3, {"event": "kill", "shard": 1, "life": 0}),
+            codec.encode_event(3, {"event": "x", "a": [[[{}]]]}),
+            codec.encode_batch(0, [codec.encode_telemetry(row), (codec.encode_seen(12),)]),
+        ]
+        self._decoders: tuple[Callable[[bytes], object], ...] = (
+            lambda message: codec.decode_state(message, k, m),
+            lambda message: codec.decode_record(message, degrees),
+            lambda message: codec.decode_input(message, k, m),
+            lambda message: codec.decode_link(message, k),
+            lambda message: codec.decode_telemetry(message, n, e),
+            lambda message: codec.decode_trips(message, k),
+            lambda message: codec.decode_end(message, n),
+            lambda message: codec.decode_end(message, 0),
+            codec.decode_seen,
+            codec.decode_event,
+            codec.decode_batch,
+            codec.kind_of,
+            lambda message: Inbox().put(message),
+        )
+
+    def try_one(self, number: int) -> str:
+        """What became of a case; raises what it should not."""
+        rng = Random(f"payloads {self._seed} {number}")
+        message = rng.choice(self._messages)
+        if rng.random() < 0.3:  # a header that is right, and anything behind it
+            kind = rng.randrange(10)
+            head = codec._HEADER.pack(codec.VERSION, kind, 0, rng.choice((0, 3, 4, 2**32 - 1)), rng.choice((0, 7, -1)))
+            depth = rng.choice((1, 100, 100_000))
+            tails = (b"[" * depth, b'{"a":' * depth, b"9" * depth, rng.randbytes(rng.randrange(200)), b"null", b"\xff")
+            message = head + rng.choice(tails)
+        else:
+            message = bent_bytes(message, rng)
+        taken = False
+        for decode in self._decoders:
+            try:
+                decode(message)
+            except MessageError as error:
+                _worded(error)
+            else:
+                taken = taken or decode not in self._decoders[-3:]
+        return "good" if taken else "refused"
+
+
+class Planted:
+    """What there is to find: an exception, a hang, a death."""
+
+    def __init__(self, _: int, __: Path) -> None:
+        pass
+
+    def try_one(self, number: int) -> str:
+        """One of each."""
+        match number:
+            case 1:
+                raise KeyError("planted")
+            case 2:
+                signal.setitimer(signal.ITIMER_PROF, 0.2)
+                while True:
+                    with contextlib.suppress(Exception):
+                        hash(number)
+            case 3:
+                os.kill(os.getpid(), signal.SIGSEGV)
+        return "good"
+
+
+KINDS: dict[str, Callable[[int, Path], Files | Payloads | Planted]] = {
+    "files": Files,
+    "payloads": Payloads,
+    "planted": Planted,
+}
+
+
+# ---- the worker: one case after the other, and a line for each
+
+
+def work(kind: str, seed: int, numbers: Sequence[int], scratch: Path) -> None:
+    """Try these cases; says on standard output which it begins with, and what became of it."""
+    resource.setrlimit(resource.RLIMIT_DATA, (MEMORY_BYTES, MEMORY_BYTES))
+    warnings.simplefilter("ignore")  # numbers that overflow are what the file asked for
+    out = os.fdopen(os.dup(1), "w", buffering=1)
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+
+    def too_slow(_: int, frame: FrameType | None) -> None:
+        raise SlowError
+
+    signal.signal(signal.SIGPROF, too_slow)
+    os.chdir(scratch)
+    cases = KINDS[kind](seed, scratch)
+    for number in numbers:
+        out.write(f"{json.dumps([number])}\n")
+        signal.setitimer(signal.ITIMER_PROF, CASE_CPU_S)
+        try:
+            became, wrong = cases.try_one(number), ""
+        except (Exception, SlowError) as error:
+            last = traceback.extract_tb(error.__traceback__)[-6:]
+            where = " < ".join(f"{Path(frame.filename).name}:{frame.lineno}" for frame in reversed(last))
+            became, wrong = "finding", f"{type(error).__name__}: {str(error)[:200]} ({where})"
+        signal.setitimer(signal.ITIMER_PROF, 0)
+        out.write(f"{json.dumps([number, became, wrong])}\n")
+    out.flush()
+    os._exit(0)
+
+
+# ---- who hands out the cases
+
+
+def fuzz(kind: str, seed: int, numbers: Sequence[int]) -> tuple[Counter[str], list[Finding]]:
+    """Try these cases of a kind: how often what became of them, and the findings."""
+    counts: Counter[str] = Counter()
+    findings: list[Finding] = []
+    left = list(numbers)
+    while left:
+        with tempfile.TemporaryDirectory(prefix="hedgerow-fuzz-") as scratch:
+            begun: int | None = None
+            for number, *ended in _lines(kind, seed, left[:WORKER_CASES], Path(scratch)):
+                begun = number
+                if ended:
+                    counts[ended[0]] += 1
+                    if ended[1]:
+                        findings.append(Finding(kind, number, ended[1]))
+                    left.remove(number)
+                    begun = None
+            if begun is not None:
+                findings.append(Finding(kind, begun, "the process died, or hung"))
+                counts["finding"] += 1
+                left.remove(begun)
+            elif left and left == [*numbers]:
+                raise RuntimeError("the worker does not begin; see its standard error")
+    return counts, findings
+
+
+def _lines(kind: str, seed: int, numbers: Sequence[int], scratch: Path) -> Iterator[list[Any]]:
+    """What a worker says, until it has ended or says nothing for too long."""
+    words = [
+        sys.executable,
+        "-P",
+        "-m",
+        "tests.tools.fuzz",
+        "--worker",
+        kind,
+        "--seed",
+        str(seed),
+        "--scratch",
+        str(scratch),
+    ]
+    environment = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    path = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
+    worker = subprocess.Popen(
+        words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment | {"PYTHONPATH": path}
+    )
+    assert worker.stdin is not None
+    assert worker.stdout is not None
+    worker.stdin.write(json.dumps(list(numbers)).encode())
+    worker.stdin.close()
+
+    def give_up(_: int, frame: FrameType | None) -> None:
+        worker.kill()
+
+    before = signal.signal(signal.SIGALRM, give_up)
+    try:
+        signal.alarm(int(CASE_WALL_S))
+        for line in worker.stdout:
+            signal.alarm(int(CASE_WALL_S))
+            with contextlib.suppress(ValueError):  # it was killed in the middle of a line
+                yield json.loads(line)
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)
+        worker.stdout.close()
+        worker.kill()
+        worker.wait()
+
+
+def main() -> None:
+    """Try so many cases of each kind, and say what became of them; exit code 1 if any is a finding."""
+    parser = argparse.ArgumentParser(prog="python -m tests.tools.fuzz", description=main.__doc__)
+    parser.add_argument("--files", type=int, default=10_000)
+    parser.add_argument("--payloads", type=int, default=10_000)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", type=int, help="this case of the kinds that are not 0")
+    parser.add_argument("--worker", choices=KINDS, help=argparse.SUPPRESS)
+    parser.add_argument("--scratch", type=Path, help=argparse.SUPPRESS)
+    known = parser.parse_args()
+    if known.worker:
+        work(known.worker, known.seed, json.load(sys.stdin), known.scratch)
+    wrong = 0
+    for kind in ("files", "payloads"):
+        if not (count := getattr(known, kind)):
+            continue
+        began = time.monotonic()
+        counts, findings = fuzz(kind, known.seed, range(count) if known.only is None else [known.only])
+        listed = ", ".join(f"{counts[name]} {name}" for name in sorted(counts))
+        print(f"{count} {kind}, seed {known.seed}: {listed}; {time.monotonic() - began:.0f} s", flush=True)
+        print(*findings[:SHOWN], sep="\n", end="\n" if findings else "")
+        wrong += len(findings)
+    print(f"{wrong} findings")
+    sys.exit(wrong > 0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,188 @@
+"""Running the `orchestrator` command in tests: to its end, or alive and watched."""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import psutil
+
+from hedgerow.orchestrator.launch.live import Live
+from hedgerow.orchestrator.launch.supervisor import RESTARTS
+
+COMMAND = (sys.executable, "-P", "-m", "hedgerow.orchestrator")
+DEADLINE_S = 60.0
+
+
+def orchestrator(*arguments: str, largest: int = resource.RLIM_INFINITY) -> subprocess.CompletedProcess[str]:
+    """Run the command to its end; no file of it, or of its processes, grows past `largest` bytes: the disk is full."""
+    return subprocess.run(
+        [*COMMAND, *arguments],
+        capture_output=True,
+        text=True,
+        timeout=DEADLINE_S * 3,
+        check=False,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (largest, largest)),
+    )
+
+
+def parquet_bytes(folder: Path) -> tuple[bytes, ...]:
+    """The tables of a run, byte for byte."""
+    return tuple((folder / f"{name}.parquet").read_bytes() for name in ("telemetry", "edges", "summary"))
+
+
+def gone(processes: Mapping[str, int], within_s: float = 20.0) -> bool:
+    """Whether all these processes end within the time; a zombie has ended."""
+    deadline = time.monotonic() + within_s
+    pause = threading.Event()
+    while left := [pid for pid in processes.values() if _runs(pid)]:
+        if time.monotonic() > deadline:
+            return False
+        pause.wait(0.01)
+    return not left
+
+
+def _runs(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+
+
+class Orchestrator:
+    """A command that is running; killed at the end of the block if it still is."""
+
+    def __init__(self, *arguments: str, inside: Sequence[str] = ()) -> None:
+        """`inside` is a command that runs others somewhere else."""
+        self._process = subprocess.Popen(
+            [*inside, *COMMAND, *arguments],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            start_new_session=True,
+        )
+        self._said = ""
+        self._changed = threading.Condition()
+        self._ended = False
+        self._listener = threading.Thread(target=self._listen, daemon=True)
+        self._listener.start()
+
+    def _listen(self) -> None:
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
+            with self._changed:
+                self._said += line
+                self._changed.notify_all()
+        with self._changed:
+            self._ended = True
+            self._changed.notify_all()
+
+    @property
+    def output(self) -> str:
+        """All that was said so far, on both streams."""
+        return self._said
+
+    def wait_for(self, text: str) -> None:
+        """Wait until `text` was said."""
+        with self._changed:
+            assert self._changed.wait_for(lambda: text in self._said or self._ended, DEADLINE_S), self._said
+            assert text in self._said, self._said
+
+    def wait_for_event(self, kind: str, times: int = 1) -> dict[str, Any]:
+        """Wait until the latest run's events.jsonl has so many events of a kind; the last of them."""
+        deadline = time.monotonic() + DEADLINE_S
+        pause = threading.Event()
+        while len(found := [event for event in _events() if event["event"] == kind]) < times:
+            assert self._process.poll() is None or self.output, self.output
+            assert time.monotonic() < deadline, f"{len(found)} of {times} events {kind!r} in {_events()}"
+            pause.wait(0.01)
+        return found[-1]
+
+    def wait_for_step(self, step: int) -> None:
+        """Wait until the latest run has come so far."""
+        deadline, pause = time.monotonic() + DEADLINE_S, threading.Event()
+        with Live() as live:
+            while live.status()["step"] < step:
+                assert time.monotonic() < deadline, self.output
+                pause.wait(0.01)
+
+    def wait_for_log(self, name: str, text: str, times: int = 1) -> None:
+        """Wait until a process of the latest run has logged `text` so often."""
+        log = Path(os.getcwd()) / f"runs/latest/logs/{name}.log"
+        deadline = time.monotonic() + DEADLINE_S
+        pause = threading.Event()
+        while log.read_text(encoding="utf-8").count(text) < times:
+            assert time.monotonic() < deadline, log.read_text(encoding="utf-8")
+            pause.wait(0.01)
+
+    @property
+    def children(self) -> dict[str, int]:
+        """Process ids of the plant and the agents by name, of those that were started last."""
+        pids: dict[str, int] = dict(_events()[0]["pids"])
+        again = {event["process"]: event["pid"] for event in _events() if event["event"] == "restarted"}
+        return pids | again
+
+    @property
+    def pid(self) -> int:
+        """Of the command itself."""
+        return self._process.pid
+
+    def send(self, number: int) -> None:
+        """Send the command's own process a signal."""
+        self._process.send_signal(number)
+
+    def kill_until_it_stays_down(self, name: str) -> None:
+        """Kill an agent's process as often as it comes back."""
+        for life in range(1, RESTARTS + 2):
+            os.kill(self.children[name], signal.SIGKILL)
+            self.wait_for_event("died", life)
+            if life <= RESTARTS:
+                self.wait_for_event("restarted", life)
+
+    def kill_all_who_could_clean_up(self) -> dict[str, int]:
+        """Kill the command, its nursery and the plant at once; all processes of the run, which end by themselves."""
+        children = self.children
+        last = (psutil.Process(children["plant"]).ppid(), children["plant"])
+        for pid in last:
+            os.kill(pid, signal.SIGSTOP)
+        self.send(signal.SIGKILL)
+        for pid in last:
+            os.kill(pid, signal.SIGKILL)
+        return children
+
+    def wait(self, timeout_s: float = DEADLINE_S) -> int:
+        """The exit code, once it has ended and all its output is here."""
+        code = self._process.wait(timeout_s)
+        with self._changed:
+            assert self._changed.wait_for(lambda: self._ended, timeout_s)
+        return code
+
+    def __enter__(self) -> Orchestrator:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._process.poll() is None:
+            self._process.kill()
+        self._process.wait()
+        self._listener.join(DEADLINE_S)
+        assert not self._listener.is_alive(), "somebody still holds the output of a command that has ended"
+        assert self._process.stdout is not None
+        self._process.stdout.close()
+
+
+def _events() -> list[dict[str, Any]]:
+    told = Path(os.getcwd()) / "runs/latest/events.jsonl"
+    lines = told.read_text(encoding="utf-8").splitlines() if told.exists() else []
+    return [json.loads(line) for line in lines if line.endswith("}")]

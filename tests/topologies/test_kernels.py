@@ -1,0 +1,57 @@
+"""What a large network does otherwise than a small one gives the same bits: compiled loops, and rows laid aside."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hedgerow.orchestrator.metrics.observer import Batch
+from hedgerow.topologies import fast
+from hedgerow.topologies.schema import Topology
+from hedgerow.wire import history
+from tests.test_faults import faulty
+from tests.tools.networks import networks, observe, partitions, simulate
+
+
+@contextmanager
+def everything_is_large() -> Iterator[None]:
+    """As if one node were a large network."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(fast, "LARGE", 1)
+        patch.setattr(history, "LONG", 1)
+        yield
+
+
+def test_the_compiled_loops_are_to_be_had() -> None:
+    """Without numba the tests below would compare numpy with itself."""
+    pytest.importorskip("numba")
+    assert fast.kernels_for(fast.LARGE) is not None
+    assert fast.kernels_for(fast.LARGE - 1) is None
+
+
+@given(topology=faulty(), past=st.sampled_from([1, 2, 5, 100_000]), data=st.data())
+def test_a_large_network_runs_as_a_small_one_does(topology: Topology, past: int, data: st.DataObject) -> None:
+    topology = topology.model_copy(update={"history": past})
+    shards = data.draw(partitions(len(topology.ids)))
+    small = simulate(topology, shards)
+    with everything_is_large():
+        assert simulate(topology, shards).same_bits(small)
+
+
+@given(networks())
+def test_a_large_network_is_observed_as_a_small_one_is(topology: Topology) -> None:
+    ran = simulate(topology)
+    observer, batch = observe(topology, ran)
+    with everything_is_large():
+        other, same = observe(topology, ran)
+    assert summary_of(batch) == summary_of(same)
+    assert repr(observer.summary()) == repr(other.summary())
+
+
+def summary_of(batch: Batch) -> dict[str, bytes]:
+    """Every column of a batch, as bytes."""
+    return {name: getattr(batch, name).tobytes() for name in batch.__dataclass_fields__}

@@ -1,0 +1,84 @@
+"""A process of a run ends when it is told to, whatever it does at that moment."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from tests.tools.processes import DEADLINE_S
+
+STUCK = """
+import ctypes
+from hedgerow.wire.child import run_alone
+
+def wait_for_good():  # in a call that no signal interrupts, and that lets other threads live
+    library, mutex = ctypes.CDLL(None), ctypes.create_string_buffer(64)
+    library.pthread_mutex_lock(mutex)
+    print("stuck", flush=True)
+    library.pthread_mutex_lock(mutex)
+
+run_alone(wait_for_good)
+"""
+
+DEAF = """
+from hedgerow.wire.child import run_alone, stopped_by
+from threading import Event
+
+def end_in_good_order():
+    print("stopping", flush=True)
+    Event().wait()
+
+def wait_to_be_told():
+    with stopped_by(end_in_good_order):
+        print("in", flush=True)
+        Event().wait()
+
+run_alone(wait_to_be_told)
+"""
+
+LOUD = """
+import sys
+from hedgerow.wire.child import run_alone
+
+run_alone(lambda: [print("loud", file=sys.stderr) for _ in range(10**6)])
+"""
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_ends_a_process_whose_main_thread_is_held(number: int, code: int) -> None:
+    with subprocess.Popen([sys.executable, "-c", STUCK], stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            assert process.stdout.readline() == "stuck\n"
+            process.send_signal(number)
+            assert process.wait(DEADLINE_S) == code
+        finally:
+            process.kill()
+
+
+def test_a_second_signal_ends_a_process_that_hangs_while_it_ends_in_good_order() -> None:
+    with subprocess.Popen([sys.executable, "-c", DEAF], stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            assert process.stdout.readline() == "in\n"
+            process.send_signal(signal.SIGTERM)
+            assert process.stdout.readline() == "stopping\n"
+            process.send_signal(signal.SIGINT)
+            assert process.wait(DEADLINE_S) == 130
+        finally:
+            process.kill()
+
+
+def test_a_process_that_hangs_in_a_full_pipe_ends_as_well() -> None:
+    """Nobody reads what it says."""
+    with subprocess.Popen([sys.executable, "-c", LOUD], stderr=subprocess.PIPE) as process:
+        try:
+            assert process.stderr is not None
+            process.stderr.read(1)
+            process.terminate()
+            assert process.wait(DEADLINE_S) == 143
+        finally:
+            process.kill()
