@@ -1,8 +1,9 @@
 """`python -m benchmarks.shards`: a ring in agent processes over Zenoh, beside the same ring in one process, by size.
 
-The engine is `hedgerow.orchestrator.runs.reference`: plant and agents in one process, and nothing that observes. The shards are the
-plant and the agents as `orchestrator up` starts them, with telemetry taken in, and nothing made of it: the loop with
-its messages, and not what is computed of a run. Both give the same last state, bit for bit, which is checked.
+The engine is `hedgerow.orchestrator.runs.reference`: plant and agents in one process, without an observer. The shards
+are the plant and the agents as `orchestrator up` starts them. The benchmark receives telemetry and computes nothing
+from it: it measures the loop with its messages, and no metrics.
+Both give the same last state, bit for bit, which is checked.
 
 Every round runs each in turn; the table gives medians over the rounds, of wall time, and of the ratios within a round.
 """

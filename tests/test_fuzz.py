@@ -1,7 +1,7 @@
 """Files and messages as no one should write them: refused in words, or good all the way; never a traceback or a hang.
 
-CI tries FILES and PAYLOADS of them; `python -m tests.tools.fuzz` tries 10,000 of each, and docs/reliability.md says what came
-of it. Here stand the stories too: a law is code, a disk is full, a clock jumps.
+CI tries FILES and PAYLOADS of them. `python -m tests.tools.fuzz` tries 10,000 of each, and docs/reliability.md says
+what came of it. Here stand the stories too: a law is code, a disk is full, a clock jumps.
 """
 
 from __future__ import annotations

@@ -20,8 +20,8 @@ import os, pathlib, signal, subprocess, sys
 from tests.tools.leftovers import MARK, nothing_lives_on
 
 def test_that_never_ends():
-    up = [sys.executable, "-P", "-m", "hedgerow.orchestrator", "up", "paper7", "--detach", "--rate", "10", "--steps", "100000"]
-    subprocess.run([*up, "--viewer", "none", "--no-record"], check=True)
+    up = [sys.executable, "-P", "-m", "hedgerow.orchestrator", "up", "paper7", "--detach"]
+    subprocess.run([*up, "--rate", "10", "--steps", "100000", "--viewer", "none", "--no-record"], check=True)
     pathlib.Path("mark.part").write_text(os.environ[MARK])
     pathlib.Path("mark.part").rename("mark")
     signal.pause()

@@ -67,7 +67,7 @@ class _Draws:
 def resolve(topology: Topology, folder: Path = Path()) -> Topology:
     """The same network with every number drawn and every node spelled out; resolving it again changes nothing.
 
-    `folder` is where the CSV files of `samples` lie. The topology must have passed the rules of `hedgerow.topologies.rules`.
+    `folder` is where the CSV files of `samples` lie. The topology must have passed `topologies.rules`.
     Raises TopologyError for a fault that breaks them; that of a jump may show only now, with the candidates drawn.
     """
     draws = _Draws(topology.seed, len(topology.ids))

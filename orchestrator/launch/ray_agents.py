@@ -1,7 +1,7 @@
 """A network whose agents live on the machines of a Ray cluster.
 
 Ray finds each a machine, starts it again when it dies, and brings its log here. An agent there is one that was started
-elsewhere (orchestrator.launch.external_agents), and its config an argument: what agents and plant say to each other goes over Zenoh.
+elsewhere (launch/external_agents.py), with its config as an argument. Agents and plant exchange messages over Zenoh.
 
 A machine of the cluster loads this module, and needs what an agent needs and no more: the rest is loaded late.
 """
@@ -263,7 +263,7 @@ def chosen(
     wait_s: float | None,
 ) -> Iterator[OnRay]:
     """What `--on ON` means, while we are joined to that cluster; UserError where it cannot be."""
-    from hedgerow.orchestrator.launch import endpoints as wiring
+    from hedgerow.orchestrator.launch import endpoints as wiring  # noqa: PLC0415
     from hedgerow.orchestrator.launch import external_agents as external  # noqa: PLC0415
     from hedgerow.orchestrator.launch.ray_cluster import joined  # noqa: PLC0415
     from hedgerow.wire.ports import LOOPBACK, free_port  # noqa: PLC0415

@@ -33,7 +33,7 @@ TABLES = ("telemetry", "edges", "summary")
 
 @dataclass(frozen=True)
 class Watching:
-    """Where Rerun data goes: into run.rrd or not, and to which viewer, as `hedgerow.orchestrator.views.rerun.viewer.choose` names it."""
+    """The destinations of Rerun data: run.rrd or none, and a viewer as `views.rerun.viewer.choose` names it."""
 
     record: bool = True
     viewer: str = "none"

@@ -58,7 +58,7 @@ def _flags(name: str) -> cached_property[Mask]:
 
 
 def _observed(name: str) -> cached_property[Array]:
-    """What the observer computed live, computed again: a field of `hedgerow.orchestrator.metrics.observer.Batch`, (T,) or (T, n)."""
+    """Return a property that recomputes a field of `metrics.observer.Batch`, (T,) or (T, n)."""
     return cached_property(lambda run: run._by_step(getattr(run._replayed[0], name)))
 
 

@@ -1,4 +1,6 @@
-"""`python -m tests.tools.kill_table`: every process of a run, sent every signal, at every time; what is kept, what is left.
+"""Send every signal to every process of a run at every time, and record what is kept and what remains.
+
+Run it with `python -m tests.tools.kill_table`.
 
     who    agent, plant (the router too), nursery (it forks both), up (the observer), viewer (a page's server), router
            (an external one)

@@ -652,7 +652,8 @@ def test_a_run_is_made_as_by_the_command(paper7: RecordedRun, here: Path) -> Non
 
 def test_a_run_of_no_step_is_none(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (here / "bad.py").write_text(
-        "from hedgerow.agents.law import Minimax\n\nclass Bad(Minimax):\n    def act(self, x): raise ValueError('no')\n",
+        "from hedgerow.agents.law import Minimax\n\n"
+        "class Bad(Minimax):\n    def act(self, x): raise ValueError('no')\n",
         encoding="utf-8",
     )
     monkeypatch.syspath_prepend(here)
