@@ -40,7 +40,7 @@ class Started:
     """A process of a run that `up` did not start."""
 
     def __init__(self, module: str, *arguments: str) -> None:
-        program = f"from {module}.anywhere import main; main()"
+        program = f"from hedgerow.{module}.standalone import main; main()"
         self.process = subprocess.Popen(
             [sys.executable, "-P", "-c", program, *arguments], stderr=subprocess.PIPE, text=True
         )
@@ -152,7 +152,10 @@ def test_a_planned_crash_of_an_agent_elsewhere_ends_no_process(here: Path, endpo
 
 def test_another_release_and_another_network_are_refused_at_both_ends(here: Path, endpoint: str, start: Any) -> None:
     bundle(endpoint, "--seed", "8")
-    old = "import hedgerow.wire.handshake as h; h.version = lambda _: '0.0.1'; from hedgerow.agents.standalone import main; main()"
+    old = (
+        "import hedgerow.wire.handshake as h; h.version = lambda _: '0.0.1';"
+        "from hedgerow.agents.standalone import main; main()"
+    )
     with Orchestrator("up", "paper7", "--external", "3", "--listen", endpoint, "--wait", "30", *UP) as network:
         network.wait_for("waiting for agent-3")
         code, said = start("agents", "--config", "lab/agent-3.toml").wait()
