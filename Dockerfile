@@ -7,6 +7,7 @@ RUN useradd --create-home --uid 10001 hedgerow
 FROM base AS build
 WORKDIR /src
 COPY pyproject.toml README.md LICENSE constraints.txt ./
+COPY hedgerow hedgerow
 COPY topologies topologies
 COPY wire wire
 COPY agents agents
