@@ -27,6 +27,7 @@ import zenoh
 
 from hedgerow.agents.shard import Shard
 from hedgerow.agents.view import View
+from hedgerow.topologies.paths import user_path
 from hedgerow.wire import keys
 from hedgerow.wire.access import MOST_PER_S
 from hedgerow.wire.child import run_child
@@ -290,11 +291,11 @@ def _say(messages: Sequence[tuple[Voice, bytes]]) -> None:
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """`python -m hedgerow.agents VIEW --namespace RUN --connect ENDPOINT`: run one shard until the plant says END."""
     parser = argparse.ArgumentParser(prog="python -m hedgerow.agents", description=main.__doc__)
-    parser.add_argument("view", type=Path, help="the local view, a .npz file")
+    parser.add_argument("view", type=user_path, help="the local view, a .npz file")
     parser.add_argument("--namespace", required=True, help="the Zenoh namespace of the run")
     parser.add_argument("--connect", required=True, help="the router, a Zenoh endpoint")
     parser.add_argument("--life", type=int, default=0, help="how often this shard was started before")
-    parser.add_argument("--credentials", type=Path, help="the folder with its certificate")
+    parser.add_argument("--credentials", type=user_path, help="the folder with its certificate")
     known = parser.parse_args(arguments)
 
     def body() -> None:

@@ -15,7 +15,6 @@ import secrets
 import threading
 import time
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
@@ -28,6 +27,7 @@ from hedgerow.plant.shards import Shards
 from hedgerow.plant.truth import Truth
 from hedgerow.plant.world import World
 from hedgerow.topologies.errors import DeadlineError
+from hedgerow.topologies.paths import user_path
 from hedgerow.wire import keys
 from hedgerow.wire.child import run_child
 from hedgerow.wire.codec import (
@@ -372,7 +372,7 @@ class Plant:
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """`python -m hedgerow.plant TRUTH --namespace RUN --listen ENDPOINT`: run the world to its last step."""
     parser = argparse.ArgumentParser(prog="python -m hedgerow.plant", description=main.__doc__)
-    parser.add_argument("truth", type=Path, help="the true network, a .npz file")
+    parser.add_argument("truth", type=user_path, help="the true network, a .npz file")
     parser.add_argument("--namespace", required=True, help="the Zenoh namespace of the run")
     where = parser.add_mutually_exclusive_group(required=True)
     where.add_argument("--listen", help="be the router of the run, on a Zenoh endpoint")
@@ -381,7 +381,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     parser.add_argument("--deadline", type=float, default=10.0, help="seconds to wait for an input before going on")
     parser.add_argument("--start", type=float, default=START_DEADLINE_S, help="seconds that everybody has to come")
     parser.add_argument("--network", default="", help="its fingerprint, which who joins must have, too")
-    parser.add_argument("--credentials", type=Path, help="the folder with its certificate")
+    parser.add_argument("--credentials", type=user_path, help="the folder with its certificate")
     known = parser.parse_args(arguments)
 
     def body() -> None:

@@ -23,6 +23,7 @@ from hedgerow.topologies.faults import KINDS, known_keys
 from hedgerow.topologies.generators import GENERATORS
 from hedgerow.topologies.graph import LARGEST
 from hedgerow.topologies.nodes import Edges, Nodes
+from hedgerow.topologies.paths import user_path
 from hedgerow.topologies.rules import broken_rules
 from hedgerow.topologies.schema import COMPONENTS, Defaults, Node, Record, Topology
 from hedgerow.topologies.source import MAX_BYTES, Path, Source, place_of, read_source
@@ -38,7 +39,7 @@ def bundled() -> list[str]:
 
 def find(name: str) -> FilePath:
     """The file that `name` means: a path, the folder of a finished run, or a bundled name."""
-    path = FilePath(name)
+    path = user_path(name)
     try:
         if (path / "topology.yaml").is_file():
             return path / "topology.yaml"

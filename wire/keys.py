@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from urllib.parse import quote
+
 TELEMETRY = "telemetry"
 SEEN = "seen"
 ALIVE = "alive/**"
@@ -10,6 +12,11 @@ ROOM = "room"
 """whoever is to begin a plant shows that there is no room for another"""
 COMMANDS = ("status", "stop", "pause", "resume", "step", "rate", "fault", "heal", "died")
 """what a plant can be asked; `died` is for `up` alone"""
+
+
+def chunk(text: str) -> str:
+    """Return any text as one chunk of a key expression, another for each text; letters, digits, `-_.~` stay."""
+    return quote(text.encode("utf-8", "surrogatepass"), safe="")
 
 
 def state(shard: int) -> str:

@@ -147,12 +147,6 @@ def _rules_in(credentials: Path) -> Mapping[str, object]:
     return cast("Mapping[str, object]", rules)
 
 
-def remove_socket(socket: Path) -> None:
-    """Remove what a router that was killed leaves of its Unix socket, if anything."""
-    for path in (socket, Path(f"{socket}.lock")):
-        path.unlink(missing_ok=True)
-
-
 def remove_trace(path: Path | str) -> None:
     """Remove what must not outlive a run, a file or a whole folder, if it is there: its socket, its private keys."""
     with contextlib.suppress(OSError):

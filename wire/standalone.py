@@ -18,6 +18,7 @@ for _name, _value in runtime_environment().items():
 import zenoh  # noqa: E402
 
 from hedgerow.topologies.errors import DeadlineError, UserError, check_options  # noqa: E402
+from hedgerow.topologies.paths import user_path  # noqa: E402
 from hedgerow.wire import keys  # noqa: E402
 from hedgerow.wire.child import run_alone  # noqa: E402
 from hedgerow.wire.config import Config  # noqa: E402
@@ -32,10 +33,10 @@ CHECK_S = 5.0
 def options(program: str, what: str) -> argparse.ArgumentParser:
     """The options that agents and plants have in common."""
     parser = argparse.ArgumentParser(prog=program, description=what)
-    parser.add_argument("--config", type=Path, help="what `orchestrator bundle` wrote for it [$HEDGEROW_CONFIG]")
+    parser.add_argument("--config", type=user_path, help="what `orchestrator bundle` wrote for it [$HEDGEROW_CONFIG]")
     parser.add_argument("--router", metavar="ENDPOINT", help="in place of the config's router, e.g. tcp/bench:7447")
     parser.add_argument(
-        "--credentials", type=Path, metavar="DIR", help="its keys in a secure network, in place of the config's"
+        "--credentials", type=user_path, metavar="DIR", help="its keys in a secure network, in place of the config's"
     )
     parser.add_argument("--wait", type=float, default=WAIT_S, metavar="S", help="seconds to wait for all others [600]")
     parser.add_argument("--check", action="store_true", help="say whether it takes part, by the exit code, and leave")

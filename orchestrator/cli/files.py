@@ -7,10 +7,13 @@ from typing import Annotated
 
 import typer
 
+from hedgerow.topologies.paths import user_path
+
 Run = Annotated[str, typer.Argument(metavar="[RUN]", help="a run's folder, or its name in runs/")]
 To = Annotated[str, typer.Option(metavar="csv|parquet|npz|mat", help="tables, or named arrays")]
 Out = Annotated[
-    Path | None, typer.Option(metavar="PATH", help="the folder of the tables, or the file [RUN-FORM/, RUN.FORM]")
+    Path | None,
+    typer.Option(parser=user_path, metavar="PATH", help="the folder of the tables, or the file [RUN-FORM/, RUN.FORM]"),
 ]
 Force = Annotated[bool, typer.Option("--force", help="replace files that are there")]
 

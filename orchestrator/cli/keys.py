@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hedgerow.orchestrator.cli.options import AsJson, File, Processes
+from hedgerow.topologies.paths import user_path
 
 if TYPE_CHECKING:
     from hedgerow.wire.access import Place
@@ -34,7 +35,7 @@ def _places(file: str, processes: int | None) -> tuple[str, list[Place]]:
 
 def keys(
     file: File,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="a new folder")],
+    out: Annotated[Path, typer.Option(parser=user_path, metavar="DIR", help="a new folder")],
     router: Annotated[
         str, typer.Option(metavar="ENDPOINT", help="where the router will be: tls/HOST:PORT")
     ] = "tls/localhost:7447",

@@ -10,6 +10,7 @@ import typer
 
 from hedgerow.orchestrator.cli.options import File, Law, Processes, Seed, Sets, Steps
 from hedgerow.topologies.errors import UserError, check_options
+from hedgerow.topologies.paths import user_path
 
 Secure = Annotated[
     bool | None, typer.Option("--secure/--open", help="keys for every process, and a router that refuses the rest")
@@ -26,7 +27,7 @@ def register(app: typer.Typer) -> None:
 
 def bundle(
     file: File,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="the folder to write, new or empty")],
+    out: Annotated[Path, typer.Option(parser=user_path, metavar="DIR", help="the folder to write, new or empty")],
     router: Annotated[
         str | None,
         typer.Option(
@@ -87,10 +88,15 @@ def compose(
     file: File,
     form: Annotated[Format, typer.Option("--format", help="for Docker, or for Kubernetes")] = Format.COMPOSE,
     rate: Annotated[float, typer.Option(metavar="R", help="steps per second, 0 for as fast as possible")] = 10.0,
-    out: Annotated[Path | None, typer.Option(metavar="FILE", help="write it there, for you alone to read")] = None,
+    out: Annotated[
+        Path | None, typer.Option(parser=user_path, metavar="FILE", help="write it there, for you alone to read")
+    ] = None,
     secure: Secure = None,
     keys: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="its folder of keys, made if it is not there [keys, beside FILE]")
+        Path | None,
+        typer.Option(
+            parser=user_path, metavar="DIR", help="its folder of keys, made if it is not there [keys, beside FILE]"
+        ),
     ] = None,
     days: Days = None,
     registry: Annotated[

@@ -29,6 +29,7 @@ from hedgerow.orchestrator.cli import watch as cli_watch
 from hedgerow.orchestrator.cli.options import AsJson, File, Law, RunDir, Seed, Sets, Steps
 from hedgerow.orchestrator.launch.fork_client import Nursery
 from hedgerow.topologies.errors import DeadlineError, HedgerowError, TopologyError, UserError, check_options
+from hedgerow.topologies.paths import user_path
 from hedgerow.wire.runtime import let_numbers_overflow
 
 # What a topology needs takes most of a second to load: each command loads what it needs itself.
@@ -148,7 +149,8 @@ def up(
         bool | None, typer.Option("--secure/--open", help="certificates for all, and a router that refuses the rest")
     ] = None,
     keys: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="what `orchestrator keys` made, for a router that is there")
+        Path | None,
+        typer.Option(parser=user_path, metavar="DIR", help="what `orchestrator keys` made, for a router that is there"),
     ] = None,
     external: Annotated[
         str | None, typer.Option(metavar="NAMES", help="nodes that are started elsewhere, `all`, `plant`")

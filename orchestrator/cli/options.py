@@ -7,11 +7,15 @@ from typing import Annotated
 
 import typer
 
+from hedgerow.topologies.paths import user_path
+
 File = Annotated[str, typer.Argument(metavar="FILE", help="a topology file, a bundled name, or the folder of a run")]
 Sets = Annotated[list[str] | None, typer.Option("--set", metavar="PATH=VALUE", help="replace a value of the file")]
 Steps = Annotated[int | None, typer.Option(help="replace `steps:`")]
 Seed = Annotated[int | None, typer.Option(help="replace `seed:`")]
 Law = Annotated[str | None, typer.Option(help="replace `law:`")]
-RunDir = Annotated[Path | None, typer.Option(metavar="DIR", help="the run's folder, new or empty [runs/NAME-TIME]")]
+RunDir = Annotated[
+    Path | None, typer.Option(parser=user_path, metavar="DIR", help="the run's folder, new or empty [runs/NAME-TIME]")
+]
 AsJson = Annotated[bool, typer.Option("--json", help="one JSON object on standard output")]
 Processes = Annotated[int | None, typer.Option(metavar="P", help="agent processes [one a node]")]

@@ -7,10 +7,12 @@ from typing import Annotated
 
 import typer
 
+from hedgerow.topologies.paths import user_path
+
 Runs = Annotated[
     list[str] | None, typer.Argument(metavar="[RUN ...]", help="runs' folders, or their names in runs/ [runs/latest]")
 ]
-Out = Annotated[Path | None, typer.Option(metavar="DIR", help="the folder to write [RUN-report]")]
+Out = Annotated[Path | None, typer.Option(parser=user_path, metavar="DIR", help="the folder to write [RUN-report]")]
 Figures = Annotated[str | None, typer.Option(metavar="2,4,...", help="only these figures [all]")]
 Force = Annotated[bool, typer.Option("--force", help="replace a report that is there")]
 

@@ -9,6 +9,7 @@ import typer
 
 from hedgerow.orchestrator.launch.ray_cluster import check
 from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.paths import user_path
 
 File = Annotated[str, typer.Argument(metavar="FILE", help="a topology file, or a bundled name")]
 Seeds = Annotated[str, typer.Option(metavar="FIRST:STOP", help="every seed from FIRST up to, and without, STOP")]
@@ -17,7 +18,8 @@ Sets = Annotated[
 ]
 Engine = Annotated[str, typer.Option(metavar="in-process|zenoh", help="in one process a run, or one an agent")]
 Out = Annotated[
-    Path | None, typer.Option(metavar="DIR", help="the sweep's folder, new or of this sweep [sweeps/NAME-HASH]")
+    Path | None,
+    typer.Option(parser=user_path, metavar="DIR", help="the sweep's folder, new or of this sweep [sweeps/NAME-HASH]"),
 ]
 Jobs = Annotated[int | None, typer.Option(metavar="N", help="runs at once [the cores; with --engine zenoh 1]")]
 On = Annotated[str | None, typer.Option(metavar="ray|ray://HOST:PORT", help="the cluster to run on [this machine]")]

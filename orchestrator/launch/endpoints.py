@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import secrets
-import tempfile
+import shutil
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,12 +14,10 @@ from hedgerow.orchestrator.runs import registry
 from hedgerow.orchestrator.runs.folder import RunFolder
 from hedgerow.topologies.errors import UserError
 from hedgerow.wire.access import OBSERVER, ROUTER, Place
-from hedgerow.wire.keys import PLANT
+from hedgerow.wire.keys import PLANT, chunk
 from hedgerow.wire.ports import free_port
-from hedgerow.wire.session import check_endpoint, check_namespace, remove_socket
-
-MAX_SOCKET_PATH = 100
-"""Bytes; the kernel's limit for a Unix socket is 108 with its end."""
+from hedgerow.wire.session import check_endpoint, check_namespace
+from hedgerow.wire.sockets import check_socket, locator, socket_folder, socket_in
 
 
 @dataclass(frozen=True)
@@ -31,10 +28,8 @@ class Wiring:
     namespace: str
     listens: bool
     """the plant is the router"""
-    socket: Path | None = None
-    """where it listens, if that is a Unix socket"""
     socket_folder: Path | None = None
-    """made for it alone"""
+    """The folder that is made for its Unix socket, if it listens on one."""
     credentials: Path | None = None
     """a folder of them for each process"""
     made_for: str = ""
@@ -57,9 +52,7 @@ class Wiring:
     @property
     def traces(self) -> list[Path]:
         """What is there of the wiring while the run lasts, and must not be afterwards: files, and whole folders."""
-        traces = [] if self.socket is None else [self.socket, Path(f"{self.socket}.lock")]
-        if self.socket_folder is not None:
-            traces.append(self.socket_folder)
+        traces = [] if self.socket_folder is None else [self.socket_folder]
         if self.credentials is not None and self.made_for:
             traces.append(self.credentials)
         return traces
@@ -69,9 +62,8 @@ class Wiring:
         """Credentials exist while the block lasts; after it nothing of them is left, nor of the socket."""
         with contextlib.ExitStack() as stack:
             if self.socket_folder is not None:
-                self.socket_folder.mkdir(mode=0o700)
-            if self.socket is not None:
-                stack.callback(_remove, self.socket, self.socket_folder)
+                self.socket_folder.mkdir(mode=0o700)  # raises if it exists: it is never shared
+                stack.callback(shutil.rmtree, self.socket_folder, ignore_errors=True)
             if self.credentials is not None and self.made_for:
                 stack.enter_context(authority.for_this_run(self.credentials, places, self.namespace, self.made_for))
             yield
@@ -81,9 +73,10 @@ def wire(folder: RunFolder, secure: bool, router: str | None, keys: Path | None,
     """The wiring of a run: over a router of its own, or over one that is there; raises UserError as `check` does."""
     namespace = namespace_of(folder.name)
     if not secure:
-        socket = None if router else socket_path(folder)
-        own = socket.parent if socket is not None and socket != folder.socket else None
-        return Wiring(router or f"unixsock-stream/{socket}", namespace, router is None, socket, own)
+        if router is not None:
+            return Wiring(router, namespace, listens=False)
+        own = socket_folder()
+        return Wiring(locator(socket_in(own)), namespace, listens=True, socket_folder=own)
     if keys is None:
         open_one = Wiring(f"tls/{authority.HERE[0]}:{free_port()}", namespace, listens=True)
         return open_one.with_keys_of_its_own(folder, authority.HERE[0])
@@ -104,6 +97,8 @@ def check(
     for option, endpoint in (("--router", router), ("--listen", listen)):
         if endpoint is not None:
             check_endpoint(endpoint, option)
+    if listen is not None:
+        check_socket(listen, "--listen")
     if namespace is not None:
         check_namespace(namespace)
     if keys is not None and not secure:
@@ -142,17 +137,4 @@ def meeting_place(
 
 def namespace_of(run: str) -> str:
     """Where the keys of a run stand: runs under one name do not meet."""
-    return f"hedgerow/{run}-{secrets.token_hex(4)}"
-
-
-def socket_path(folder: RunFolder) -> Path:
-    """Where the router listens: in the run's folder, or in one of its own when that path is too long for a socket."""
-    if len(os.fsencode(folder.socket)) <= MAX_SOCKET_PATH:
-        return folder.socket
-    return Path(tempfile.gettempdir()) / f"hedgerow-{secrets.token_hex(8)}" / "router.sock"
-
-
-def _remove(socket: Path, folder: Path | None) -> None:
-    remove_socket(socket)
-    if folder is not None:
-        folder.rmdir()
+    return f"hedgerow/{chunk(run)}-{secrets.token_hex(4)}"

@@ -34,7 +34,6 @@ class RunFolder:
         self.logs = path / "logs"
         self.processes = path / "processes"
         """what each process was told"""
-        self.socket = path / "router.sock"
 
     @property
     def name(self) -> str:

@@ -1,0 +1,80 @@
+"""Where the Unix socket of a run lies: a short folder, private to the run, with no text of the user's in its path."""
+
+from __future__ import annotations
+
+import os
+import re
+import secrets
+import stat
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+from hedgerow.topologies.errors import Code, HedgerowError, UserError
+
+MAX_PATH_BYTES = 100
+"""The kernel's limit for a Unix socket is 108 bytes; Zenoh's lock file beside it needs 5 more."""
+_PLAIN = re.compile(r"[A-Za-z0-9/._+,=-]+")
+"""Paths that mean the same to Zenoh's locators as to the kernel: a locator ends at `#` and `?`."""
+_SCHEME = "unixsock-stream/"
+_SOCKET = "router.sock"
+_RANDOM_BYTES = 8
+
+
+def socket_folder() -> Path:
+    """Return the path of a new folder for one socket; the caller makes it with mode 0700, and removes it.
+
+    The first of these lies in it that is writable, short and plain: XDG_RUNTIME_DIR, the folder for temporary files,
+    /tmp, /var/tmp, /dev/shm. Raises HedgerowError (Code.LIMIT) if there is none.
+    """
+    for base in _bases():
+        folder = base / f"hedgerow-{secrets.token_hex(_RANDOM_BYTES)}"
+        plain = _PLAIN.fullmatch(str(folder)) is not None and len(str(folder / _SOCKET)) <= MAX_PATH_BYTES
+        if plain and base.is_dir() and os.access(base, os.W_OK | os.X_OK):
+            return folder
+    raise HedgerowError(
+        "no folder for a Unix socket: every candidate is read-only. Set XDG_RUNTIME_DIR", code=Code.LIMIT
+    )
+
+
+def socket_in(folder: Path) -> Path:
+    """Return the path of the socket in a folder that `socket_folder` chose."""
+    return folder / _SOCKET
+
+
+def locator(socket: Path) -> str:
+    """Return the Zenoh endpoint of a socket. Raises HedgerowError for a path that Zenoh would cut or misread."""
+    if _PLAIN.fullmatch(str(socket)) is None:
+        raise HedgerowError(f"{socket}: a Zenoh endpoint cannot hold this path. Choose a plain one.", code=Code.WIRE)
+    return f"{_SCHEME}{socket}"
+
+
+def check_socket(endpoint: str, option: str) -> None:
+    """Raise UserError for a Unix endpoint whose path Zenoh would cut, or would remove because it is no socket."""
+    if not endpoint.startswith(_SCHEME):
+        return
+    path = endpoint.removeprefix(_SCHEME)
+    if _PLAIN.fullmatch(path) is None or len(path) > MAX_PATH_BYTES:
+        raise UserError(
+            f"{option} {endpoint}: the path of a socket is {MAX_PATH_BYTES} bytes at most: letters, digits and / . _ + , = -."
+            " Choose another path.",
+            code=Code.OPTION,
+        )
+    for one in (path, f"{path}.lock"):
+        # Zenoh removes whatever lies there before it listens.
+        if os.path.lexists(one) and not _is_left_by_a_router(one, path):
+            raise UserError(
+                f"{option} {endpoint}: {one} exists and is no socket. Choose another path.", code=Code.OPTION
+            )
+
+
+def _is_left_by_a_router(one: str, socket: str) -> bool:
+    status = os.lstat(one)
+    return stat.S_ISSOCK(status.st_mode) or (one != socket and stat.S_ISREG(status.st_mode) and status.st_size == 0)
+
+
+def _bases() -> Iterator[Path]:
+    own = os.environ.get("XDG_RUNTIME_DIR", "")
+    if os.path.isabs(own):
+        yield Path(own)
+    yield from map(Path, (tempfile.gettempdir(), "/tmp", "/var/tmp", "/dev/shm"))
