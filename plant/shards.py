@@ -129,7 +129,8 @@ class Shards:
         if dies:
             self._tell("kill", shard=p, life=life, restart=world.comes_back(p))
             self._until.append((shard, lambda: shard.died >= life))
-        if world.wanted(p, world.t + 1):
+        # A crash may end with the run: nobody is awaited for a step that never comes.
+        if world.t + 1 < world.steps and world.wanted(p, world.t + 1):
             if not shard.ready:
                 self._tell("revive", shard=p)
             # The next life may be over before the state leaves: then it is lost at t + 1.

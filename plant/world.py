@@ -73,7 +73,7 @@ class World:
         self.b = truth.b
         self.t = 0
         self.x = truth.x0
-        self._steps = truth.steps
+        self.steps = truth.steps
         self._disturbance = Disturbance(truth.disturbance, graph.n, truth.seed)
         self._next_w: Array | None = None
         """w(t), if it is known already"""
@@ -161,7 +161,7 @@ class World:
     def comes_back(self, p: int) -> bool:
         """Whether shard p, where nobody is at t, will be wanted again before the last step."""
         ends = [one.stop for one in self.faults.effects if one.kind == "crash"]
-        return any(self.wanted(p, stop) for stop in ends if self.t < stop < self._steps)
+        return any(self.wanted(p, stop) for stop in ends if self.t < stop < self.steps)
 
     def states(self) -> list[tuple[State | None, Record | None]]:
         """By shard: its state of t, None if nobody is there, and the record of its nodes that come back."""

@@ -56,7 +56,7 @@ def check_socket(endpoint: str, option: str) -> None:
     path = endpoint.removeprefix(_SCHEME)
     if _PLAIN.fullmatch(path) is None or len(path) > MAX_PATH_BYTES:
         raise UserError(
-            f"{option} {endpoint}: the path of a socket is {MAX_PATH_BYTES} bytes at most: letters, digits and / . _ + , = -."
+            f"{option} {endpoint}: a socket's path has at most {MAX_PATH_BYTES} bytes, of letters, digits and /._+,=-."
             " Choose another path.",
             code=Code.OPTION,
         )
