@@ -117,7 +117,7 @@ class Constant(Model):
 
 
 class White(Model):
-    """Gaussian white noise, a function of (seed, node, step)."""
+    """Gaussian white noise, a function of (seed, node id, step)."""
 
     kind: Literal["white"] = "white"
     std: Annotated[
