@@ -86,7 +86,7 @@ class _White:
         self._first, self._drawn = -self._steps, np.empty((0, len(keys)))
 
     def at(self, t: int) -> Array:
-        """Std * z(t), (k,); the caller must not change it."""
+        """Return w(t) of the nodes, (k,); the caller must not change it."""
         if not 0 <= (row := t - self._first) < self._steps:
             row = t % self._steps
             self._first = t - row

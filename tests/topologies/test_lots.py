@@ -261,7 +261,7 @@ def test_one_network_from_yaml_json_and_a_table_draws_the_same(tmp_path: Path) -
     """With ids in another order, and quoted where the format quotes them."""
     common = "name: n\nb: 0.1\nsteps: 5\nseed: 9\ndefaults: {x0: {random: [0, 1]}}\n"
     (tmp_path / "a.yaml").write_text(common + "nodes: [1, 2, 30]\nedges: [[1, 2], [2, 30]]\n")
-    nodes = {"30": {}, "2": {}, "1": {}}
+    nodes: dict[str, Any] = {"30": {}, "2": {}, "1": {}}
     defaults = {"x0": {"random": [0, 1]}}
     written = {"name": "n", "b": 0.1, "steps": 5, "seed": 9, "nodes": nodes, "edges": [[30, 2], [1, 2]]}
     (tmp_path / "b.json").write_text(json.dumps({**written, "defaults": defaults}))
