@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import random
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,9 @@ from scipy import special, stats
 
 from hedgerow.orchestrator.metrics.fault_schedule import Schedule
 from hedgerow.plant.disturbance import Disturbance, white_keys
+from hedgerow.plant.faults import Faults
 from hedgerow.topologies import lots
+from hedgerow.topologies.faults import effects
 from hedgerow.topologies.graph import Array
 from hedgerow.topologies.load import load
 from hedgerow.topologies.network import Group
@@ -118,6 +121,24 @@ def test_an_added_node_changes_no_other_lot(ids: list[int | str], seed: int, dat
     w = noise(other)
     assert noise(one) == {node: w[node] for node in old}
     assert struck(one) == {hit for hit in struck(other) if hit[0] < len(faults)}
+
+
+def test_a_fault_that_is_added_late_or_ends_early_has_the_lots_that_the_file_gives_it() -> None:
+    """Otherwise a run with live faults could not be repeated from what it recorded."""
+    ids: list[int | str] = ["a", "b", "c"]
+    lot = {"kind": "sensor", "node": "b", "probability": 0.5}
+    recorded = network(ids, tree(ids), 8, [{**lot, "steps": [0, 9]}, {**lot, "steps": [3, 12]}])
+    first, second = effects(recorded.faults, recorded)
+    live = Faults([replace(first, stop=12)], recorded.graph, ids, 8)
+    file = Faults([first, second], recorded.graph, ids, 8)
+    for t in range(12):
+        if t == 3:
+            live.add([second])
+        if t == 9:
+            live.end(0, 9)
+        one, other = live.at(t).blind, file.at(t).blind
+        assert (one is None) == (other is None)
+        assert one is None or other is None or (one == other).all()
 
 
 def test_a_fault_elsewhere_changes_no_lot_and_two_at_one_target_are_independent() -> None:
