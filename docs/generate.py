@@ -37,6 +37,7 @@ WRITTEN = {
     "nodes": "list of node ids, or mapping from node ids to [what they override](#a-node)",
     "defaults": "mapping, [as of a node](#a-node)",
     "edges": "list of pairs of node ids",
+    "lots": "mapping of a `seed` and, under `nodes`, of [lots by field](#left-to-chance)",
     "graph": "[a rule](#graphs-by-a-rule)",
     "table": "[a file](#tables)",
     "processes": "whole number (at least 1), `auto` or `per-node`",

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from hedgerow.topologies import lots
 from hedgerow.topologies.graph import Array, Index
 from hedgerow.topologies.network import Group
 
 BLOCK = 2**14
 """nodes whose values stay in the cache while they are computed"""
+AHEAD = 64
+"""steps of white noise that are drawn at once, where the nodes are few"""
 
 Component = Callable[[int], Array]
 """The values at step t of the nodes that have this component."""
@@ -19,8 +24,8 @@ Component = Callable[[int], Array]
 class Disturbance:
     """The sum of all groups, over n nodes; they are ordered, so that a node's are added in the order of its list."""
 
-    def __init__(self, groups: Iterable[Group], n: int, seed: int) -> None:
-        self._n = n
+    def __init__(self, groups: Iterable[Group], ids: Sequence[int | str] | NDArray[Any], seed: int) -> None:
+        self._n, self._ids = len(ids), ids
         self._groups: list[tuple[Index, Component]] = [(group.nodes, self._component(group, seed)) for group in groups]
 
     def at(self, t: int) -> Array:
@@ -48,7 +53,8 @@ class Disturbance:
             case "impulse":
                 return lambda t: np.where(columns["at"] == t, columns["value"], 0.0)
             case _:
-                return lambda t: columns["std"] * _gaussian(seed, group.number, t, self._n)[group.nodes]
+                words = lots.words_of(self._ids)[group.nodes]
+                return _White(white_keys(seed, group.number, words), columns["std"]).at
 
 
 def _sinusoid(amplitude: Array, omega: Array, phase: Array, t: int) -> Array:
@@ -63,7 +69,27 @@ def _sinusoid(amplitude: Array, omega: Array, phase: Array, t: int) -> Array:
     return w
 
 
-def _gaussian(seed: int, number: int, t: int, n: int) -> Array:
-    """Standard normal numbers for all n nodes at step t; a counter-based generator needs no memory of other steps."""
-    bits = np.random.Philox(key=np.array([seed, number], dtype=np.uint64), counter=[0, 0, 0, t])
-    return np.random.Generator(bits).standard_normal(n)
+def white_keys(seed: int | lots.Words, number: int, words: lots.Words) -> lots.Words:
+    """Return the keys of the white noise at one place of the list of nodes with these words; docs/topology.md.
+
+    `seed` is one, or an array that broadcasts with `words`: (S, 1) gives (S, n).
+    """
+    return lots.keys(seed, f"disturbance.{number}.white", words)
+
+
+class _White:
+    """White noise of k nodes: a block of steps is drawn at once, so that few nodes cost few calls a step."""
+
+    def __init__(self, keys: lots.Words, std: Array) -> None:
+        self._keys, self._std = keys, std
+        self._steps = min(AHEAD, max(1, BLOCK // max(1, len(keys))))
+        self._first, self._drawn = -self._steps, np.empty((0, len(keys)))
+
+    def at(self, t: int) -> Array:
+        """Return w(t) of the nodes, (k,); the caller must not change it."""
+        if not 0 <= (row := t - self._first) < self._steps:
+            row = t % self._steps
+            self._first = t - row
+            steps = np.arange(self._first, self._first + self._steps)
+            self._drawn = self._std * lots.normals(lots.at(self._keys, steps[:, None]))
+        return np.asarray(self._drawn[row])

@@ -2,43 +2,80 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hedgerow.topologies import lots
 from hedgerow.topologies.effects import Effect
 from hedgerow.topologies.graph import Graph, Index, Mask
-
-Words = NDArray[np.uint64]
 
 BLOCK = 64
 """steps whose lots are drawn at once"""
 
 
-def strikes(effect: Effect, seed: int, steps: Index) -> Mask:
-    """Which of an effect's targets it strikes at each of some steps, (S, targets).
+class Lots:
+    """The lots of faults: which of an effect's targets it strikes at a step.
 
-    The lot of a target at a step is a hash of (seed, fault, target, step): no stream is shared, so that neither a
-    stop nor another fault changes it.
+    A lot is a function of (seed, kind of fault, turn, ids of the target, step). The turn of an effect at a target is
+    how many effects of its kind stand before it in the list and strike the same target by chance: so two of them
+    strike it independently, and a fault elsewhere changes nothing.
     """
-    targets = np.array(effect.targets, dtype=np.uint64)
-    within = (effect.start <= steps) & (steps < effect.stop)
-    if effect.probability >= 1:
-        return np.repeat(within[:, None], len(targets), axis=1)
-    root = _mixed(_mixed(np.array([seed], dtype=np.uint64)) + np.uint64(effect.fault))
-    rows = _mixed(root + steps.astype(np.uint64))
-    lots = (_mixed(rows[:, None] + targets) >> np.uint64(11)) * 2.0**-53
-    return np.asarray((lots < effect.probability) & within[:, None])
+
+    def __init__(self, graph: Graph, ids: Sequence[int | str] | NDArray[Any], seed: int) -> None:
+        self._graph, self._ids, self._seed = graph, ids, seed
+        self._turns: Counter[tuple[str, int]] = Counter()
+        self._keys: dict[tuple[int, str, Sequence[int]], lots.Words] = {}
+
+    def take(self, effects: Iterable[Effect]) -> None:
+        """Give these effects their turns, behind all that were given before."""
+        for effect in effects:
+            if not _drawn(effect):
+                continue
+            targets = np.array(effect.targets, dtype=np.int64)
+            words = self._words(effect.kind, targets)
+            turns = np.array([self._turns[effect.kind, target] for target in effect.targets], dtype=np.int64)
+            keys = np.empty(len(targets), dtype=np.uint64)
+            for turn in np.unique(turns).tolist():
+                here = turns == turn
+                keys[here] = lots.keys(self._seed, f"{effect.kind}.{turn}", words[here])
+            self._turns.update((effect.kind, target) for target in effect.targets)
+            self._keys[_name(effect)] = keys
+
+    def _words(self, kind: str, targets: Index) -> lots.Words:
+        graph = self._graph
+        if kind in ("drop", "delay"):  # from the neighbour, which sends, to the node
+            ends = graph.neighbour[targets], graph.node[targets]
+            return lots.pairs_of(*(self._nodes(end) for end in ends))
+        if kind == "cut":
+            return lots.edges_of(*(self._nodes(end) for end in graph.edges[targets].T))
+        return self._nodes(targets)
+
+    def _nodes(self, nodes: Index) -> lots.Words:
+        if isinstance(self._ids, np.ndarray):
+            return lots.words_of(self._ids[nodes])
+        return lots.words_of([self._ids[k] for k in nodes.tolist()])
+
+    def strikes(self, effect: Effect, steps: Index) -> Mask:
+        """Which of its targets an effect strikes at each of some steps, (S, targets); a chance one was taken before."""
+        within = (effect.start <= steps) & (steps < effect.stop)
+        if effect.probability >= 1:
+            return np.repeat(within[:, None], len(effect.targets), axis=1)
+        drawn = lots.uniforms(lots.at(self._keys[_name(effect)], steps[:, None]))
+        return np.asarray((drawn < effect.probability) & within[:, None])
 
 
-def _mixed(words: Words) -> Words:
-    """SplitMix64: a bijection of 64-bit words that leaves no trace of their order."""
-    words = words + np.uint64(0x9E3779B97F4A7C15)
-    words = (words ^ (words >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    words = (words ^ (words >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return words ^ (words >> np.uint64(31))
+def _drawn(effect: Effect) -> bool:
+    return effect.table is None and effect.probability < 1
+
+
+def _name(effect: Effect) -> tuple[int, str, Sequence[int]]:
+    """What an effect keeps when its window ends early."""
+    return effect.fault, effect.kind, tuple(effect.targets)
 
 
 @dataclass(frozen=True)
@@ -64,10 +101,13 @@ _FIELD = {"drop": "lost", "cut": "cut", "sensor": "blind", "actuator": "mute"}
 class Faults:
     """The faults of a run, which may be added to and ended while it goes on."""
 
-    def __init__(self, effects: Iterable[Effect], graph: Graph, seed: int) -> None:
-        self._graph, self._seed = graph, seed
+    def __init__(
+        self, effects: Iterable[Effect], graph: Graph, ids: Sequence[int | str] | NDArray[Any], seed: int
+    ) -> None:
+        self._graph, self._chance = graph, Lots(graph, ids, seed)
         self._sizes = {"lost": len(graph.node), "cut": len(graph.edges), "blind": graph.n, "mute": graph.n}
         self.effects = list(effects)
+        self._chance.take(self.effects)
         self._changed()
 
     def _changed(self) -> None:
@@ -78,6 +118,7 @@ class Faults:
     def add(self, effects: Sequence[Effect]) -> None:
         """More of them, from now on."""
         self.effects += effects
+        self._chance.take(effects)
         self._changed()
 
     def end(self, fault: int, t: int) -> None:
@@ -126,7 +167,7 @@ class Faults:
             return targets
         first, lots = self._lots.get(id(effect), (t + 1, np.empty((0, 0), dtype=bool)))
         if not first <= t < first + BLOCK:
-            first, lots = t, strikes(effect, self._seed, np.arange(t, t + BLOCK))
+            first, lots = t, self._chance.strikes(effect, np.arange(t, t + BLOCK))
             self._lots[id(effect)] = first, lots
         return np.asarray(targets[lots[t - first]])
 

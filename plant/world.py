@@ -74,12 +74,12 @@ class World:
         self.t = 0
         self.x = truth.x0
         self.steps = truth.steps
-        self._disturbance = Disturbance(truth.disturbance, graph.n, truth.seed)
+        self._disturbance = Disturbance(truth.disturbance, truth.ids, truth.seed)
         self._next_w: Array | None = None
         """w(t), if it is known already"""
         self.fault_count = truth.faults
         """how many faults there are, those that came while the run goes on among them"""
-        self.faults = Faults((Effect.from_dict(one) for one in truth.effects), graph, truth.seed)
+        self.faults = Faults((Effect.from_dict(one) for one in truth.effects), graph, truth.ids, truth.seed)
         self.links = Links(graph, truth.history)
         self._record = History(truth.history, graph.n, graph.n, len(graph.edges))
         self.order: Index = np.concatenate(truth.shards)

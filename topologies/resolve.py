@@ -1,12 +1,11 @@
 """Drawing: what a file leaves to chance becomes numbers, and the resolved topology holds them all.
 
-Each kind of draw has a stream of its own, seeded by (seed, what is drawn), and draws for every node in file
-order whether the node needs it or not: to pin one node's number changes no other node's.
+Each number is drawn by a lot of its own, a function of (seed, node id, field): `topologies.lots`. Neither
+another order of the nodes nor one node more changes another node's numbers.
 """
 
 from __future__ import annotations
 
-import zlib
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -17,7 +16,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from hedgerow.topologies import table
+from hedgerow.topologies import lots, table
 from hedgerow.topologies.errors import TopologyError
 from hedgerow.topologies.faults import Fault, Jump
 from hedgerow.topologies.graph import Array, Index
@@ -44,24 +43,40 @@ from hedgerow.topologies.table import Table
 
 
 class _Draws:
-    """Uniform numbers in [0, 1), some a node, by the name of what is drawn."""
+    """Uniform numbers in [0, 1), one or more for each node, by the field that they are drawn for."""
 
-    def __init__(self, seed: int, n: int) -> None:
-        self._seed, self._n = seed, n
-        self._drawn: dict[str, Array] = {}
+    def __init__(self, topology: Topology) -> None:
+        self._seed, self._words = topology.seed, lots.words_of(topology.ids)
+        given = topology.lots
+        self._given = {} if given is None or given.seed != topology.seed else given.nodes
+        self._position = {node: topology.position(node) for node in self._given if topology.has(node)}
+        self._drawn: dict[tuple[str, int], Array] = {}
 
-    def of(self, what: str, nodes: Index, width: int = 1) -> Array:
+    def of(self, field: str, nodes: Index, width: int = 1) -> Array:
         """For these nodes, (k, width)."""
-        if what not in self._drawn:
-            stream = np.random.default_rng([self._seed, zlib.crc32(what.encode())])
-            self._drawn[what] = stream.random((self._n, width))
-        return self._drawn[what][nodes]
+        if (field, width) not in self._drawn:
+            keys = lots.keys(self._seed, field, self._words)
+            drawn = np.empty((len(keys), width))
+            for start in range(0, len(keys), lots.BLOCK):
+                some = slice(start, start + lots.BLOCK)
+                for member in range(width):
+                    drawn[some, member] = lots.uniforms(lots.at(keys[some], np.array([member])))
+            for node, k in self._position.items():
+                given = self._given[node].get(field, ())[:width]
+                drawn[k, : len(given)] = given
+            self._drawn[field, width] = drawn
+        return self._drawn[field, width][nodes]
 
-    def value(self, value: float | Uniform, what: str, nodes: Index) -> Array:
+    def at(self, field: str, node: int, step: int) -> float:
+        """For the node at this position, at a step."""
+        keys = lots.keys(self._seed, field, self._words[node : node + 1])
+        return float(lots.uniforms(lots.at(keys, np.array([step])))[0])
+
+    def value(self, value: float | Uniform, field: str, nodes: Index) -> Array:
         """A number that may be left to chance, for these nodes, (k,)."""
         if not isinstance(value, Uniform):
             return np.full(len(nodes), value, dtype=float)
-        return value.low + (value.high - value.low) * self.of(what, nodes)[:, 0]
+        return value.low + (value.high - value.low) * self.of(field, nodes)[:, 0]
 
 
 def resolve(topology: Topology, folder: Path = Path()) -> Topology:
@@ -70,7 +85,7 @@ def resolve(topology: Topology, folder: Path = Path()) -> Topology:
     `folder` is where the CSV files of `samples` lie. The topology must have passed `topologies.rules`.
     Raises TopologyError for a fault that breaks them; that of a jump may show only now, with the candidates drawn.
     """
-    draws = _Draws(topology.seed, len(topology.ids))
+    draws = _Draws(topology)
     network = topology.network if isinstance(topology.nodes, Nodes) else _Drawing(topology, draws, folder).network()
     if topology.disturbance is not None:
         network = _worst_case(network, topology.disturbance.energy)
@@ -79,7 +94,7 @@ def resolve(topology: Topology, folder: Path = Path()) -> Topology:
         whole: dict[str, Any] = {"nodes": dict(Nodes(network)), "edges": tuple(Edges(network))}
     else:
         whole = {"nodes": Nodes(network), "edges": Edges(network)}
-    whole |= {"generator": None, "table": None, "defaults": Defaults(), "disturbance": None}
+    whole |= {"generator": None, "table": None, "defaults": Defaults(), "disturbance": None, "lots": None}
     if topology.processes == "auto" or (topology.processes is None and len(network.ids) > PER_NODE):
         whole["processes"] = topology.process_count
     if topology.record.nodes is None and len(network.ids) > WHOLE:
@@ -168,7 +183,7 @@ class _Drawing:
         elif isinstance(asked, Drawn):
             lengths = asked.random
             low, high = allowed_intervals(self._topology.b, self._topology.graph.degree[nodes])
-            listed = low + (high - low) * self._draws.of(f"candidates {lengths}", nodes, lengths).T
+            listed = low + (high - low) * self._draws.of("candidates", nodes, lengths).T
             if a is not None:
                 apart = np.flatnonzero(~(listed == a).any(axis=0))
                 listed[(pick[apart] * lengths).astype(np.int64), apart] = a[apart]
@@ -185,11 +200,11 @@ class _Drawing:
             if isinstance(part, Samples):
                 values = {"values": self._samples(part, nodes)}
             else:
-                what = f"disturbance {number}"
+                field = f"disturbance.{number}"
                 values = {
                     key: np.full(len(nodes), value)
                     if isinstance(value := getattr(part, key), int)
-                    else self._draws.value(value, f"{what} {key}", nodes)
+                    else self._draws.value(value, f"{field}.{key}", nodes)
                     for key in PARAMETERS.get(part.kind, ())
                 }
             if not isinstance(part, Nothing):
@@ -230,7 +245,7 @@ def _jumps(topology: Topology, draws: _Draws) -> tuple[Fault, ...]:
         candidates = cast("tuple[float, ...]", own.candidates)
         if jump.a == "random":
             others = [a for a in candidates if a != now.get(jump.node, own.a)] or candidates
-            pick = float(draws.of(f"jump {at}", np.array([topology.position(jump.node)]))[0, 0])
+            pick = draws.at("jump", topology.position(jump.node), at)
             faults[k] = jump = jump.model_copy(update={"a": others[int(pick * len(others))]})
         now[jump.node] = jump.a
     return tuple(faults)

@@ -51,6 +51,7 @@ def _law(value: str) -> str:
 
 
 Steps = Annotated[StrictInt, Field(ge=1, le=2**40)]
+Seed = Annotated[StrictInt, Field(ge=0, lt=2**63)]
 
 
 class Uniform(Model):
@@ -116,7 +117,7 @@ class Constant(Model):
 
 
 class White(Model):
-    """Gaussian white noise, a function of (seed, node, step)."""
+    """Gaussian white noise, a function of (seed, node id, step)."""
 
     kind: Literal["white"] = "white"
     std: Annotated[
@@ -278,6 +279,27 @@ class Record(Model):
     summary: StrictBool = Field(True, description="one row a step of what is true of the whole network")
 
 
+_FIELD = r"a|x0|candidates|disturbance\.[0-9]{1,3}\.[a-z]+"
+Lot = Annotated[float, Field(ge=0, lt=1), BeforeValidator(number)]
+
+
+def _one_lot(value: Any) -> Any:
+    return value if isinstance(value, list | tuple) else (value,)
+
+
+class GivenLots(Model):
+    """Lots that stand in the file, in place of those that a seed draws; other seeds draw all of theirs."""
+
+    seed: Seed = Field(description="the seed in whose draws they hold")
+    nodes: dict[
+        NodeId,
+        dict[
+            Annotated[str, Field(pattern=f"^({_FIELD})$")],
+            Annotated[tuple[Lot, ...], BeforeValidator(_one_lot, json_schema_input_type=Lot | tuple[Lot, ...])],
+        ],
+    ] = Field(description="by node and field: a number in [0, 1), of `candidates` a list of them")
+
+
 _ASIDE = {"name", "law", "faults", "backfill", "history", "processes", "secure", "record"}
 """What of a topology its columns do not depend on."""
 
@@ -290,7 +312,10 @@ class Topology(Model):
     name: Name = Field(description="names the run")
     b: Annotated[float, Field(gt=0, lt=LARGEST), BeforeValidator(number)] = Field(description="the gain b of (1)")
     steps: Steps = Field(description="T: inputs act at t = 0 .. T-1, states are recorded at t = 0 .. T")
-    seed: Annotated[StrictInt, Field(ge=0, lt=2**63)] = Field(0, description="all that is random is drawn from it")
+    seed: Seed = Field(0, description="all that is random is drawn from it")
+    lots: GivenLots | None = Field(
+        None, description="lots that were drawn before, which keep a network as it was when draws change"
+    )
     law: Annotated[
         str, AfterValidator(_law), WithJsonSchema({"type": "string", "pattern": f"^({'|'.join(LAWS)}|{_PATH})$"})
     ] = Field("minimax", description="minimax (6)-(7), hinf (8), nominal, or package.module:Class")

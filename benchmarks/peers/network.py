@@ -138,7 +138,7 @@ class Plant:
         self.x = np.array(network.x0, dtype=float)
         self._a, self._b = np.array(network.a), network.b
         self._graph = Graph(len(network), np.array(network.edges, dtype=np.int64).reshape(-1, 2))
-        self._disturbance = Disturbance(groups_of(network.disturbance, steps), len(network), network.seed)
+        self._disturbance = Disturbance(groups_of(network.disturbance, steps), range(len(network)), network.seed)
         self._xs, self._us = [self.x], np.zeros((steps, len(network)))
         self._first = self._last = 0.0
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hedgerow.plant.faults import strikes
+from hedgerow.plant.faults import Lots
 from hedgerow.topologies.effects import FOREVER, Effect
 from hedgerow.topologies.faults import effects
 from hedgerow.topologies.graph import Index, Mask
@@ -25,9 +25,11 @@ class Schedule:
     """The effects of all faults of a resolved topology."""
 
     def __init__(self, topology: Topology) -> None:
-        self._seed, self._n = topology.seed, len(topology.ids)
+        self._n = len(topology.ids)
         self.faults = len(topology.faults)
         self.effects = effects(topology.faults, topology) if topology.faults else []
+        self._lots = Lots(topology.graph, topology.ids, topology.seed)
+        self._lots.take(self.effects)
 
     def between(self, first: int, stop: int) -> list[Effect]:
         """The effects that hold at one of these steps or more."""
@@ -52,7 +54,7 @@ class Schedule:
         if effect.kind in ("crash", "jump"):
             struck = np.repeat(steps[:, None] == effect.start, len(effect.targets), axis=1)
         else:
-            struck = strikes(effect, self._seed, steps)
+            struck = self._lots.strikes(effect, steps)
         row, column = struck.nonzero()
         return row, np.array(effect.targets, dtype=np.int64)[column]
 

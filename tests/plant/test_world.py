@@ -28,7 +28,7 @@ SEED = 2**63 - 1
 
 def disturbance(components: Sequence[Sequence[dict[str, Any]]], seed: int) -> Disturbance:
     """That of these nodes, each with its list."""
-    return Disturbance(groups_of(components, 50), len(components), seed)
+    return Disturbance(groups_of(components, 50), range(len(components)), seed)
 
 
 def samples(*components: dict[str, Any], steps: int = 50, seed: int = SEED) -> Array:

@@ -9,7 +9,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 from hedgerow.agents.law import Minimax
-from hedgerow.plant.faults import strikes
+from hedgerow.plant.faults import Lots
 from hedgerow.topologies.effects import Effect
 from hedgerow.topologies.faults import effects
 from hedgerow.topologies.network import padded
@@ -74,6 +74,8 @@ class Plain:
     def __init__(self, topology: Topology, ran: Trajectory) -> None:
         self.topology, self.ran, self.graph = topology, ran, topology.graph
         self.effects = effects(topology.faults, topology)
+        self.lots = Lots(topology.graph, topology.ids, topology.seed)
+        self.lots.take(self.effects)
         n, T = self.graph.n, topology.steps
         self.absent = np.zeros((T + 2, n), dtype=bool)
         for t in range(T + 2):
@@ -91,7 +93,7 @@ class Plain:
             if effect.table is not None:
                 found |= set(effect.table.get(t, ()))
             else:
-                hit = strikes(effect, self.topology.seed, np.array([t]))[0]
+                hit = self.lots.strikes(effect, np.array([t]))[0]
                 found |= {target for target, yes in zip(effect.targets, hit, strict=True) if yes}
         return found
 
@@ -99,7 +101,7 @@ class Plain:
         """Links that are late at t, and by how much."""
         late: dict[int, int] = {}
         for effect in self._of("delay"):
-            hit = strikes(effect, self.topology.seed, np.array([t]))[0]
+            hit = self.lots.strikes(effect, np.array([t]))[0]
             for target, yes in zip(effect.targets, hit, strict=True):
                 if yes:
                     late[target] = max(late.get(target, 0), effect.by)

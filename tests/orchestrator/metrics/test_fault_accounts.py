@@ -24,7 +24,7 @@ from hedgerow.orchestrator.metrics.observer import Observer
 from hedgerow.orchestrator.metrics.verdict import Ending, Verdict, judge
 from hedgerow.orchestrator.runs.folder import create
 from hedgerow.orchestrator.views.screen import Quiet
-from hedgerow.plant.faults import strikes
+from hedgerow.plant.faults import Lots
 from hedgerow.plant.world import dynamics
 from hedgerow.topologies.effects import Effect
 from hedgerow.topologies.load import load, parse
@@ -50,13 +50,13 @@ def verdict(topology: Topology, ran: Trajectory, ending: Ending | None = None) -
     return judge(topology, observer, ending or Ending("run", "in-process", 0))
 
 
-def struck(effect: Effect, seed: int, t: int) -> Sequence[int]:
+def struck(effect: Effect, lots: Lots, t: int) -> Sequence[int]:
     """What one effect strikes at t."""
     if effect.table is not None:
         return effect.table.get(t, ())
     if effect.kind in ("crash", "jump"):
         return effect.targets if effect.start == t else ()
-    (hit,) = strikes(effect, seed, np.array([t]))
+    (hit,) = lots.strikes(effect, np.array([t]))
     return [target for target, yes in zip(effect.targets, hit, strict=True) if yes]
 
 
@@ -70,7 +70,7 @@ class Recount:
         ]
         for effect in self.plain.effects:
             for t in range(len(ran.rows)):
-                for target in struck(effect, topology.seed, t):
+                for target in struck(effect, self.plain.lots, t):
                     self.faults[effect.fault]["scheduled"] += 1
                     for fate in getattr(self, f"_{effect.kind}")(t, target):
                         self.faults[effect.fault][fate] += 1
