@@ -77,8 +77,13 @@ class Run:
 
         return Recorder(self.topology, self.folder.path)
 
-    def take(self, rows: Sequence[Telemetry]) -> Batch:
-        """Observe and record some steps, `rows_at_once` at most; OSError when the disk is full."""
+    def take(self, rows: Sequence[Telemetry]) -> Batch | None:
+        """Observe and record some steps, `rows_at_once` at most; None if all of them were recorded before.
+
+        Raises OSError when the disk is full.
+        """
+        if not (rows := self.observer.in_order(rows)):
+            return None
         batch = self.observer.take(rows)
         if self._processes and self._round_trips is None:
             from hedgerow.orchestrator.runs.round_trips import RoundTrips  # noqa: PLC0415

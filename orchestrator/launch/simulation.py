@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING
 from hedgerow.agents.shard import LawError, law_class
 from hedgerow.orchestrator.ground.assignment import Layout, law_of, layout, truth_of, views_of
 from hedgerow.orchestrator.ground.signals import EndNowError, Interrupts
-from hedgerow.orchestrator.launch.recording import Run, Watching, same_tables
+from hedgerow.orchestrator.launch.recording import Run, Watching
 from hedgerow.orchestrator.metrics.verdict import Ending, Verdict
 from hedgerow.orchestrator.runs import reference as in_process
 from hedgerow.orchestrator.runs.folder import RunFolder, create
@@ -57,7 +56,8 @@ def simulate_into(topology: Topology, folder: RunFolder, shards: Layout, watchin
         try:
             for rows in _batches(telemetry, run.rows_at_once):
                 if steps := [row for row in rows if isinstance(row, Telemetry)]:
-                    screen.progress(run.take(steps))
+                    if (batch := run.take(steps)) is not None:
+                        screen.progress(batch)
                     ending.first_step_s = ending.first_step_s or time.monotonic() - began
                 if isinstance(rows[-1], End):
                     run.finish(rows[-1])
@@ -89,11 +89,3 @@ def _batches(telemetry: Iterator[Telemetry | End], size: int) -> Iterator[list[T
         elif failure is None:
             return
     raise failure
-
-
-def equals_reference(topology: Topology, folder: RunFolder) -> bool:
-    """Whether a finished run's tables equal those of the in-process reference, bit for bit."""
-    with tempfile.TemporaryDirectory(prefix="hedgerow-") as scratch:
-        reference = create(topology, Path(scratch) / "reference")
-        simulate_into(topology, reference, [range(len(topology.ids))], Watching(record=False), Quiet())
-        return same_tables(folder.path, reference.path)

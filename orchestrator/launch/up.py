@@ -16,6 +16,7 @@ import zenoh
 from hedgerow.orchestrator.ground.assignment import Layout, places, process_name, truth_of, views_of
 from hedgerow.orchestrator.ground.signals import Interrupts
 from hedgerow.orchestrator.launch.certificates import host_of
+from hedgerow.orchestrator.launch.comparison import compare
 from hedgerow.orchestrator.launch.control import ask
 from hedgerow.orchestrator.launch.endpoints import Wiring, wire
 from hedgerow.orchestrator.launch.external_agents import External, Meeting, configs
@@ -23,7 +24,6 @@ from hedgerow.orchestrator.launch.fault_changes import with_end, with_fault, wit
 from hedgerow.orchestrator.launch.fork_client import Nursery
 from hedgerow.orchestrator.launch.ray_agents import Fleet, OnRay
 from hedgerow.orchestrator.launch.recording import Run, Watching
-from hedgerow.orchestrator.launch.simulation import equals_reference
 from hedgerow.orchestrator.launch.supervisor import Dead, Processes, cause
 from hedgerow.orchestrator.metrics.message_audit import audit
 from hedgerow.orchestrator.metrics.verdict import Ending, Verdict
@@ -183,8 +183,7 @@ class Network:
             self.interrupted = interrupts.count > 0
             self._explain(run, dead)
             if self._options.verify and not self._ending.stopped:
-                run.close_tables()
-                self._ending.reference_equal = equals_reference(run.topology, self._folder)
+                self._ending.comparison = compare(run)
             verdict = run.close()
             self._warn(run)
             if told := line(verdict.content["round_trips"] or {}):
@@ -352,7 +351,8 @@ class Network:
     def _take_rows(self, run: Run, rows: list[Telemetry]) -> None:
         unseen = run.viewer is None
         for some in range(0, len(rows), run.rows_at_once):
-            self._screen.progress(run.take(rows[some : some + run.rows_at_once]))
+            if (batch := run.take(rows[some : some + run.rows_at_once])) is not None:
+                self._screen.progress(batch)
         if unseen and run.viewer is not None:
             self._screen.say(f"watch it at {run.viewer.link or run.viewer.url}")
         self._warn(run)

@@ -142,6 +142,8 @@ class Observer:
         self.x_oracle_end = self.x_nominal_end = self.x0
         self.lost: list[int] = []
         """steps whose telemetry never came"""
+        self.refused = 0
+        """Rows of a step that was taken already."""
         self.schedule = Schedule(topology)
         self._jumps = deque(self.schedule.jumps(0))
         self._jumped = False
@@ -160,6 +162,17 @@ class Observer:
         self.schedule = Schedule(topology)
         self._jumps = deque(self.schedule.jumps(self.next_step))
         self.accounts.change(self.schedule)
+
+    def in_order(self, rows: Sequence[Telemetry]) -> list[Telemetry]:
+        """Return the rows that follow those already taken; refuse, and count, a row of an earlier step."""
+        following, step = [], self.next_step
+        for row in rows:
+            if row.t < step:
+                self.refused += 1
+            else:
+                following.append(row)
+                step = row.t + 1
+        return following
 
     def take(self, rows: Sequence[Telemetry]) -> Batch:
         """The metrics of some rows, at least one, which must follow those taken before."""

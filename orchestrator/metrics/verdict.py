@@ -33,6 +33,18 @@ _OF_THE_LAW = {"estimates", "contraction"}
 """Checks that hold for the paper's law and not for any other."""
 
 
+@dataclass(frozen=True)
+class Comparison:
+    """The outcome of a comparison with the in-process reference."""
+
+    equal: bool | None
+    """True or False bit for bit; None if it could not be made."""
+    step: int | None = None
+    """The first step that differs."""
+    cause: str = ""
+    """The first difference, or why there was no comparison."""
+
+
 @dataclass
 class Ending:
     """How a run came to its end, and in what circumstances."""
@@ -44,8 +56,8 @@ class Ending:
     """from the start of the command to the arrival of the first telemetry"""
     stopped: str = ""
     """why the run ended early; empty when it did not"""
-    reference_equal: bool | None = None
-    """telemetry equal to the in-process reference, bit for bit; None where not asked"""
+    comparison: Comparison | None = None
+    """the comparison with the in-process reference; None where not asked"""
     restarts: int = 0
     """processes that were started again"""
     audit: Audit | None = None
@@ -106,11 +118,15 @@ def judge(topology: Topology, observer: Observer, ending: Ending) -> Verdict:
     checks = {name: _check(name, worst) for name, worst in claimed.items()}
     if ending.audit is not None:
         checks["information"] = {"ok": not ending.audit.wrong, "claim": CLAIM, "why": ending.audit.wrong}
-    if ending.reference_equal is not None:
+    comparison = ending.comparison
+    if comparison is not None and comparison.equal is not None:
         checks["reference"] = {
-            "ok": ending.reference_equal,
+            "ok": comparison.equal,
             "claim": "telemetry equals the in-process reference, bit for bit",
         }
+        if not comparison.equal:
+            step = {} if comparison.step is None else {"step": comparison.step}
+            checks["reference"] |= {**step, "why": [comparison.cause]}
     failed = [
         f"{name} fails"
         + (f" at step {check['step']}" if "step" in check else "")
@@ -121,6 +137,8 @@ def judge(topology: Topology, observer: Observer, ending: Ending) -> Verdict:
     doubts = []
     if ending.stopped:
         doubts.append(ending.stopped)
+    if comparison is not None and comparison.equal is None:
+        doubts.append(f"not compared with the reference: {comparison.cause}")
     if observer.lost:
         doubts.append(f"{len(observer.lost)} steps of telemetry lost, the first {observer.lost[0]}")
     doubts += [f"stayed down: {one}" for one in ending.down]
@@ -154,6 +172,7 @@ def judge(topology: Topology, observer: Observer, ending: Ending) -> Verdict:
         "first_step_s": ending.first_step_s,
         "round_trips": ending.round_trips,
         "lost_rows": len(observer.lost) * observer.graph.n,
+        "refused_rows": observer.refused * observer.graph.n,
         "missing_inputs": observer.accounts.missing_inputs,
         "lost_messages": observer.accounts.lost_messages,
         "forgotten_rows": observer.end.forgotten if observer.end is not None else 0,

@@ -46,7 +46,7 @@ class Result:
     topology: Topology
     """resolved, with every fault that there was"""
     x: Array
-    """states, (T + 1, n)"""
+    """states, (T + 1, n); the last row is NaN where the final state never came, as of a plant that was killed"""
     u: Array
     """inputs, (T, n); NaN where none came"""
     w: Array
@@ -83,11 +83,14 @@ class Result:
                 f"{folder}: kept {what}, and a Result has all; `hedgerow.orchestrator.load_run` reads what is there"
             )
         steps, n, e = content["steps_done"], len(topology.ids), len(topology.edges)
-        if len(table) != (steps + 1) * n:
+        ended = len(table) != steps * n
+        if ended and len(table) != (steps + 1) * n:
             raise HedgerowError(f"{folder}: {len(table)} rows of telemetry, not {(steps + 1) * n}: some were lost")
 
         def column(name: str) -> Array:
-            values: Array = table[name].to_numpy().reshape(steps + 1, n)
+            values: Array = table[name].to_numpy().reshape(-1, n)
+            if not ended:
+                values = np.vstack([values, np.full((1, n), np.nan)])
             values.flags.writeable = False
             return values
 

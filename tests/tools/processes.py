@@ -10,7 +10,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -97,6 +97,13 @@ class Orchestrator:
         with self._changed:
             assert self._changed.wait_for(lambda: text in self._said or self._ended, DEADLINE_S), self._said
             assert text in self._said, self._said
+
+    def wait_until(self, is_true: Callable[[], bool]) -> None:
+        """Wait until a condition outside the program is true."""
+        deadline, pause = time.monotonic() + DEADLINE_S, threading.Event()
+        while not is_true():
+            assert time.monotonic() < deadline, self.output
+            pause.wait(0.005)
 
     def wait_for_event(self, kind: str, times: int = 1) -> dict[str, Any]:
         """Wait until the latest run's events.jsonl has so many events of a kind; the last of them."""

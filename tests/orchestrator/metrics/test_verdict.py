@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from hedgerow.agents.law import Array, Minimax, control
 from hedgerow.orchestrator.ground.assignment import layout, truth_of, views_of
 from hedgerow.orchestrator.metrics.observer import Batch, Observer
-from hedgerow.orchestrator.metrics.verdict import Ending, Verdict, judge
+from hedgerow.orchestrator.metrics.verdict import Comparison, Ending, Verdict, judge
 from hedgerow.orchestrator.runs.reference import run
 from hedgerow.plant.world import dynamics
 from hedgerow.topologies.load import bundled, load
@@ -222,10 +222,10 @@ def test_a_final_state_that_never_came_is_unknown() -> None:
 
 
 def test_a_run_that_differs_from_its_reference_is_invalid() -> None:
-    differs = verdict(GOOD, ending=Ending("run", "zenoh", 7, reference_equal=False))
+    differs = verdict(GOOD, ending=Ending("run", "zenoh", 7, comparison=Comparison(False, 3, "node 1")))
     assert differs.exit_code == 1
     assert differs.content["reasons"][0].startswith("reference fails")
-    equal = verdict(GOOD, ending=Ending("run", "zenoh", 7, reference_equal=True))
+    equal = verdict(GOOD, ending=Ending("run", "zenoh", 7, comparison=Comparison(True)))
     assert equal.exit_code == 0
     assert equal.content["checks"]["reference"]["ok"]
 
