@@ -20,7 +20,7 @@ NodeId = int | str
 Arrays = dict[str, Any]
 _SETTINGS = "settings"
 _MIXED = "ids"
-"""among the settings: arrays of ids some of which are names"""
+"""among the settings: arrays of ids of which some are names, or integers beyond 64 bits"""
 _BROKEN: tuple[type[Exception], ...] = (
     *(OSError, ValueError, TypeError, LookupError, EOFError, AttributeError, RuntimeError, MemoryError, OverflowError),
     *(SyntaxError, struct.error, zipfile.BadZipFile, zlib.error),
@@ -29,10 +29,10 @@ _BROKEN: tuple[type[Exception], ...] = (
 
 
 def id_array(ids: Sequence[NodeId]) -> NDArray[Any]:
-    """Node ids as an array: of int64 where all are whole numbers, else of objects."""
+    """Return node ids as an array: of int64 if all of them fit, else of objects."""
     if isinstance(ids, range):
         return np.arange(ids.start, ids.stop, ids.step)
-    whole = all(isinstance(node, int) for node in ids)
+    whole = all(isinstance(node, int) and -(2**63) <= node < 2**63 for node in ids)
     found: NDArray[Any] = np.empty(len(ids), dtype=np.int64 if whole else object)
     found[:] = ids
     return found

@@ -142,9 +142,16 @@ class Samples(Model):
         None,
         description="a CSV file beside the topology, a column a node: named by a header of node ids, or in their order",
     )
+    header: Literal["ids", "none"] | None = Field(
+        None,
+        description="the first row of `file`: `ids` if it names the nodes, `none` if it holds samples of the nodes in"
+        " their order. Required only if the file can be read in both ways",
+    )
 
     @model_validator(mode="after")
     def _one_of_both(self) -> Self:
+        if self.header is not None and self.file is None:
+            raise PydanticCustomError("samples", "`header:` is about a `file:`; remove it, or give the file")
         if (self.values is None) == (self.file is None):
             raise PydanticCustomError("samples", "samples have either `values:` or `file:`; give exactly one of them")
         return self

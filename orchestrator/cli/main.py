@@ -70,8 +70,7 @@ def run_command(began: float, nursery: Nursery | None) -> None:
         with contextlib.suppress(BrokenPipeError):  # a reader who has left has read enough
             sys.stdout.flush()
     except TopologyError as error:
-        count = len(error.problems)
-        _complain(f"{error}\n{count} mistake{'s' if count > 1 else ''} in {error.source}")
+        _complain(f"{error}\n{error.summary}")
         code = 2
     except UserError as error:
         _complain(f"error: {error}")
@@ -120,10 +119,11 @@ def _importable(topology: Topology) -> Topology:
 
 def read(file: str, sets: list[str] | None, **replace: object) -> Topology:
     from hedgerow.topologies.load import find, load  # noqa: PLC0415
+    from hedgerow.topologies.override import Override  # noqa: PLC0415
     from hedgerow.topologies.resolve import resolve  # noqa: PLC0415
 
-    overrides = [*(f"{key}={json.dumps(value)}" for key, value in replace.items() if value is not None), *(sets or [])]
-    return resolve(load(file, overrides), find(file).parent)
+    options = [Override.of_option(key, value) for key, value in replace.items() if value is not None]
+    return resolve(load(file, [*options, *(sets or [])]), find(file).parent)
 
 
 @app.command()
