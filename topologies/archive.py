@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.errors import Code, UserError
 
 NodeId = int | str
 Arrays = dict[str, Any]
@@ -52,9 +52,23 @@ def read(path: Path) -> tuple[dict[str, Any], Arrays]:
     """The settings and the arrays that `write` wrote; UserError for a file that cannot be read as such."""
     with reading(path):
         with np.load(path, allow_pickle=False) as file:
-            arrays: Arrays = {name: file[name] for name in file.files}
+            arrays: Arrays = {name: _array(path, file, name) for name in file.files}
         settings: dict[str, Any] = json.loads(arrays.pop(_SETTINGS, np.array([], dtype=np.uint8)).tobytes() or "{}")
         return settings, arrays | {name: id_array(ids) for name, ids in settings.pop(_MIXED, {}).items()}
+
+
+def _array(path: Path, file: Any, name: str) -> NDArray[Any]:
+    try:
+        array: NDArray[Any] = file[name]
+    except ValueError as error:
+        if "allow_pickle" not in str(error):
+            raise
+        raise UserError(
+            f"{path}: `{name}` is an array of Python objects, which numpy reads only as code; give it a type before "
+            f"numpy.savez: {name}.astype(str) for names, {name}.astype(float) for numbers",
+            code=Code.FILE_FORMAT,
+        ) from None
+    return array
 
 
 @contextlib.contextmanager
@@ -63,4 +77,6 @@ def reading(path: Path) -> Iterator[None]:
     try:
         yield
     except _BROKEN as error:
-        raise UserError(f"{path}: cannot be read as a .npz file: {error}; write it with numpy.savez") from None
+        raise UserError(
+            f"{path}: cannot be read as a .npz file: {error}; write it with numpy.savez", code=Code.FILE_FORMAT
+        ) from None

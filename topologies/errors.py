@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
+from functools import cached_property
 from typing import ClassVar
 
 
@@ -133,7 +134,7 @@ class Problem:
         at = [source, *([str(self.line)] if self.line else []), *([str(self.column)] if self.column else [])]
         return ":".join(at)
 
-    @property
+    @cached_property
     def kind(self) -> tuple[str, str, str, str]:
         """The key that equal mistakes share: all of them except ids, numbers and quoted values."""
         return _NAMED.sub(r"\1", self.place), _VALUES.sub("…", self.what), self.code, self.origin
@@ -179,6 +180,14 @@ class Problems:
         # Keep room for the first mistake of each later kind: a message names every kind by its first mistake.
         if self._counts[kind] == 1 or len(self._kept) < self.KEPT:
             self._kept[problem] = None
+
+    def count_more(self, like: Problem) -> None:
+        """Count one more mistake of the kind of `like`, which was appended before."""
+        kind = like.kind
+        if kind in self._counts:
+            self._counts[kind] += 1
+        else:
+            self._others += 1
 
     def extend(self, problems: Iterable[Problem]) -> None:
         """Add mistakes one by one, as they are found."""

@@ -9,7 +9,7 @@ import json
 import math
 import operator
 import re
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from importlib import resources
@@ -145,7 +145,7 @@ def _read(source: Source, name: str, folder: FilePath, overrides: Sequence[str])
 
 def _with_table(topology: Topology, file: str, folder: FilePath) -> Topology:
     """The topology with what its table holds; if that is all of it, nothing is left to be drawn."""
-    found = table.read(file, folder)
+    found = table.read(file, folder, topology.table_nodes)
     whole = found.network(topology.b) if not topology.nodes and topology.disturbance is None else None
     topology = topology.with_table(found)
     if whole is None:
@@ -229,12 +229,39 @@ def _nodes_as_mapping(source: Source) -> None:
     source.value["nodes"] = mapping
 
 
-def _validate(source: Source) -> tuple[Topology | None, list[Problem]]:
+_MANY = 2000
+"""mistakes of a schema; of more, those that are alike are only counted, and the rules are left for later"""
+
+
+def _sampled(source: Source, found: list[ErrorDetails]) -> Problems:
+    """Return very many mistakes of the schema: the first of each kind in words, the others counted."""
+    problems, seen = Problems(), Counter[Any]()
+    last: dict[Any, Problem] = {}
+    for details in found:
+        loc = details["loc"]
+        # Items of lists and keys of mappings differ from one mistake to the next.
+        like = (details["type"], loc[0] if len(loc) > 1 else None, len(loc), loc[2:3])
+        seen[like] += 1
+        if seen[like] <= _EACH:
+            last[like] = (_no_fault if details["type"] == "fault" else _problem)(source, details)
+            problems.append(last[like])
+        else:
+            problems.count_more(last[like])
+    return problems
+
+
+_EACH = 100
+"""mistakes of one kind that are put in words"""
+
+
+def _validate(source: Source) -> tuple[Topology | None, Iterable[Problem]]:
     """The topology and what the schema finds wrong; what is wrong is left out so that the rules can see the rest."""
     try:
         return Topology.model_validate(source.value), []
     except ValidationError as error:
-        found = error.errors(include_url=False)
+        found = error.errors(include_url=False, include_input=False)
+    if len(found) > _MANY:
+        return None, _sampled(source, found)
     if any(problem.place == "nodes" for problem in source.problems):  # those that were left out are not missing
         found = [one for one in found if (one["loc"], one["type"]) != (("nodes",), "too_short")]
     problems = [(_no_fault if details["type"] == "fault" else _problem)(source, details) for details in found]
@@ -261,6 +288,7 @@ def _without(value: dict[str, Any], found: Iterable[ErrorDetails]) -> dict[str, 
         kept["nodes"] = {node: dict(own) if isinstance(own, dict) else {} for node, own in value["nodes"].items()}
     if isinstance(value.get("defaults"), dict):
         kept["defaults"] = dict(value["defaults"])
+    wrong: dict[str, set[int]] = {"edges": set(), "faults": set()}
     for details in found:
         match details["loc"]:
             case ("nodes", node, field, *_) if isinstance(kept["nodes"].get(node), dict) and field != "[key]":
@@ -269,13 +297,14 @@ def _without(value: dict[str, Any], found: Iterable[ErrorDetails]) -> dict[str, 
                 kept["nodes"].pop(node, None)
             case ("defaults", field, *_) if isinstance(kept.get("defaults"), dict):
                 kept["defaults"].pop(field, None)
-            case ("edges", int(), *_):
-                wrong = {d["loc"][1] for d in found if d["loc"][0] == "edges" and len(d["loc"]) > 1}
-                kept["edges"] = [edge for k, edge in enumerate(value["edges"]) if k not in wrong]
-            case ("faults", int(k), *_):
-                kept["faults"] = [*kept["faults"][:k], _NO_FAULT, *kept["faults"][k + 1 :]]
+            case ("edges" | "faults" as key, int(k), *_):
+                wrong[key].add(k)
             case (key, *_):
                 kept.pop(str(key), None)
+    if wrong["edges"] and "edges" in kept:
+        kept["edges"] = [edge for k, edge in enumerate(value["edges"]) if k not in wrong["edges"]]
+    if wrong["faults"] and "faults" in kept:
+        kept["faults"] = [_NO_FAULT if k in wrong["faults"] else fault for k, fault in enumerate(value["faults"])]
     for key, stand_in in _STAND_INS.items():
         kept.setdefault(key, stand_in)
     return kept

@@ -80,7 +80,7 @@ def resolve(topology: Topology, folder: Path = Path()) -> Topology:
         whole: dict[str, Any] = {"nodes": dict(Nodes(network)), "edges": tuple(Edges(network))}
     else:
         whole = {"nodes": Nodes(network), "edges": Edges(network)}
-    whole |= {"generator": None, "table": None, "defaults": Defaults(), "disturbance": None}
+    whole |= {"generator": None, "table": None, "table_nodes": None, "defaults": Defaults(), "disturbance": None}
     if topology.processes == "auto" or (topology.processes is None and len(network.ids) > PER_NODE):
         whole["processes"] = topology.process_count
     if topology.record.nodes is None and len(network.ids) > WHOLE:

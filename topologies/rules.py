@@ -45,6 +45,8 @@ def _sources(topology: Topology, source: Source) -> Iterator[Problem]:
     for key in written[1:] if len(written) > 1 else ():
         what = f"stands beside `{written[0]}:`, which gives all edges"
         yield source.problem((key,), what, "keep one of the two")
+    if topology.table_nodes is not None and "table" not in source.value:
+        yield source.problem(("table_nodes",), "is about a `table:`, which is missing", "remove it, or add the table")
     if topology.given is not None:
         for what, cure in broken(topology.given, topology.b, topology.steps):
             yield source.problem(("table",), what, cure)

@@ -36,7 +36,7 @@ from hedgerow.topologies.faults import Fault
 from hedgerow.topologies.generators import GraphRule
 from hedgerow.topologies.graph import LARGEST, Graph
 from hedgerow.topologies.network import Network, groups_of, padded
-from hedgerow.topologies.table import Table
+from hedgerow.topologies.table import NodesBy, Table
 
 LAWS = ("minimax", "hinf", "nominal")
 
@@ -317,6 +317,11 @@ class Topology(Model):
     )
     table: str | None = Field(
         None, description="a .npz file beside the topology with edges and more, in place of `edges:`"
+    )
+    table_nodes: NodesBy | None = Field(
+        None,
+        description="how `edges` and `w … nodes` of the table name nodes: by `positions` from 0, or by `ids`. Required"
+        " only if the table can be read in both ways",
     )
     disturbance: (
         Annotated[WorstCase, BeforeValidator(_bare_kind, json_schema_input_type=WorstCase | Literal["worst_case"])]

@@ -26,6 +26,7 @@ from hedgerow.orchestrator.cli import report as cli_report
 from hedgerow.orchestrator.cli import soak as cli_soak
 from hedgerow.orchestrator.cli import sweep as cli_sweep
 from hedgerow.orchestrator.cli import watch as cli_watch
+from hedgerow.orchestrator.cli.names import Commands
 from hedgerow.orchestrator.cli.options import AsJson, File, Law, RunDir, Seed, Sets, Steps
 from hedgerow.orchestrator.launch.fork_client import Nursery
 from hedgerow.topologies.errors import DeadlineError, HedgerowError, TopologyError, UserError, check_options
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer(
     name="orchestrator",
+    cls=Commands,
     help="Networks of agents that hedge with their neighbours, each its own process, over Zenoh.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
@@ -54,7 +56,9 @@ SplitRecording = Annotated[
     float, typer.Option(metavar="MB", min=0, help="go on in run-001.rrd and so on past so many MB, 0 for never")
 ]
 Plain = Annotated[bool, typer.Option("--plain", help="lines rather than a live table, on a terminal too")]
-RunName = Annotated[str | None, typer.Argument(metavar="[RUN]", help="a running network's name [the youngest]")]
+RunName = Annotated[
+    str | None, typer.Argument(metavar="[RUN]", help="a running network's name [the only one, or that of this folder]")
+]
 Viewer = Annotated[
     str, typer.Option(metavar="native|web|none|URL", help="where to watch live [native, if there is a display]")
 ]

@@ -249,10 +249,11 @@ def test_a_command_says_what_it_did_or_why_not(
     running: Orchestrator, here: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     said = say(capsys, "fault", "drop", "2-4", "--for", "50000", "--run", "paper7")
-    step = int(said.split()[-3])
-    assert said == f"fault 1: drop 2-4 from step {step} to {step + 50000}\n"
-    assert say(capsys, "fault", "heal", "1").startswith("fault 1 healed from step ")
-    assert say(capsys, "heal") == "no fault to heal\n"
+    run, step = said.partition(":")[0], int(said.split()[-3])
+    assert run == Path("runs/latest").resolve().name
+    assert said == f"{run}: fault 1: drop 2-4 from step {step} to {step + 50000}\n"
+    assert say(capsys, "fault", "heal", "1").startswith(f"{run}: fault 1 healed from step ")
+    assert say(capsys, "heal") == f"{run}: no fault to heal\n"
     with pytest.raises(UserError, match="there is no fault 7; there are 1"):
         say(capsys, "heal", "7")
     with pytest.raises(UserError, match="drop: link: 2 and 5 are not neighbours; the neighbours of 2 are 1, 3, 4"):
