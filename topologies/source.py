@@ -50,6 +50,7 @@ class Mark(NamedTuple):
     """a plain scalar as the file has it, such as 12e4"""
     key: str | None = None
     """likewise, of the key that leads to the value"""
+    key_column: int = 0
     origin: str = ""
     """the option of the command line that gave the value, in place of the file"""
 
@@ -89,7 +90,9 @@ class Source:
         """Return a mistake at `path`; `place` names it in words, if `place_of` does not."""
         mark = self.mark(path)
         place = place_of(path) if place is None else place
-        return Problem(mark.line, place, what, cure, code, mark.column, mark.origin)
+        # A mistake that is placed above its path is one of the key, not of the value.
+        of_key = mark.key_column and path and place == place_of(path[:-1])
+        return Problem(mark.line, place, what, cure, code, mark.key_column if of_key else mark.column, mark.origin)
 
 
 def read_source(name: str, text: bytes) -> Source:
@@ -268,7 +271,7 @@ class _Builder:
             what = f"{key!r} stands here twice (first on line {self.source.marks[path].line})"
             place, cure = place_of(top.path), "keep one of the two"
             self.source.problems.append(Problem(mark.line, place, what, cure, column=mark.column))
-        self.source.marks[path] = Mark(mark.line, mark.column, None, mark.text)
+        self.source.marks[path] = Mark(mark.line, mark.column, None, mark.text, mark.column)
         self._note_odd(path, key, mark)
         top.key, top.has_key = key, True
         top.bare = plain and isinstance(key, str) and bool(_NO_SPACE.match(key))
