@@ -96,7 +96,7 @@ class DeadlineError(HedgerowError):
     default_code = Code.DEADLINE
 
 
-class FileRefused(ValueError):
+class FileRefusedError(ValueError):
     """A file beside the topology that cannot be used: the problem with its place, the cure, the code."""
 
     def __init__(self, what: str, cure: str = "", code: Code = Code.FILE_FORMAT) -> None:
@@ -104,7 +104,7 @@ class FileRefused(ValueError):
         self.what, self.cure, self.code = what, cure, code
 
     @classmethod
-    def of(cls, error: ValueError) -> FileRefused:
+    def of(cls, error: ValueError) -> FileRefusedError:
         """Return the same refusal with the fields of this class."""
         return error if isinstance(error, cls) else cls(str(error))
 

@@ -11,7 +11,7 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Literal
 
-from hedgerow.topologies.errors import Code, FileRefused
+from hedgerow.topologies.errors import Code, FileRefusedError
 
 NodeId = int | str
 Header = Literal["ids", "none"]
@@ -30,8 +30,8 @@ _ORDER = "write `header: ids` if that row names the nodes, or `header: none` if 
 def split(file: str, rows: Sequence[Row], ids: Sequence[NodeId], asked: Header | None) -> tuple[Sequence[NodeId], int]:
     """Return the node of each column, and how many rows the header takes (0 or 1).
 
-    rows: at least one; asked: the reading that the topology gives, None if the file has to decide. Raises FileRefused
-    for a row that fits no reading (FILE_FORMAT), and for one that fits two (FILE_AMBIGUOUS).
+    rows: at least one; asked: the reading that the topology gives, None if the file has to decide. Raises
+    FileRefusedError for a row that fits no reading (FILE_FORMAT), and for one that fits two (FILE_AMBIGUOUS).
     """
     line, first = rows[0][0], [cell.strip() for cell in rows[0][1]]
     by_name = {str(node): node for node in ids}
@@ -46,7 +46,7 @@ def split(file: str, rows: Sequence[Row], ids: Sequence[NodeId], asked: Header |
     if asked == "ids" or not all(map(_is_number, first)):
         raise _misnamed(file, line, first, by_name)
     if fits or _may_be_ids(first, by_name):
-        raise FileRefused(
+        raise FileRefusedError(
             f"{file}:{line}: the row {_shown(first)} can be a header of node ids or the samples of step 0",
             f"{_ORDER}; the nodes are {_shown([*by_name])}",
             Code.FILE_AMBIGUOUS,
@@ -54,7 +54,7 @@ def split(file: str, rows: Sequence[Row], ids: Sequence[NodeId], asked: Header |
     if len(first) != len(ids):
         raise _miscounted(file, rows, first, by_name)
     if _counts(rows):
-        raise FileRefused(
+        raise FileRefusedError(
             f"{file}:{line}: the first column ({_column(rows)}) can be an index or time column, or samples of "
             f"node {ids[0]}",
             "remove it if it counts rows, or write `header: none` if it holds samples",
@@ -64,20 +64,20 @@ def split(file: str, rows: Sequence[Row], ids: Sequence[NodeId], asked: Header |
 
 
 def _check_cells(file: str, rows: Sequence[Row], first: list[str]) -> None:
-    """Raise FileRefused for a file whose cells are not separated by single commas."""
+    """Raise FileRefusedError for a file whose cells are not separated by single commas."""
     line = rows[0][0]
     for sign, name in _SEPARATORS.items():
         if any(sign in cell for cell in first):
             if first[0].startswith("#"):
                 break
-            raise FileRefused(
+            raise FileRefusedError(
                 f"{file}:{line}: the cells are separated by {name}, not by commas",
                 "write commas between cells, and a point in numbers",
             )
     if first[0].startswith("#"):
-        raise FileRefused(f"{file}:{line}: starts with the comment sign #", "remove the sign, or the whole line")
+        raise FileRefusedError(f"{file}:{line}: starts with the comment sign #", "remove the sign, or the whole line")
     if len(first) > 1 and all(not row or not row[-1].strip() for _, row in rows):
-        raise FileRefused(f"{file}:{line}: every row ends with a comma", "remove the comma at the end of each row")
+        raise FileRefusedError(f"{file}:{line}: every row ends with a comma", "remove the comma at the end of each row")
 
 
 def _is_number(cell: str) -> bool:
@@ -104,30 +104,30 @@ def _may_be_ids(first: Sequence[str], by_name: Mapping[str, NodeId]) -> bool:
     return len(set(whole)) == len(first) > 1 and set(whole) == set(by_name)
 
 
-def _misnamed(file: str, line: int, first: list[str], by_name: Mapping[str, NodeId]) -> FileRefused:
+def _misnamed(file: str, line: int, first: list[str], by_name: Mapping[str, NodeId]) -> FileRefusedError:
     """Return what is wrong with a header: the columns that name no node, or the same node twice."""
     strange = [cell for cell in first if cell not in by_name]
     if not strange:
         twice = next(cell for cell in first if first.count(cell) > 1)
-        return FileRefused(f"{file}:{line}: the header names node {twice} twice", "keep one column per node")
+        return FileRefusedError(f"{file}:{line}: the header names node {twice} twice", "keep one column per node")
     counting = [cell for cell in strange if cell.lower() in _COUNTS]
     if counting and len(strange) == 1 and len(first) > 1:
         name = f"The column `{counting[0]}`" if counting[0] else f"Column {first.index('') + 1}, without a name,"
-        return FileRefused(
+        return FileRefusedError(
             f"{file}:{line}: {name[0].lower()}{name[1:]} is an index or time column, and names no node",
             "remove it (in pandas: to_csv(..., index=False))",
         )
-    return FileRefused(
+    return FileRefusedError(
         f"{file}:{line}: the header names no node with {_shown(strange)}", f"the nodes are {_shown([*by_name])}"
     )
 
 
-def _miscounted(file: str, rows: Sequence[Row], first: list[str], by_name: Mapping[str, NodeId]) -> FileRefused:
+def _miscounted(file: str, rows: Sequence[Row], first: list[str], by_name: Mapping[str, NodeId]) -> FileRefusedError:
     line, n = rows[0][0], len(by_name)
     what = f"{file}:{line}: {len(first)} columns for {n} nodes, and no header of node ids"
     if len(first) == n + 1 and _counts(rows):
-        return FileRefused(f"{what}; the first column ({_column(rows)}) is an index or time column", "remove it")
-    return FileRefused(what, "write one column per node, or name the columns by node ids in the first row")
+        return FileRefusedError(f"{what}; the first column ({_column(rows)}) is an index or time column", "remove it")
+    return FileRefusedError(what, "write one column per node, or name the columns by node ids in the first row")
 
 
 def _column(rows: Sequence[Row]) -> str:

@@ -6,7 +6,6 @@ import copy
 import difflib
 import functools
 import json
-import math
 import operator
 import re
 from collections import Counter, defaultdict
@@ -21,7 +20,8 @@ from pydantic_core import ErrorDetails
 
 from hedgerow.topologies import table
 from hedgerow.topologies.base import Model, kind_of, node_id
-from hedgerow.topologies.errors import Code, FileRefused, Problem, Problems, TopologyError, UserError
+from hedgerow.topologies.cures import cure_of_number, cure_of_text
+from hedgerow.topologies.errors import Code, FileRefusedError, Problem, Problems, TopologyError, UserError
 from hedgerow.topologies.faults import KINDS, known_keys
 from hedgerow.topologies.generators import GENERATORS
 from hedgerow.topologies.graph import LARGEST
@@ -30,13 +30,10 @@ from hedgerow.topologies.odd import no_id, odd_numbers
 from hedgerow.topologies.override import origin_of
 from hedgerow.topologies.rules import broken_rules
 from hedgerow.topologies.schema import COMPONENTS, Defaults, Node, Record, Topology
-from hedgerow.topologies.source import FLOAT, MAX_BYTES, Mark, Path, Source, place_of, read_source
+from hedgerow.topologies.source import MAX_BYTES, Mark, Path, Source, place_of, read_source
 
 _SHOWN = 60
 _UNSPACED = re.compile(r"[A-Za-z_]\w*:[^\s:/]")
-_DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+")
-_INTEGER = re.compile(r"[-+]?\d+")
-_GROUPED = re.compile(r"[-+]?\d+(_\d+)+(\.\d+)?")
 
 
 def bundled() -> list[str]:
@@ -135,7 +132,7 @@ def _read(source: Source, name: str, folder: FilePath, overrides: Sequence[str])
         try:
             topology = _with_table(topology, topology.table, folder)
         except ValueError as error:
-            refused = FileRefused.of(error)
+            refused = FileRefusedError.of(error)
             source.problems.append(source.problem(("table",), refused.what, refused.cure, refused.code))
             topology = None
     if topology is not None:
@@ -342,13 +339,13 @@ def _problem(source: Source, details: ErrorDetails) -> Problem:
         "greater_than_equal": (f"is below {context.get('ge', 0):g}", "choose a larger one"),
         "less_than": (f"is not below {context.get('lt', 0):g}", "choose a smaller one"),
         "less_than_equal": (f"is above {context.get('le', 0):g}", "choose a smaller one"),
-        "int_type": ("is not a whole number", _cure_of_number(at, source.written(path), whole=True)),
+        "int_type": ("is not a whole number", cure_of_number(at, whole=True)),
         "bool_type": ("is neither true nor false", "write one of the two"),
         "window": ("holds no step", "write [from, to): the first step, and the one after the last"),
         "empty": ("is empty", "put the lower bound first"),
-        "number": ("is not a number", _cure_of_number(at, source.written(path))),
+        "number": ("is not a number", cure_of_number(at)),
         "literal_error": ("is neither a number nor `random`", "write one of the two"),
-        "string_type": ("is not text", _cure_of_text(at, source.written(path))),
+        "string_type": ("is not text", cure_of_text(at, source.written(path))),
         "too_short": ("has too few members", f"at least {context.get('min_length')} are needed"),
         "too_long": ("has too many members", f"at most {context.get('max_length')} are allowed"),
         "tuple_type": ("is not a list", "write [ … ]"),
@@ -356,40 +353,6 @@ def _problem(source: Source, details: ErrorDetails) -> Problem:
         "model_type": ("is not a mapping", "write {key: value}"),
     }.get(kind, (details["msg"][0].lower() + details["msg"][1:], ""))
     return source.problem(path, f"{shown} {what}" if kind in _ABOUT_VALUE else f"{what} (found {shown})", cure)
-
-
-def _cure_of_number(value: Any, text: str | None, whole: bool = False) -> str:
-    """Return how to write the number that stands in a file as something else."""
-    a_number = "a whole number" if whole else "a number"
-    example = "3" if whole else "0.5"
-    if isinstance(value, list):
-        inside = json.dumps(value[0], default=str) if len(value) == 1 and type(value[0]) in (int, float) else example
-        return f"write a single number, without brackets, such as {inside}"
-    if isinstance(value, dict):
-        return f"write a single number, such as {example}"
-    if value is None:
-        return f"write {a_number}, such as {example}, or remove the key"
-    if isinstance(value, float):
-        return (
-            f"write {round(value)}" if math.isfinite(value) and value == round(value) else "write one without a point"
-        )
-    if isinstance(value, str):
-        if _DECIMAL_COMMA.fullmatch(value):
-            return f"write a point: {value.replace(',', '.')}"
-        if FLOAT.match(value) and (not whole or _INTEGER.fullmatch(value)):
-            return f"write it without quotes: {value}"
-        if _GROUPED.fullmatch(value):
-            return f"write the digits alone: {value.replace('_', '')}"
-    return f"write {a_number}, such as {example}"
-
-
-def _cure_of_text(value: Any, text: str | None) -> str:
-    """Return how to write the text that stands in a file as something else."""
-    if isinstance(value, list | dict):
-        return "write a single text"
-    if value is None and not text:
-        return "write a name"
-    return f'put it in quotes: "{text or json.dumps(value, default=str)}"'
 
 
 _ABOUT_VALUE = frozenset(

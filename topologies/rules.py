@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from hedgerow.topologies.base import node_id
-from hedgerow.topologies.errors import Code, FileRefused, Problem
+from hedgerow.topologies.errors import Code, FileRefusedError, Problem
 from hedgerow.topologies.faults import Crash, Cut, Delay, Drop, Fault, Jump, Partition
 from hedgerow.topologies.header import Header
 from hedgerow.topologies.hinf import allowed_interval, satisfies_condition
@@ -189,11 +189,11 @@ def _disturbances(topology: Topology, source: Source, folder: FilePath) -> Itera
         places.append((("defaults",), topology.defaults.disturbance, inherits))
 
     @cache  # every node may name the same file
-    def table(file: str, header: Header | None) -> dict[int | str, list[float]] | FileRefused:
+    def table(file: str, header: Header | None) -> dict[int | str, list[float]] | FileRefusedError:
         try:
             return columns(file, folder, topology.ids, header)
         except ValueError as error:
-            return FileRefused.of(error)
+            return FileRefusedError.of(error)
 
     for path, given, nodes in places:
         for part in given if isinstance(given, tuple) else (given,):
@@ -207,13 +207,13 @@ def _samples(
     part: Samples,
     nodes: list[int | str],
     steps: int,
-    read: Callable[[str, Header | None], dict[int | str, list[float]] | FileRefused],
+    read: Callable[[str, Header | None], dict[int | str, list[float]] | FileRefusedError],
 ) -> Iterator[tuple[str, str, Code]]:
     if part.values is not None:
         yield from _long_enough(len(part.values), steps)
     elif part.file is not None:
         table = read(part.file, part.header)
-        if isinstance(table, FileRefused):
+        if isinstance(table, FileRefusedError):
             yield table.what, table.cure, table.code
             return
         if missing := [node for node in nodes if node not in table]:

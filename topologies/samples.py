@@ -7,7 +7,7 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from hedgerow.topologies.errors import FileRefused
+from hedgerow.topologies.errors import FileRefusedError
 from hedgerow.topologies.graph import LARGEST
 from hedgerow.topologies.header import Header, split
 
@@ -30,7 +30,7 @@ def columns(
     """Return the columns of `file` by node id; a header names them, without one they are in the order of `ids`.
 
     header: `ids` if the first row names the nodes, `none` if it holds samples, None if the file has to decide. Raises
-    ValueError for a file that lies outside `folder` or is no such table, FileRefused for one that has two readings.
+    ValueError for a file that lies outside `folder` or is no such table, FileRefusedError if it has two readings.
     """
     try:
         path = beside(folder, file)
@@ -47,7 +47,9 @@ def columns(
     table: dict[int | str, list[float]] = {node: [] for node in named}
     for line, row in rows[above:]:
         if len(row) != len(named):
-            raise FileRefused(f"{file}:{line}: has {len(row)} cells, not {len(named)}", "write one cell per column")
+            raise FileRefusedError(
+                f"{file}:{line}: has {len(row)} cells, not {len(named)}", "write one cell per column"
+            )
         for column, (node, cell) in enumerate(zip(named, row, strict=True), 1):
             try:
                 value = float(cell)
@@ -56,6 +58,6 @@ def columns(
             if not abs(value) <= LARGEST:
                 what = f"beyond {LARGEST:g}" if math.isfinite(value) else "not a finite number"
                 cure = "write a point, not a comma, in it" if "," in cell else "write a number such as 0.5"
-                raise FileRefused(f"{file}:{line}: column {column}, node {node}: {cell[:40]!r} is {what}", cure)
+                raise FileRefusedError(f"{file}:{line}: column {column}, node {node}: {cell[:40]!r} is {what}", cure)
             table[node].append(value)
     return table

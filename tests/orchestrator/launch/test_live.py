@@ -17,7 +17,7 @@ from hedgerow.orchestrator.cli import main as cli
 from hedgerow.orchestrator.launch.live import Live, checked, groups, pair
 from hedgerow.topologies.describe import describe
 from hedgerow.topologies.effects import FOREVER
-from hedgerow.topologies.errors import DeadlineError, HedgerowError, TopologyError, UserError
+from hedgerow.topologies.errors import Code, DeadlineError, HedgerowError, TopologyError, UserError
 from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import resolve
 from hedgerow.topologies.schema import Topology
@@ -260,8 +260,9 @@ def test_a_command_says_what_it_did_or_why_not(
         say(capsys, "fault", "drop", "2-5")
     with pytest.raises(UserError, match=r"jump: a: 0.4 is not among the candidates of node 4; they are 0.3, 0.6"):
         say(capsys, "fault", "jump", "4", "--to", "0.4")
-    with pytest.raises(UserError, match="nobody: is not running; running now: paper7"):
+    with pytest.raises(UserError, match=run) as unknown:
         say(capsys, "fault", "list", "--run", "nobody")
+    assert unknown.value.code == Code.NETWORK_MISSING
     say(capsys, "fault", "cut", "2-4", "--after", "100000")
     say(capsys, "fault", "actuator", "3")
     assert listed(capsys, "when", now := ["over", "to come", "now"]) == now
