@@ -105,17 +105,8 @@ def _is_good(name: str, text: bytes, folder: FilePath) -> bool:
 def _read(source: Source, name: str, folder: FilePath, overrides: Sequence[str]) -> Topology | Problems:
     """Return the topology of a source, or all of its mistakes."""
     if source.value is None:
-        raise TopologyError(
-            name,
-            [
-                Problem(
-                    0,
-                    "",
-                    "the file is empty",
-                    "start from a bundled one, such as topologies/paper7.yaml",
-                )
-            ],
-        )
+        cure = "start from a bundled one, such as topologies/paper7.yaml"
+        raise TopologyError(name, [Problem(0, "", "the file is empty", cure, Code.FILE_FORMAT)])
     if not isinstance(source.value, dict):
         found = f"a topology is a mapping, this is {_shown(source.value)}"
         text = source.value if isinstance(source.value, str) else ""

@@ -35,6 +35,7 @@ from hedgerow.topologies.effects import FOREVER
 from hedgerow.topologies.faults import Fault
 from hedgerow.topologies.generators import GraphRule
 from hedgerow.topologies.graph import LARGEST, Graph
+from hedgerow.topologies.header import Header
 from hedgerow.topologies.network import Network, groups_of, padded
 from hedgerow.topologies.table import NodesBy, Table
 
@@ -142,10 +143,8 @@ class Samples(Model):
         None,
         description="a CSV file beside the topology, a column a node: named by a header of node ids, or in their order",
     )
-    header: Literal["ids", "none"] | None = Field(
-        None,
-        description="the first row of `file`: `ids` if it names the nodes, `none` if it holds samples. Required only"
-        " if both readings are possible",
+    header: Header | None = Field(
+        None, description="the first row of `file`: `ids`, or `none` if it holds samples; for files that leave it open"
     )
 
     @model_validator(mode="after")
@@ -319,8 +318,7 @@ class Topology(Model):
         None, description="a .npz file beside the topology with edges and more, in place of `edges:`"
     )
     table_nodes: NodesBy | None = Field(
-        None,
-        description="how the table names nodes: by `positions` or `ids`. Required only if both readings are possible",
+        None, description="how the table names nodes: `positions` or `ids`; for tables that leave it open"
     )
     disturbance: (
         Annotated[WorstCase, BeforeValidator(_bare_kind, json_schema_input_type=WorstCase | Literal["worst_case"])]
