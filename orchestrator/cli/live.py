@@ -161,12 +161,12 @@ def sensor(
     as_json: AsJson = False,
 ) -> int:
     """Lose the readings of a node's state."""
-    from hedgerow.orchestrator.launch.live import known  # noqa: PLC0415
+    from hedgerow.topologies.base import node_id  # noqa: PLC0415
 
     return _inject(
         run,
         as_json,
-        lambda live: live.fault.sensor(known(node, live.topology), steps=_steps(after, steps), probability=probability),
+        lambda live: live.fault.sensor(node_id(node), steps=_steps(after, steps), probability=probability),
     )
 
 
@@ -180,14 +180,12 @@ def actuator(
     as_json: AsJson = False,
 ) -> int:
     """Lose a node's inputs on their way to the plant."""
-    from hedgerow.orchestrator.launch.live import known  # noqa: PLC0415
+    from hedgerow.topologies.base import node_id  # noqa: PLC0415
 
     return _inject(
         run,
         as_json,
-        lambda live: live.fault.actuator(
-            known(node, live.topology), steps=_steps(after, steps), probability=probability
-        ),
+        lambda live: live.fault.actuator(node_id(node), steps=_steps(after, steps), probability=probability),
     )
 
 
@@ -203,13 +201,13 @@ def crash(
     as_json: AsJson = False,
 ) -> int:
     """Kill an agent, and start it again or not."""
-    from hedgerow.orchestrator.launch.live import known  # noqa: PLC0415
+    from hedgerow.topologies.base import node_id  # noqa: PLC0415
 
     return _inject(
         run,
         as_json,
         lambda live: live.fault.crash(
-            None if node is None else known(node, live.topology), process=process, at=after, restart_after=restart_after
+            None if node is None else node_id(node), process=process, at=after, restart_after=restart_after
         ),
     )
 
@@ -223,9 +221,9 @@ def jump(
     as_json: AsJson = False,
 ) -> int:
     """Let a node's true a become another of its candidates."""
-    from hedgerow.orchestrator.launch.live import known  # noqa: PLC0415
+    from hedgerow.topologies.base import node_id  # noqa: PLC0415
 
-    return _inject(run, as_json, lambda live: live.fault.jump(known(node, live.topology), to=to, at=after))
+    return _inject(run, as_json, lambda live: live.fault.jump(node_id(node), to=to, at=after))
 
 
 @faults.command(name="list")

@@ -181,7 +181,7 @@ def pair(text: str, topology: Topology) -> Pair:
     """The two nodes that `2-4` names; `2,4` says the same where names with a '-' in them leave it open."""
     if "," in text:
         one, _, other = text.partition(",")
-        return known(one, topology, text), known(other, topology, text)
+        return _known(one, text, topology), _known(other, text, topology)
     splits = [(node_id(text[:k]), node_id(text[k + 1 :])) for k, sign in enumerate(text) if sign == "-"]
     found = [ends for ends in splits if all(map(topology.has, ends))]
     linked = [ends for ends in found if topology.graph.joins(*map(topology.position, ends))]
@@ -192,21 +192,19 @@ def pair(text: str, topology: Topology) -> Pair:
         readings = " or ".join(f"{i},{j}" for i, j in meant)
         raise UserError(f"{text}: may be read as {readings}; write the one that you mean", code=Code.OPTION)
     if len(splits) == 1:
-        return known(splits[0][0], topology, text), known(splits[0][1], topology, text)
+        return _known(splits[0][0], text, topology), _known(splits[0][1], text, topology)
     raise UserError(f"{text}: names no two nodes, as 2-4 does; the nodes are {_listed(topology)}")
 
 
 def groups(text: str, topology: Topology) -> list[list[NodeId]]:
     """The groups of nodes that `1,2,3/4,5` names."""
-    return [[known(node, topology, text) for node in group.split(",")] for group in text.split("/")]
+    return [[_known(node, text, topology) for node in group.split(",")] for group in text.split("/")]
 
 
-def known(name: NodeId, topology: Topology, text: str | None = None) -> NodeId:
-    """Return the node that a word of the command line names, in the option or argument `text`; raise UserError."""
+def _known(name: NodeId, text: str, topology: Topology) -> NodeId:
     node: NodeId = node_id(name)
     if not topology.has(node):
-        place = name if text is None else text
-        raise UserError(f"{place}: {name} is no node; the nodes are {_listed(topology)}", code=Code.OPTION)
+        raise UserError(f"{text}: {name} is no node; the nodes are {_listed(topology)}", code=Code.OPTION)
     return node
 
 
