@@ -187,6 +187,13 @@ def test_a_reference_or_a_number_with_two_readings_is_refused(more: str) -> None
     assert {problem.code for problem in refused.value.problems} == {Code.FILE_AMBIGUOUS}
 
 
+@pytest.mark.parametrize("steps", ['5: [[1, 2]], "5": [[2, 1]]', '"05": [[1, 2]]'])
+def test_a_step_is_named_once_and_in_its_shortest_form(steps: str) -> None:
+    with pytest.raises(TopologyError) as refused:
+        parse(f"{HEAD}nodes: [1, 2]\nedges: [[1, 2]]\nfaults: [{{kind: drop, at: {{{steps}}}}}]".encode(), "n", Path())
+    assert all(problem.place.startswith("fault 1: at") for problem in refused.value.problems)
+
+
 def test_quoted_ids_stay_text_unless_they_are_spelled_as_a_number_is() -> None:
     text = f"{HEAD}nodes: ['007', 7, '08', \"-5\", '1e3']\nedges: [['007', 7], [7, '08'], ['-5', '1e3']]\n"
     topology = resolve(parse(text.encode(), "n.yaml", Path()))
