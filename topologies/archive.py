@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.errors import Code, UserError
 
 NodeId = int | str
 Arrays = dict[str, Any]
 _SETTINGS = "settings"
 _MIXED = "ids"
-"""among the settings: arrays of ids some of which are names"""
+"""among the settings: arrays of ids of which some are names, or integers beyond 64 bits"""
 _BROKEN: tuple[type[Exception], ...] = (
     *(OSError, ValueError, TypeError, LookupError, EOFError, AttributeError, RuntimeError, MemoryError, OverflowError),
     *(SyntaxError, struct.error, zipfile.BadZipFile, zlib.error),
@@ -29,10 +29,10 @@ _BROKEN: tuple[type[Exception], ...] = (
 
 
 def id_array(ids: Sequence[NodeId]) -> NDArray[Any]:
-    """Node ids as an array: of int64 where all are whole numbers, else of objects."""
+    """Return node ids as an array: of int64 if all of them fit, else of objects."""
     if isinstance(ids, range):
         return np.arange(ids.start, ids.stop, ids.step)
-    whole = all(isinstance(node, int) for node in ids)
+    whole = all(isinstance(node, int) and -(2**63) <= node < 2**63 for node in ids)
     found: NDArray[Any] = np.empty(len(ids), dtype=np.int64 if whole else object)
     found[:] = ids
     return found
@@ -52,9 +52,23 @@ def read(path: Path) -> tuple[dict[str, Any], Arrays]:
     """The settings and the arrays that `write` wrote; UserError for a file that cannot be read as such."""
     with reading(path):
         with np.load(path, allow_pickle=False) as file:
-            arrays: Arrays = {name: file[name] for name in file.files}
+            arrays: Arrays = {name: _array(path, file, name) for name in file.files}
         settings: dict[str, Any] = json.loads(arrays.pop(_SETTINGS, np.array([], dtype=np.uint8)).tobytes() or "{}")
         return settings, arrays | {name: id_array(ids) for name, ids in settings.pop(_MIXED, {}).items()}
+
+
+def _array(path: Path, file: Any, name: str) -> NDArray[Any]:
+    try:
+        array: NDArray[Any] = file[name]
+    except ValueError as error:
+        if "allow_pickle" not in str(error):
+            raise
+        raise UserError(
+            f"{path}: `{name}` is an array of Python objects, which numpy reads only as code; give it a type before "
+            f"numpy.savez: {name}.astype(str) for names, {name}.astype(float) for numbers",
+            code=Code.FILE_FORMAT,
+        ) from None
+    return array
 
 
 @contextlib.contextmanager
@@ -63,4 +77,6 @@ def reading(path: Path) -> Iterator[None]:
     try:
         yield
     except _BROKEN as error:
-        raise UserError(f"{path}: cannot be read as a .npz file: {error}; write it with numpy.savez") from None
+        raise UserError(
+            f"{path}: cannot be read as a .npz file: {error}; write it with numpy.savez", code=Code.FILE_FORMAT
+        ) from None

@@ -56,13 +56,20 @@ Name = Annotated[
 ]
 
 
+_WHOLE = re.compile(r"0|-?[1-9][0-9]{0,3999}")
+
+
 def node_id(value: Any) -> Any:
-    """Whole numbers in quotes, as every key of JSON is, are numbers."""
-    return int(value) if isinstance(value, str) and re.fullmatch(r"-?[0-9]{1,18}", value) else value
+    """Return the node id that a text names: an integer if the text is its shortest form, else the text.
+
+    Keys of JSON, headers of CSV files and words of the command line are always text. Only the shortest form becomes
+    an integer, so that every id has exactly one text: `7` is the integer, and `007` stays a text of its own.
+    """
+    return int(value) if isinstance(value, str) and _WHOLE.fullmatch(value) else value
 
 
 NodeId = Annotated[
-    Annotated[StrictInt, Field(ge=-(2**63), lt=2**63), Tag("id")] | Annotated[Name, Tag("name")],
+    Annotated[StrictInt, Tag("id")] | Annotated[Name, Tag("name")],
     Discriminator(lambda value: "name" if isinstance(value, str) else "id"),
     BeforeValidator(node_id),
 ]

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
+from functools import cached_property
 from typing import ClassVar
 
 
@@ -94,6 +96,19 @@ class DeadlineError(HedgerowError):
     default_code = Code.DEADLINE
 
 
+class FileRefusedError(ValueError):
+    """A file beside the topology that cannot be used: the problem with its place, the cure, the code."""
+
+    def __init__(self, what: str, cure: str = "", code: Code = Code.FILE_FORMAT) -> None:
+        super().__init__(f"{what}; {cure}" if cure else what)
+        self.what, self.cure, self.code = what, cure, code
+
+    @classmethod
+    def of(cls, error: ValueError) -> FileRefusedError:
+        """Return the same refusal with the fields of this class."""
+        return error if isinstance(error, cls) else cls(str(error))
+
+
 @dataclass(frozen=True, order=True)
 class Problem:
     """One mistake in a topology file: the line (from 1; 0 if unknown), the place, the problem, the cure, its code."""
@@ -103,20 +118,149 @@ class Problem:
     what: str
     cure: str = ""
     code: Code = Code.TOPOLOGY
+    column: int = 0
+    """from 1; 0 if unknown"""
+    origin: str = ""
+    """the option that the value comes from, such as `--set b=-1`; empty for a value of the file"""
 
     def __str__(self) -> str:
         place = f"{self.place}: " if self.place else ""
         return f"{place}{self.what}" + (f"; {self.cure}" if self.cure else "")
 
+    def where(self, source: str) -> str:
+        """Return the option or file:line:column to begin the message with."""
+        if self.origin:
+            return self.origin
+        at = [source, *([str(self.line)] if self.line else []), *([str(self.column)] if self.column else [])]
+        return ":".join(at)
+
+    @cached_property
+    def kind(self) -> tuple[str, str, str, str]:
+        """The key that equal mistakes share: all of them except ids, numbers and quoted values."""
+        return _NAMED.sub(r"\1", self.place), _VALUES.sub("…", self.what), self.code, self.origin
+
+
+_NAMED = re.compile(r"\b(node|edge|fault) [^:\s]+|(?<=: )\d+(?=$|:)")
+_VALUES = re.compile(
+    r"\[[^\]]*\]|\{[^}]*\}|`[^`]*`|\"(?:[^\"\\]|\\.)*\"|'(?:[^'\\]|\\.)*'|\([^)]*\)"
+    r"|(?<!\w)[-+]?\.?\d[\w.+-]*(?: and \d\S*)?|\b(?:true|false|null|NaN|Infinity)\b|(?<=^)\S+(?= and \S+ are not )"
+)
+
+
+class Problems:
+    """The mistakes of one file: the first ones as they are, and all of them counted by kind.
+
+    A file can have a mistake in each of 10^6 rows. At most `KEPT` mistakes are held, so that memory stays bounded.
+    """
+
+    KEPT = 1000
+    ALONE = 3
+    """up to this many equal mistakes have a line each"""
+    SHOWN = 20
+    """lines of a message"""
+
+    def __init__(self, problems: Iterable[Problem] = ()) -> None:
+        self._kept: dict[Problem, None] = {}
+        self._counts: dict[tuple[str, str, str, str], int] = {}
+        self._others = 0
+        """mistakes of kinds that are not in `_counts`, which is full"""
+        self.extend(problems)
+
+    def append(self, problem: Problem) -> None:
+        """Add a mistake, once."""
+        if problem in self._kept:
+            return
+        if (kind := problem.kind) in self._counts:
+            self._counts[kind] += 1
+        elif len(self._counts) < self.KEPT:
+            self._counts[kind] = 1
+        else:
+            self._others += 1
+            return
+        # Keep room for the first mistake of each later kind: a message names every kind by its first mistake.
+        if self._counts[kind] == 1 or len(self._kept) < self.KEPT:
+            self._kept[problem] = None
+
+    def count_more(self, like: Problem) -> None:
+        """Count one more mistake of the kind of `like`, which was appended before."""
+        kind = like.kind
+        if kind in self._counts:
+            self._counts[kind] += 1
+        else:
+            self._others += 1
+
+    def extend(self, problems: Iterable[Problem]) -> None:
+        """Add mistakes one by one, as they are found."""
+        if isinstance(problems, Problems):
+            known = dict(self._counts)
+            for problem in problems:
+                self.append(problem)
+            for kind, count in problems._counts.items():
+                self._counts[kind] = known.get(kind, 0) + count
+            self._others += problems._others
+            return
+        for problem in problems:
+            self.append(problem)
+
+    def __iter__(self) -> Iterator[Problem]:
+        return iter(self._kept)
+
+    def __len__(self) -> int:
+        return sum(self._counts.values()) + self._others
+
+    def lines(self, source: str) -> list[str]:
+        """Return the message: a line for each kind of mistake, or for each mistake if few are equal; at most 20."""
+        grouped: dict[tuple[str, str, str, str], list[Problem]] = {}
+        for problem in sorted(self._kept, key=_in_order):
+            grouped.setdefault(problem.kind, []).append(problem)
+        lines: list[tuple[Problem, str, int]] = []
+        for kind, found in grouped.items():
+            count = self._counts[kind]
+            if count <= self.ALONE:
+                lines += [(one, f"{one.where(source)}: {one}", 1) for one in found]
+            else:
+                lines.append((found[0], f"{found[0].where(source)}: {_grouped(found[0], count)}", count))
+        lines.sort(key=lambda line: _in_order(line[0]))
+        shown = lines[: self.SHOWN] if len(lines) <= self.SHOWN else lines[: self.SHOWN - 1]
+        if more := len(self) - sum(count for _, _, count in shown):
+            return [*(text for _, text, _ in shown), f"{source}: and {more} more mistake{'s' if more > 1 else ''}"]
+        return [text for _, text, _ in shown]
+
+
+def _in_order(problem: Problem) -> tuple[int, int, Problem]:
+    return problem.line, problem.column, problem
+
+
+def _grouped(first: Problem, count: int) -> str:
+    """Return a line for equal mistakes: how many, what is wrong with the first one, and its line."""
+    named, _, inside = first.place.partition(": ")
+    noun, _, name = named.partition(" ")
+    if name and noun in ("node", "edge", "fault"):
+        subject = f"{count} {noun}s: " + (f"{inside}: " if inside else "")
+    else:
+        subject = f"{count} mistakes: " + (f"{first.place}: " if first.place else "")
+    at = f", first at line {first.line}" if first.line else ""
+    return f"{subject}{first.what}{at}" + (f"; {first.cure}" if first.cure else "")
+
 
 class TopologyError(UserError):
-    """All mistakes of one topology file, in the order of their lines."""
+    """All mistakes of one topology file, in the order of their lines; of very many, the first 1000."""
 
     default_code = Code.TOPOLOGY
 
-    def __init__(self, source: str, problems: Sequence[Problem]) -> None:
+    def __init__(self, source: str, problems: Iterable[Problem]) -> None:
+        found = problems if isinstance(problems, Problems) else Problems(problems)
         self.source = source
-        self.problems = tuple(sorted(set(problems)))
-        super().__init__("\n".join(f"{source}:{p.line}: {p}" if p.line else f"{source}: {p}" for p in self.problems))
+        self.problems = tuple(sorted(found, key=_in_order))
+        self.count = len(found)
+        """how many mistakes there are, those included that `problems` leaves out"""
+        super().__init__("\n".join(found.lines(source)))
         codes = {problem.code for problem in self.problems}
         self.code = codes.pop() if len(codes) == 1 else self.default_code
+
+    @property
+    def summary(self) -> str:
+        """How many mistakes there are, and whether they are of the file or of the command line."""
+        origins = {problem.origin for problem in self.problems}
+        where = f"in {self.source}" if "" in origins else "on the command line"
+        return f"{self.count} mistake{'s' if self.count > 1 else ''} {where}"

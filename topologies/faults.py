@@ -15,6 +15,7 @@ Steps are half-open as of Python's range, and nodes are named by their ids.
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, cast
 
@@ -44,12 +45,21 @@ if TYPE_CHECKING:
 
 Step = Annotated[StrictInt, Field(ge=0, le=FOREVER)]
 Pair = tuple[NodeId, NodeId]
-_DIGITS = "[0-9]{1,19}"
+_DIGITS = "(0|[1-9][0-9]{0,18})"
 
 
 def _step(key: Any) -> Any:
     """Keys in JSON are text."""
     return int(key) if isinstance(key, str) and re.fullmatch(_DIGITS, key) else key
+
+
+def _each_once(value: Any) -> Any:
+    """Refuse a table that has a step both as a number and as text: one of the two would be lost."""
+    steps = Counter(map(_step, value)) if isinstance(value, Mapping) else {}
+    for step, count in steps.items():
+        if count > 1:
+            raise PydanticCustomError("twice", "names step {step} twice; keep one of the two", {"step": step})
+    return value
 
 
 def _ends(value: Any) -> Any:
@@ -91,6 +101,7 @@ Table = Annotated[
         tuple[Pair, ...],
     ],
     Field(min_length=1, json_schema_extra={"additionalProperties": False}),
+    BeforeValidator(_each_once),
 ]
 Link = Annotated[Pair | None, Field(description="two neighbours: messages both ways")]
 Sender = Annotated[

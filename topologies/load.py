@@ -7,8 +7,10 @@ import difflib
 import functools
 import json
 import operator
-from collections import defaultdict
+import re
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path as FilePath
 from typing import Any
@@ -18,17 +20,21 @@ from pydantic_core import ErrorDetails
 
 from hedgerow.topologies import table
 from hedgerow.topologies.base import Model, kind_of, node_id
-from hedgerow.topologies.errors import Problem, TopologyError, UserError
+from hedgerow.topologies.cures import cure_of_number, cure_of_text
+from hedgerow.topologies.errors import Code, FileRefusedError, Problem, Problems, TopologyError, UserError
 from hedgerow.topologies.faults import KINDS, known_keys
 from hedgerow.topologies.generators import GENERATORS
 from hedgerow.topologies.graph import LARGEST
 from hedgerow.topologies.nodes import Edges, Nodes
+from hedgerow.topologies.odd import no_id, odd_numbers
+from hedgerow.topologies.override import origin_of
 from hedgerow.topologies.paths import user_path
 from hedgerow.topologies.rules import broken_rules
 from hedgerow.topologies.schema import COMPONENTS, Defaults, Node, Record, Topology
-from hedgerow.topologies.source import MAX_BYTES, Path, Source, place_of, read_source
+from hedgerow.topologies.source import MAX_BYTES, Mark, Path, Source, place_of, read_source
 
 _SHOWN = 60
+_UNSPACED = re.compile(r"[A-Za-z_]\w*:[^\s:/]")
 
 
 def bundled() -> list[str]:
@@ -79,43 +85,56 @@ def load(name: str, overrides: Sequence[str] = ()) -> Topology:
 def parse(text: bytes, name: str, folder: FilePath, overrides: Sequence[str] = ()) -> Topology:
     """A topology from YAML text; `name` stands in messages, `folder` is where its CSV files lie."""
     source = read_source(name, text)
+    found = _read(source, name, folder, overrides)
+    if isinstance(found, Topology):
+        return found
+    if overrides and not all(problem.origin for problem in found) and _is_good(name, text, folder):
+        # The file is right by itself: then the options make it wrong, wherever the mistake shows.
+        blamed = " ".join(map(origin_of, overrides))
+        found = Problems(problem if problem.origin else replace(problem, origin=blamed) for problem in found)
+    raise TopologyError(name, found)
+
+
+def _is_good(name: str, text: bytes, folder: FilePath) -> bool:
+    try:
+        parse(text, name, folder)
+    except TopologyError:
+        return False
+    return True
+
+
+def _read(source: Source, name: str, folder: FilePath, overrides: Sequence[str]) -> Topology | Problems:
+    """Return the topology of a source, or all of its mistakes."""
     if source.value is None:
-        raise TopologyError(
-            name,
-            [
-                Problem(
-                    0,
-                    "",
-                    "the file is empty",
-                    "start from a bundled one, such as topologies/paper7.yaml",
-                )
-            ],
-        )
+        cure = "start from a bundled one, such as topologies/paper7.yaml"
+        raise TopologyError(name, [Problem(0, "", "the file is empty", cure, Code.FILE_FORMAT)])
     if not isinstance(source.value, dict):
         found = f"a topology is a mapping, this is {_shown(source.value)}"
-        raise TopologyError(name, [Problem(1, "", found, "start with `name: …`")])
+        text = source.value if isinstance(source.value, str) else ""
+        cure = "write a space after each colon" if _UNSPACED.match(text) else "start with `name: …`"
+        raise TopologyError(name, [Problem(1, "", found, cure, Code.FILE_FORMAT)])
     _nodes_as_mapping(source)
     for override in overrides:
         _override(source, override)
     _nodes_as_mapping(source)
+    source.problems.extend(odd_numbers(source))
     topology, problems = _validate(source)
-    problems = [*source.problems, *problems]
+    source.problems.extend(problems)
     if topology is not None and topology.table is not None:
         try:
             topology = _with_table(topology, topology.table, folder)
         except ValueError as error:
-            problems.append(Problem(source.line(("table",)), "table", str(error), ""))
+            refused = FileRefusedError.of(error)
+            source.problems.append(source.problem(("table",), refused.what, refused.cure, refused.code))
             topology = None
     if topology is not None:
-        problems += broken_rules(topology, source, folder)
-    if topology is None or problems:
-        raise TopologyError(name, problems)
-    return topology
+        source.problems.extend(broken_rules(topology, source, folder))
+    return source.problems if topology is None or len(source.problems) else topology
 
 
 def _with_table(topology: Topology, file: str, folder: FilePath) -> Topology:
     """The topology with what its table holds; if that is all of it, nothing is left to be drawn."""
-    found = table.read(file, folder)
+    found = table.read(file, folder, topology.table_nodes)
     whole = found.network(topology.b) if not topology.nodes and topology.disturbance is None else None
     topology = topology.with_table(found)
     if whole is None:
@@ -131,7 +150,14 @@ def _override(source: Source, override: str) -> None:
         override.encode()
     except UnicodeEncodeError:
         raise UserError(f"--set {override!a}: is not UTF-8 text; write it in UTF-8") from None
-    value = read_source(f"--set {where}", text.encode()).value
+    origin = origin_of(override)
+    try:
+        given = read_source(origin, text.encode())
+    except TopologyError as error:
+        found = [replace(problem, line=0, column=0, origin=origin) for problem in error.problems]
+        raise TopologyError(source.name, found) from None
+    source.problems.extend(replace(problem, line=0, column=0, origin=origin) for problem in given.problems)
+    value = given.value
     keys: list[Any] = [node_id(step) for step in where.split(".")]
     at = source.value
     for depth, key in enumerate(keys):
@@ -146,8 +172,13 @@ def _override(source: Source, override: str) -> None:
         at = at[key]
     # What the command line says stands on no line of the file.
     path = tuple(keys)
-    source.lines |= {inside: 0 for inside in source.lines if inside[: len(path)] == path}
-    source.lines[path] = 0
+    for known in (source.marks, source.odd):
+        for inside in [inside for inside in known if inside[: len(path)] == path]:
+            del known[inside]
+    source.marks[path] = Mark(0, origin=origin)
+    for inside, mark in given.marks.items():
+        source.marks[*path, *inside] = mark._replace(line=0, column=0, origin=origin)
+    source.odd |= {(*path, *inside): text for inside, text in given.odd.items()}
 
 
 def _nodes_as_mapping(source: Source) -> None:
@@ -156,39 +187,70 @@ def _nodes_as_mapping(source: Source) -> None:
     if not isinstance(nodes, dict | list):
         return
     mapping: dict[Any, Any] = {}
-    lines: dict[Path, int] = {}
+    marks: dict[Path, Mark] = {}
     inside: dict[Any, list[Path]] = defaultdict(list)
-    for path in source.lines:
+    for path in source.marks:
         if path[:1] == ("nodes",) and len(path) > 2:
             inside[path[1]].append(path)
+    listed = isinstance(nodes, list)
     for k, written in enumerate(nodes):
-        line = source.line(("nodes", k if isinstance(nodes, list) else written))
+        at = ("nodes", k if listed else written)
+        mark = source.mark(at)
         node = node_id(written)
-        if not (isinstance(node, str) or (type(node) is int and -(2**63) <= node < 2**63)):
-            cure = "write `ID: {…}`" if isinstance(node, dict) else "use names or whole numbers"
-            source.problems.append(Problem(line, "nodes", f"{_shown(node)} is no node id", cure))
+        if not (isinstance(node, str) or type(node) is int):
+            text = mark.text if listed else mark.key
+            what, cure, code = no_id(node, text, _shown(node))
+            source.problems.append(source.problem(at, what, cure, code, "nodes"))
         elif node in mapping:
-            first = f"first on line {lines['nodes', node]}"
-            source.problems.append(
-                Problem(line, "nodes", f"{node!r} stands here twice ({first})", "keep one of the two")
-            )
+            what = f"{node!r} stands here twice (first on line {marks['nodes', node].line})"
+            source.problems.append(source.problem(at, what, "keep one of the two", place="nodes"))
         else:
-            mapping[node] = {} if isinstance(nodes, list) else nodes[written]
-            lines["nodes", node] = line
+            mapping[node] = {} if listed else nodes[written]
+            marks["nodes", node] = mark._replace(text=None, key=mark.text) if listed else mark
             if node != written:
-                lines.update({("nodes", node, *path[2:]): source.lines[path] for path in inside[written]})
-    if isinstance(nodes, list):
-        source.lines = {path: line for path, line in source.lines.items() if path[:1] != ("nodes",) or len(path) == 1}
-    source.lines.update(lines)
+                marks.update({("nodes", node, *path[2:]): source.marks[path] for path in inside[written]})
+    if listed:
+        source.marks = {path: mark for path, mark in source.marks.items() if path[:1] != ("nodes",) or len(path) == 1}
+        moved = {path: text for path, text in source.odd.items() if path[:1] == ("nodes",)}
+        source.odd = {path: text for path, text in source.odd.items() if path not in moved}
+        source.odd |= {("nodes", nodes[path[1]], *path[2:]): text for path, text in moved.items()}
+    source.marks.update(marks)
     source.value["nodes"] = mapping
 
 
-def _validate(source: Source) -> tuple[Topology | None, list[Problem]]:
+_MANY = 2000
+"""mistakes of a schema; of more, those that are alike are only counted, and the rules are left for later"""
+
+
+def _sampled(source: Source, found: list[ErrorDetails]) -> Problems:
+    """Return very many mistakes of the schema: the first of each kind in words, the others counted."""
+    problems, seen = Problems(), Counter[Any]()
+    last: dict[Any, Problem] = {}
+    for details in found:
+        loc = details["loc"]
+        # Items of lists and keys of mappings differ from one mistake to the next.
+        like = (details["type"], loc[0] if len(loc) > 1 else None, len(loc), loc[2:3])
+        seen[like] += 1
+        if seen[like] <= _EACH:
+            last[like] = (_no_fault if details["type"] == "fault" else _problem)(source, details)
+            problems.append(last[like])
+        else:
+            problems.count_more(last[like])
+    return problems
+
+
+_EACH = 100
+"""mistakes of one kind that are put in words"""
+
+
+def _validate(source: Source) -> tuple[Topology | None, Iterable[Problem]]:
     """The topology and what the schema finds wrong; what is wrong is left out so that the rules can see the rest."""
     try:
         return Topology.model_validate(source.value), []
     except ValidationError as error:
-        found = error.errors(include_url=False)
+        found = error.errors(include_url=False, include_input=False)
+    if len(found) > _MANY:
+        return None, _sampled(source, found)
     if any(problem.place == "nodes" for problem in source.problems):  # those that were left out are not missing
         found = [one for one in found if (one["loc"], one["type"]) != (("nodes",), "too_short")]
     problems = [(_no_fault if details["type"] == "fault" else _problem)(source, details) for details in found]
@@ -215,6 +277,7 @@ def _without(value: dict[str, Any], found: Iterable[ErrorDetails]) -> dict[str, 
         kept["nodes"] = {node: dict(own) if isinstance(own, dict) else {} for node, own in value["nodes"].items()}
     if isinstance(value.get("defaults"), dict):
         kept["defaults"] = dict(value["defaults"])
+    wrong: dict[str, set[int]] = {"edges": set(), "faults": set()}
     for details in found:
         match details["loc"]:
             case ("nodes", node, field, *_) if isinstance(kept["nodes"].get(node), dict) and field != "[key]":
@@ -223,13 +286,14 @@ def _without(value: dict[str, Any], found: Iterable[ErrorDetails]) -> dict[str, 
                 kept["nodes"].pop(node, None)
             case ("defaults", field, *_) if isinstance(kept.get("defaults"), dict):
                 kept["defaults"].pop(field, None)
-            case ("edges", int(), *_):
-                wrong = {d["loc"][1] for d in found if d["loc"][0] == "edges" and len(d["loc"]) > 1}
-                kept["edges"] = [edge for k, edge in enumerate(value["edges"]) if k not in wrong]
-            case ("faults", int(k), *_):
-                kept["faults"] = [*kept["faults"][:k], _NO_FAULT, *kept["faults"][k + 1 :]]
+            case ("edges" | "faults" as key, int(k), *_):
+                wrong[key].add(k)
             case (key, *_):
                 kept.pop(str(key), None)
+    if wrong["edges"] and "edges" in kept:
+        kept["edges"] = [edge for k, edge in enumerate(value["edges"]) if k not in wrong["edges"]]
+    if wrong["faults"] and "faults" in kept:
+        kept["faults"] = [_NO_FAULT if k in wrong["faults"] else fault for k, fault in enumerate(value["faults"])]
     for key, stand_in in _STAND_INS.items():
         kept.setdefault(key, stand_in)
     return kept
@@ -238,25 +302,27 @@ def _without(value: dict[str, Any], found: Iterable[ErrorDetails]) -> dict[str, 
 def _problem(source: Source, details: ErrorDetails) -> Problem:
     path, at = _trace(source.value, details["loc"])
     kind, last = details["type"], details["loc"][-1]
+    shown = _shown(at, source.written(path))
     if kind == "missing" and isinstance(last, int):
-        return Problem(source.line(path), place_of(path), f"{_shown(at)} has too few members", "a pair has two")
+        return source.problem(path, f"{shown} has too few members", "a pair has two")
     if kind == "missing":
-        return Problem(source.line(path), place_of(path), f"`{last}:` is missing", f"add `{last}: …`")
+        return source.problem(path, f"`{last}:` is missing", f"add `{last}: …`")
     if kind == "invalid_key":
         path, at = _trace(source.value, details["loc"][:-1])
         key = next((key for key in at if str(key) == str(last)), last)
         names = ", ".join(_known_keys(source, path))
         cure = f"known keys are {names}" if names else "remove it"
-        return Problem(source.line((*path, key)), place_of(path), f"{_shown(key)} is no key", cure)
+        key_path = (*path, key)
+        shown = _shown(key, source.mark(key_path).key)
+        return source.problem(key_path, f"{shown} is no key", cure, place=place_of(path))
     if kind == "literal_error" and last == "kind":
-        return Problem(
-            source.line(path),
-            place_of(path),
-            f"{_shown(at)} is no disturbance of a whole network",
+        return source.problem(
+            path,
+            f"{shown} is no disturbance of a whole network",
             "write `worst_case`, or give it to the nodes or under `defaults:`",
         )
     if kind == "extra_forbidden":
-        return Problem(source.line(path), place_of(path[:-1]), f"unknown key `{last}`", _near(source, path))
+        return source.problem(path, f"unknown key `{last}`", _near(source, path), place=place_of(path[:-1]))
     context = details.get("ctx", {})
     what, cure = {
         "finite_number": ("is not a finite number", "write a finite number"),
@@ -265,25 +331,20 @@ def _problem(source: Source, details: ErrorDetails) -> Problem:
         "greater_than_equal": (f"is below {context.get('ge', 0):g}", "choose a larger one"),
         "less_than": (f"is not below {context.get('lt', 0):g}", "choose a smaller one"),
         "less_than_equal": (f"is above {context.get('le', 0):g}", "choose a smaller one"),
-        "int_type": ("is not a whole number", "write one without quotes or a point"),
+        "int_type": ("is not a whole number", cure_of_number(at, whole=True)),
         "bool_type": ("is neither true nor false", "write one of the two"),
         "window": ("holds no step", "write [from, to): the first step, and the one after the last"),
         "empty": ("is empty", "put the lower bound first"),
-        "number": ("is not a number", "write a number without quotes"),
+        "number": ("is not a number", cure_of_number(at)),
         "literal_error": ("is neither a number nor `random`", "write one of the two"),
-        "string_type": ("is not text", "write a name"),
+        "string_type": ("is not text", cure_of_text(at, source.written(path))),
         "too_short": ("has too few members", f"at least {context.get('min_length')} are needed"),
         "too_long": ("has too many members", f"at most {context.get('max_length')} are allowed"),
         "tuple_type": ("is not a list", "write [ … ]"),
         "dict_type": ("is not a mapping", "write key: value"),
         "model_type": ("is not a mapping", "write {key: value}"),
     }.get(kind, (details["msg"][0].lower() + details["msg"][1:], ""))
-    return Problem(
-        source.line(path),
-        place_of(path),
-        f"{_shown(at)} {what}" if kind in _ABOUT_VALUE else f"{what} (found {_shown(at)})",
-        cure,
-    )
+    return source.problem(path, f"{shown} {what}" if kind in _ABOUT_VALUE else f"{what} (found {shown})", cure)
 
 
 _ABOUT_VALUE = frozenset(
@@ -325,13 +386,16 @@ def _no_fault(source: Source, details: ErrorDetails) -> Problem:
     path, written = _trace(source.value, details["loc"])
     kinds = f"kinds are {', '.join(KINDS)}"
     if not isinstance(written, dict):
-        return Problem(source.line(path), place_of(path), f"{_shown(written)} is not a mapping", "write {kind: …}")
+        shown = _shown(written, source.written(path))
+        unspaced = isinstance(written, str) and _UNSPACED.match(written)
+        cure = "write a space after the colon: {kind: …}" if unspaced else "write {kind: …}"
+        return source.problem(path, f"{shown} is not a mapping", cure)
     if "kind" not in written:
-        return Problem(source.line(path), place_of(path), "`kind:` is missing", kinds)
+        return source.problem(path, "`kind:` is missing", kinds)
     near = difflib.get_close_matches(str(written["kind"]), KINDS, 1, 0.5)
     cure = f"did you mean `{near[0]}`? {kinds}" if near else kinds
     path = (*path, "kind")
-    return Problem(source.line(path), place_of(path), f"{_shown(written['kind'])} is no kind of fault", cure)
+    return source.problem(path, f"{_shown(written['kind'], source.written(path))} is no kind of fault", cure)
 
 
 def _near(source: Source, path: Path) -> str:
@@ -368,7 +432,10 @@ def _known_keys(source: Source, path: Path) -> list[str]:
     return known_keys(model) if model is not None else []
 
 
-def _shown(value: Any) -> str:
+def _shown(value: Any, text: str | None = None) -> str:
+    """Return a value as the user wrote it: `text` if that is known, else as JSON, which YAML reads."""
+    if text is not None:
+        return (text if len(text) <= _SHOWN else text[: _SHOWN - 1] + "…") or "an empty value"
     if isinstance(value, dict | list) and len(value) > 8:
         kind = "mapping" if isinstance(value, dict) else "list"
         return f"a {kind} of {len(value)}"

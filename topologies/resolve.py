@@ -20,6 +20,7 @@ from hedgerow.topologies import lots, table
 from hedgerow.topologies.errors import TopologyError
 from hedgerow.topologies.faults import Fault, Jump
 from hedgerow.topologies.graph import Array, Index
+from hedgerow.topologies.header import Header
 from hedgerow.topologies.hinf import allowed_intervals, smallest_eigenpair
 from hedgerow.topologies.network import PARAMETERS, Group, Network
 from hedgerow.topologies.nodes import SPELLED_OUT, Edges, Nodes
@@ -94,7 +95,8 @@ def resolve(topology: Topology, folder: Path = Path()) -> Topology:
         whole: dict[str, Any] = {"nodes": dict(Nodes(network)), "edges": tuple(Edges(network))}
     else:
         whole = {"nodes": Nodes(network), "edges": Edges(network)}
-    whole |= {"generator": None, "table": None, "defaults": Defaults(), "disturbance": None, "lots": None}
+    whole |= {"generator": None, "table": None, "table_nodes": None, "lots": None}
+    whole |= {"defaults": Defaults(), "disturbance": None}
     if topology.processes == "auto" or (topology.processes is None and len(network.ids) > PER_NODE):
         whole["processes"] = topology.process_count
     if topology.record.nodes is None and len(network.ids) > WHOLE:
@@ -118,7 +120,7 @@ class _Drawing:
         self._lists: list[tuple[Index, Array]] = []
         """(nodes, candidates (M, k)), NaN-padded"""
         self._groups: dict[tuple[int, str], list[Group]] = defaultdict(list)
-        self._files: dict[str, dict[int | str, list[float]]] = {}
+        self._files: dict[tuple[str, Header | None], dict[int | str, list[float]]] = {}
 
     def network(self) -> Network:
         """All of it."""
@@ -215,9 +217,10 @@ class _Drawing:
         if part.values is not None:
             return np.repeat(np.array(part.values[:steps])[None], len(nodes), axis=0)
         assert part.file is not None
-        if part.file not in self._files:
-            self._files[part.file] = columns(part.file, self._folder, self._topology.ids)
-        table = self._files[part.file]
+        key = part.file, part.header
+        if key not in self._files:
+            self._files[key] = columns(part.file, self._folder, self._topology.ids, part.header)
+        table = self._files[key]
         return np.array([table[self._topology.ids[k]][:steps] for k in nodes.tolist()])
 
     def _add(self, number: int, kind: str, nodes: Index, values: Mapping[str, NDArray[Any]]) -> None:

@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 
 from hedgerow.topologies.base import node_id
-from hedgerow.topologies.errors import Problem
+from hedgerow.topologies.errors import Code, FileRefusedError, Problem
 from hedgerow.topologies.faults import Crash, Cut, Delay, Drop, Fault, Jump, Partition
+from hedgerow.topologies.header import Header
 from hedgerow.topologies.hinf import allowed_interval, satisfies_condition
 from hedgerow.topologies.nodes import Edges, Nodes
 from hedgerow.topologies.samples import columns
@@ -23,21 +24,19 @@ from hedgerow.topologies.source import Path, Source, place_of
 from hedgerow.topologies.table import broken
 
 
-def broken_rules(topology: Topology, source: Source, folder: FilePath) -> list[Problem]:
-    """Every rule that `topology` breaks, each where the file says it."""
+def broken_rules(topology: Topology, source: Source, folder: FilePath) -> Iterator[Problem]:
+    """Find every rule that `topology` breaks, each where the file says it."""
     if not topology.ids:
-        if "nodes" in source.value:  # the schema says what is wrong with them
-            return []
-        return [Problem(0, "", "`nodes:` is missing", "add `nodes: …`, or `graph: {kind: …, nodes: …}`")]
-    return [
-        *_sources(topology, source),
-        *_edges(topology, source),
-        *_nodes(topology, source),
-        *_disturbances(topology, source, folder),
-        *_processes(topology, source),
-        *_recorded(topology, source),
-        *broken_faults(topology, source),
-    ]
+        if "nodes" not in source.value:  # otherwise the schema reports what is wrong with them
+            yield Problem(0, "", "`nodes:` is missing", "add `nodes: …`, or `graph: {kind: …, nodes: …}`")
+        return
+    yield from _sources(topology, source)
+    yield from _edges(topology, source)
+    yield from _nodes(topology, source)
+    yield from _disturbances(topology, source, folder)
+    yield from _processes(topology, source)
+    yield from _recorded(topology, source)
+    yield from broken_faults(topology, source)
 
 
 def _sources(topology: Topology, source: Source) -> Iterator[Problem]:
@@ -45,17 +44,19 @@ def _sources(topology: Topology, source: Source) -> Iterator[Problem]:
     written = [key for key in ("graph", "table", "edges") if key in source.value]
     for key in written[1:] if len(written) > 1 else ():
         what = f"stands beside `{written[0]}:`, which gives all edges"
-        yield Problem(source.line((key,)), key, what, "keep one of the two")
+        yield source.problem((key,), what, "keep one of the two")
+    if topology.table_nodes is not None and "table" not in source.value:
+        yield source.problem(("table_nodes",), "is about a `table:`, which is missing", "remove it, or add the table")
     if topology.given is not None:
         for what, cure in broken(topology.given, topology.b, topology.steps):
-            yield Problem(source.line(("table",)), "table", what, cure)
+            yield source.problem(("table",), what, cure)
         if topology.disturbance is not None and topology.given.disturbance:
             what = "stands beside the disturbances of `table:`, which it replaces"
-            yield Problem(source.line(("disturbance",)), "disturbance", what, "remove one of the two")
+            yield source.problem(("disturbance",), what, "remove one of the two")
     for node in topology.nodes if isinstance(topology.ids, range) and written[:1] != ["edges"] else ():
         if not topology.has(node):
             what, cure = f"{node!r} is none of its nodes", f"they are 0 to {len(topology.ids) - 1}"
-            yield Problem(source.line(("nodes", node)), f"node {node}", what, cure)
+            yield source.problem(("nodes", node), what, cure)
 
 
 def _edges(topology: Topology, source: Source) -> Iterator[Problem]:
@@ -65,24 +66,23 @@ def _edges(topology: Topology, source: Source) -> Iterator[Problem]:
     # Edges that the schema refused are not in the topology: find the others' lines by their ends.
     rows = _rows(topology, source) if topology.edges else []
     for (i, j), k in zip(topology.edges, rows, strict=True):
-        line, place = source.line(("edges", k)), place_of(("edges", k))
+        at = ("edges", k)
         for end in dict.fromkeys((i, j)):
             if not topology.has(end):
-                yield Problem(
-                    line,
-                    place,
-                    f"[{i}, {j}] leads to {end!r}, which is no node",
-                    "add the node or mend the id",
-                )
+                what = f"[{i}, {j}] leads to {end!r}, which is no node"
+                yield source.problem(at, what, _cure_of_end(end, topology))
         if i == j:
-            yield Problem(line, place, f"[{i}, {j}] is a self-loop", "remove it")
+            yield source.problem(at, f"[{i}, {j}] is a self-loop", "remove it")
         elif (first := seen.setdefault(frozenset((i, j)), k)) != k:
-            yield Problem(
-                line,
-                place,
-                f"[{i}, {j}] stands already on line {source.line(('edges', first))}",
-                "edges are undirected: keep one",
-            )
+            what = f"[{i}, {j}] stands already on line {source.line(('edges', first))}"
+            yield source.problem(at, what, "edges are undirected: keep one")
+
+
+def _cure_of_end(end: int | str, topology: Topology) -> str:
+    """Return what to do about an id that is no node: 7 and 007 differ, and are easily taken for one another."""
+    if isinstance(end, str) and end.isdecimal() and topology.has(int(end)):
+        return f"write {int(end)}, the node, or add a node {end!r}"
+    return "add the node or mend the id"
 
 
 def _rows(topology: Topology, source: Source) -> list[int]:
@@ -114,7 +114,7 @@ class _Named:
         own = getattr(self.topology.nodes.get(self.id), key, None) is not None
         inherited = not own and getattr(self.topology.defaults, key) is not None
         path = ("defaults",) if inherited else ("nodes", self.id)
-        return Problem(self.source.line((*path, key, *inside)), f"node {self.id}: {key}", what, cure)
+        return self.source.problem((*path, key, *inside), what, cure, place=f"node {self.id}: {key}")
 
 
 def _nodes(topology: Topology, source: Source) -> Iterator[Problem]:
@@ -144,8 +144,9 @@ def _condition_3(node: _Named, b: float, degree: int) -> Iterator[Problem]:
         room = max(0, math.ceil(1 / (8 * b * b)) - 1)
         load = f"8 b² d = {8 * b * b * degree:.4g} is not below 1 (b = {b:g}, degree {degree})"
         cure = f"give it at most {room} neighbours, or b below {1 / math.sqrt(8 * degree):.4g}"
-        line = node.source.line(("nodes", node.id))
-        yield Problem(line, f"node {node.id}", f"{load}: no a satisfies condition (3)", cure)
+        yield node.source.problem(
+            ("nodes", node.id), f"{load}: no a satisfies condition (3)", cure, place=f"node {node.id}"
+        )
         return
     settings = node.topology.settings(node.id)
     listed = settings.candidates if isinstance(settings.candidates, tuple) else ()
@@ -179,9 +180,8 @@ def _disturbances(topology: Topology, source: Source, folder: FilePath) -> Itera
     ]
     if topology.disturbance is not None:
         for node, _ in own:
-            line = source.line(("nodes", node, "disturbance"))
             what = "stands beside the network's own `disturbance:`, which replaces every node's"
-            yield Problem(line, f"node {node}: disturbance", what, "remove one of the two")
+            yield source.problem(("nodes", node, "disturbance"), what, "remove one of the two")
     places: list[tuple[Path, Any, list[int | str]]] = [(("nodes", node), given, [node]) for node, given in own]
     if topology.defaults.disturbance is not None:
         theirs = dict(own)
@@ -189,47 +189,51 @@ def _disturbances(topology: Topology, source: Source, folder: FilePath) -> Itera
         places.append((("defaults",), topology.defaults.disturbance, inherits))
 
     @cache  # every node may name the same file
-    def table(file: str) -> dict[int | str, list[float]] | str:
+    def table(file: str, header: Header | None) -> dict[int | str, list[float]] | FileRefusedError:
         try:
-            return columns(file, folder, topology.ids)
+            return columns(file, folder, topology.ids, header)
         except ValueError as error:
-            return str(error)
+            return FileRefusedError.of(error)
 
     for path, given, nodes in places:
         for part in given if isinstance(given, tuple) else (given,):
             if isinstance(part, Samples):
                 place = (*path, "disturbance")
-                for what, cure in _samples(part, nodes, topology.steps, table):
-                    yield Problem(source.line(place), place_of(place), what, cure)
+                for what, cure, code in _samples(part, nodes, topology.steps, table):
+                    yield source.problem(place, what, cure, code)
 
 
 def _samples(
-    part: Samples, nodes: list[int | str], steps: int, read: Callable[[str], dict[int | str, list[float]] | str]
-) -> Iterator[tuple[str, str]]:
+    part: Samples,
+    nodes: list[int | str],
+    steps: int,
+    read: Callable[[str, Header | None], dict[int | str, list[float]] | FileRefusedError],
+) -> Iterator[tuple[str, str, Code]]:
     if part.values is not None:
         yield from _long_enough(len(part.values), steps)
     elif part.file is not None:
-        table = read(part.file)
-        if isinstance(table, str):
-            yield table, "one column a node, numbers only"
+        table = read(part.file, part.header)
+        if isinstance(table, FileRefusedError):
+            yield table.what, table.cure, table.code
             return
         if missing := [node for node in nodes if node not in table]:
             yield (
                 f"{part.file} has no column for {', '.join(map(str, missing[:8]))}",
                 "name the columns by node ids in its first row",
+                Code.FILE_FORMAT,
             )
         yield from _long_enough(len(next(iter(table.values()))), steps)
 
 
-def _long_enough(samples: int, steps: int) -> Iterator[tuple[str, str]]:
+def _long_enough(samples: int, steps: int) -> Iterator[tuple[str, str, Code]]:
     if samples < steps:
-        yield f"{samples} samples are too few for {steps} steps", "add samples or lower `steps:`"
+        yield f"{samples} samples are too few for {steps} steps", "add samples or lower `steps:`", Code.TOPOLOGY
 
 
 def _processes(topology: Topology, source: Source) -> Iterator[Problem]:
     if (n := len(topology.ids)) < topology.process_count:
         what = f"{topology.processes} are too many for {n} nodes"
-        yield Problem(source.line(("processes",)), "processes", what, f"give at most {n}")
+        yield source.problem(("processes",), what, f"give at most {n}")
 
 
 def _recorded(topology: Topology, source: Source) -> Iterator[Problem]:
@@ -238,7 +242,7 @@ def _recorded(topology: Topology, source: Source) -> Iterator[Problem]:
         path = ("record", "nodes", k)
         if not topology.has(node):
             cure = f"the nodes are {_listed(topology.ids)}"
-            yield Problem(source.line(path), place_of(path), f"{node!r} is no node", cure)
+            yield source.problem(path, f"{node!r} is no node", cure)
 
 
 def broken_faults(topology: Topology, source: Source | None = None) -> list[Problem]:
@@ -250,7 +254,7 @@ def broken_faults(topology: Topology, source: Source | None = None) -> list[Prob
     if not isinstance(written, Sequence) or len(written) != len(topology.edges):  # some were refused, or all
         struck.certain = False
     return [
-        Problem(source.line(path) if source else 0, place_of(path), what, cure)
+        source.problem(path, what, cure) if source else Problem(0, place_of(path), what, cure)
         for k, fault in enumerate(topology.faults)
         for inside, what, cure in struck.missing(fault)
         for path in [("faults", k, *inside)]

@@ -35,8 +35,9 @@ from hedgerow.topologies.effects import FOREVER
 from hedgerow.topologies.faults import Fault
 from hedgerow.topologies.generators import GraphRule
 from hedgerow.topologies.graph import LARGEST, Graph
+from hedgerow.topologies.header import Header
 from hedgerow.topologies.network import Network, groups_of, padded
-from hedgerow.topologies.table import Table
+from hedgerow.topologies.table import NodesBy, Table
 
 LAWS = ("minimax", "hinf", "nominal")
 
@@ -143,9 +144,14 @@ class Samples(Model):
         None,
         description="a CSV file beside the topology, a column a node: named by a header of node ids, or in their order",
     )
+    header: Header | None = Field(
+        None, description="the first row of `file`: `ids`, or `none` if it holds samples; for files that leave it open"
+    )
 
     @model_validator(mode="after")
     def _one_of_both(self) -> Self:
+        if self.header is not None and self.file is None:
+            raise PydanticCustomError("samples", "`header:` is about a `file:`; remove it, or give the file")
         if (self.values is None) == (self.file is None):
             raise PydanticCustomError("samples", "samples have either `values:` or `file:`; give exactly one of them")
         return self
@@ -335,6 +341,9 @@ class Topology(Model):
     )
     table: str | None = Field(
         None, description="a .npz file beside the topology with edges and more, in place of `edges:`"
+    )
+    table_nodes: NodesBy | None = Field(
+        None, description="how the table names nodes: `positions` or `ids`; for tables that leave it open"
     )
     disturbance: (
         Annotated[WorstCase, BeforeValidator(_bare_kind, json_schema_input_type=WorstCase | Literal["worst_case"])]

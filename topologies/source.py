@@ -1,4 +1,4 @@
-"""YAML text as plain Python values, with the line of every one of them.
+"""YAML text as plain Python values, with the line, the column and the written text of every one of them.
 
 PyYAML parses (libyaml's events, so that depth costs no stack); the values follow the YAML 1.2 core schema,
 where `no` is a name and `1e-05` a number. Files are data from strangers: size, depth and what aliases
@@ -10,11 +10,11 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import yaml
 
-from hedgerow.topologies.errors import Problem, TopologyError
+from hedgerow.topologies.errors import Code, Problem, Problems, TopologyError
 
 MAX_BYTES = 32 * 2**20
 MAX_DEPTH = 32
@@ -23,6 +23,10 @@ MAX_VALUES = 5_000_000
 Path = tuple[Any, ...]
 
 _INT = re.compile(r"[-+]?[0-9]+\Z")
+_WHOLE_POWER = re.compile(r"[-+]?[0-9]{1,18}[eE]\+?(?:[0-9]|1[0-8])\Z")
+"""a whole number with an exponent, such as 1e3"""
+_DEEPER = re.compile(r"nest|depth|recursion", re.IGNORECASE)
+"""in the error of a parser that bounds the depth itself"""
 FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?\Z")
 _WORDS: dict[str, Any] = {
     **dict.fromkeys(("", "~", "null", "Null", "NULL")),
@@ -35,20 +39,60 @@ _WORDS: dict[str, Any] = {
 _MAX_DIGITS = 4000
 
 
+class Mark(NamedTuple):
+    """The place of a value, and its text if that differs from what the value looks like in Python."""
+
+    line: int
+    """from 1; 0 for a value of the command line"""
+    column: int = 0
+    """from 1; 0 if unknown"""
+    text: str | None = None
+    """a plain scalar as the file has it, such as 12e4"""
+    key: str | None = None
+    """likewise, of the key that leads to the value"""
+    key_column: int = 0
+    origin: str = ""
+    """the option of the command line that gave the value, in place of the file"""
+
+
+_NOWHERE = Mark(0)
+
+
 @dataclass
 class Source:
-    """What a YAML text says: its `value`, the line of every path in it, and the mistakes met while reading."""
+    """The `value` of a YAML text, the mark of every path in it, and the mistakes found while it was read."""
 
     name: str
     value: Any = None
-    lines: dict[Path, int] = field(default_factory=dict)
-    problems: list[Problem] = field(default_factory=list)
+    marks: dict[Path, Mark] = field(default_factory=dict)
+    problems: Problems = field(default_factory=Problems)
+    odd: dict[Path, str] = field(default_factory=dict)
+    """whole numbers, values or keys, that are not in their shortest form, such as 007 and 1e3"""
+
+    def mark(self, path: Path) -> Mark:
+        """Return the mark of `path`, or of the nearest thing above it that has one."""
+        while path and path not in self.marks:
+            path = path[:-1]
+        return self.marks.get(path, _NOWHERE)
 
     def line(self, path: Path) -> int:
-        """The line of `path`, or of the nearest thing above it that has one; 0 when nothing has."""
-        while path and path not in self.lines:
-            path = path[:-1]
-        return self.lines.get(path, 0)
+        """Return the line of `path`, or of the nearest thing above it that has one; 0 when nothing has."""
+        return self.mark(path).line
+
+    def written(self, path: Path) -> str | None:
+        """Return the text of the value at `path` if it is a plain scalar that Python shows in another form."""
+        mark = self.marks.get(path)
+        return None if mark is None else mark.text
+
+    def problem(
+        self, path: Path, what: str, cure: str = "", code: Code = Code.TOPOLOGY, place: str | None = None
+    ) -> Problem:
+        """Return a mistake at `path`; `place` names it in words, if `place_of` does not."""
+        mark = self.mark(path)
+        place = place_of(path) if place is None else place
+        # A mistake that is placed above its path is one of the key, not of the value.
+        of_key = mark.key_column and path and place == place_of(path[:-1])
+        return Problem(mark.line, place, what, cure, code, mark.key_column if of_key else mark.column, mark.origin)
 
 
 def read_source(name: str, text: bytes) -> Source:
@@ -66,20 +110,37 @@ def read_source(name: str, text: bytes) -> Source:
         _refuse(source, line, f"not YAML: {error.reason}", "remove the character")
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else 0
-        rest = text.splitlines()[line - 1 : line]
-        tabbed = bool(rest) and b"\t" in rest[0][: len(rest[0]) - len(rest[0].lstrip())]
+        column = error.problem_mark.column + 1 if error.problem_mark else 0
         what = " ".join(part for part in (error.context, error.problem) if part)
-        _refuse(
-            source,
-            line,
-            f"not YAML: {what}",
-            "indent with spaces, not tabs" if tabbed else "see the line above it too",
-        )
+        # A parser with a bound of its own stops a little earlier or later than ours: the mistake is the same one.
+        if _DEEPER.search(error.problem or "") or _DEEPER.search(error.context or ""):
+            _refuse(source, line, *_TOO_DEEP, column)
+        _refuse(source, line, f"not YAML: {what}", _layout(text, line), column)
+    except (RecursionError, yaml.YAMLError) as error:
+        if isinstance(error, RecursionError) or _DEEPER.search(str(error)):
+            _refuse(source, 0, *_TOO_DEEP)
+        _refuse(source, 0, f"not YAML: {error}", "see docs/topology.md for the form of a topology")
     return source
 
 
-def _refuse(source: Source, line: int, what: str, cure: str) -> None:
-    raise TopologyError(source.name, [*source.problems, Problem(line, "", what, cure)]) from None
+_TOO_DEEP = f"nested more than {MAX_DEPTH} deep", "no topology needs that"
+_COLON = re.compile(rb"\s*(?:- )?[{]?\s*\w+:[^\s:/]")
+
+
+def _layout(text: bytes, line: int) -> str:
+    """Return the likely cure for what a parser could not read."""
+    near = text.splitlines()[max(line - 2, 0) : line]
+    if near and b"\t" in near[-1][: len(near[-1]) - len(near[-1].lstrip())]:
+        return "indent with spaces, not tabs"
+    if any(map(_COLON.match, near)):
+        return "write a space after the colon"
+    return "see the line above it too"
+
+
+def _refuse(source: Source, line: int, what: str, cure: str, column: int = 0) -> None:
+    raise TopologyError(
+        source.name, [*source.problems, Problem(line, "", what, cure, Code.FILE_FORMAT, column)]
+    ) from None
 
 
 @dataclass
@@ -92,6 +153,8 @@ class _Open:
     key: Any = None
     has_key: bool = False
     size: int = 1
+    bare: bool = False
+    """True if the key is plain text with a colon in it, as of {kind:drop}"""
 
     @property
     def next_path(self) -> Path:
@@ -114,72 +177,124 @@ class _Builder:
         self.documents = 0
 
     def take(self, event: Any) -> None:
-        line = event.start_mark.line + 1
+        start = event.start_mark
+        line, column = start.line + 1, start.column + 1
         if getattr(event, "tag", None) not in (None, "!"):
-            _refuse(self.source, line, f"tag {event.tag} is not allowed", "write the plain value")
+            _refuse(self.source, line, f"tag {event.tag} is not allowed", _plainly(event.tag), column)
         match event:
             case yaml.DocumentStartEvent():
                 self.documents += 1
                 if self.documents > 1:
-                    _refuse(self.source, line, "a second document starts here", "keep one network a file")
+                    _refuse(self.source, line, "a second document starts here", "keep one network a file", column)
             case yaml.AliasEvent():
                 name = str(event.anchor)
                 if name not in self.anchors:
                     what, cure = f"alias *{name} has no value yet", "define the anchor before it is used"
-                    _refuse(self.source, line, what, cure)
-                self._place(*self.anchors[name], line)
+                    _refuse(self.source, line, what, cure, column)
+                self._place(*self.anchors[name], Mark(line, column))
             case yaml.ScalarEvent():
-                value = _scalar(event.value) if event.implicit[0] else event.value
-                self._place(value, 1, line, event.anchor)
+                text = event.value
+                if not event.implicit[0]:
+                    self._place(text, 1, Mark(line, column), event.anchor)
+                    return
+                value = _scalar(text)
+                # The texts of a large file take memory: keep those that Python would show in another form.
+                differs = not isinstance(value, str) and repr(value) != text
+                self._place(value, 1, Mark(line, column, text if differs else None), event.anchor, plain=True)
             case yaml.MappingStartEvent() | yaml.SequenceStartEvent():
-                self._open({} if isinstance(event, yaml.MappingStartEvent) else [], event.anchor, line)
+                self._open({} if isinstance(event, yaml.MappingStartEvent) else [], event.anchor, Mark(line, column))
             case yaml.MappingEndEvent() | yaml.SequenceEndEvent():
                 done = self.stack.pop()
                 self.total -= done.size - 1  # its members are counted again with it, once
-                self._place(done.items, done.size, line, done.anchor)
+                self._place(done.items, done.size, Mark(line, column), done.anchor)
 
-    def _open(self, items: dict[Any, Any] | list[Any], anchor: str | None, line: int) -> None:
+    def _open(self, items: dict[Any, Any] | list[Any], anchor: str | None, mark: Mark) -> None:
         if len(self.stack) >= MAX_DEPTH:
-            _refuse(self.source, line, f"nested more than {MAX_DEPTH} deep", "no topology needs that")
+            _refuse(self.source, mark.line, *_TOO_DEEP, mark.column)
         if self.stack and self.stack[-1].awaits_key:
-            _refuse(self.source, line, "a collection cannot be a key", "use a name or a whole number")
+            what, cure = "a collection cannot be a key", "use a name or a whole number"
+            _refuse(self.source, mark.line, what, cure, mark.column)
         path: Path = ()
         if self.stack:
             path = self.stack[-1].next_path
-            self.source.lines.setdefault(path, line)
+            known = self.source.marks.setdefault(path, mark)
+            if known.line == mark.line:
+                self.source.marks[path] = known._replace(column=mark.column)
         self.stack.append(_Open(path, items, anchor))
 
-    def _place(self, value: Any, size: int, line: int, anchor: str | None = None) -> None:
+    def _place(self, value: Any, size: int, mark: Mark, anchor: str | None = None, plain: bool = False) -> None:
         """Put a finished value where it belongs: into the collection that is open, as a key of it, or at the top."""
         self.total += size
         if self.total > MAX_VALUES:
             what = f"the file expands to more than {MAX_VALUES:,} values"
-            _refuse(self.source, line, what, "remove aliases that multiply")
+            _refuse(self.source, mark.line, what, "remove aliases that multiply", mark.column)
         if anchor:
             self.anchors[anchor] = (value, size)
         if not self.stack:
             self.source.value = value
+            if not isinstance(value, dict | list):  # a setting of the command line
+                self.source.marks[()] = mark
+                self._note_odd((), value, mark)
             return
         top = self.stack[-1]
         top.size += size
         if isinstance(top.items, list):
-            self.source.lines.setdefault(top.next_path, line)
+            path = top.next_path
+            self.source.marks.setdefault(path, mark)
+            self._note_odd(path, value, mark)
             top.items.append(value)
         elif top.has_key:
+            if top.bare and value is None and mark.text == "":
+                self._split_key(top)
+                return
+            path = top.next_path
+            known = self.source.marks[path]
+            if not isinstance(value, dict | list):
+                column = mark.column if mark.line == known.line and mark.text != "" else known.column
+                self.source.marks[path] = known._replace(text=mark.text, column=column)
+                self._note_odd(path, value, mark)
             top.items[top.key] = value
             top.has_key = False
         else:
-            self._take_key(top, value, line)
+            self._take_key(top, value, mark, plain)
 
-    def _take_key(self, top: _Open, key: Any, line: int) -> None:
+    def _note_odd(self, path: Path, value: Any, mark: Mark) -> None:
+        if mark.text is not None and type(value) is int:
+            self.source.odd[path] = mark.text
+
+    def _take_key(self, top: _Open, key: Any, mark: Mark, plain: bool) -> None:
         if isinstance(key, dict | list) or _is_nan(key):
-            _refuse(self.source, line, f"{key!r} cannot be a key", "use a name or a whole number")
+            what = f"{key!r} cannot be a key"
+            _refuse(self.source, mark.line, what, "use a name or a whole number", mark.column)
         path = (*top.path, key)
         if key in top.items:
-            what = f"{key!r} stands here twice (first on line {self.source.lines[path]})"
-            self.source.problems.append(Problem(line, place_of(top.path), what, "keep one of the two"))
-        self.source.lines[path] = line
+            what = f"{key!r} stands here twice (first on line {self.source.marks[path].line})"
+            place, cure = place_of(top.path), "keep one of the two"
+            self.source.problems.append(Problem(mark.line, place, what, cure, column=mark.column))
+        self.source.marks[path] = Mark(mark.line, mark.column, None, mark.text, mark.column)
+        self._note_odd(path, key, mark)
         top.key, top.has_key = key, True
+        top.bare = plain and isinstance(key, str) and bool(_NO_SPACE.match(key))
+
+    def _split_key(self, top: _Open) -> None:
+        """Report a key without a space after its colon, and read it as if it had one, so that only this is wrong."""
+        key, _, rest = top.key.partition(":")
+        mark = self.source.marks.pop((*top.path, top.key))
+        what, cure = f"`{top.key}` has no space after the colon", f"write `{key}: {rest}`"
+        self.source.problems.append(Problem(mark.line, place_of(top.path), what, cure, column=mark.column))
+        top.items.setdefault(key, _scalar(rest))  # type: ignore[union-attr]
+        self.source.marks.setdefault((*top.path, key), mark)
+        top.has_key = False
+
+
+_NO_SPACE = re.compile(r"[A-Za-z_]\w*:[^:/]")
+
+
+def _plainly(tag: str) -> str:
+    """Return the cure for a tag."""
+    if "numpy" in tag:
+        return "write plain numbers and lists (float(x), array.tolist()), with yaml.safe_dump"
+    return "write the file with yaml.safe_dump, not yaml.dump" if "python" in tag else "write the plain value"
 
 
 def _scalar(text: str) -> Any:
@@ -187,6 +302,9 @@ def _scalar(text: str) -> Any:
         return _WORDS[text]
     if len(text) <= _MAX_DIGITS and _INT.match(text):
         return int(text)
+    if _WHOLE_POWER.match(text):
+        digits, power = re.split("[eE]", text)
+        return int(digits) * 10 ** int(power)
     return float(text) if FLOAT.match(text) else text
 
 

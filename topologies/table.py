@@ -1,11 +1,14 @@
 """Columns of a network in a .npz file: what a resolved file of many nodes leaves to it, or what users bring.
 
-    edges        (E, 2) pairs of positions of nodes, from 0, also where there are `ids`: the only one that must be there
+    edges        (E, 2) pairs of positions of nodes, from 0: the only one that must be there
     ids          (n,) whole numbers or texts; 0 .. n-1 if absent
     a, x0, nominal    (n,)
     candidates   (n, M), NaN behind the end of a shorter list
     w PLACE KIND PARAMETER    of a disturbance, for the nodes at the positions in `w PLACE KIND nodes`, or for all of
                               them if that is absent: (k,), the values of samples (k, T)
+
+Beside whole-number `ids`, a pair such as [1, 2] can also name ids. If both readings are possible, the table is refused.
+`table_nodes: positions` or `table_nodes: ids` in the topology gives the reading, for `w … nodes` too.
 
 What it has holds for every node that `nodes:` does not change; what it lacks is drawn, or taken from `defaults:`.
 """
@@ -16,13 +19,13 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hedgerow.topologies import archive
-from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.errors import Code, FileRefusedError, UserError
 from hedgerow.topologies.graph import LARGEST, Array, Graph, Index
 from hedgerow.topologies.hinf import condition_holds
 from hedgerow.topologies.network import PARAMETERS, Group, Network
@@ -30,6 +33,7 @@ from hedgerow.topologies.samples import beside
 
 NAME = "network.npz"
 """how a run's folder calls it"""
+NodesBy = Literal["positions", "ids"]
 _NUMBERS = ("a", "x0", "nominal")
 _GROUP = re.compile(r"w ([0-9]{1,3}) (\w+) (\w+)")
 
@@ -78,22 +82,24 @@ def write(network: Network, path: Path) -> None:
     archive.write(path, {}, arrays)
 
 
-def read(file: str, folder: Path) -> Table:
-    """The table in a file; ValueError, in words for the user, for what is none."""
+def read(file: str, folder: Path, named_by: NodesBy | None = None) -> Table:
+    """Return the table in a file; raise ValueError for what is none, FileRefusedError for one that has two readings."""
     path = beside(folder, file)
     try:
         _, arrays = archive.read(path)
     except UserError as error:
-        raise ValueError(str(error)) from None
+        raise FileRefusedError(str(error), code=error.code) from None
     try:
-        return _table(arrays)
+        return _table(arrays, named_by)
     except ValueError as error:
-        raise ValueError(f"{file}: {error}") from None
+        refused = FileRefusedError.of(error)
+        raise FileRefusedError(f"{file}: {refused.what}", refused.cure, refused.code) from None
 
 
-def _table(arrays: archive.Arrays) -> Table:
+def _table(arrays: archive.Arrays, named_by: NodesBy | None) -> Table:
     n = _size(arrays)
     ids = _ids(arrays.pop("ids", None), n)
+    _by_position(arrays, ids, named_by)
     edges = _edges(arrays.pop("edges"), n)
     columns = {name: _floats(name, arrays.pop(name), (n,)) if name in arrays else None for name in _NUMBERS}
     candidates = _candidates(arrays.pop("candidates"), n) if "candidates" in arrays else None
@@ -143,6 +149,46 @@ def _ids(found: NDArray[Any] | None, n: int) -> Sequence[int | str]:
     if len(set(ids)) < n:
         raise ValueError("`ids` has one of them twice")
     return tuple(ids)
+
+
+def _by_position(arrays: archive.Arrays, ids: Sequence[int | str], named_by: NodesBy | None) -> None:
+    """Turn node ids in `edges` and `w … nodes` into positions, where `table_nodes: ids` says that they are ids.
+
+    Raises FileRefusedError if nothing says so, and both readings are possible. A complete table is one that a
+    run has written, by positions.
+    """
+    complete = all(name in arrays for name in (*_NUMBERS, "candidates", "parts"))
+    if isinstance(ids, range) or (named_by is None and complete) or named_by == "positions":
+        return
+    from hedgerow.topologies.base import node_id  # noqa: PLC0415
+
+    places = {node: k for k, node in enumerate(ids)}
+    for name, array in arrays.items():
+        if not (name == "edges" or name.endswith(" nodes")) or not array.size:
+            continue
+        whole = array.dtype.kind in "iu"
+        if whole and array.min() >= 0 and array.max() < len(ids) and named_by is None:
+            used = np.unique(array).tolist()
+            if all(node in places for node in used) and any(places[node] != node for node in used):
+                raise FileRefusedError(
+                    f"`{name}` can hold positions of nodes, from 0, or the ids of nodes: all of its numbers are both",
+                    "write `table_nodes: positions` or `table_nodes: ids` in the topology",
+                    Code.FILE_AMBIGUOUS,
+                )
+            continue
+        strange = [node for node in np.unique(array).tolist() if node_id(node) not in places]
+        if strange and named_by == "ids":
+            raise FileRefusedError(
+                f"`{name}` names {strange[0]!r}, which is none of `ids`", "add it to `ids`, or correct it"
+            )
+        if named_by is None and not strange:
+            raise FileRefusedError(
+                f"`{name}` holds the ids of nodes, not their positions from 0",
+                "write `table_nodes: ids` in the topology",
+            )
+        if named_by == "ids":
+            found = np.array([places[node_id(node)] for node in array.ravel().tolist()], dtype=np.int64)
+            arrays[name] = found.reshape(array.shape)
 
 
 def _edges(found: NDArray[Any], n: int) -> Index:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from hedgerow.orchestrator.cli.names import Commands
 from hedgerow.orchestrator.cli.options import AsJson
 
 if TYPE_CHECKING:
@@ -15,12 +16,16 @@ if TYPE_CHECKING:
     from hedgerow.topologies.faults import Fault
 
 faults = typer.Typer(
+    cls=Commands,
     help="Make things go wrong in a running network; steps are counted from the next that it makes.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )
 
-Run = Annotated[str | None, typer.Option("--run", metavar="RUN", help="a running network's name [the youngest]")]
+Run = Annotated[
+    str | None,
+    typer.Option("--run", metavar="RUN", help="a running network's name [the only one, or that of this folder]"),
+]
 Link = Annotated[str, typer.Argument(metavar="I-J", help="two neighbours; I,J where a '-' is part of a name")]
 Node = Annotated[str, typer.Argument(metavar="NODE", help="the id of a node")]
 For = Annotated[int | None, typer.Option("--for", metavar="N", min=1, help="how many steps it holds [until healed]")]
@@ -38,12 +43,12 @@ def register(app: typer.Typer) -> None:
 
 
 def _with(run: str | None, as_json: bool, ask: Callable[[Live], tuple[str, dict[str, Any]]]) -> int:
-    """Ask a network something, and say its answer in a line or as JSON."""
+    """Ask a network something, and print its name and the answer, in a line or as JSON."""
     from hedgerow.orchestrator.launch.live import Live  # noqa: PLC0415
 
     with Live(run) as live:
         text, answer = ask(live)
-        print(json.dumps({"run": live.run, **answer}) if as_json else text)
+        print(json.dumps({"run": live.run, **answer}) if as_json else f"{live.run}: {text}")
     return 0
 
 
@@ -234,7 +239,8 @@ def list_(run: Run = None, as_json: AsJson = False) -> int:
         step, listed = live.status()["step"], sorted(live.faults().items())
         lines = [f"{number:3}  {when(fault, step):7}  {describe(fault)}" for number, fault in listed]
         entries = [{"fault": number, "when": when(fault, step), "entry": fault.written()} for number, fault in listed]
-        return "\n".join(lines) or "no faults", {"step": step, "faults": entries}
+        text = "\n".join([f"{len(lines)} fault{'s' * (len(lines) > 1)}", *lines]) if lines else "no faults"
+        return text, {"step": step, "faults": entries}
 
     return _with(run, as_json, ask)
 
@@ -284,6 +290,6 @@ def rate(
 def _clock(run: str | None, as_json: bool, ask: Callable[[Live], int], said: str) -> int:
     def told(live: Live) -> tuple[str, dict[str, Any]]:
         at = ask(live)
-        return f"{live.run}: {said.format(at)}", {"step": at}
+        return said.format(at), {"step": at}
 
     return _with(run, as_json, told)

@@ -26,6 +26,7 @@ from hedgerow.orchestrator.cli import report as cli_report
 from hedgerow.orchestrator.cli import soak as cli_soak
 from hedgerow.orchestrator.cli import sweep as cli_sweep
 from hedgerow.orchestrator.cli import watch as cli_watch
+from hedgerow.orchestrator.cli.names import Commands
 from hedgerow.orchestrator.cli.options import AsJson, File, Law, RunDir, Seed, Sets, Steps
 from hedgerow.orchestrator.launch.fork_client import Nursery
 from hedgerow.topologies.errors import DeadlineError, HedgerowError, TopologyError, UserError, check_options
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer(
     name="orchestrator",
+    cls=Commands,
     help="Networks of agents that hedge with their neighbours, each its own process, over Zenoh.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
@@ -55,7 +57,9 @@ SplitRecording = Annotated[
     float, typer.Option(metavar="MB", min=0, help="go on in run-001.rrd and so on past so many MB, 0 for never")
 ]
 Plain = Annotated[bool, typer.Option("--plain", help="lines rather than a live table, on a terminal too")]
-RunName = Annotated[str | None, typer.Argument(metavar="[RUN]", help="a running network's name [the youngest]")]
+RunName = Annotated[
+    str | None, typer.Argument(metavar="[RUN]", help="a running network's name [the only one, or that of this folder]")
+]
 Viewer = Annotated[
     str, typer.Option(metavar="native|web|none|URL", help="where to watch live [native, if there is a display]")
 ]
@@ -71,8 +75,7 @@ def run_command(began: float, nursery: Nursery | None) -> None:
         with contextlib.suppress(BrokenPipeError):  # a reader who has left has read enough
             sys.stdout.flush()
     except TopologyError as error:
-        count = len(error.problems)
-        _complain(f"{error}\n{count} mistake{'s' if count > 1 else ''} in {error.source}")
+        _complain(f"{error}\n{error.summary}")
         code = 2
     except UserError as error:
         _complain(f"error: {error}")
@@ -121,10 +124,11 @@ def _importable(topology: Topology) -> Topology:
 
 def read(file: str, sets: list[str] | None, **replace: object) -> Topology:
     from hedgerow.topologies.load import find, load  # noqa: PLC0415
+    from hedgerow.topologies.override import Override  # noqa: PLC0415
     from hedgerow.topologies.resolve import resolve  # noqa: PLC0415
 
-    overrides = [*(f"{key}={json.dumps(value)}" for key, value in replace.items() if value is not None), *(sets or [])]
-    return resolve(load(file, overrides), find(file).parent)
+    options = [Override.of_option(key, value) for key, value in replace.items() if value is not None]
+    return resolve(load(file, [*options, *(sets or [])]), find(file).parent)
 
 
 @app.command()

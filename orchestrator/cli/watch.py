@@ -8,7 +8,9 @@ import typer
 
 from hedgerow.topologies.errors import UserError
 
-Running = Annotated[str | None, typer.Argument(metavar="[RUN]", help="a running network's name [the youngest]")]
+Running = Annotated[
+    str | None, typer.Argument(metavar="[RUN]", help="a running network's name [the only one, or that of this folder]")
+]
 Runs = Annotated[
     list[str] | None,
     typer.Argument(
@@ -36,10 +38,12 @@ def watch(run: Running = None, viewer: Viewer = "auto") -> int:
     try:
         entry = registry.find(run)
     except UserError as error:
-        raise UserError(f"{error}; what `simulate` runs, or is over, `orchestrator open` shows") from None
+        hint = "`orchestrator open` shows runs that are over, and those of `simulate`"
+        raise UserError(f"{error}\n{hint}", code=error.code) from None
     choice = choose_one(viewer, f"`orchestrator status {entry.run}` says how far it is")
     from hedgerow.orchestrator.views.rerun.watch import watch as follow  # noqa: PLC0415
 
+    _say(f"{entry.run}: running in {entry.folder}")
     follow(entry, choice, _say)
     return 0
 

@@ -20,7 +20,7 @@ import zenoh
 from hedgerow.orchestrator.ground.assignment import Layout, process_name, truth_of, views_of
 from hedgerow.orchestrator.launch.control import ask
 from hedgerow.orchestrator.launch.endpoints import Wiring
-from hedgerow.topologies.errors import DeadlineError, HedgerowError, UserError
+from hedgerow.topologies.errors import Code, DeadlineError, HedgerowError, UserError
 from hedgerow.topologies.resolve import to_yaml
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire import keys
@@ -92,10 +92,18 @@ def chosen(
     Raises UserError for a name that is none, and where nobody could reach us.
     """
     names = [process_name(view) for view in views_of(topology, shards)]
-    home = {str(topology.ids[k]): p for p, nodes in enumerate(shards) for k in nodes} | {
-        name: p for p, name in enumerate(names)
-    }
+    nodes = {str(topology.ids[k]): p for p, shard in enumerate(shards) for k in shard}
+    processes = {name: p for p, name in enumerate(names)}
+    home = nodes | processes
     words = [word for part in asked.split(",") if (word := part.strip())]
+    for word in words:
+        as_process = 0 if word in ("all", keys.PLANT) else processes.get(word)
+        if word in nodes and as_process is not None and (word not in processes or as_process != nodes[word]):
+            raise UserError(
+                f"--external {asked}: {word} is a node, and a word for other processes; write {names[nodes[word]]} for"
+                " the process of the node, or rename the node",
+                code=Code.OPTION,
+            )
     unknown = [word for word in words if word not in home and word not in ("all", keys.PLANT)]
     if unknown or not words:
         raise UserError(

@@ -1,6 +1,6 @@
 """A network while it runs: where it is, its clock, and faults that come and go.
 
-    with Live() as network:                                     # the youngest that runs here
+    with Live() as network:                                     # the one that runs here
         print(network.fault.drop((2, 4), steps=range(50)))      # fault 1: drop 2-4 from step 214 to 264
         network.wait_for_step(300)
         network.heal()
@@ -28,7 +28,7 @@ from hedgerow.orchestrator.launch.control import ask
 from hedgerow.orchestrator.runs import registry
 from hedgerow.topologies.base import node_id
 from hedgerow.topologies.describe import describe
-from hedgerow.topologies.errors import DeadlineError, HedgerowError, TopologyError, UserError
+from hedgerow.topologies.errors import Code, DeadlineError, HedgerowError, TopologyError, UserError
 from hedgerow.topologies.faults import Fault, Jump, effects
 from hedgerow.topologies.load import load, parse
 from hedgerow.topologies.rules import broken_faults
@@ -142,12 +142,12 @@ def checked(fault: Fault | Mapping[str, Any], topology: Topology) -> Fault:
         kind = entry.get("kind", "fault")
         try:
             model: Fault = _FAULT.validate_python(entry)
-        except ValidationError:
-            raise UserError("\n".join(_said(kind, _schema_problems(entry)))) from None
+        except ValidationError as error:
+            raise UserError("\n".join(_said(kind, _schema_problems(entry, error))), code=Code.FAULT) from None
     else:
         kind, model = fault.kind, fault
     if problems := broken_faults(topology.model_copy(update={"faults": (model,)})):
-        raise UserError("\n".join(_said(kind, problems)))
+        raise UserError("\n".join(_said(kind, problems)), code=Code.FAULT)
     return model
 
 
@@ -162,13 +162,14 @@ def _plain(value: Any) -> Any:
     return value.item() if hasattr(value, "item") else value
 
 
-def _schema_problems(entry: Any) -> Sequence[Any]:
+def _schema_problems(entry: Any, refused: ValidationError) -> Sequence[Any]:
     least = {"name": "one", "b": 0.1, "steps": 1, "nodes": [0], "faults": [entry]}
     try:
         parse(json.dumps(least, default=str).encode(), "fault", Path())
     except TopologyError as error:
         return error.problems
-    raise AssertionError("a file takes what Python does not")
+    # A file takes some numbers that Python's types rule out, such as 1e16 for a step: report pydantic's own words.
+    return [f"{'.'.join(map(str, found['loc'][1:]))}: {found['msg']}" for found in refused.errors(include_url=False)]
 
 
 def _said(kind: str, problems: Sequence[Any]) -> Iterator[str]:
@@ -189,7 +190,7 @@ def pair(text: str, topology: Topology) -> Pair:
         return meant[0]
     if meant:
         readings = " or ".join(f"{i},{j}" for i, j in meant)
-        raise UserError(f"{text}: may be read as {readings}; write the one that you mean")
+        raise UserError(f"{text}: may be read as {readings}; write the one that you mean", code=Code.OPTION)
     if len(splits) == 1:
         return _known(splits[0][0], text, topology), _known(splits[0][1], text, topology)
     raise UserError(f"{text}: names no two nodes, as 2-4 does; the nodes are {_listed(topology)}")
@@ -203,7 +204,7 @@ def groups(text: str, topology: Topology) -> list[list[NodeId]]:
 def _known(name: NodeId, text: str, topology: Topology) -> NodeId:
     node: NodeId = node_id(name)
     if not topology.has(node):
-        raise UserError(f"{text}: {name} is no node; the nodes are {_listed(topology)}")
+        raise UserError(f"{text}: {name} is no node; the nodes are {_listed(topology)}", code=Code.OPTION)
     return node
 
 
@@ -244,8 +245,9 @@ class Healed:
 class Live:
     """A session with a running network; a context manager.
 
-    run: the name of a network, or its beginning, or what `registry` knows of it; the youngest if left out. Every method
-    raises UserError for what the network refuses, and WireError when its plant does not answer.
+    run: the name of a network, or its beginning, or its entry of `registry`; if left out, the only one that runs, or
+    that of this working directory. Every method raises UserError for what the network refuses, and WireError when its
+    plant does not answer.
     """
 
     def __init__(self, run: str | registry.Entry | None = None) -> None:

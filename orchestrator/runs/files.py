@@ -12,7 +12,7 @@ from typing import Any
 import pyarrow as pa
 from pydantic import BaseModel, ValidationError
 
-from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.load import load
 from hedgerow.topologies.schema import Topology
 
@@ -23,7 +23,18 @@ def find_run(run: str | Path) -> Path:
     try:
         there = sorted(path for path in Path("runs").glob("*") if path.is_dir())
         named = [path for path in there if stamp.fullmatch(path.name)]
-        for path in (Path(run), Path("runs") / run, *named[-1:]):
+        own, listed_run = Path(run), Path("runs") / run
+        both = (
+            isinstance(run, str)
+            and "/" not in run
+            and all((path / "topology.yaml").is_file() for path in (own, listed_run))
+        )
+        if both and not own.samefile(listed_run):
+            raise UserError(
+                f"{run}: can be the run in {own} or the one in {listed_run}; write ./{own} or {listed_run}",
+                code=Code.FILE_AMBIGUOUS,
+            )
+        for path in (own, listed_run, *named[-1:]):
             if path.is_dir():
                 if not (path / "topology.yaml").is_file():
                     raise UserError(f"{path}: is no folder of a run: there is no topology.yaml in it")

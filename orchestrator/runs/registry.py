@@ -13,11 +13,12 @@ import os
 import stat
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.errors import Code, UserError
 from hedgerow.wire.access import OPERATOR
 from hedgerow.wire.session import remove_trace
 
@@ -36,6 +37,8 @@ class Entry:
     """the folder of the operator's, where the run is secure"""
     traces: Sequence[str] = ()
     """files and folders that must not be there after the run"""
+    directory: str = ""
+    """the working directory of the run's command"""
 
 
 def _directory() -> Path:
@@ -82,7 +85,9 @@ def announced(
     """
     path = entry_path(run)
     own = None if credentials is None else str(credentials / OPERATOR)
-    entry = Entry(run, str(folder), os.getpid(), endpoint, namespace, time.time(), own, [*map(str, traces)])
+    entry = Entry(
+        run, str(folder), os.getpid(), endpoint, namespace, time.time(), own, [*map(str, traces)], _working_directory()
+    )
     with path.open("w", encoding="utf-8") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
         file.write(json.dumps(asdict(entry)))
@@ -117,17 +122,60 @@ def _is_locked(descriptor: int) -> bool:
     return False
 
 
+def _working_directory() -> str:
+    try:
+        return os.path.realpath(os.getcwd())
+    except OSError:  # it was removed
+        return ""
+
+
 def find(run: str | None) -> Entry:
-    """The youngest running network of that name, or whose name begins so; the youngest of all for None."""
+    """Return the one running network that `run` names: its name, its folder, or the beginning of its name.
+
+    None names all that run. Of several, the one that was started in this working directory is meant. Raises UserError
+    with NETWORK_MISSING if there is none, and with NETWORK_AMBIGUOUS and the list if several are left.
+    """
     entries = running()
-    matching = [entry for entry in entries if run is None or entry.run == run]
-    matching = matching or [
-        entry for entry in entries if run is not None and run in (entry.folder, Path(entry.folder).name)
-    ]
-    matching = matching or [entry for entry in entries if run is not None and entry.run.startswith(run)]
-    if not matching:
-        names = ", ".join(entry.run for entry in entries) or "none"
+    named = entries if run is None else _named(run, entries)
+    if not named:
+        if not entries or run is None:
+            raise UserError("no network is running; start one with `orchestrator up FILE`", code=Code.NETWORK_MISSING)
         raise UserError(
-            f"{run or 'no network'}: is not running; running now: {names}" if run else "no network is running"
+            f"{run}: is not running; name one of those that run:\n{_listed(entries)}", code=Code.NETWORK_MISSING
         )
-    return matching[-1]
+    here = _working_directory()
+    own = [entry for entry in named if here and entry.directory == here]
+    for found in (named, own):
+        if len(found) == 1:
+            return found[0]
+    which = own or named
+    what = f"{len(which)} networks run" + (" from this folder" if own else "") + (f" as {run}" if run else "")
+    raise UserError(f"{what}; name one of them:\n{_listed(which)}", code=Code.NETWORK_AMBIGUOUS)
+
+
+def _named(run: str, entries: Sequence[Entry]) -> list[Entry]:
+    """Return the networks of a name or folder; if there are none, those whose name begins with it."""
+    # A relative path is a folder of this working directory; a bare word is a name first.
+    path = os.path.realpath(os.path.expanduser(run)) if run else ""
+    for fits in (
+        lambda entry: entry.run == run,
+        lambda entry: run in (entry.folder, Path(entry.folder).name) or path == os.path.realpath(entry.folder),
+        lambda entry: bool(run) and entry.run.startswith(run),
+    ):
+        if found := [entry for entry in entries if fits(entry)]:
+            return found
+    return []
+
+
+_SHOWN = 20
+
+
+def _listed(entries: Sequence[Entry]) -> str:
+    """Return a line for each network: what to write for it, and where it was started."""
+    counts = Counter(entry.run for entry in entries)
+    lines = [
+        f"  {entry.run if counts[entry.run] == 1 else entry.folder}"
+        + (f"  started in {entry.directory}" if entry.directory else f"  {entry.folder}")
+        for entry in entries[:_SHOWN]
+    ]
+    return "\n".join(lines + [f"  and {len(entries) - _SHOWN} more"] * (len(entries) > _SHOWN))

@@ -219,11 +219,11 @@ def test_what_a_process_is_told_goes_through_its_file(
 
 
 def test_ids_of_both_kinds_go_through_a_file(tmp_path: Path) -> None:
-    """A whole number beyond those that read as one is told from the name that is spelled like it."""
-    topology = read("{name: n, b: 0.1, steps: 1, nodes: [dam, 9223372036854775807, '9223372036854775807']}")
+    """Names, integers beyond 64 bits, and a name of digits that no integer is written as."""
+    topology = read("{name: n, b: 0.1, steps: 1, nodes: [dam, 9223372036854775808, '09223372036854775808']}")
     (view,) = views_of(topology, layout(topology, 1))
     view.write(tmp_path / "v.npz")
-    assert View.read(tmp_path / "v.npz").ids.tolist() == ["dam", 9223372036854775807, "9223372036854775807"]
+    assert View.read(tmp_path / "v.npz").ids.tolist() == ["dam", 9223372036854775808, "09223372036854775808"]
 
 
 def test_what_one_says_is_what_the_other_hears() -> None:

@@ -278,7 +278,7 @@ PAIR = np.array([[0, 1]])
         ({"edges": PAIR, "w 0 white stdd": [1, 2]}, "which means nothing"),
         ({"edges": PAIR, "w 0 white nodes": [1]}, "has no `w 0 white std`"),
         ({"edges": PAIR, "w 0 samples values": [[1.0], [2.0]]}, "1 samples are too few for 4 steps"),
-        ({"edges": np.array([{"x": 1}])}, "cannot be read as a .npz file"),
+        ({"edges": np.array([{"x": 1}])}, "`edges` is an array of Python objects"),
     ],
 )
 def test_a_table_that_is_none_is_refused(tmp_path: Path, columns: dict[str, Any], said: str) -> None:

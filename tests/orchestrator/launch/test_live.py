@@ -17,7 +17,7 @@ from hedgerow.orchestrator.cli import main as cli
 from hedgerow.orchestrator.launch.live import Live, checked, groups, pair
 from hedgerow.topologies.describe import describe
 from hedgerow.topologies.effects import FOREVER
-from hedgerow.topologies.errors import DeadlineError, HedgerowError, TopologyError, UserError
+from hedgerow.topologies.errors import Code, DeadlineError, HedgerowError, TopologyError, UserError
 from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import resolve
 from hedgerow.topologies.schema import Topology
@@ -249,18 +249,20 @@ def test_a_command_says_what_it_did_or_why_not(
     running: Orchestrator, here: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     said = say(capsys, "fault", "drop", "2-4", "--for", "50000", "--run", "paper7")
-    step = int(said.split()[-3])
-    assert said == f"fault 1: drop 2-4 from step {step} to {step + 50000}\n"
-    assert say(capsys, "fault", "heal", "1").startswith("fault 1 healed from step ")
-    assert say(capsys, "heal") == "no fault to heal\n"
+    run, step = said.partition(":")[0], int(said.split()[-3])
+    assert run == Path("runs/latest").resolve().name
+    assert said == f"{run}: fault 1: drop 2-4 from step {step} to {step + 50000}\n"
+    assert say(capsys, "fault", "heal", "1").startswith(f"{run}: fault 1 healed from step ")
+    assert say(capsys, "heal") == f"{run}: no fault to heal\n"
     with pytest.raises(UserError, match="there is no fault 7; there are 1"):
         say(capsys, "heal", "7")
     with pytest.raises(UserError, match="drop: link: 2 and 5 are not neighbours; the neighbours of 2 are 1, 3, 4"):
         say(capsys, "fault", "drop", "2-5")
     with pytest.raises(UserError, match=r"jump: a: 0.4 is not among the candidates of node 4; they are 0.3, 0.6"):
         say(capsys, "fault", "jump", "4", "--to", "0.4")
-    with pytest.raises(UserError, match="nobody: is not running; running now: paper7"):
+    with pytest.raises(UserError, match=run) as unknown:
         say(capsys, "fault", "list", "--run", "nobody")
+    assert unknown.value.code == Code.NETWORK_MISSING
     say(capsys, "fault", "cut", "2-4", "--after", "100000")
     say(capsys, "fault", "actuator", "3")
     assert listed(capsys, "when", now := ["over", "to come", "now"]) == now

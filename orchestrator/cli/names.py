@@ -1,0 +1,35 @@
+"""The names of commands, with those that users try for them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import typer.core
+
+_MEANT = {
+    **dict.fromkeys(("run", "start", "launch"), "up"),
+    **dict.fromkeys(("list", "ls", "networks"), "ps"),
+    **dict.fromkeys(("end", "kill", "down", "quit"), "stop"),
+    **dict.fromkeys(("continue", "unpause"), "resume"),
+    **dict.fromkeys(("validate", "lint", "show"), "check"),
+    **dict.fromkeys(("view", "viewer"), "watch"),
+    **dict.fromkeys(("plot", "figures"), "report"),
+    **dict.fromkeys(("sim",), "simulate"),
+    **dict.fromkeys(("speed",), "rate"),
+}
+
+
+class Commands(typer.core.TyperGroup):
+    """A group that knows what a word means that is no command: close spelling alone takes `help` for `heal`."""
+
+    # Some releases of typer bring a click of their own, so that no type of click fits all of them.
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Return the command that the first word names; a wrong word ends with the command that was meant."""
+        word = args[0] if args else ""
+        if self.get_command(ctx, word) is None:
+            if word in ("help", "usage", "version"):
+                ctx.fail(f"No such command '{word}'. Write `{ctx.command_path} --help`, or `… COMMAND --help`.")
+            meant = _MEANT.get(word)
+            if meant is not None and self.get_command(ctx, meant) is not None:
+                ctx.fail(f"No such command '{word}'. Did you mean '{meant}'?")
+        return super().resolve_command(ctx, args)
