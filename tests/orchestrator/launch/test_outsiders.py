@@ -32,6 +32,7 @@ from hedgerow.topologies.resolve import resolve
 from hedgerow.wire import keys
 from hedgerow.wire.codec import Kind, decode_event, kind_of
 from hedgerow.wire.handshake import introduction
+from hedgerow.wire.refusal import refused
 from hedgerow.wire.session import close, open_client, open_router, subscriber
 from hedgerow.wire.stream import Inbox
 from tests.tools.machines import ROOT
@@ -282,6 +283,13 @@ def test_every_pod_is_confined_too() -> None:
         assert not security["allowPrivilegeEscalation"]
         assert container["resources"]["limits"].keys() == {"memory", "cpu"}
         assert {one["name"] for one in container["volumeMounts"]} == {one["name"] for one in pod["volumes"]}
+
+
+def test_a_connection_without_a_handshake_is_no_refused_certificate() -> None:
+    logged = "zenoh_link_tls::unicast: tls handshake eof. Hint: increase the system open file limit."
+    said = refused(f"2026-11-28T02:45:58Z  WARN acc-0 {logged}")
+    assert said is not None
+    assert "certificate" not in said
 
 
 @pytest.mark.slow
