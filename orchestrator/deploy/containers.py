@@ -51,7 +51,7 @@ WAIT_S = 600
 START_S = 120
 """How long a health check may fail before it counts: a container that never takes part is unhealthy after that."""
 AGENT_MEMORY, PLANT_MEMORY, ROUTER_MEMORY, OBSERVER_MEMORY = 1024, 2048, 1024, 4096
-"""Memory limits [MB]; an agent of paper7 uses 50 MB, and its observer 400 MB."""
+"""Memory limits [MB]; an agent of paper7 uses 44 MB (docs/security.md). The rest is room for large networks."""
 CPUS, PIDS = 1, 256
 """Limits of each container; Docker refuses more cores than the machine has."""
 TEMPORARY = "/tmp"
