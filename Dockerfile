@@ -1,5 +1,7 @@
 # Two images from one file: `agent` for agents and the plant, with numpy and Zenoh alone, and `orchestrator` with all.
 #   docker build --target agent -t hedgerow-agent . && docker build --target orchestrator -t hedgerow .
+# The base is pinned by its tag. To pin it by a digest that you have checked:
+#   docker build --build-context python:3.12.11-slim-bookworm=docker-image://python@sha256:DIGEST …
 FROM python:3.12.11-slim-bookworm AS base
 ENV PYTHONUNBUFFERED=1 PYTHONDONTWRITEBYTECODE=1
 RUN useradd --create-home --uid 10001 hedgerow

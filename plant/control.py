@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import json
 import logging
+import re
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -17,9 +18,17 @@ from typing import TYPE_CHECKING, Any
 import zenoh
 
 from hedgerow.plant import request as requests
+from hedgerow.plant.allowance import (
+    BYTES_PER_COMMAND,
+    COMMANDS_AT_ONCE,
+    COMMANDS_PER_S,
+    JOINS_AT_ONCE,
+    JOINS_PER_S,
+    Allowance,
+)
 from hedgerow.plant.request import Request
 from hedgerow.topologies.effects import FOREVER, Effect
-from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.errors import Code, UserError
 from hedgerow.wire import keys
 from hedgerow.wire.handshake import introduction, mismatch
 from hedgerow.wire.session import direct
@@ -33,6 +42,12 @@ FASTEST = 1e9
 """steps per second"""
 CLAIM_S = 10.0
 """How long a place is kept for who asked for it; it asks again before it takes it."""
+OBSERVER = "observer"
+"""the key on which the observer asks to join"""
+MOST_CAUSES = 4
+"""Refusals of one place that the observer is told, each cause once: a stranger chooses the versions in it."""
+_VERSION = re.compile(r"[0-9A-Za-z][0-9A-Za-z.+!_-]{0,63}|")
+"""a release, or a fingerprint of a network: nothing else of a stranger's reaches the screen"""
 
 
 class Control:
@@ -40,6 +55,10 @@ class Control:
 
     def __init__(self, plant: Plant, session: zenoh.Session) -> None:
         self._plant = plant
+        self._allowances: dict[str, Allowance] = {}
+        """by key"""
+        self._refused: dict[str, set[str]] = {}
+        """the causes that the observer was told, by place"""
         commands: dict[str, Callable[[Request], Reply]] = {
             "status": self._status,
             "stop": self._stop,
@@ -66,16 +85,29 @@ class Control:
                 return
             try:
                 payload = query.payload.to_bytes() if query.payload is not None else b"{}"
+                if not self._allowance(name, asked).take(1 + len(payload) // BYTES_PER_COMMAND):
+                    raise _TooOftenError
                 request = requests.read(payload, self._plant.world.graph)
                 with self._plant.changed:
                     reply = command({**request, "who": asked.rpartition("/")[2]} if name == "join" else request)
                     self._plant.changed.notify_all()
+            except _TooOftenError:
+                reply = {"error": f"{name}: asked too often; ask again a second later", "wait": True}
             except UserError as error:
                 reply = {"error": f"{name}: {error}"}
             with contextlib.suppress(zenoh.ZError):  # whoever asked has left, or we are leaving
                 query.reply(asked if name == "join" else key, json.dumps(reply))
 
         return session.declare_queryable(key, direct(answer))
+
+    def _allowance(self, name: str, asked: str) -> Allowance:
+        """Return the allowance of a command, or of one place: a place that is asked for too often delays no other."""
+        if name != "join":
+            return self._allowances.setdefault(name, Allowance(COMMANDS_PER_S, COMMANDS_AT_ONCE))
+        place = asked.rpartition("/")[2]
+        if place != OBSERVER:
+            place = str(requests.shard(place, len(self._plant.shards.all)))
+        return self._allowances.setdefault(f"join/{place}", Allowance(JOINS_PER_S, JOINS_AT_ONCE))
 
     @property
     def _next(self) -> int:
@@ -164,29 +196,53 @@ class Control:
         p = requests.integer(request, "shard", 0, len(plant.shards.all) - 1)
         shard = plant.shards.all[p]
         # A life may end before it was ever seen, but none that comes after that.
-        plant.died(p, requests.integer(request, "life", 0, max(shard.life, shard.died) + 1))
-        return {}
+        life = requests.integer(request, "life", 0, max(shard.life, shard.died) + 1)
+        plant.died(p, life)
+        return {} if shard.seen >= life else {"unreached": True}
 
     def _join(self, request: Request) -> Reply:
-        """A process that nobody here started wants its place: the number of its life, or why it cannot have one."""
-        plant, who = self._plant, requests.text(request, "process")
-        requests.text(request, "hedgerow"), requests.text(request, "network")
-        why = mismatch(plant.network, {**request, "codec": requests.integer(request, "codec", 0, FOREVER)})
+        """Give a process that runs elsewhere its place: return the number of its life, or why it cannot have one.
+
+        Its name is that of the key on which it asks: a secure router lets no other process ask there.
+        """
+        plant, place = self._plant, request["who"]
+        p = None if place == OBSERVER else requests.shard(place, len(plant.shards.all))
+        requests.text(request, "process")  # it must be a name, but nothing that a process calls itself is believed
+        theirs = {key: _version(request, key) for key in ("hedgerow", "network")}
+        why = mismatch(plant.network, {**theirs, "codec": requests.integer(request, "codec", 0, FOREVER)})
         if why is not None:
-            LOG.warning("%s is refused: %s", who, why)
-            plant.tell("refused", who=who, cause=why)
+            self._tell_refused("the observer" if p is None else plant.shards.all[p].name, why)
             return {"error": why, **introduction(plant.network)}
-        if request["who"] == "observer":
+        if p is None:
             return introduction(plant.network)
         if plant.over:
             return {"error": "the run is over", "wait": True}
-        p = requests.shard(request["who"], len(plant.shards.all))
         shard = plant.shards.all[p]
         number, now = requests.integer(request, "number", 0, FOREVER), time.monotonic()
         if shard.alive or (shard.claim not in (-1, number) and now < shard.claimed_until):
             return {"error": f"{shard.name} is there already", "wait": True}
         shard.external, shard.claim, shard.claimed_until = True, number, now + CLAIM_S
         return {"life": shard.life + 1, "plant": plant.number}
+
+    def _tell_refused(self, who: str, cause: str) -> None:
+        """Log a refusal and tell the observer, each cause once: a process that is refused asks again and again."""
+        told = self._refused.setdefault(who, set())
+        if cause not in told and len(told) < MOST_CAUSES:
+            told.add(cause)
+            LOG.warning("%s is refused: %s", who, cause)
+            self._plant.tell("refused", who=who, cause=cause)
+
+
+class _TooOftenError(Exception):
+    """A query above the rate of plant.allowance."""
+
+
+def _version(request: Request, key: str) -> str | None:
+    """Return the release or the fingerprint in a request; UserError for what can be neither."""
+    value = requests.text(request, key)
+    if value is not None and not _VERSION.fullmatch(value):
+        raise UserError(f"{key}: {requests.shortened(value)} is no version", code=Code.MESSAGE)
+    return value
 
 
 def _shifted(effect: Effect, by: int) -> Effect:

@@ -20,6 +20,7 @@ from typing import Any, NoReturn
 import numpy as np
 import zenoh
 
+from hedgerow.plant.allowance import TOKENS_AT_ONCE, TOKENS_PER_S, Allowance
 from hedgerow.plant.clock import RESEND_AFTER_S, Clock
 from hedgerow.plant.control import Control
 from hedgerow.plant.round_trips import Stopwatch
@@ -100,6 +101,9 @@ class Plant:
         self._outbox = Outbox(self._telemetry.put)
         self._send_row = self._outbox.send_soon if telemetry_bytes(n, e) <= LONG_BYTES else self._outbox.send
         self.shards = Shards(truth, self.world, session, self.tell)
+        self._token_allowances = [Allowance(TOKENS_PER_S, TOKENS_AT_ONCE) for _ in self.shards.all]
+        self._late_tokens: dict[int, tuple[int, bool]] = {}
+        """by shard: the newest change of its tokens that came above the rate, and is seen later"""
         nothing = (np.full(len(one.nodes), np.nan).tobytes() for one in self.shards.all)
         self._silence = [
             Input(-1, nan, nan, nan, bytes(one.incidences)) for one, nan in zip(self.shards.all, nothing, strict=True)
@@ -155,7 +159,11 @@ class Plant:
             ready = all(shard.alive for shard in self.shards.all)
             return self.stopping or (ready and not self._left_behind)
 
-        if not self.changed.wait_for(all_alive, self._start_s):
+        by = time.monotonic() + self._start_s
+        while not self.changed.wait_for(all_alive, min(RESEND_AFTER_S, max(0.0, by - time.monotonic()))):
+            self._see_late_tokens()
+            if time.monotonic() < by:
+                continue
             if self._left_behind:
                 who = ", ".join(sorted(self._left_behind)[:8])
                 raise DeadlineError(
@@ -199,6 +207,7 @@ class Plant:
             self.running = False
             return 0.0
         self._outbox.tend()
+        self._see_late_tokens()
         self.shards.call_the_lost()
         if self.shards.deserted:
             return self._look_for_anybody()
@@ -295,9 +304,11 @@ class Plant:
             self.changed.wait_for(
                 lambda: all(shard.word or not shard.ready for shard in self.shards.all), WORD_DEADLINE_S
             )
+            counted = counts([shard.state for shard in self.shards.all], self._ears)
+            counted["said"][keys.TELEMETRY] = self._outbox.said + 1  # with this event
             self.tell(
                 "heard",
-                plant=counts([shard.state for shard in self.shards.all], self._ears[: len(self.shards.all)]),
+                plant=counted,
                 shards=[shard.word for shard in self.shards.all],
             )
             self._outbox.send(encode_end(end))
@@ -357,10 +368,23 @@ class Plant:
             return
         p, life = int(said[1]), int(said[2])
         with self.changed:
-            if life > max(0, self.shards.all[p].life):  # nobody else may have seen the end of a process far away
-                self.died(p, life - 1)
-            self.shards.see(p, life, there)
-            self.changed.notify_all()
+            if p in self._late_tokens or not self._token_allowances[p].take():
+                if life >= self._late_tokens.get(p, (life, there))[0]:
+                    self._late_tokens[p] = life, there
+                return
+            self._see(p, life, there)
+
+    def _see_late_tokens(self) -> None:
+        """Take in the tokens that came above the rate, as far as it allows them now."""
+        for p in [p for p in self._late_tokens if self._token_allowances[p].take()]:
+            self._see(p, *self._late_tokens.pop(p))
+
+    def _see(self, p: int, life: int, there: bool) -> None:
+        """Take in that the token of a life came or went; the lock is held."""
+        if life > max(0, self.shards.all[p].life):  # nobody else may have seen the end of a process far away
+            self.died(p, life - 1)
+        self.shards.see(p, life, there)
+        self.changed.notify_all()
 
     def died(self, p: int, life: int) -> None:
         """The process of a shard is gone, says who started it."""

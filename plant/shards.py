@@ -38,6 +38,8 @@ class Shard:
     """how often it was started again; -1 before it was ever seen"""
     alive: bool = False
     """whether its token is there"""
+    seen: int = -1
+    """the last life whose token came: it had reached the router"""
     died: int = -1
     """the last life that is over"""
     gone: bool = False
@@ -176,6 +178,8 @@ class Shards:
     def see(self, p: int, life: int, there: bool) -> None:
         """The token of a life came or went."""
         shard = self.all[p]
+        if there:
+            shard.seen = max(shard.seen, life)
         if life >= shard.life:
             shard.alive, shard.claimed_until = there, 0.0
             shard.back = shard.back or life > shard.life

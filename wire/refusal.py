@@ -97,6 +97,8 @@ def refused(line: str) -> str | None:
     if found is None:
         return None
     why = found["why"]
+    if "handshake eof" in why:  # a port scan, say: there was no certificate to refuse
+        return "somebody connected and left without a handshake"
     who = "somebody refused our certificate" if "alert" in why else "somebody's certificate was refused"
     return f"{who}: {_words(why)}"
 

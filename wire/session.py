@@ -304,6 +304,11 @@ class Ear:
         self._take = take
         self._declared = session.declare_subscriber(key, direct(self._on_sample))
 
+    def close(self) -> None:
+        """Hear nothing more."""
+        with contextlib.suppress(zenoh.ZError):  # the session may be closed
+            self._declared.undeclare()  # type: ignore[no-untyped-call]
+
     def _on_sample(self, sample: zenoh.Sample) -> None:
         if (key := str(sample.key_expr)) != self.key:
             if not self.strange:

@@ -7,7 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 
-from hedgerow.wire.codec import Buffer, MessageError, decode_batch, encode_batch, join, telemetry_bytes
+from hedgerow.wire.codec import Buffer, Kind, MessageError, decode_batch, encode_batch, join, kind_of, telemetry_bytes
 
 REPEAT_AFTER_S = 2.0
 """What the observer has not taken in for so long is sent again."""
@@ -29,6 +29,8 @@ class Outbox:
 
     def __init__(self, put: Callable[[bytes], None]) -> None:
         self._put = put
+        self.said = 0
+        """how many batches were sent, repetitions included"""
         self._next = 0
         self._sent_at = self._repeated_at = 0.0
         self._waiting: list[tuple[bytes]] = []
@@ -67,6 +69,7 @@ class Outbox:
         self._next += 1
         self._waiting.clear()
         self._sent_at = time.monotonic()
+        self.said += 1
         self._put(whole)
 
     def seen(self, number: int) -> None:
@@ -87,6 +90,7 @@ class Outbox:
     def repeat(self) -> None:
         """Send all again that the receiver has not taken in: from some batch on the wire lost them all."""
         for _, whole in itertools.islice(self._unseen, REPEAT_MOST):
+            self.said += 1
             self._put(whole)
 
 
@@ -98,6 +102,10 @@ class Inbox:
         self.last = -1
         """the number of the last batch taken"""
         self.refused = 0
+        self.arrived = 0
+        """how many batches came, in their order or not"""
+        self.arrived_at_event = 0
+        """the same, up to the last batch that ends with an event"""
 
     def __len__(self) -> int:
         return len(self._messages)
@@ -109,10 +117,13 @@ class Inbox:
         except MessageError:
             self.refused += 1
             return []
+        self.arrived += 1
         if number != self.last + 1:
             return []
         self._messages += messages
         self.last = number
+        if messages and kind_of(messages[-1]) == Kind.EVENT:
+            self.arrived_at_event = self.arrived
         return messages
 
     def drain(self) -> list[bytes]:

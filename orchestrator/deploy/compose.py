@@ -9,14 +9,22 @@ from pathlib import Path
 import yaml
 
 from hedgerow.orchestrator.deploy.containers import (
+    AGENT_MEMORY,
+    CPUS,
     CREDENTIALS,
+    HOMES,
     KEYS,
+    OBSERVER_MEMORY,
     OBSERVERS,
     PAGE_CHECK,
     PAGE_PORT,
+    PIDS,
+    PLANT_MEMORY,
     ROUTER_IMAGE,
+    ROUTER_MEMORY,
     ROUTERS,
-    WAIT_S,
+    START_S,
+    TEMPORARY,
     Containers,
     Files,
 )
@@ -52,14 +60,14 @@ x-agent: &agent
   networks: [wire]
   depends_on: [router, plant]
   restart: on-failure
-  deploy: {{restart_policy: {{condition: on-failure, delay: 1s}}}}
-  stop_grace_period: 5s
+  deploy: {{restart_policy: {{condition: on-failure, delay: 1s}}, {agent_limits}}}
+{confined_agent}  stop_grace_period: 5s
 {user}  healthcheck: &takes-part
     test: {check}
     interval: 10s
     timeout: 10s
     retries: 3
-    start_period: {wait}s
+    start_period: {start}s
 
 networks:
   wire: {{}}
@@ -74,8 +82,8 @@ services:
 {router_keys}    init: true
     networks: [wire]
     restart: unless-stopped
-    deploy: {{restart_policy: {{condition: any}}}}
-    healthcheck:
+    deploy: {{restart_policy: {{condition: any}}, {limits}}}
+{confined}    healthcheck:
       test: {router_check}
       interval: 10s
       timeout: 5s
@@ -101,8 +109,8 @@ PLANT = """\
     networks: [wire]
     depends_on: [router]
     restart: "no"
-    deploy: {{restart_policy: {{condition: none}}}}
-    stop_grace_period: 10s
+    deploy: {{restart_policy: {{condition: none}}, {limits}}}
+{confined}    stop_grace_period: 10s
     healthcheck:
       <<: *takes-part
       test: {check}
@@ -121,17 +129,17 @@ OBSERVER = """\
     init: true
     networks: [wire]
     depends_on: [router]
-    ports: ["{page}:{page}"]
+    ports: ["127.0.0.1:{page}:{page}"]
     volumes: ["runs:/home/hedgerow/runs"]
     restart: "no"
-    deploy: {{restart_policy: {{condition: none}}}}
-    stop_grace_period: 20s
+    deploy: {{restart_policy: {{condition: none}}, {limits}}}
+{confined}    stop_grace_period: 20s
     healthcheck:
       test: {check}
       interval: 10s
       timeout: 10s
       retries: 3
-      start_period: {wait}s
+      start_period: {start}s
 {own_keys}    environment:
       HEDGEROW_TOPOLOGY: |
 {text}
@@ -147,7 +155,11 @@ def _head(one: Containers) -> str:
         image=one.image("hedgerow-agent"),
         command=_words(one.command(agent)),
         check=_test(one.check(agent)),
-        wait=WAIT_S,
+        start=START_S,
+        confined=_confined("    "),
+        confined_agent=_confined("  "),
+        limits=_limits(ROUTER_MEMORY),
+        agent_limits=_limits(AGENT_MEMORY),
         router=ROUTER_IMAGE,
         router_command=_words(one.router_command),
         router_check=_test(one.router_check),
@@ -161,6 +173,8 @@ def _service(one: Containers, config: Config) -> str:
     form = PLANT if config.process == keys.PLANT else AGENT
     return form.format(
         process=config.process,
+        confined=_confined("    "),
+        limits=_limits(PLANT_MEMORY),
         image=one.image("hedgerow-agent"),
         command=_words(one.command(config)),
         check=_test(one.check(config)),
@@ -177,9 +191,28 @@ def _observer(one: Containers) -> str:
         own_keys=_own_keys(one, OBSERVERS, f"    {_user()}"),
         page=PAGE_PORT,
         check=_test(PAGE_CHECK),
-        wait=WAIT_S,
+        start=START_S,
+        confined=_confined("    ", HOMES),
+        limits=_limits(OBSERVER_MEMORY),
         text=_block(to_yaml(one.topology)),
     )
+
+
+def _confined(indent: str, more: Sequence[str] = ()) -> str:
+    """Return the limits of a container: no capabilities, no new privileges, and no file outside its volumes."""
+    lines = (
+        "cap_drop: [ALL]",
+        "security_opt: ['no-new-privileges:true']",
+        "read_only: true",
+        f"pids_limit: {PIDS}",
+        f"tmpfs: {_words([TEMPORARY, *more])}",
+    )
+    return "".join(f"{indent}{line}\n" for line in lines)
+
+
+def _limits(megabytes: int) -> str:
+    """Return the limits of a container, which Compose and Swarm both take from `deploy`."""
+    return f"resources: {{limits: {{memory: {megabytes}M, cpus: '{CPUS}'}}}}"
 
 
 def _user() -> str:

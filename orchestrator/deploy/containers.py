@@ -48,6 +48,15 @@ PAGE_CHECK = (
 )
 WAIT_S = 600
 """How long everybody waits for all others: images may have to be pulled."""
+START_S = 120
+"""How long a health check may fail before it counts: a container that never takes part is unhealthy after that."""
+AGENT_MEMORY, PLANT_MEMORY, ROUTER_MEMORY, OBSERVER_MEMORY = 1024, 2048, 1024, 4096
+"""Memory limits [MB]; an agent of paper7 uses 44 MB (docs/security.md). The rest is room for large networks."""
+CPUS, PIDS = 1, 256
+"""Limits of each container; Docker refuses more cores than the machine has."""
+TEMPORARY = "/tmp"
+HOMES = tuple(f"/home/hedgerow/{name}" for name in (".cache", ".config", ".local"))
+"""Where the viewer keeps its settings; nothing else but volumes can be written to."""
 MOST_SECRET_BYTES = 500_000
 """What one secret may hold, of Docker Swarm; in Kubernetes it is twice as much."""
 

@@ -9,13 +9,20 @@ from typing import Any
 import yaml
 
 from hedgerow.orchestrator.deploy.containers import (
+    AGENT_MEMORY,
+    CPUS,
+    HOMES,
     KEYS,
+    OBSERVER_MEMORY,
     OBSERVERS,
     PAGE_CHECK,
     PAGE_PORT,
+    PLANT_MEMORY,
     ROUTER_IMAGE,
+    ROUTER_MEMORY,
     ROUTER_PORT,
     ROUTERS,
+    TEMPORARY,
     Containers,
     Files,
 )
@@ -69,7 +76,24 @@ HEAD_KUBERNETES = """\
 #   kubectl port-forward -n {name} service/page {page}      the page is at http://localhost:{page}
 #   kubectl delete namespace {name}
 """
-SECURITY = {"allowPrivilegeEscalation": False, "capabilities": {"drop": ["ALL"]}}
+SECURITY = {
+    "allowPrivilegeEscalation": False,
+    "capabilities": {"drop": ["ALL"]},
+    "readOnlyRootFilesystem": True,
+    "seccompProfile": {"type": "RuntimeDefault"},
+}
+
+
+def _resources(megabytes: int) -> dict[str, Any]:
+    limits = {"memory": f"{megabytes}Mi", "cpu": str(CPUS)}
+    return {"requests": {"memory": "64Mi", "cpu": "50m"}, "limits": limits}
+
+
+def _temporary(paths: Sequence[str]) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Return the mounts and volumes of folders that end with the pod."""
+    mounts = [{"name": f"temporary-{k}", "mountPath": path} for k, path in enumerate(paths)]
+    volumes = [{"name": mount["name"], "emptyDir": {"sizeLimit": "256Mi"}} for mount in mounts]
+    return mounts, volumes
 
 
 def _meta(network: str, process: str) -> dict[str, Any]:
@@ -117,11 +141,15 @@ def _router(one: Containers, network: str) -> list[Mapping[str, Any]]:
         "readinessProbe": {"tcpSocket": {"port": ROUTER_PORT}, "periodSeconds": 2},
         "livenessProbe": {"exec": {"command": list(one.router_check)}, "periodSeconds": 10, "timeoutSeconds": 5},
         "securityContext": SECURITY,
+        "resources": _resources(ROUTER_MEMORY),
     }
     spec: dict[str, Any] = {"containers": [container], "automountServiceAccountToken": False}
+    container["volumeMounts"], spec["volumes"] = _temporary([TEMPORARY])
     if own := _mounted(one, ROUTERS):
         container["workingDir"] = f"{KEYS}/{ROUTER}"
-        container["volumeMounts"], spec["volumes"] = _key_volumes(own)
+        mounts, volumes = _key_volumes(own)
+        container["volumeMounts"] += mounts
+        spec["volumes"] += volumes
     pod = {"metadata": {"labels": labels}, "spec": spec}
     return [
         {
@@ -161,6 +189,8 @@ def _job(
     """
     key_mounts, key_volumes = _key_volumes(own)
     observer = process == "orchestrator"
+    mounts, temporary = _temporary([TEMPORARY, *(HOMES if observer else ())])
+    memory = OBSERVER_MEMORY if observer else PLANT_MEMORY if process == keys.PLANT else AGENT_MEMORY
     container: dict[str, Any] = {
         "name": process,
         "image": image,
@@ -170,10 +200,11 @@ def _job(
             "periodSeconds": 10,
             "timeoutSeconds": 10,
         },
-        "volumeMounts": [{"name": "told", "mountPath": "/told", "readOnly": True}, *key_mounts],
+        "volumeMounts": [{"name": "told", "mountPath": "/told", "readOnly": True}, *key_mounts, *mounts],
         "securityContext": SECURITY,
+        "resources": _resources(memory),
     }
-    volumes: list[dict[str, Any]] = [{"name": "told", "configMap": {"name": process}}, *key_volumes]
+    volumes: list[dict[str, Any]] = [{"name": "told", "configMap": {"name": process}}, *key_volumes, *temporary]
     if observer:
         container["ports"] = [{"containerPort": PAGE_PORT}]
         container["volumeMounts"].append({"name": "runs", "mountPath": "/home/hedgerow/runs"})

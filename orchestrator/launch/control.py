@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 from collections.abc import Mapping
 from typing import Any
@@ -22,3 +23,14 @@ def ask(
             answer: dict[str, Any] = json.loads(reply.ok.payload.to_string())
             return answer
     raise WireError(f"the plant did not answer {key} within {timeout_s:g} s")
+
+
+def tell_died(session: zenoh.Session, shard: int, life: int, timeout_s: float) -> bool | None:
+    """Tell the plant that a life of a shard is over.
+
+    Return True if that life had reached the router, False if it had not, and None if the plant is to be told again.
+    """
+    with contextlib.suppress(WireError):
+        answer = ask(session, "died", {"shard": shard, "life": life}, timeout_s)
+        return None if answer.get("wait") else not answer.get("unreached", False)
+    return None

@@ -41,7 +41,14 @@ def cause(dead: Sequence[Dead]) -> str:
 RESTARTS = 5
 """How often an agent that died by itself is started again; then it stays down."""
 BACKOFF_S = 0.1
-"""How long to wait before the first time; twice as long before each next one."""
+"""The wait before the first restart; each next restart of the same kind waits twice as long."""
+MOST_BACKOFF_S = 5.0
+"""The longest wait before a restart."""
+UNREACHED_S = 300.0
+"""The time for which an agent that does not reach the router is restarted; then it stays down.
+
+A router that is busy with 1000 bare connections lets nobody in for 103 s (docs/security.md).
+"""
 
 
 @dataclass
@@ -62,7 +69,15 @@ class _Agent:
     due: float = 0.0
     """not before this time, by time.monotonic()"""
     deaths: int = 0
-    """those that nobody asked for"""
+    """unplanned deaths of lives that had reached the router"""
+    unreached: int = 0
+    """unplanned deaths in a row of lives that had not"""
+    unreached_since: float = 0.0
+    """the first of these, by time.monotonic()"""
+    dead: Dead | None = None
+    """the last unplanned death"""
+    undecided: bool = False
+    """this death is unplanned, and the plant has not answered yet whether that life had reached the router"""
 
 
 class Processes:
@@ -114,7 +129,7 @@ class Processes:
         """End the agent process of a shard, for a crash that the plant has decided; start it again if it comes back."""
         name, agent = self._agent(shard)
         if agent.life == life:
-            agent.killed, agent.again = True, restart
+            agent.killed, agent.again, agent.undecided = True, restart, False
             self._nursery.kill(name)
 
     def revive(self, shard: int) -> None:
@@ -125,10 +140,11 @@ class Processes:
     def _agent(self, shard: int) -> tuple[str, _Agent]:
         return next((name, agent) for name, agent in self._agents.items() if agent.shard == shard)
 
-    def tend(self, tell_died: Callable[[int, int], bool]) -> list[dict[str, Any]]:
+    def tend(self, tell_died: Callable[[int, int], bool | None]) -> list[dict[str, Any]]:
         """See who has died, and start again who is due; returns what happened since the last time, as events.
 
-        `tell_died(shard, life)` lets the plant know, and says whether it does; it is called again until then.
+        `tell_died(shard, life)` tells the plant, and returns True if that life had reached the router, False if it
+        had not, and None if the plant did not answer; then it is called again.
         """
         happened: list[dict[str, Any]] = []
         for name, agent in self._agents.items():
@@ -139,9 +155,13 @@ class Processes:
             if agent.alive and code not in (None, 0, USER_ERROR):
                 agent.alive, agent.told = False, False
                 if not agent.killed:
-                    happened.append({"kind": "died", "process": name, "how": str(self._unasked(name, agent, code))})
-            if not agent.alive and not agent.told:
-                agent.told = tell_died(agent.shard, agent.life)
+                    agent.dead, agent.undecided = Dead(name, code, self._last_error(name)), True
+                    happened.append({"kind": "died", "process": name, "how": str(agent.dead)})
+            if not agent.alive and not agent.told and (reached := tell_died(agent.shard, agent.life)) is not None:
+                agent.told = True
+                if agent.undecided and agent.dead is not None and not self._restarts(agent, reached):
+                    self.down.append(agent.dead)
+                    happened.append({"kind": "down", "process": name, "how": str(agent.dead)})
             if agent.told and agent.again and time.monotonic() >= agent.due:
                 agent.life += 1
                 agent.alive = agent.starting = True
@@ -150,15 +170,31 @@ class Processes:
                 self._start(name, "agents", [*self._connect, "--life", str(agent.life)])
         return happened
 
-    def _unasked(self, name: str, agent: _Agent, code: int) -> Dead:
-        """Decide what follows a death that nobody asked for."""
-        dead = Dead(name, code, self._last_error(name))
-        agent.again = agent.deaths < RESTARTS
-        agent.due = time.monotonic() + BACKOFF_S * 2**agent.deaths
-        agent.deaths += 1
-        if not agent.again:
-            self.down.append(dead)
-        return dead
+    @staticmethod
+    def _restarts(agent: _Agent, reached: bool) -> bool:
+        """Decide after an unplanned death whether another life follows, and when; return True if one does.
+
+        A life that never reached the router uses up no restart: an outsider who keeps the router busy would
+        otherwise end an agent for good.
+        """
+        now, agent.undecided = time.monotonic(), False
+        if reached:
+            agent.again, before = agent.deaths < RESTARTS, agent.deaths
+            agent.deaths, agent.unreached = agent.deaths + 1, 0
+        else:
+            if not agent.unreached:
+                agent.unreached_since = now
+            agent.again, before = now - agent.unreached_since < UNREACHED_S, agent.unreached
+            agent.unreached += 1
+        agent.due = now + min(BACKOFF_S * 2 ** min(before, 16), MOST_BACKOFF_S)
+        return agent.again
+
+    @property
+    def failing(self) -> list[Dead]:
+        """Agents that died more than RESTARTS times, in any way; before the first step they end the run."""
+        return [
+            agent.dead for agent in self._agents.values() if agent.dead and agent.deaths + agent.unreached > RESTARTS
+        ]
 
     @property
     def next_due(self) -> float | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import itertools
 import threading
 import time
@@ -17,7 +18,7 @@ from hedgerow.orchestrator.ground.assignment import Layout, places, process_name
 from hedgerow.orchestrator.ground.signals import Interrupts
 from hedgerow.orchestrator.launch.certificates import host_of
 from hedgerow.orchestrator.launch.comparison import compare
-from hedgerow.orchestrator.launch.control import ask
+from hedgerow.orchestrator.launch.control import ask, tell_died
 from hedgerow.orchestrator.launch.endpoints import Wiring, wire
 from hedgerow.orchestrator.launch.external_agents import External, Meeting, configs
 from hedgerow.orchestrator.launch.fault_changes import with_end, with_fault, with_loss
@@ -25,7 +26,7 @@ from hedgerow.orchestrator.launch.fork_client import Nursery
 from hedgerow.orchestrator.launch.ray_agents import Fleet, OnRay
 from hedgerow.orchestrator.launch.recording import Run, Watching
 from hedgerow.orchestrator.launch.supervisor import Dead, Processes, cause
-from hedgerow.orchestrator.metrics.message_audit import audit
+from hedgerow.orchestrator.metrics.message_audit import audit, observed
 from hedgerow.orchestrator.metrics.verdict import Ending, Verdict
 from hedgerow.orchestrator.runs import registry
 from hedgerow.orchestrator.runs.folder import RunFolder
@@ -49,16 +50,7 @@ from hedgerow.wire.codec import (
 from hedgerow.wire.credentials import Credentials
 from hedgerow.wire.handshake import room
 from hedgerow.wire.runtime import LONG_BYTES, keep_memory
-from hedgerow.wire.session import (
-    CONNECT_TIMEOUT_S,
-    RefusedError,
-    WireError,
-    close,
-    has_router,
-    open_client,
-    publisher,
-    subscriber,
-)
+from hedgerow.wire.session import CONNECT_TIMEOUT_S, Ear, RefusedError, Voice, WireError, close, has_router, open_client
 from hedgerow.wire.stream import Inbox, rows_ahead
 
 TICK_S = 0.2
@@ -121,6 +113,8 @@ class Network:
         self._first_at: float | None = None
         self._repeated = False
         """the plant has said again what we have"""
+        self._word: Callable[[], dict[str, Any] | None] = lambda: None
+        """what we said and heard, by key"""
         self._views = views_of(topology, shards)
         self._wiring = self._wire()
         self._meeting: Meeting | None = None
@@ -277,15 +271,9 @@ class Network:
         on_first_step: Callable[[float], None],
     ) -> None:
         """Take telemetry in, batch by batch, until the plant's END or until there is nobody to wait for."""
-
-        def tell_died(shard: int, life: int) -> bool:
-            with contextlib.suppress(WireError):
-                ask(session, "died", {"shard": shard, "life": life}, timeout_s=TICK_S)
-                return True
-            return False
-
-        with subscriber(session, keys.TELEMETRY, self._put):
-            seen = publisher(session, keys.SEEN)
+        ear, seen = Ear(session, keys.TELEMETRY, self._put), Voice(session, keys.SEEN)
+        self._word = functools.partial(observed, seen, ear, self._inbox)
+        with contextlib.closing(ear):
             while run.observer.end is None:
                 self._wake.wait(self._tick_s(processes))
                 self._wake.clear()
@@ -307,10 +295,12 @@ class Network:
                     seen.put(encode_seen(self._inbox.last))
                 elif nobody_left:
                     return
-                for happened in processes.tend(tell_died):
+                for happened in processes.tend(functools.partial(tell_died, session, timeout_s=TICK_S)):
                     self._folder.event(**happened)
+                    if happened["kind"] == "down":
+                        self._screen.say(f"{happened['process']} stays down: {happened['how']}")
                 # Without one of ours the first step never comes, whoever else does.
-                missed = processes.down if self._ending.first_step_s is None else []
+                missed = processes.failing if self._ending.first_step_s is None else []
                 if interrupts.count or processes.dead() or missed:
                     self._ask_to_stop(session, interrupts.name or (cause(missed) if missed else ""))
 
@@ -367,7 +357,7 @@ class Network:
             self._folder.event(event["event"], **details)
         match event["event"]:
             case "heard":
-                self._ending.audit = audit(places(self._views), event)
+                self._ending.audit = audit(places(self._views), event, self._word())
             case "kill":
                 processes.kill(event["shard"], event["life"], event["restart"])
             case "revive":

@@ -1,4 +1,4 @@
-"""Who heard what: every message between plant and agents, counted where it is said and where it is heard.
+"""Who heard what: every message of a run, counted where it is said and where it is heard.
 
 A message that its rightful sender did not say was said by somebody else, over however open a router it came.
 """
@@ -7,10 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hedgerow.wire import keys
-from hedgerow.wire.access import Place
+from hedgerow.wire.access import OBSERVER, Place
+
+if TYPE_CHECKING:
+    from hedgerow.wire.session import Ear, Voice
+    from hedgerow.wire.stream import Inbox
 
 CLAIM = "every message that a process took in was said to it, by the one process that may speak on its key"
 
@@ -46,6 +50,10 @@ def channels(places: Sequence[Place]) -> list[Channel]:
     return found
 
 
+OBSERVED = (Channel(keys.TELEMETRY, keys.PLANT, OBSERVER), Channel(keys.SEEN, OBSERVER, keys.PLANT))
+"""The two keys between plant and observer."""
+
+
 @dataclass(frozen=True)
 class Audit:
     """What became of the information structure in a run."""
@@ -55,6 +63,8 @@ class Audit:
     """by process: messages that came on keys of nobody"""
     silent: Sequence[str]
     """processes that did not say at the end what they had said and heard"""
+    observer: Sequence[Channel] = OBSERVED
+    """the keys between plant and observer"""
 
     @property
     def wrong(self) -> list[str]:
@@ -64,38 +74,51 @@ class Audit:
             for name, some in self.strange.items()
             for key, number in some.items()
         ]
-        return [why for channel in self.channels if (why := channel.wrong)] + strange
+        return [why for channel in (*self.channels, *self.observer) if (why := channel.wrong)] + strange
 
     def to_dict(self) -> dict[str, Any]:
         """As verdict.json holds it."""
         listed = [asdict(channel) for channel in self.channels]
-        return {"channels": listed, "strange": self.strange, "silent": self.silent}
+        observer = [asdict(channel) for channel in self.observer]
+        return {"channels": listed, "observer": observer, "strange": self.strange, "silent": self.silent}
 
 
-def audit(places: Sequence[Place], event: Mapping[str, Any]) -> Audit:
-    """What the processes counted, as the plant's event `heard` tells it.
+def audit(places: Sequence[Place], event: Mapping[str, Any], observed: Mapping[str, Any] | None = None) -> Audit:
+    """What the processes counted, as the plant's event `heard` tells it, and what the observer counted itself.
 
     Who did not say a last word has died or hangs, and what it said before is not known; a process in its second life
     knows only what it said and heard in that.
     """
     words = {keys.PLANT: event["plant"]}
     lives = {keys.PLANT: 0}
+    if observed is not None:
+        words[OBSERVER], lives[OBSERVER] = observed, 0
     for place, word in zip(places, event["shards"], strict=True):
         if word is not None and _is_word(word):
             words[place.name], lives[place.name] = word, word["life"]
-    counted = [
-        Channel(
-            one.key,
-            one.speaker,
-            one.listener,
-            words[one.speaker]["said"].get(one.key) if lives.get(one.speaker) == 0 else None,
-            words[one.listener]["heard"].get(one.key) if one.listener in words else None,
-            words[one.listener]["refused"].get(one.key, 0) if one.listener in words else None,
-        )
-        for one in channels(places)
-    ]
+    counted, observer = ([_counted(one, words, lives) for one in some] for some in (channels(places), OBSERVED))
     strange = {name: word["strange"] for name, word in words.items() if word["strange"]}
-    return Audit(counted, strange, [place.name for place in places if place.name not in words])
+    return Audit(counted, strange, [place.name for place in places if place.name not in words], observer)
+
+
+def observed(seen: Voice, ear: Ear, inbox: Inbox) -> dict[str, Any]:
+    """What the observer said and heard until the plant told its own counts, as an agent's last word holds it."""
+    refused = {ear.key: inbox.refused} if inbox.refused else {}
+    heard = {ear.key: inbox.arrived_at_event}
+    return {"said": {seen.key: seen.said}, "heard": heard, "refused": refused, "strange": ear.strange}
+
+
+def _counted(one: Channel, words: Mapping[str, Any], lives: Mapping[str, int]) -> Channel:
+    """Return a channel with the counts of both ends."""
+    heard = words.get(one.listener)
+    return Channel(
+        one.key,
+        one.speaker,
+        one.listener,
+        words[one.speaker]["said"].get(one.key) if lives.get(one.speaker) == 0 else None,
+        None if heard is None else heard["heard"].get(one.key),
+        None if heard is None else heard["refused"].get(one.key, 0),
+    )
 
 
 def _is_word(word: Mapping[str, Any]) -> bool:

@@ -171,7 +171,7 @@ def test_another_release_and_another_network_are_refused_at_both_ends(here: Path
         assert done.returncode == 2
         assert "hedgerow 0.0.1 there, " in done.stderr
         assert "install the same release on both machines" in done.stderr
-        network.wait_for("agent-3 is refused: hedgerow 0.0.1 there, ")
+        network.wait_for("agent 3 is refused: hedgerow 0.0.1 there, ")
         network.send(signal.SIGINT)
         network.wait()
 

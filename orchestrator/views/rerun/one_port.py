@@ -15,6 +15,8 @@ from urllib.parse import quote, urlsplit
 HOST = "127.0.0.1"
 HEAD_BYTES = 2**16
 CHUNK_BYTES = 2**16
+HEAD_S = 10.0
+"""How long a browser may take to send the head of a request: a slow one would hold a connection for ever."""
 
 
 def rewritten(head: bytes) -> bytes:
@@ -52,8 +54,8 @@ async def _pump(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> N
 
 
 async def _answer(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, data: int, page: int) -> None:
-    with contextlib.suppress(OSError, asyncio.IncompleteReadError, asyncio.LimitOverrunError):
-        head = await reader.readuntil(b"\r\n\r\n")
+    with contextlib.suppress(OSError, asyncio.IncompleteReadError, asyncio.LimitOverrunError):  # TimeoutError is one
+        head = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), HEAD_S)
         asked = target(head)
         elsewhere = redirect(head, asked)
         if elsewhere is not None:

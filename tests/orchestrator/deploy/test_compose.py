@@ -108,7 +108,7 @@ def test_images_are_pulled_from_where_they_were_pushed(here: Path, form: str) ->
 
 
 def test_one_port_is_published_and_every_service_says_how_it_is(services: dict[str, Any]) -> None:
-    assert [port for service in services.values() for port in service.get("ports", [])] == ["9090:9090"]
+    assert [port for service in services.values() for port in service.get("ports", [])] == ["127.0.0.1:9090:9090"]
     for name, service in services.items():
         assert service["healthcheck"]["test"][0] == "CMD", name
         assert "sleep" not in json.dumps(service), name
