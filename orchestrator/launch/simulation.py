@@ -45,10 +45,12 @@ def simulate(network: str | Path, *settings: str, run_dir: str | Path | None = N
     return load_run(folder.path)
 
 
-def simulate_into(topology: Topology, folder: RunFolder, shards: Layout, watching: Watching, screen: Screen) -> Verdict:
+def simulate_into(
+    topology: Topology, folder: RunFolder, shards: Layout, watching: Watching, screen: Screen, replayed: bool = True
+) -> Verdict:
     """Run a resolved topology in this process; Ctrl-C ends it cleanly with the verdict unknown."""
     ending = Ending(run=folder.name, engine="in-process", processes=0)
-    run = Run(topology, folder, watching, ending)
+    run = Run(topology, folder, watching, ending, replayed=replayed)
     folder.event("start", engine=ending.engine)
     run.tell_faults()
     began = time.monotonic()
@@ -95,5 +97,6 @@ def equals_reference(topology: Topology, folder: RunFolder) -> bool:
     """Whether a finished run's tables equal those of the in-process reference, bit for bit."""
     with tempfile.TemporaryDirectory(prefix="hedgerow-") as scratch:
         reference = create(topology, Path(scratch) / "reference")
-        simulate_into(topology, reference, [range(len(topology.ids))], Watching(record=False), Quiet())
+        shards = [range(len(topology.ids))]
+        simulate_into(topology, reference, shards, Watching(record=False), Quiet(), replayed=False)
         return same_tables(folder.path, reference.path)

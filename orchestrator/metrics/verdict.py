@@ -9,6 +9,8 @@ from typing import Any
 from hedgerow.orchestrator.metrics.checks import Worst
 from hedgerow.orchestrator.metrics.message_audit import CLAIM, Audit
 from hedgerow.orchestrator.metrics.observer import Observer
+from hedgerow.orchestrator.metrics.replay import CLAIMS as REPLAYED
+from hedgerow.orchestrator.metrics.replay import Replay
 from hedgerow.orchestrator.runs.folder import versions
 from hedgerow.orchestrator.views.event_texts import gain_said
 from hedgerow.topologies.describe import describe
@@ -48,6 +50,10 @@ class Ending:
     """telemetry equal to the in-process reference, bit for bit; None where not asked"""
     restarts: int = 0
     """processes that were started again"""
+    replay: Replay | None = None
+    """the run replayed by the file and the law; None where that was not done"""
+    not_replayed: str = ""
+    """why there is no replay, where there should be one"""
     audit: Audit | None = None
     """who heard what; None where nobody counted"""
     round_trips: dict[str, dict[str, float | int | None]] | None = None
@@ -90,6 +96,8 @@ class Verdict:
                 gain_said(gain, less, m["gamma_star"], c["checks"]["oracle_certificate"]["steps"] == c["steps_done"]),
                 f"{m['nodes_right']} of {c['nodes']} estimates right",
             ]
+        if "law" in c["checks"] and (replayed := c["checks"]["law"]["nodes"]) < c["nodes"]:
+            numbers.append(f"{replayed} of {c['nodes']} nodes replayed")
         why = f" ({'; '.join(c['reasons'])})" if c["reasons"] else ""
         return f"{self.verdict}{why}: {', '.join(numbers)}"
 
@@ -104,6 +112,8 @@ def judge(topology: Topology, observer: Observer, ending: Ending) -> Verdict:
         name: worst for name, worst in observer.checks.items() if topology.law in LAWS or name not in _OF_THE_LAW
     }
     checks = {name: _check(name, worst) for name, worst in claimed.items()}
+    if ending.replay is not None:
+        checks |= {name: _replayed(name, ending.replay) for name in REPLAYED}
     if ending.audit is not None:
         checks["information"] = {"ok": not ending.audit.wrong, "claim": CLAIM, "why": ending.audit.wrong}
     if ending.reference_equal is not None:
@@ -113,7 +123,7 @@ def judge(topology: Topology, observer: Observer, ending: Ending) -> Verdict:
         }
     failed = [
         f"{name} fails"
-        + (f" at step {check['step']}" if "step" in check else "")
+        + (f" at step {check['step']}" if check.get("step") is not None else "")
         + (f": {'; '.join(check['why'][:8])}" if check.get("why") else "")
         for name, check in checks.items()
         if not check["ok"]
@@ -123,6 +133,7 @@ def judge(topology: Topology, observer: Observer, ending: Ending) -> Verdict:
         doubts.append(ending.stopped)
     if observer.lost:
         doubts.append(f"{len(observer.lost)} steps of telemetry lost, the first {observer.lost[0]}")
+    doubts += _doubts_of(ending, observer)
     doubts += [f"stayed down: {one}" for one in ending.down]
     if observer.end is None and not doubts:
         doubts.append("the final state never came")
@@ -189,6 +200,32 @@ def _faults(topology: Topology, observer: Observer) -> list[dict[str, Any]]:
             zip(topology.faults, observer.accounts, observer.schedule.beyond(done), strict=True), 1
         )
     ]
+
+
+def _replayed(name: str, replay: Replay) -> dict[str, Any]:
+    """A check of the replay: it ends at the first difference, of whichever check that is."""
+    finding = replay.finding if replay.finding is not None and replay.finding.check == name else None
+    return {
+        "ok": finding is None,
+        "claim": REPLAYED[name],
+        "steps": replay.steps,
+        "nodes": replay.nodes,
+        "step": finding.step if finding is not None else None,
+        "node": finding.node if finding is not None else None,
+        "why": finding.why if finding is not None else [],
+    }
+
+
+def _doubts_of(ending: Ending, observer: Observer) -> list[str]:
+    """Why not all steps were replayed; where telemetry is lost, that is said already."""
+    replay = ending.replay
+    if ending.not_replayed:
+        return [f"not replayed: {ending.not_replayed}"]
+    if replay is None or observer.lost or replay.finding is not None:
+        return []
+    if replay.doubt:
+        return [replay.doubt]
+    return [f"replayed up to step {replay.steps} only"] if replay.steps < observer.next_step else []
 
 
 def _check(name: str, worst: Worst) -> dict[str, Any]:
