@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from hedgerow.orchestrator.metrics.checks import Worst
+from hedgerow.orchestrator.metrics.deaths import CLAIM as DEATHS
+from hedgerow.orchestrator.metrics.deaths import Survivor
 from hedgerow.orchestrator.metrics.message_audit import CLAIM, Audit
 from hedgerow.orchestrator.metrics.observer import Observer
 from hedgerow.orchestrator.metrics.replay import CLAIMS as REPLAYED
@@ -54,6 +56,8 @@ class Ending:
     """the run replayed by the file and the law; None where that was not done"""
     not_replayed: str = ""
     """why there is no replay, where there should be one"""
+    survivors: list[Survivor] | None = None
+    """processes that a crash fault should have ended; None where nothing is a process"""
     audit: Audit | None = None
     """who heard what; None where nobody counted"""
     round_trips: dict[str, dict[str, float | int | None]] | None = None
@@ -114,6 +118,8 @@ def judge(topology: Topology, observer: Observer, ending: Ending) -> Verdict:
     checks = {name: _check(name, worst) for name, worst in claimed.items()}
     if ending.replay is not None:
         checks |= {name: _replayed(name, ending.replay) for name in REPLAYED}
+    if ending.survivors is not None:
+        checks["deaths"] = _deaths(ending.survivors)
     if ending.audit is not None:
         checks["information"] = {"ok": not ending.audit.wrong, "claim": CLAIM, "why": ending.audit.wrong}
     if ending.reference_equal is not None:
@@ -213,6 +219,18 @@ def _replayed(name: str, replay: Replay) -> dict[str, Any]:
         "step": finding.step if finding is not None else None,
         "node": finding.node if finding is not None else None,
         "why": finding.why if finding is not None else [],
+    }
+
+
+def _deaths(survivors: list[Survivor]) -> dict[str, Any]:
+    """The check that crash faults end processes."""
+    first = min(survivors, key=lambda one: one.step) if survivors else None
+    return {
+        "ok": first is None,
+        "claim": DEATHS,
+        "step": first.step if first is not None else None,
+        "node": first.node if first is not None else None,
+        "why": [str(one) for one in survivors],
     }
 
 
