@@ -24,7 +24,7 @@ from hedgerow.topologies.effects import Effect
 from hedgerow.topologies.faults import effects
 from hedgerow.topologies.graph import Array, Graph, Index, Mask, all_finite
 from hedgerow.topologies.schema import Topology
-from hedgerow.wire.codec import REPORT_ROWS, Flag, State, Telemetry, gather
+from hedgerow.wire.codec import REPORT_ROWS, Flag, Flags, State, Telemetry, gather
 
 AUDITED = 20_000
 """how many nodes are replayed at most; of a larger network a subset that the seed draws"""
@@ -44,8 +44,8 @@ class Finding(NamedTuple):
 
     check: str
     step: int
-    node: int | str
-    """the id of the first node that differs"""
+    node: int | str | None
+    """the id of the first node that differs; None where it is the whole row"""
     why: list[str]
     """by difference: where it is, the recorded value and the replayed one"""
 
@@ -118,7 +118,7 @@ class Replay:
             self.doubt = f"replayed up to step {t} only: its row is lost"
             return
         if row.t < t:
-            self._find(PLAN, row.t, [(0, f"the row of step {row.t} came again after that of step {t - 1}")])
+            self.finding = Finding(PLAN, row.t, None, [f"the row of step {row.t} came after that of step {t - 1}"])
             return
         try:
             expected = self._expected(row)
@@ -167,14 +167,16 @@ class Replay:
         ):
             return
         own = part.own
-        self._find_flags(LAW, t - 1, "the edge carried flow", "its node took in", *took, Flag.OPEN)
-        self._find_flags(LAW, t - 1, "the row came in time", "its node took in", *took, Flag.HEAR)
-        missing = np.isnan(row.u) != np.isnan(expected.u)
-        for k in np.flatnonzero(missing & own).tolist():
-            said = "sent no input, and no fault says so" if np.isnan(row.u[k]) else "sent an input, and was not there"
-            self._find(PLAN, t, [(k, said)], part.nodes)
+        missing = np.isnan(row.u)
+        other = (missing != np.isnan(expected.u)) & own
+        said = ["has an input that a fault takes away", "has no input, and no fault takes it away"]
+        found = [(k, said[int(missing[k])]) for k in np.flatnonzero(other).tolist()]
+        self._find(PLAN, t, found, part.nodes)
+        # What a node took in of t - 1 comes before what it did at t.
+        self._find_flags(LAW, t - 1, ("counted for flow", "counted for none"), *took, Flag.OPEN)
+        self._find_flags(LAW, t - 1, ("was taken in", "was not taken in"), *took, Flag.HEAR)
         self._find_edges(t, *plan)
-        self._find_flags(PLAN, t, "the row crosses", "the plant says", row.link_up, expected.link_up, 1)
+        self._find_flags(PLAN, t, ("crosses in its step", "does not"), row.link_up, expected.link_up, 1)
         for name, seen, right in (
             ("ahat", row.report[0], expected.report[0]),
             ("margin", row.report[1], expected.report[1]),
@@ -192,16 +194,16 @@ class Replay:
         ]
         self._find(check, t, found, nodes)
 
-    def _find_flags(self, check: str, t: int, what: str, who: str, seen: Any, right: Any, bit: int) -> None:
-        """Of incidences: whether a bit of each is set as it should be."""
-        graph, ids = self._part.graph, self._topology.ids
-        nodes = self._part.nodes
+    def _find_flags(self, check: str, t: int, said: tuple[str, str], seen: Flags, right: Flags, bit: int) -> None:
+        """Find the incidences with another bit; `said` words a bit that is set and one that is not."""
+        part, ids = self._part, self._topology.ids
         found = []
         for c in np.flatnonzero((seen ^ right) & bit).tolist():
-            sender = ids[int(nodes[graph.neighbour[c]])]
-            said = "yes" if seen[c] & bit else "no"
-            found.append((int(graph.node[c]), f"{what} from {sender}: {who}: {said}, by the faults: {_not(said)}"))
-        self._find(check, t, found, nodes)
+            words = said if seen[c] & bit else said[::-1]
+            sender = ids[int(part.nodes[part.graph.neighbour[c]])]
+            text = f"the row from node {sender} {words[0]}; by the faults, it {words[1]}"
+            found.append((int(part.graph.node[c]), text))
+        self._find(check, t, found, part.nodes)
 
     def _find_edges(self, t: int, seen: Any, right: Any) -> None:
         part, ids = self._part, self._topology.ids
@@ -321,10 +323,6 @@ class _Some(Faults):
 
 def _bytes(values: Any) -> bytes:
     return values.tobytes()  # type: ignore[no-any-return]
-
-
-def _not(said: str) -> str:
-    return "no" if said == "yes" else "yes"
 
 
 def _open(bit: Any) -> str:

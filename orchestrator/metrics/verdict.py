@@ -115,7 +115,7 @@ def judge(topology: Topology, observer: Observer, ending: Ending) -> Verdict:
     claimed = {
         name: worst for name, worst in observer.checks.items() if topology.law in LAWS or name not in _OF_THE_LAW
     }
-    checks = {name: _check(name, worst) for name, worst in claimed.items()}
+    checks = {name: _check(name, worst, topology) for name, worst in claimed.items()}
     if ending.replay is not None:
         checks |= {name: _replayed(name, ending.replay) for name in REPLAYED}
     if ending.survivors is not None:
@@ -246,13 +246,16 @@ def _doubts_of(ending: Ending, observer: Observer) -> list[str]:
     return [f"replayed up to step {replay.steps} only"] if replay.steps < observer.next_step else []
 
 
-def _check(name: str, worst: Worst) -> dict[str, Any]:
+def _check(name: str, worst: Worst, topology: Topology) -> dict[str, Any]:
+    node = topology.ids[worst.node] if worst.node >= 0 else None
+    named = {} if node is None else {"node": node, "why": [f"node {node}: {worst.why}"]}
     return {
         "ok": bool(worst.excess <= 0),
         "claim": CLAIMS[name],
         "steps": worst.steps,
         "step": worst.step,
         "excess": _finite(worst.excess),
+        **named,
     }
 
 
