@@ -121,12 +121,11 @@ class Replay:
             self.finding = Finding(PLAN, row.t, None, [f"the row of step {row.t} came after that of step {t - 1}"])
             return
         try:
-            expected = self._expected(row)
-        except Exception as error:  # the law is anybody's code
+            self._compare(row, self._expected(row))
+        except Exception as error:  # the law is its user's code
             self.doubt = f"replayed up to step {t} only: {type(error).__name__}: {error}"
-            return
-        self._compare(row, expected)
-        self.steps += self.finding is None
+        else:
+            self.steps += self.finding is None
 
     def _expected(self, row: Telemetry) -> Telemetry:
         """What telemetry should hold of the replayed nodes, by the recorded x and all that was replayed before."""

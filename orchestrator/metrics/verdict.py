@@ -130,7 +130,7 @@ def judge(topology: Topology, observer: Observer, ending: Ending) -> Verdict:
     failed = [
         f"{name} fails"
         + (f" at step {check['step']}" if check.get("step") is not None else "")
-        + (f": {'; '.join(check['why'][:8])}" if check.get("why") else "")
+        + (f": {_first_of(check)}" if check.get("why") else "")
         for name, check in checks.items()
         if not check["ok"]
     ]
@@ -206,6 +206,14 @@ def _faults(topology: Topology, observer: Observer) -> list[dict[str, Any]]:
             zip(topology.faults, observer.accounts, observer.schedule.beyond(done), strict=True), 1
         )
     ]
+
+
+def _first_of(check: dict[str, Any]) -> str:
+    """Why a check fails, for the line on screen: the first node where it names one; verdict.json has the others."""
+    why = check["why"]
+    if "node" not in check:
+        return "; ".join(why[:8])
+    return why[0] + (f" (and {len(why) - 1} more)" if len(why) > 1 else "")
 
 
 def _replayed(name: str, replay: Replay) -> dict[str, Any]:
