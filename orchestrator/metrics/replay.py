@@ -153,18 +153,22 @@ class Replay:
 
     def _compare(self, row: Telemetry, expected: Telemetry) -> None:
         part, t = self._part, row.t
-        if t == 0 and _bytes(row.x) != _bytes(self._x0):
+        if t == 0 and row.x.tobytes() != self._x0.tobytes():
             self._find_numbers(PLAN, t, "x(0)", row.x, self._x0)
         w = self._disturbance.at(t)
-        if _bytes(row.w) != _bytes(w):
+        if row.w.tobytes() != w.tobytes():
             self._find_numbers(PLAN, t, "w", row.w, w)
         if not part.whole:
             row = part.of_row(row)
-        took, plan, given = (row.took, expected.took), (row.edge_open, expected.edge_open), (row.u, expected.u)
-        if all(_bytes(one) == _bytes(other) for one, other in (took, plan, given, (row.report, expected.report))) and (
-            _bytes(row.link_up) == _bytes(expected.link_up)
+        if (
+            row.u.tobytes() == expected.u.tobytes()
+            and row.report.tobytes() == expected.report.tobytes()
+            and row.took.tobytes() == expected.took.tobytes()
+            and row.link_up.tobytes() == expected.link_up.tobytes()
+            and row.edge_open.tobytes() == expected.edge_open.tobytes()
         ):
             return
+        took = row.took, expected.took
         own = part.own
         missing = np.isnan(row.u)
         other = (missing != np.isnan(expected.u)) & own
@@ -174,7 +178,7 @@ class Replay:
         # What a node took in of t - 1 comes before what it did at t.
         self._find_flags(LAW, t - 1, ("counted for flow", "counted for none"), *took, Flag.OPEN)
         self._find_flags(LAW, t - 1, ("was taken in", "was not taken in"), *took, Flag.HEAR)
-        self._find_edges(t, *plan)
+        self._find_edges(t, row.edge_open, expected.edge_open)
         self._find_flags(PLAN, t, ("crosses in its step", "does not"), row.link_up, expected.link_up, 1)
         for name, seen, right in (
             ("ahat", row.report[0], expected.report[0]),
@@ -318,10 +322,6 @@ class _Some(Faults):
     def jumps(self, t: int) -> list[tuple[int, float]]:
         """None: a part does not move by itself."""
         return []
-
-
-def _bytes(values: Any) -> bytes:
-    return values.tobytes()  # type: ignore[no-any-return]
 
 
 def _open(bit: Any) -> str:
