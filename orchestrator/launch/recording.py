@@ -54,7 +54,7 @@ class Run:
         processes: Sequence[str] = (),
         replayed: bool = True,
     ) -> None:
-        """`processes` are those that answer states, in the order of their shards; `replayed`: check them by a replay."""
+        """`processes` are those that answer states, in the order of their shards. `replayed` adds a replay's checks."""
         self._processes = processes
         self._round_trips: RoundTrips | None = None
         """where something crosses a wire, from the first step on"""

@@ -34,8 +34,8 @@ PLAN, LAW = "plan", "law"
 CLAIMS = {
     PLAN: "x(0), every w, and what is open, crosses a link or is missing at each step are those of the file and of the"
     " recorded faults, to the bit",
-    LAW: "every u, ahat, margin and sample taken in is what the law's own class gives on the recorded x and u and on the"
-    " links by the faults, to the bit",
+    LAW: "every u, ahat, margin and sample taken in is what the law's own class gives on the recorded x and u and on"
+    " the links by the faults, to the bit",
 }
 
 
@@ -264,7 +264,7 @@ class _Part:
             return
         chosen: Mask = np.zeros(n, dtype=np.bool_)
         chosen[np.random.default_rng(seed).choice(n, audited, replace=False)] = True
-        self._edges: Mask = chosen[graph.edges].any(axis=1)
+        self._edges: Mask = np.asarray(chosen[graph.edges].any(axis=1))
         edges = graph.edges[self._edges]
         near = chosen.copy()
         near[edges] = True
@@ -319,7 +319,7 @@ class _Some(Faults):
         absent = self._whole.absent(t)
         return None if absent is None else absent[self._kept["blind"]]
 
-    def jumps(self, t: int) -> list[tuple[int, float]]:
+    def jumps(self, t: int) -> list[tuple[int, float]]:  # noqa: ARG002
         """None: a part does not move by itself."""
         return []
 

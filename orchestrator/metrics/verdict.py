@@ -210,7 +210,7 @@ def _faults(topology: Topology, observer: Observer) -> list[dict[str, Any]]:
 
 def _first_of(check: dict[str, Any]) -> str:
     """Why a check fails, for the line on screen: the first node where it names one; verdict.json has the others."""
-    why = check["why"]
+    why: list[str] = check["why"]
     if "node" not in check:
         return "; ".join(why[:8])
     return why[0] + (f" (and {len(why) - 1} more)" if len(why) > 1 else "")

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 
@@ -98,13 +99,8 @@ class Tampering:
         def shard(view: View) -> Shard:
             return (changed if view.ids[0] == NODE else Shard)(view)
 
-        keep = in_process.World, in_process.Shard
-        in_process.World, in_process.Shard = self.world or World, shard  # type: ignore[misc, assignment]
-        try:
-            with np.errstate(all="ignore"):
-                return gathered(in_process.run(truth_of(topology, shards), views))
-        finally:
-            in_process.World, in_process.Shard = keep  # type: ignore[misc]
+        with mock.patch.multiple(in_process, World=self.world or World, Shard=shard), np.errstate(all="ignore"):
+            return gathered(in_process.run(truth_of(topology, shards), views))
 
     def verdict(self) -> Verdict:
         """What is said of such a run."""
@@ -264,7 +260,7 @@ class KeepsMemory(Shard):
 
     def __init__(self, view: View) -> None:
         super().__init__(view)
-        self._samples._forget = lambda nodes: None  # type: ignore[method-assign]
+        self._samples._forget = lambda nodes: None  # type: ignore[method-assign]  # noqa: ARG005
 
 
 class ActsBlind(Shard):
@@ -361,7 +357,7 @@ class _Changed(World):
     def other(self, effect: Effect) -> Effect:
         return effect
 
-    def disturb(self, truth: Truth) -> None: ...
+    def disturb(self, truth: Truth, /) -> None: ...
 
     def at_w(self, change: Callable[[Array, int], Array]) -> None:
         at = self._disturbance.at
@@ -378,21 +374,21 @@ class StartOff(_Changed):
 class LargerW(_Changed):
     """Scales w by 1 + 1e-6."""
 
-    def disturb(self, truth: Truth) -> None:
+    def disturb(self, _: Truth, /) -> None:
         self.at_w(lambda w, _: w * (1 + 1e-6))
 
 
 class OtherSeed(_Changed):
     """Draws w by another seed."""
 
-    def disturb(self, truth: Truth) -> None:
+    def disturb(self, truth: Truth, /) -> None:
         self._disturbance = Disturbance(truth.disturbance, len(truth.ids), truth.seed + 1)
 
 
 class LateW(_Changed):
     """Applies w one step late."""
 
-    def disturb(self, truth: Truth) -> None:
+    def disturb(self, _: Truth, /) -> None:
         at = self._disturbance.at
         self._disturbance.at = lambda t: at(max(0, t - 1))  # type: ignore[method-assign]
 
@@ -605,8 +601,8 @@ def _all() -> Iterable[Tampering]:
         EdgeToldOpen, ShortHistory,
     ):  # fmt: skip
         yield Tampering(_said(world), "plant", world=world)
-    for shard in (MessageLost, MessageChanged, MessageTwice, MessagesLate):
-        yield Tampering(_said(shard), "wire", shard=shard)
+    for mail in (MessageLost, MessageChanged, MessageTwice, MessagesLate):
+        yield Tampering(_said(mail), "wire", shard=mail)
     for rows in (twice, swapped, lost, no_end, other_state, other_input, other_end):
         yield Tampering(_said(rows), "wire", rows=rows)
 
@@ -623,7 +619,7 @@ def told(tampering: Tampering) -> list[str]:
     content = tampering.verdict().content
     failed = {name: check for name, check in content["checks"].items() if not check["ok"]}
     named = [(name, check) for name, check in failed.items() if check.get("node") is not None]
-    name, check = next(iter(named or failed.items()), ("", {}))
+    name, check = next(iter(named or failed.items()), ("", dict[str, Any]()))
     first = content["reasons"][0] if content["reasons"] and not failed else ""
     step, node = check.get("step"), check.get("node")
     equal = content["verdict"] == "valid" and tampering.run().same_bits(

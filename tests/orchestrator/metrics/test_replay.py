@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ from tests.tools.schedules import schedules, with_faults
 def faulty(draw: st.DrawFn) -> Topology:
     """Any network under any faults, with a history that is too short for some of them, or none."""
     topology = draw(networks())
-    more = draw(st.sampled_from([{}, {"history": 3}, {"backfill": False}]))
+    more: dict[str, Any] = draw(st.sampled_from([{}, {"history": 3}, {"backfill": False}]))
     return with_faults(topology, draw(schedules(topology)), **more)
 
 
