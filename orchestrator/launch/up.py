@@ -25,7 +25,7 @@ from hedgerow.orchestrator.launch.ray_agents import Fleet, OnRay
 from hedgerow.orchestrator.launch.recording import Run, Watching
 from hedgerow.orchestrator.launch.simulation import equals_reference
 from hedgerow.orchestrator.launch.supervisor import Dead, Processes, cause
-from hedgerow.orchestrator.metrics.deaths import Survivor, survivors
+from hedgerow.orchestrator.metrics.deaths import survivors
 from hedgerow.orchestrator.metrics.message_audit import audit
 from hedgerow.orchestrator.metrics.verdict import Ending, Verdict
 from hedgerow.orchestrator.runs import registry
@@ -119,8 +119,6 @@ class Network:
         self._wake_rows = min(WAKE_ROWS, rows_ahead(len(topology.ids), len(topology.edges)) // 2)
         self._wake = threading.Event()
         """something should be looked at before the next tick"""
-        self._losses: set[int] = set()
-        """numbers, from 0, of the faults that record a lost agent"""
         self._first_at: float | None = None
         self._repeated = False
         """the plant has said again what we have"""
@@ -178,7 +176,8 @@ class Network:
                         dead = processes.dead()
                         self._ending.restarts = processes.restarts
                         self._ending.down = [str(one) for one in processes.down]
-                        self._ending.survivors = self._survivors(run, processes)
+                        known = (run.topology, self._shards, processes.deaths, self._ending.losses)
+                        self._ending.survivors = survivors(*known, run.observer.next_step)
                         if self._fleet is not None:
                             self._ending.restarts += self._fleet.restarts
                             self._ending.down += self._fleet.down
@@ -197,10 +196,6 @@ class Network:
             if run.viewer is not None:
                 self._serve(run.viewer, interrupts)
         return verdict
-
-    def _survivors(self, run: Run, processes: Processes) -> list[Survivor]:
-        """The processes that a crash fault should have ended, and did not."""
-        return survivors(run.topology, self._shards, processes.deaths, self._losses, run.observer.next_step)
 
     def _serve(self, viewer: Viewer, interrupts: Interrupts) -> None:
         """Keep a web page up until Ctrl-C, where somebody can press that."""
@@ -382,7 +377,7 @@ class Network:
                 processes.revive(event["shard"])
             case "lost":
                 nodes = [topology.ids[k] for k in self._shards[event["shard"]]]
-                self._losses.add(event["fault"])
+                self._ending.losses.add(event["fault"])
                 run.change(with_loss(topology, event["shard"], nodes, step))
                 self._say(run, f"step {step}: going on without {event['who']}: {event['cause']}", "WARN", step)
             case "refused":

@@ -58,6 +58,8 @@ class Ending:
     """why there is no replay, where there should be one"""
     survivors: list[Survivor] | None = None
     """processes that a crash fault should have ended; None where nothing is a process"""
+    losses: set[int] = field(default_factory=set)
+    """numbers, from 0, of the faults that record a lost agent"""
     audit: Audit | None = None
     """who heard what; None where nobody counted"""
     round_trips: dict[str, dict[str, float | int | None]] | None = None

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hedgerow.orchestrator.launch.simulation import simulate as recorded
 from hedgerow.orchestrator.metrics.replay import Replay
 from hedgerow.topologies.effects import FOREVER
 from hedgerow.topologies.faults import effects
@@ -17,6 +20,8 @@ from hedgerow.topologies.schema import Topology
 from hedgerow.wire.codec import Telemetry
 from tests.tools.networks import Trajectory, networks, partitions, read, simulate
 from tests.tools.schedules import schedules, with_faults
+
+FAULTS = [{"kind": "crash", "node": 3, "at": 6, "restart_after": 4}, {"kind": "drop", "link": [2, 4], "steps": [3, 20]}]
 
 
 @st.composite
@@ -100,6 +105,18 @@ def test_a_crash_without_an_end_that_ends_while_it_runs() -> None:
         live.take(ran.rows[first:stop])
         live.change(then)
     assert_agrees(live, ran)
+
+
+def test_the_tables_of_a_run_are_replayed(here: Path) -> None:
+    """A recorded run agrees with its replay; one changed number is found."""
+    run = recorded("paper7", f"faults={json.dumps(FAULTS)}")
+    assert run.first_difference() is None
+    u = run.u.copy()
+    u[11, 4] *= 2
+    run.__dict__["u"] = u
+    finding = run.first_difference()
+    assert finding is not None
+    assert (finding.check, finding.step, finding.node) == ("law", 11, 5)
 
 
 @pytest.mark.parametrize("lost", [0, 5])
