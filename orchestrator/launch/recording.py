@@ -112,6 +112,8 @@ class Run:
             self.ending.replay = Replay(topology)
         except HedgerowError as error:  # a law that can be loaded where the agents are, and not here
             self.ending.not_replayed = str(error)
+        except Exception as error:  # no room for a replay, say: that ends no run
+            self.ending.not_replayed = f"{type(error).__name__}: {error}"
 
     def _take_replayed(self, rows: Sequence[Telemetry]) -> None:
         if self.ending.replay is not None:

@@ -126,3 +126,15 @@ def test_nothing_is_claimed_from_a_lost_row_on(lost: int) -> None:
     replayed = replay(topology, [row for row in ran.rows if row.t != lost])
     assert replayed.finding is None
     assert (replayed.steps, bool(replayed.doubt)) == (lost, True)
+
+
+def test_a_run_without_its_replay_is_unknown(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The replay cannot be had: nothing is claimed, and nothing is blamed."""
+
+    def no_room(*_: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(Replay, "change", no_room)
+    run = recorded("paper7")
+    assert (run.verdict["verdict"], run.verdict["exit_code"]) == ("unknown", 3)
+    assert "law" not in run.verdict["checks"]
