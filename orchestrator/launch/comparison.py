@@ -43,7 +43,8 @@ def compare(run: Run) -> Comparison:
 
 
 def _beside(topology: Topology, folder: RunFolder, reference: RunFolder) -> Comparison:
-    verdict = simulate_into(topology, reference, [range(len(topology.ids))], Watching(record=False), Quiet())
+    shards = [range(len(topology.ids))]
+    verdict = simulate_into(topology, reference, shards, Watching(record=False), Quiet(), replayed=False)
     if verdict.content["steps_done"] < topology.steps or not reference.verdict.is_file():
         reasons = "; ".join(verdict.content["reasons"]) or "the reference could not be written"
         return Comparison(None, cause=reasons)

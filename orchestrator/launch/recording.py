@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from hedgerow.orchestrator.ground.background import Aside
 from hedgerow.orchestrator.metrics.observer import Batch, Observer, rows_at_once
+from hedgerow.orchestrator.metrics.replay import Replay
 from hedgerow.orchestrator.metrics.verdict import Ending, Verdict, judge
 from hedgerow.orchestrator.runs.folder import RunFolder, write_json
 from hedgerow.orchestrator.views.rerun.viewer import Viewer, start
@@ -51,8 +52,9 @@ class Run:
         watching: Watching,
         ending: Ending,
         processes: Sequence[str] = (),
+        replayed: bool = True,
     ) -> None:
-        """`processes` are those that answer states, in the order of their shards."""
+        """`processes` are those that answer states, in the order of their shards. `replayed` adds a replay's checks."""
         self._processes = processes
         self._round_trips: RoundTrips | None = None
         """where something crosses a wire, from the first step on"""
@@ -62,6 +64,9 @@ class Run:
         self._watching = watching
         self._aside: Aside | None = None
         """who feeds the stream: Rerun takes a second to load, and nobody waits for it"""
+        self._replaying: Aside | None = None
+        """the thread of the replay: a step of it takes as long as one of an agent, and the loop is not to wait"""
+        self._replayed = replayed
         self._stream: RerunStream | None = None
         self._notes: list[tuple[str, str, int]] = []
         """what was noted before there was a stream"""
@@ -89,6 +94,7 @@ class Run:
             from hedgerow.orchestrator.runs.round_trips import RoundTrips  # noqa: PLC0415
 
             self._round_trips = RoundTrips(self._processes, self.folder.path)
+        self._replay(rows, batch.size)
         self._recorder.write(batch)
         if not self._watched:
             self._watched = True
@@ -96,6 +102,31 @@ class Run:
         at = time.time()
         self._show(lambda stream: stream.log(batch, at), batch.size)
         return batch
+
+    def _replay(self, rows: Sequence[Telemetry], size: int) -> None:
+        if not self._replayed:
+            return
+        if self._replaying is None:
+            self._replaying = Aside("replay")
+            first = self.topology  # by the faults at the first step, whatever comes before the thread begins
+            self._replaying.do(lambda: self._begin_replay(first))
+        self._replaying.do(lambda: self._take_replayed(rows), size)
+
+    def _begin_replay(self, topology: Topology) -> None:
+        try:
+            self.ending.replay = Replay(topology)
+        except HedgerowError as error:  # a law that can be loaded where the agents are, and not here
+            self.ending.not_replayed = str(error)
+        except Exception as error:  # no room for a replay, say: that ends no run
+            self.ending.not_replayed = f"{type(error).__name__}: {error}"
+
+    def _take_replayed(self, rows: Sequence[Telemetry]) -> None:
+        if self.ending.replay is not None:
+            self.ending.replay.take(rows)
+
+    def _change_replayed(self, topology: Topology) -> None:
+        if self.ending.replay is not None:
+            self.ending.replay.change(topology)
 
     def take_trips(self, trips: Trips) -> None:
         """Record how long the processes took to answer, at some steps that were taken in; OSError as `take`."""
@@ -118,6 +149,8 @@ class Run:
         """
         self.topology = topology
         self.observer.change(topology)
+        if self._replaying is not None:
+            self._replaying.do(lambda: self._change_replayed(topology))
         part = self.folder.topology.with_name("topology.yaml.part")
         try:
             part.write_text(to_yaml(topology), encoding="utf-8")
@@ -182,6 +215,8 @@ class Run:
     def close(self) -> Verdict:
         """Close the tables and the recording, judge the run and write the verdict."""
         try:
+            if self._replaying is not None:
+                self._replaying.close()
             if self._aside is not None:
                 self._aside.close()
             if self._stream is not None and not self._stream.close(CLOSE_DEADLINE_S):

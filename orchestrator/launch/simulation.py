@@ -44,10 +44,12 @@ def simulate(network: str | Path, *settings: str, run_dir: str | Path | None = N
     return load_run(folder.path)
 
 
-def simulate_into(topology: Topology, folder: RunFolder, shards: Layout, watching: Watching, screen: Screen) -> Verdict:
+def simulate_into(
+    topology: Topology, folder: RunFolder, shards: Layout, watching: Watching, screen: Screen, replayed: bool = True
+) -> Verdict:
     """Run a resolved topology in this process; Ctrl-C ends it cleanly with the verdict unknown."""
     ending = Ending(run=folder.name, engine="in-process", processes=0)
-    run = Run(topology, folder, watching, ending)
+    run = Run(topology, folder, watching, ending, replayed=replayed)
     folder.event("start", engine=ending.engine)
     run.tell_faults()
     began = time.monotonic()

@@ -89,6 +89,8 @@ class Processes:
         self._connect = ["--connect", wiring.endpoint]
         self._names: list[str] = []
         self._agents: dict[str, _Agent] = {}
+        self.deaths: dict[int, int] = {}
+        """by shard: how often its process has ended, other than in good order"""
         self.restarts = 0
         self.down: list[Dead] = []
         """agents that stay down"""
@@ -97,6 +99,7 @@ class Processes:
         """Launch one shard with its local view and nothing else."""
         name = process_name(view)
         self._agents[name] = _Agent(view.shard)
+        self.deaths[view.shard] = 0
         view.write(self._folder.processes / f"{name}.npz")
         self._start(name, "agents", self._connect)
         self._names.append(name)
@@ -154,6 +157,7 @@ class Processes:
             code = self._nursery.codes.get(name)
             if agent.alive and code not in (None, 0, USER_ERROR):
                 agent.alive, agent.told = False, False
+                self.deaths[agent.shard] += 1
                 if not agent.killed:
                     agent.dead, agent.undecided = Dead(name, code, self._last_error(name)), True
                     happened.append({"kind": "died", "process": name, "how": str(agent.dead)})

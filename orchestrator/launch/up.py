@@ -26,6 +26,7 @@ from hedgerow.orchestrator.launch.fork_client import Nursery
 from hedgerow.orchestrator.launch.ray_agents import Fleet, OnRay
 from hedgerow.orchestrator.launch.recording import Run, Watching
 from hedgerow.orchestrator.launch.supervisor import Dead, Processes, cause
+from hedgerow.orchestrator.metrics.deaths import survivors
 from hedgerow.orchestrator.metrics.message_audit import audit, observed
 from hedgerow.orchestrator.metrics.verdict import Ending, Verdict
 from hedgerow.orchestrator.runs import registry
@@ -169,6 +170,8 @@ class Network:
                         dead = processes.dead()
                         self._ending.restarts = processes.restarts
                         self._ending.down = [str(one) for one in processes.down]
+                        known = (run.topology, self._shards, processes.deaths, self._ending.losses)
+                        self._ending.survivors = survivors(*known, run.observer.next_step)
                         if self._fleet is not None:
                             self._ending.restarts += self._fleet.restarts
                             self._ending.down += self._fleet.down
@@ -364,6 +367,7 @@ class Network:
                 processes.revive(event["shard"])
             case "lost":
                 nodes = [topology.ids[k] for k in self._shards[event["shard"]]]
+                self._ending.losses.add(event["fault"])
                 run.change(with_loss(topology, event["shard"], nodes, step))
                 self._say(run, f"step {step}: going on without {event['who']}: {event['cause']}", "WARN", step)
             case "refused":

@@ -22,6 +22,10 @@ class Worst:
     excess: float = -np.inf
     step: int = -1
     steps: int = 0
+    node: int = -1
+    """the first node that breaks an exact claim at that step, -1 where no node is named"""
+    why: str = ""
+    """what is wrong with it"""
 
     def see(self, excess: Array, steps: Index) -> None:
         """Take in the excess at each of `steps`; NaN counts as a violation."""
@@ -78,5 +82,12 @@ class Motion:
         follows = t == due.t + 1
         if not follows.all():
             due, x = due.rows(follows), x[follows]
-        self.dynamics.see_exact((due.x == x).all(axis=1), due.t)
+        equal = due.x == x
+        self.dynamics.see_exact(equal.all(axis=1), due.t)
+        if self.dynamics.excess > 0 and self.dynamics.node < 0:
+            k = int(np.searchsorted(due.t, self.dynamics.step))
+            self.dynamics.node = node = int(equal[k].argmin())
+            self.dynamics.why = (
+                f"x({due.t[k] + 1}) is {float(x[k, node])!r}, and equation (1) gives {float(due.x[k, node])!r}"
+            )
         self.contraction.see(np.abs(x).sum(axis=1) / (due.bound + TINY) - 1 - ROUNDING, due.t)

@@ -7,8 +7,12 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from hedgerow.orchestrator.metrics.checks import Worst
+from hedgerow.orchestrator.metrics.deaths import CLAIM as DEATHS
+from hedgerow.orchestrator.metrics.deaths import Survivor
 from hedgerow.orchestrator.metrics.message_audit import CLAIM, Audit
 from hedgerow.orchestrator.metrics.observer import Observer
+from hedgerow.orchestrator.metrics.replay import CLAIMS as REPLAYED
+from hedgerow.orchestrator.metrics.replay import Replay
 from hedgerow.orchestrator.runs.folder import versions
 from hedgerow.orchestrator.views.event_texts import gain_said
 from hedgerow.topologies.describe import describe
@@ -60,6 +64,14 @@ class Ending:
     """the comparison with the in-process reference; None where not asked"""
     restarts: int = 0
     """processes that were started again"""
+    replay: Replay | None = None
+    """the run replayed by the file and the law; None where that was not done"""
+    not_replayed: str = ""
+    """why there is no replay, where there should be one"""
+    survivors: list[Survivor] | None = None
+    """processes that a crash fault should have ended; None where nothing is a process"""
+    losses: set[int] = field(default_factory=set)
+    """numbers, from 0, of the faults that record a lost agent"""
     audit: Audit | None = None
     """who heard what; None where nobody counted"""
     round_trips: dict[str, dict[str, float | int | None]] | None = None
@@ -102,6 +114,8 @@ class Verdict:
                 gain_said(gain, less, m["gamma_star"], c["checks"]["oracle_certificate"]["steps"] == c["steps_done"]),
                 f"{m['nodes_right']} of {c['nodes']} estimates right",
             ]
+        if "law" in c["checks"] and (replayed := c["checks"]["law"]["nodes"]) < c["nodes"]:
+            numbers.append(f"{replayed} of {c['nodes']} nodes replayed")
         why = f" ({'; '.join(c['reasons'])})" if c["reasons"] else ""
         return f"{self.verdict}{why}: {', '.join(numbers)}"
 
@@ -115,7 +129,11 @@ def judge(topology: Topology, observer: Observer, ending: Ending) -> Verdict:
     claimed = {
         name: worst for name, worst in observer.checks.items() if topology.law in LAWS or name not in _OF_THE_LAW
     }
-    checks = {name: _check(name, worst) for name, worst in claimed.items()}
+    checks = {name: _check(name, worst, topology) for name, worst in claimed.items()}
+    if ending.replay is not None:
+        checks |= {name: _replayed(name, ending.replay) for name in REPLAYED}
+    if ending.survivors is not None:
+        checks["deaths"] = _deaths(ending.survivors)
     if ending.audit is not None:
         checks["information"] = {"ok": not ending.audit.wrong, "claim": CLAIM, "why": ending.audit.wrong}
     comparison = ending.comparison
@@ -129,8 +147,8 @@ def judge(topology: Topology, observer: Observer, ending: Ending) -> Verdict:
             checks["reference"] |= {**step, "why": [comparison.cause]}
     failed = [
         f"{name} fails"
-        + (f" at step {check['step']}" if "step" in check else "")
-        + (f": {'; '.join(check['why'][:8])}" if check.get("why") else "")
+        + (f" at step {check['step']}" if check.get("step") is not None else "")
+        + (f": {_first_of(check)}" if check.get("why") else "")
         for name, check in checks.items()
         if not check["ok"]
     ]
@@ -141,6 +159,7 @@ def judge(topology: Topology, observer: Observer, ending: Ending) -> Verdict:
         doubts.append(f"not compared with the reference: {comparison.cause}")
     if observer.lost:
         doubts.append(f"{len(observer.lost)} steps of telemetry lost, the first {observer.lost[0]}")
+    doubts += _doubts_of(ending, observer)
     doubts += [f"stayed down: {one}" for one in ending.down]
     if observer.end is None and not doubts:
         doubts.append("the final state never came")
@@ -210,13 +229,62 @@ def _faults(topology: Topology, observer: Observer) -> list[dict[str, Any]]:
     ]
 
 
-def _check(name: str, worst: Worst) -> dict[str, Any]:
+def _first_of(check: dict[str, Any]) -> str:
+    """Why a check fails, for the line on screen: the first node where it names one; verdict.json has the others."""
+    why: list[str] = check["why"]
+    if "node" not in check:
+        return "; ".join(why[:8])
+    return why[0] + (f" (and {len(why) - 1} more)" if len(why) > 1 else "")
+
+
+def _replayed(name: str, replay: Replay) -> dict[str, Any]:
+    """A check of the replay: it ends at the first difference, of whichever check that is."""
+    finding = replay.finding if replay.finding is not None and replay.finding.check == name else None
+    return {
+        "ok": finding is None,
+        "claim": REPLAYED[name],
+        "steps": replay.steps,
+        "nodes": replay.nodes,
+        "step": finding.step if finding is not None else None,
+        "node": finding.node if finding is not None else None,
+        "why": finding.why if finding is not None else [],
+    }
+
+
+def _deaths(survivors: list[Survivor]) -> dict[str, Any]:
+    """The check that crash faults end processes."""
+    first = min(survivors, key=lambda one: one.step) if survivors else None
+    return {
+        "ok": first is None,
+        "claim": DEATHS,
+        "step": first.step if first is not None else None,
+        "node": first.node if first is not None else None,
+        "why": [str(one) for one in survivors],
+    }
+
+
+def _doubts_of(ending: Ending, observer: Observer) -> list[str]:
+    """Why not all steps were replayed; where telemetry is lost, that is said already."""
+    replay = ending.replay
+    if ending.not_replayed:
+        return [f"not replayed: {ending.not_replayed}"]
+    if replay is None or observer.lost or replay.finding is not None:
+        return []
+    if replay.doubt:
+        return [replay.doubt]
+    return [f"replayed up to step {replay.steps} only"] if replay.steps < observer.next_step else []
+
+
+def _check(name: str, worst: Worst, topology: Topology) -> dict[str, Any]:
+    node = topology.ids[worst.node] if worst.node >= 0 else None
+    named = {} if node is None else {"node": node, "why": [f"node {node}: {worst.why}"]}
     return {
         "ok": bool(worst.excess <= 0),
         "claim": CLAIMS[name],
         "steps": worst.steps,
         "step": worst.step,
         "excess": _finite(worst.excess),
+        **named,
     }
 
 

@@ -16,12 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hedgerow.orchestrator.metrics.certificate import storage
+from hedgerow.orchestrator.metrics.fault_accounts import at_ends
 from hedgerow.orchestrator.metrics.fault_schedule import Schedule
 from hedgerow.orchestrator.metrics.observer import Batch, Observer, gain
+from hedgerow.orchestrator.metrics.replay import Finding, Replay
 from hedgerow.orchestrator.runs.files import find_run, load_events, load_resolved, read_verdict
 from hedgerow.orchestrator.runs.selection import Kept, kept
 from hedgerow.orchestrator.runs.table import Table, there_is
-from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.errors import Code, HedgerowError, UserError
 from hedgerow.topologies.graph import Array, Index, Mask
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire.codec import TAKEN, End, Telemetry
@@ -314,6 +316,30 @@ class RecordedRun:
         if not self.whole and self.verdict.get("metrics"):
             return dict(self.verdict["metrics"])
         return self._replayed[1].summary()
+
+    def first_difference(self) -> Finding | None:
+        """Replay the tables by the file and the law, and return the first difference; None if there is none.
+
+        It loads and runs the code of the law. The tables do not keep what the nodes took in, so that is not compared.
+        Raises UserError if the law cannot be loaded, and HedgerowError if a row is lost or the law fails.
+        """
+        self.need_all("a replay")
+        links = np.empty((self.T, 2 * len(self.edges)), dtype=np.uint8)
+        ends = at_ends(self.topology.graph)
+        links[:, ends[:, 0]], links[:, ends[:, 1]] = self.i_hears, self.j_hears
+        report = np.stack([self.ahat, self.margin], axis=1)
+        replay = Replay(self.topology, receipts=False)
+        replay.take(
+            [
+                Telemetry(
+                    t, self.x[t], self.u[t], self.w[t], report[t], self.open[t].view(np.uint8), links[t], links[t]
+                )
+                for t in self._steps[self._steps < self.T].tolist()
+            ]
+        )
+        if replay.doubt:
+            raise HedgerowError(f"{self.folder}: {replay.doubt}", code=Code.UNKNOWN)
+        return replay.finding
 
     def telemetry(self, kind: str = "arrow") -> Any:
         """The table of steps and nodes, as recorded: a pyarrow.Table, or a frame of "pandas" or "polars"."""

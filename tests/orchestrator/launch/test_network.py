@@ -43,6 +43,9 @@ CHECKS = {
     "missing_inputs",
     "links",
     "faults",
+    "plan",
+    "law",
+    "deaths",
     "information",
 }
 LONG = ("up", "paper7", "--steps", "1000000", "--rate", "200", *QUIET)

@@ -1,0 +1,332 @@
+"""The replay: the file's own plant and the law's own class, put at the recorded state of every step.
+
+Each row of telemetry gives x(t). From that, and from the faults of the file, `plant.world` plans what is open, what
+crosses a link and how late; `agents.shard` closes the sample of t - 1 and acts. All that the row holds must be that, to
+the bit. The first row that differs ends the replay: it names the step and the node.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hedgerow.agents.shard import Shard
+from hedgerow.agents.view import View
+from hedgerow.orchestrator.ground.assignment import candidates_of, history_of, law_of
+from hedgerow.plant.disturbance import Disturbance
+from hedgerow.plant.faults import NOTHING, Faults, Wrong
+from hedgerow.plant.truth import Truth
+from hedgerow.plant.world import World
+from hedgerow.topologies.archive import id_array
+from hedgerow.topologies.effects import Effect
+from hedgerow.topologies.faults import effects
+from hedgerow.topologies.graph import Array, Graph, Index, Mask, all_finite
+from hedgerow.topologies.schema import Topology
+from hedgerow.wire.codec import REPORT_ROWS, Flag, Flags, State, Telemetry, gather
+
+AUDITED = 20_000
+"""how many nodes are replayed at most; of a larger network a subset that the seed draws"""
+NAMED = 8
+"""how many differences of one step are told at most"""
+PLAN, LAW = "plan", "law"
+CLAIMS = {
+    PLAN: "x(0), every w, and what is open, crosses a link or is missing at each step are those of the file and of the"
+    " recorded faults, to the bit",
+    LAW: "every u, ahat, margin and sample taken in is what the law's own class gives on the recorded x and u and on"
+    " the links by the faults, to the bit",
+}
+
+
+class Finding(NamedTuple):
+    """The first differences from the replay: all of one step."""
+
+    check: str
+    step: int
+    node: int | str | None
+    """the id of the first node that differs; None where it is the whole row"""
+    why: list[str]
+    """by difference: where it is, the recorded value and the replayed one"""
+
+
+class Replay:
+    """Replays telemetry in the order of its steps, and keeps the first difference."""
+
+    def __init__(self, topology: Topology, audited: int = AUDITED, receipts: bool = True) -> None:
+        """Without `receipts`, the rows do not tell what the nodes took in: tables do not keep that."""
+        self._receipts = receipts
+        network = topology.network
+        self._topology, self._graph = topology, network.graph
+        self._part = part = _Part(network.graph, topology.seed, audited)
+        self._x0, self._disturbance = network.x0, Disturbance(network.disturbance, network.ids, topology.seed)
+        history = history_of(topology)
+        truth = Truth(
+            ids=id_array(network.ids)[part.nodes],
+            b=network.b,
+            a=network.a[part.nodes],
+            x0=network.x0[part.nodes],
+            edges=part.graph.edges,
+            disturbance=[],
+            steps=topology.steps,
+            seed=topology.seed,
+            shards=[np.arange(part.graph.n)],
+            effects=[],
+            faults=0,
+            history=history,
+        )
+        self._world = _Shadow(truth)
+        candidates = candidates_of(topology)[:, part.nodes]
+        self._shard = Shard(
+            View(
+                shard=0,
+                b=network.b,
+                law=law_of(topology),
+                ids=truth.ids,
+                candidates=np.ascontiguousarray(candidates[~np.isnan(candidates).all(axis=1)]),
+                row=part.graph.node,
+                column=part.graph.neighbour,
+                peers=[],
+                heard=id_array([]),
+                history=history,
+            )
+        )
+        self.nodes = part.audited
+        """how many nodes are replayed"""
+        self.steps = 0
+        """how many rows were as they should be"""
+        self.finding: Finding | None = None
+        self.doubt = ""
+        """why the replay ended before the run, if it did and nothing differed"""
+        self.change(topology)
+
+    def change(self, topology: Topology) -> None:
+        """Go by the faults of this topology from the next step on."""
+        self._topology = topology
+        faults = Faults(effects(topology.faults, topology), self._graph, topology.network.ids, topology.seed)
+        self._world.faults = self._part.of(faults)
+
+    def take(self, rows: Sequence[Telemetry]) -> None:
+        """Replay some rows, which follow those taken before."""
+        with np.errstate(all="ignore"):
+            for row in rows:
+                if self.finding is not None or self.doubt:
+                    return
+                self._take(row)
+
+    def _take(self, row: Telemetry) -> None:
+        t = self._world.t
+        if row.t > t:
+            self.doubt = f"replayed up to step {t} only: its row is lost"
+            return
+        if row.t < t:
+            self.finding = Finding(PLAN, row.t, None, [f"the row of step {row.t} came after that of step {t - 1}"])
+            return
+        try:
+            self._compare(row, self._expected(row))
+        except Exception as error:  # the law is its user's code
+            self.doubt = f"replayed up to step {t} only: {type(error).__name__}: {error}"
+        else:
+            self.steps += self.finding is None
+
+    def _expected(self, row: Telemetry) -> Telemetry:
+        """What telemetry should hold of the replayed nodes, by the recorded x and all that was replayed before."""
+        world, shard, part = self._world, self._shard, self._part
+        t, x = row.t, part.of_nodes(row.x)
+        world.x = x
+        world.begin()
+        if world.quiet:
+            u = part.beyond(shard, shard.answer(State(t, x, b"")), row)
+            if all_finite(u):
+                return world.pass_by(u, shard.report)
+            return world.follow(u, shard.report, shard.took, part.of_nodes(row.w))
+        ((state, record),) = world.states()
+        if state is None:
+            nothing, no_report, took = shard.silence
+            u, report = gather([nothing]), gather([no_report]).reshape(REPORT_ROWS, -1)
+        else:
+            if record is not None:
+                shard.recall(record)
+            u = part.beyond(shard, shard.answer(state), row)
+            report, took = shard.report, shard.took
+        return world.follow(u, report, took, part.of_nodes(row.w))
+
+    # What differs.
+
+    def _compare(self, row: Telemetry, expected: Telemetry) -> None:
+        part, t = self._part, row.t
+        if t == 0 and row.x.tobytes() != self._x0.tobytes():
+            self._find_numbers(PLAN, t, "x(0)", row.x, self._x0)
+        w = self._disturbance.at(t)
+        if row.w.tobytes() != w.tobytes():
+            self._find_numbers(PLAN, t, "w", row.w, w)
+        if not part.whole:
+            row = part.of_row(row)
+        if not self._receipts:
+            row = row._replace(took=expected.took)
+        if (
+            row.u.tobytes() == expected.u.tobytes()
+            and row.report.tobytes() == expected.report.tobytes()
+            and row.took.tobytes() == expected.took.tobytes()
+            and row.link_up.tobytes() == expected.link_up.tobytes()
+            and row.edge_open.tobytes() == expected.edge_open.tobytes()
+        ):
+            return
+        took = row.took, expected.took
+        own = part.own
+        missing = np.isnan(row.u)
+        other = (missing != np.isnan(expected.u)) & own
+        said = ["has an input that a fault takes away", "has no input, and no fault takes it away"]
+        found = [(k, said[int(missing[k])]) for k in np.flatnonzero(other).tolist()]
+        self._find(PLAN, t, found, part.nodes)
+        # What a node took in of t - 1 comes before what it did at t.
+        self._find_flags(LAW, t - 1, ("counted for flow", "counted for none"), *took, Flag.OPEN)
+        self._find_flags(LAW, t - 1, ("was taken in", "was not taken in"), *took, Flag.HEAR)
+        self._find_edges(t, row.edge_open, expected.edge_open)
+        self._find_flags(PLAN, t, ("crosses in its step", "does not"), row.link_up, expected.link_up, 1)
+        for name, seen, right in (
+            ("ahat", row.report[0], expected.report[0]),
+            ("margin", row.report[1], expected.report[1]),
+            ("u", row.u, expected.u),
+        ):
+            self._find_numbers(LAW, t, name, np.where(own, seen, 0.0), np.where(own, right, 0.0), part.nodes)
+
+    def _find_numbers(
+        self, check: str, t: int, name: str, seen: Array, right: Array, nodes: Index | None = None
+    ) -> None:
+        other = (seen.view(np.int64) != right.view(np.int64)) & ~(np.isnan(seen) & np.isnan(right))
+        found = [
+            (k, f"{name} is {float(seen[k])!r}, and should be {float(right[k])!r}")
+            for k in np.flatnonzero(other).tolist()
+        ]
+        self._find(check, t, found, nodes)
+
+    def _find_flags(self, check: str, t: int, said: tuple[str, str], seen: Flags, right: Flags, bit: int) -> None:
+        """Find the incidences with another bit; `said` words a bit that is set and one that is not."""
+        part, ids = self._part, self._topology.ids
+        found = []
+        for c in np.flatnonzero((seen ^ right) & bit).tolist():
+            words = said if seen[c] & bit else said[::-1]
+            sender = ids[int(part.nodes[part.graph.neighbour[c]])]
+            text = f"the row from node {sender} {words[0]}; by the faults, it {words[1]}"
+            found.append((int(part.graph.node[c]), text))
+        self._find(check, t, found, part.nodes)
+
+    def _find_edges(self, t: int, seen: Any, right: Any) -> None:
+        part, ids = self._part, self._topology.ids
+        found = []
+        for e in np.flatnonzero(seen != right).tolist():
+            i, j = part.graph.edges[e].tolist()
+            other = ids[int(part.nodes[j])]
+            found.append((i, f"the edge to {other} is {_open(seen[e])}, and should be {_open(right[e])}"))
+        self._find(PLAN, t, found, part.nodes)
+
+    def _find(self, check: str, t: int, found: Sequence[tuple[int, str]], nodes: Index | None = None) -> None:
+        """Keep the first difference, and further ones of the same kind and step."""
+        if not found or self.finding is not None:
+            return
+        ids = self._topology.ids
+        named = [(ids[k if nodes is None else int(nodes[k])], said) for k, said in found[:NAMED]]
+        self.finding = Finding(check, t, named[0][0], [f"node {node}: {said}" for node, said in named])
+
+
+class _Shadow(World):
+    """The plant of the file without its motion: `x` is set from outside at every step."""
+
+    @property
+    def quiet(self) -> bool:
+        """Whether nothing is wrong at t, was wrong at t - 1, or is to be made up for."""
+        return self._now.flags is None
+
+    def pass_by(self, u: Array, report: Array) -> Telemetry:
+        """Make a quiet step under inputs that are all there."""
+        t, x = self.t, self.x
+        self._record.append(x, u, self._all_open)
+        self._open, self._heard = self._all_open, self._now.crossing
+        self.t += 1
+        return Telemetry(t, x, u, x, report, self._all_open, self._all_up, self._all_taken)
+
+    def follow(self, u: Array, report: Array, took: bytes, w: Array) -> Telemetry:
+        """Make any step under these inputs and the w that is recorded."""
+        self._next_w = w
+        return self.step(u, report, [took])
+
+
+class _Part:
+    """The nodes that are replayed, all or some, and their neighbours: these act as recorded."""
+
+    def __init__(self, graph: Graph, seed: int, audited: int) -> None:
+        self.whole = graph.n <= audited
+        self.audited = min(graph.n, audited)
+        n = graph.n
+        if self.whole:
+            self.nodes: Index = np.arange(n)
+            """positions in the network, ascending, (k,)"""
+            self.own: Mask = np.ones(n, dtype=np.bool_)
+            """which of them are replayed, (k,)"""
+            self.graph = graph
+            return
+        chosen: Mask = np.zeros(n, dtype=np.bool_)
+        chosen[np.random.default_rng(seed).choice(n, audited, replace=False)] = True
+        self._edges: Mask = np.asarray(chosen[graph.edges].any(axis=1))
+        edges = graph.edges[self._edges]
+        near = chosen.copy()
+        near[edges] = True
+        self.nodes, self.own = np.flatnonzero(near), chosen[near]
+        self._near = near
+        self._incidences: Mask = self._edges[graph.edge]
+        self.graph = Graph(len(self.nodes), np.searchsorted(self.nodes, edges))
+
+    def of_nodes(self, values: Array) -> Array:
+        """Values of the network's nodes, (..., n), as those of the part, (..., k)."""
+        return values if self.whole else values[..., self.nodes]
+
+    def of_row(self, row: Telemetry) -> Telemetry:
+        """A row of the network as one of the part."""
+        nodes = (self.of_nodes(values) for values in (row.x, row.u, row.w, row.report))
+        links = (bits[self._incidences] for bits in (row.link_up, row.took))
+        x, u, w, report = nodes
+        link_up, took = links
+        return Telemetry(row.t, x, u, w, report, row.edge_open[self._edges], link_up, took)
+
+    def beyond(self, shard: Shard, u: Array, row: Telemetry) -> Array:
+        """Inputs of the part: the recorded ones where only the neighbours of a node are there."""
+        if self.whole:
+            return u
+        shard.u = np.where(self.own, u, self.of_nodes(row.u))
+        return shard.u
+
+    def of(self, faults: Faults) -> Faults:
+        """The faults of the network as those of the part."""
+        return faults if self.whole else _Some(faults, self._near, self._edges, self._incidences)
+
+
+class _Some(Faults):
+    """The faults of a network, of which some nodes, edges and incidences are told."""
+
+    def __init__(self, whole: Faults, nodes: Mask, edges: Mask, incidences: Mask) -> None:
+        self._whole = whole
+        self._kept = {"lost": incidences, "late": incidences, "cut": edges, "blind": nodes, "mute": nodes}
+        self.effects: list[Effect] = whole.effects
+
+    def none_at(self, t: int) -> bool:
+        return self._whole.none_at(t)
+
+    def at(self, t: int) -> Wrong:
+        wrong = self._whole.at(t)
+        if wrong is NOTHING:
+            return wrong
+        found = {name: getattr(wrong, name) for name in self._kept}
+        return Wrong(**{name: None if one is None else one[self._kept[name]] for name, one in found.items()})
+
+    def absent(self, t: int) -> Mask | None:
+        absent = self._whole.absent(t)
+        return None if absent is None else absent[self._kept["blind"]]
+
+    def jumps(self, t: int) -> list[tuple[int, float]]:  # noqa: ARG002
+        """None: a part does not move by itself."""
+        return []
+
+
+def _open(bit: Any) -> str:
+    return "open" if bit else "closed"
