@@ -10,6 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from hedgerow.orchestrator.ground.spelling import is_utf8
 from hedgerow.orchestrator.launch import certificates as authority
 from hedgerow.orchestrator.runs import registry
 from hedgerow.orchestrator.runs.folder import RunFolder
@@ -147,7 +148,7 @@ def namespace_of(run: str) -> str:
 
 def socket_path(folder: RunFolder) -> Path:
     """Where the router listens: in the run's folder, or in one of its own when that path is too long for a socket."""
-    if len(os.fsencode(folder.socket)) <= MAX_SOCKET_PATH:
+    if len(os.fsencode(folder.socket)) <= MAX_SOCKET_PATH and is_utf8(str(folder.socket)):
         return folder.socket
     return Path(tempfile.gettempdir()) / f"hedgerow-{secrets.token_hex(8)}" / "router.sock"
 

@@ -15,6 +15,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from hedgerow.orchestrator.ground.spelling import shown
 from hedgerow.topologies.errors import UserError
 from hedgerow.topologies.resolve import save
 from hedgerow.topologies.schema import Topology
@@ -38,7 +39,8 @@ class RunFolder:
 
     @property
     def name(self) -> str:
-        return self.path.name
+        """The run's name: that of its folder, with an escape for each byte that is no UTF-8."""
+        return shown(self.path.name)
 
     def event(self, kind: str, **details: Any) -> None:
         """Append one line to events.jsonl, if the disk has room: who records the run says it when not."""
