@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 import time
@@ -56,10 +57,8 @@ def _failed(error: BaseException) -> int:
     from hedgerow.wire.limits import limit_reached  # noqa: PLC0415
 
     reached = limit_reached(error)
-    try:
+    with contextlib.suppress(OSError):
         print(f"error: {reached or crash.report(error)}", file=sys.stderr, flush=True)
-    except OSError:
-        pass
     return Exit.CRASH if reached is None else Exit.UNKNOWN
 
 

@@ -81,7 +81,7 @@ def audit(places: Sequence[Place], event: Mapping[str, Any]) -> Audit:
     words = {keys.PLANT: event["plant"]}
     lives = {keys.PLANT: 0}
     for place, word in zip(places, event["shards"], strict=True):
-        if word is not None and _is_word(word):
+        if is_counted(word) and isinstance(word.get("life"), int):
             words[place.name], lives[place.name] = word, word["life"]
     counted = [
         Channel(
@@ -98,9 +98,9 @@ def audit(places: Sequence[Place], event: Mapping[str, Any]) -> Audit:
     return Audit(counted, strange, [place.name for place in places if place.name not in words])
 
 
-def _is_word(word: Mapping[str, Any]) -> bool:
-    """Whether that is what an agent says at its end: it came over the wire."""
-    tables = [word.get(name) for name in ("said", "heard", "refused", "strange")]
-    return isinstance(word.get("life"), int) and all(
+def is_counted(word: Any) -> bool:
+    """Return True if `word`, which came over the wire, is what a process says at its end."""
+    tables = [word.get(name) for name in ("said", "heard", "refused", "strange")] if isinstance(word, dict) else [None]
+    return all(
         isinstance(table, dict) and all(isinstance(number, int) for number in table.values()) for table in tables
     )

@@ -36,6 +36,8 @@ class RunFolder:
         self.processes = path / "processes"
         """what each process was told"""
         self.socket = path / "router.sock"
+        self.note = ""
+        """what could not be done for the run's convenience, in one line"""
 
     @property
     def name(self) -> str:
@@ -85,15 +87,25 @@ def whole_folder(folder: Path, said: str, mode: int = 0o777) -> Iterator[Path]:
 
 def create(topology: Topology, directory: Path | None) -> RunFolder:
     """A new folder for a run of the resolved `topology`: `directory` itself, new or empty, or one in runs/."""
+    made = directory is not None and not directory.exists()
     try:
         if directory is not None:
             new_folder(directory, f"--run-dir {directory}")
             folder = RunFolder(directory.resolve())
         else:
-            folder = RunFolder(_new_in(Path("runs"), topology.name))
-        folder.logs.mkdir()
-        folder.processes.mkdir()
-        save(topology, folder.topology)
+            folder = _new_in(Path("runs"), topology.name)
+            made = True
+        try:
+            folder.logs.mkdir()
+            folder.processes.mkdir()
+            save(topology, folder.topology)
+        except BaseException:
+            _empty(folder.path)
+            if made:
+                folder.path.rmdir()
+            raise
+        if directory is None:
+            folder.note = _point_latest(folder.path.parent, folder.path)
     except OSError as error:
         raise UserError(
             f"no run folder: {error.filename or directory}: {error.strerror}; choose another with --run-dir"
@@ -101,7 +113,14 @@ def create(topology: Topology, directory: Path | None) -> RunFolder:
     return folder
 
 
-def _new_in(runs: Path, name: str) -> Path:
+def _empty(folder: Path) -> None:
+    """Remove what `create` has put into a folder."""
+    for path in (folder / "topology.yaml", folder / "logs", folder / "processes"):
+        with contextlib.suppress(OSError):
+            path.rmdir() if path.is_dir() else path.unlink(missing_ok=True)
+
+
+def _new_in(runs: Path, name: str) -> RunFolder:
     runs.mkdir(exist_ok=True)
     stamp = time.strftime("%Y%m%d-%H%M%S")
     number = 1
@@ -112,15 +131,21 @@ def _new_in(runs: Path, name: str) -> Path:
         except FileExistsError:
             number += 1
             continue
-        _point_latest(runs, path)
-        return path
+        return RunFolder(path)
 
 
-def _point_latest(runs: Path, path: Path) -> None:
+def _point_latest(runs: Path, path: Path) -> str:
+    """Point runs/latest to a run; return why that cannot be, in one line, else nothing."""
     # Replaced by a rename, so that `latest` exists at every moment, whoever else starts a run.
     link = runs / f".latest-{os.getpid()}"
-    link.symlink_to(path.name, target_is_directory=True)
-    link.replace(runs / "latest")
+    try:
+        link.symlink_to(path.name, target_is_directory=True)
+        link.replace(runs / "latest")
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            link.unlink(missing_ok=True)
+        return f"runs/latest: does not point to this run: {error.strerror}. Move what is there away, or name the run."
+    return ""
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:

@@ -38,6 +38,8 @@ SERVER_MEMORY = "256MiB"
 """what a server keeps for pages that are opened late"""
 NICE = 5
 """how much more a run's processes get of the processor than a viewer"""
+END_DEADLINE_S = 5.0
+"""how long a viewer has to end before it is killed"""
 START_DEADLINE_S = 20.0
 """how long a viewer has to start where somebody waits for it"""
 
@@ -99,7 +101,11 @@ class Viewer:
             for process in (self.process, self.door):
                 if process is not None:
                     process.terminate()
-                    process.wait()
+                    try:
+                        process.wait(END_DEADLINE_S)
+                    except subprocess.TimeoutExpired:  # it ignores SIGTERM, as we may do
+                        process.kill()
+                        process.wait()
 
 
 def choose(asked: str) -> str:
