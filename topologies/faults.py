@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from hedgerow.topologies.graph import Index, Mask
     from hedgerow.topologies.schema import Topology
 
+Shard = Annotated[StrictInt, Field(ge=0, lt=2**31)]
 Step = Annotated[StrictInt, Field(ge=0, le=FOREVER)]
 Pair = tuple[NodeId, NodeId]
 _DIGITS = "[0-9]{1,19}"
@@ -247,7 +248,7 @@ class Crash(FaultModel):
 
     kind: Literal["crash"] = "crash"
     node: Annotated[NodeId | None, Field(description="whose agent dies, and no other of its process")] = None
-    process: Annotated[StrictInt, Field(ge=0)] | None = Field(None, description="which process is killed, from 0")
+    process: Shard | None = Field(None, description="which process is killed, from 0")
     at: Step = Field(description="the first step that it misses")
     restart_after: Annotated[StrictInt, Field(ge=1, le=FOREVER)] | None = Field(
         None, description="how many steps it misses; all of them if absent"

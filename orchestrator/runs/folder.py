@@ -11,7 +11,6 @@ import time
 from collections.abc import Iterator, Mapping
 from datetime import datetime
 from functools import cache
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +18,7 @@ from hedgerow.orchestrator.ground.spelling import shown
 from hedgerow.topologies.errors import UserError
 from hedgerow.topologies.resolve import save
 from hedgerow.topologies.schema import Topology
+from hedgerow.wire.release import release
 
 PACKAGES = ("hedgerow", "eclipse-zenoh", "numpy", "rerun-sdk", "pydantic", "pyarrow", "scipy")
 
@@ -161,4 +161,4 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
 @cache
 def versions() -> Mapping[str, str]:
     """The versions that a run depends on."""
-    return {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}}
+    return {"python": platform.python_version(), **{name: release(name) for name in PACKAGES}}

@@ -23,7 +23,6 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 from urllib.parse import quote, urlsplit
 
@@ -31,6 +30,7 @@ import psutil
 
 from hedgerow.topologies.errors import HedgerowError, UserError
 from hedgerow.wire.ports import LOOPBACK, free_port
+from hedgerow.wire.release import release
 
 NATIVE_MEMORY = "1GB"
 """what the native viewer keeps of a run; it drops the oldest steps beyond"""
@@ -91,7 +91,7 @@ class Viewer:
             return "the viewer does not start; try again, or --viewer web"
         port = urlsplit(self.url).port
         return (
-            f"nobody listens there; start a viewer of rerun-sdk {version('rerun-sdk')} with"
+            f"nobody listens there; start a viewer of rerun-sdk {release('rerun-sdk')} with"
             f" `rerun --port {port} --bind {LOOPBACK}`, or choose --viewer web"
         )
 
