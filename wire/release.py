@@ -10,7 +10,7 @@ UNKNOWN = "unknown"
 
 @cache  # it is looked up on the disk
 def release(package: str) -> str:
-    """Return the release of a package, `unknown` if it has no metadata: a frozen program or a copied folder has none."""
+    """Return the release of a package; `unknown` without metadata, as in a frozen program or a copied folder."""
     try:
         return version(package) or UNKNOWN
     except PackageNotFoundError:
