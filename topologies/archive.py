@@ -45,7 +45,7 @@ def write(path: Path, settings: Mapping[str, Any], arrays: Mapping[str, NDArray[
     plain = {name: array for name, array in arrays.items() if name not in mixed}
     text = np.frombuffer(json.dumps({**settings, _MIXED: mixed}).encode(), dtype=np.uint8)
     with path.open("wb") as file:
-        np.savez(file, allow_pickle=False, **{_SETTINGS: text, **plain})
+        np.savez(file, **{_SETTINGS: text, **plain})
 
 
 def read(path: Path) -> tuple[dict[str, Any], Arrays]:
