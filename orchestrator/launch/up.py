@@ -50,6 +50,7 @@ from hedgerow.wire.codec import (
 )
 from hedgerow.wire.credentials import Credentials
 from hedgerow.wire.handshake import room
+from hedgerow.wire.limits import need_open_files
 from hedgerow.wire.runtime import LONG_BYTES, keep_memory
 from hedgerow.wire.session import (
     CONNECT_TIMEOUT_S,
@@ -63,6 +64,8 @@ from hedgerow.wire.session import (
 )
 from hedgerow.wire.stream import Inbox, rows_ahead
 
+ROUTER_FILES = 24
+"""Open files of a plant that is the router, besides one per agent process."""
 TICK_S = 0.2
 """How often telemetry is taken in: in batches, off the loop's path."""
 WAKE_ROWS = 512
@@ -229,6 +232,8 @@ class Network:
         stack.enter_context(wiring.laid(places(self._views)))
         stack.callback(self._nursery.clear)
         processes = Processes(self._nursery, self._folder, wiring)
+        if wiring.listens:  # without this, agents that the router cannot accept would be restarted for a minute
+            need_open_files(len(self._views) + ROUTER_FILES, f"a plant with {len(self._views)} agent processes")
         external = self._options.external
         # Nobody need be started for a router that is not there.
         session = None if wiring.listens else self._connect(processes, interrupts, stack)
