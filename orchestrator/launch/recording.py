@@ -172,11 +172,12 @@ class Run:
     def _leave_out(self, error: BaseException) -> None:
         """Go on without the recording and the viewer, which only help, and say so once."""
         self._stream = None
-        why = limit_reached(error)
-        if why is None and not isinstance(error, HedgerowError | OSError | ImportError):
+        why = str(limit_reached(error) or error)
+        expected = isinstance(error, HedgerowError | OSError | ImportError) or limit_reached(error) is not None
+        if not expected:
             why = crash.report(error, self.folder.logs / "orchestrator.log")
         what = "run.rrd is not complete" if self._watching.record else "the viewer is left out"
-        self.warnings.append(f"{what}: {str(why or error).rstrip('.')}; the run goes on without it")
+        self.warnings.append(f"{what}: {why.rstrip('.')}; the run goes on without it")
 
     def _show(self, show: Callable[[RerunStream], object], size: int = 0) -> None:
         def job() -> None:

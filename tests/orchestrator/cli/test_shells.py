@@ -32,7 +32,10 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def run(
-    *arguments: str, first: Callable[[], object] | None = None, command: tuple[str, ...] = COMMAND, **environment: str
+    *arguments: str,
+    first: Callable[[], object] | None = None,
+    command: tuple[str, ...] = COMMAND,
+    environment: dict[str, str] | None = None,
 ) -> subprocess.CompletedProcess[bytes]:
     return subprocess.run(
         [*command, *arguments],
@@ -40,7 +43,7 @@ def run(
         timeout=DEADLINE_S,
         check=False,
         preexec_fn=first,
-        env=os.environ | environment,
+        env=os.environ | (environment or {}),
     )
 
 
@@ -81,13 +84,14 @@ def start_code() -> int:
     return 128 + signal.SIGINT
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("environment", [{}, {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}])
 def test_a_folder_of_any_bytes_holds_a_run_and_its_report(here: Path, environment: dict[str, str]) -> None:
     folder = os.fsencode(here) + b"/caf\xe9-\xc3\xbc"
     os.mkdir(folder)
     os.chdir(folder)
-    assert run("simulate", "paper7", "--steps", "3", **environment).returncode == Exit.VALID
-    done = run("report", "runs/latest", "--out", "report", "--figures", "gain", **environment)
+    assert run("simulate", "paper7", "--steps", "3", environment=environment).returncode == Exit.VALID
+    done = run("report", "runs/latest", "--out", "report", "--figures", "gain", environment=environment)
     assert done.returncode == Exit.VALID, done.stderr
     assert (Path(os.fsdecode(folder)) / "runs/latest/run.rrd").stat().st_size
 
@@ -97,7 +101,7 @@ def test_a_network_runs_in_a_folder_of_any_bytes(here: Path) -> None:
     folder = os.fsencode(here) + b"/caf\xe9"
     os.mkdir(folder)
     os.chdir(folder)
-    done = run("up", "paper7", "--viewer", "none", PYTHONIOENCODING="ascii")
+    done = run("up", "paper7", "--viewer", "none", environment={"PYTHONIOENCODING": "ascii"})
     assert done.returncode == Exit.VALID, done.stdout + done.stderr
 
 
@@ -126,7 +130,7 @@ def test_a_defect_of_a_command_is_one_line_and_exit_code_70(here: Path) -> None:
     text = (
         "import hedgerow.orchestrator.metrics.summary as c\ndef table(_): raise LookupError('planted')\nc.table = table"
     )
-    done = run("check", "paper7", command=code(text), TMPDIR=str(here))
+    done = run("check", "paper7", command=code(text), environment={"TMPDIR": str(here)})
     assert done.returncode == Exit.CRASH
     assert "LookupError: planted" in traceback_of(done.stderr)
 
@@ -158,7 +162,7 @@ def test_a_process_of_a_run_ends_with_the_code_of_its_failure(here: Path, raises
         "from hedgerow.topologies.errors import *\nfrom hedgerow.wire.child import run_alone\n"
         f"def body(): raise {raises}\nrun_alone(body)"
     )
-    done = run(command=(sys.executable, "-c", text), TMPDIR=str(here))
+    done = run(command=(sys.executable, "-c", text), environment={"TMPDIR": str(here)})
     assert done.returncode == expected
     assert done.stderr.startswith(b"error: ")
     if expected == Exit.CRASH:
@@ -176,7 +180,7 @@ def test_a_process_of_a_run_ends_with_the_code_of_its_failure(here: Path, raises
 )
 def test_no_environment_ends_a_command(environment: dict[str, str]) -> None:
     shown = ("script", "-qec", " ".join([*COMMAND, *RUN]), "/dev/null")
-    done = run(command=shown, **environment)
+    done = run(command=shown, environment=environment)
     assert done.returncode == 0, done.stdout
 
 
@@ -239,7 +243,7 @@ def test_a_run_goes_on_where_latest_is_a_folder(here: Path) -> None:
 
 
 def test_a_run_goes_on_without_a_recording_that_is_switched_off() -> None:
-    done = run("simulate", "paper7", "--steps", "3", RERUN="0")
+    done = run("simulate", "paper7", "--steps", "3", environment={"RERUN": "0"})
     assert done.returncode == Exit.VALID
     assert not Path("runs/latest/run.rrd").exists()
     assert done.stdout.count(b"RERUN") == 1
