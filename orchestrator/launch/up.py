@@ -33,7 +33,7 @@ from hedgerow.orchestrator.runs.folder import RunFolder
 from hedgerow.orchestrator.runs.round_trips import line
 from hedgerow.orchestrator.views.rerun.viewer import Viewer
 from hedgerow.orchestrator.views.screen import Screen
-from hedgerow.topologies.errors import Exit, HedgerowError
+from hedgerow.topologies.errors import Code, Exit, HedgerowError
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire import keys
 from hedgerow.wire.codec import (
@@ -277,8 +277,10 @@ class Network:
             except RefusedError:
                 raise
             except WireError as error:
-                if interrupts.count or (dead := processes.dead()):
-                    raise HedgerowError(interrupts.name or cause(dead)) from None
+                dead = processes.dead()
+                if interrupts.count or dead:
+                    code = Code.CRASH if any(one.code == Exit.CRASH for one in dead) else None
+                    raise HedgerowError(interrupts.name or cause(dead), code=code) from None
                 if time.monotonic() > by:
                     raise WireError(f"{error} (tried for {wait_s:g} s)") from None
 
@@ -325,6 +327,8 @@ class Network:
                     self._folder.event(**happened)
                     if happened.get("code") == Exit.CRASH:
                         self._screen.say(happened["how"])
+                        self._ending.crashed = True
+                        self._ending.stopped = self._ending.stopped or happened["how"]
                 # Without one of ours the first step never comes, whoever else does.
                 missed = processes.down if self._ending.first_step_s is None else []
                 if interrupts.count or processes.dead() or missed:

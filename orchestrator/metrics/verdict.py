@@ -13,7 +13,7 @@ from hedgerow.orchestrator.metrics.observer import Observer
 from hedgerow.orchestrator.runs.folder import versions
 from hedgerow.orchestrator.views.event_texts import gain_said
 from hedgerow.topologies.describe import describe
-from hedgerow.topologies.errors import Exit, HedgerowError
+from hedgerow.topologies.errors import Code, Exit, HedgerowError
 from hedgerow.topologies.partition import cut, partition
 from hedgerow.topologies.schema import LAWS, Topology
 from hedgerow.wire import crash
@@ -67,6 +67,7 @@ class Ending:
             self.crashed = True
             self.stopped = crash.report(error, log)
         else:
+            self.crashed |= getattr(error, "code", None) == Code.CRASH
             self.stopped = str(reached or error)
 
 
