@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 import time
 
-from hedgerow.orchestrator.launch.fork_client import Nursery
+from hedgerow.wire import start
 
 BEGAN = time.monotonic()
 MORE_THAN_AN_AGENT_NEEDS = {"typer", "pydantic", "yaml", "rich", "rerun", "pyarrow", "scipy", "psutil"}
@@ -15,32 +16,50 @@ MORE_THAN_AN_AGENT_NEEDS = {"typer", "pydantic", "yaml", "rich", "rerun", "pyarr
 
 def main() -> None:
     """Run the command line; when it is `up`, the nursery loads beside us from the very beginning."""
-    _open_standard_streams()
-    # Threads of linear algebra would take from the network the cores that they share; and one is always the same sum.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    start.begin()
+    _settle_environment()
     launches = "up" in sys.argv[1:2] and not {"--help", "--detach"} & set(sys.argv)
     try:
+        from hedgerow.orchestrator.launch.fork_client import Nursery  # noqa: PLC0415
+
         nursery = Nursery() if launches else None
         from hedgerow.orchestrator.cli.main import run_command  # noqa: PLC0415
 
         run_command(BEGAN, nursery)
-    except ModuleNotFoundError as error:
-        if error.name not in MORE_THAN_AN_AGENT_NEEDS:
-            raise
-        print(f"error: there is no {error.name} here: pip install 'hedgerow[orchestrator]'", file=sys.stderr)
-        os._exit(2)
     except KeyboardInterrupt:  # before there was a run to end
-        os._exit(130)
+        os._exit(start.INTERRUPTED)
+    except BaseException as error:
+        if isinstance(error, ModuleNotFoundError) and error.name in MORE_THAN_AN_AGENT_NEEDS:
+            print(f"error: there is no {error.name} here: pip install 'hedgerow[orchestrator]'", file=sys.stderr)
+            os._exit(2)
+        os._exit(_failed(error))
 
 
-def _open_standard_streams() -> None:
-    """Those that are closed lead nowhere: a pipe of ours would get the number of one, and be taken for it."""
-    for number, name in enumerate(("stdin", "stdout", "stderr")):
-        if getattr(sys, name) is None:
-            # It gets the lowest number that is free, which is that one.
-            file = open(os.devnull, "w" if number else "r", encoding="utf-8")  # noqa: SIM115
-            os.set_inheritable(file.fileno(), True)
-            setattr(sys, name, file)
+def _settle_environment() -> None:
+    """Set what our libraries read from the environment; child processes inherit it."""
+    # Threads of linear algebra would take from the network the cores that they share; and one is always the same sum.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # A notebook sets a backend that only its own interpreter has; we draw to files.
+    os.environ["MPLBACKEND"] = "Agg"
+    for name in ("COLUMNS", "LINES"):
+        if not _is_size(os.environ.get(name, "1")):
+            del os.environ[name]  # a terminal of no size: its own size is asked for
+
+
+def _is_size(text: str) -> bool:
+    return text.isascii() and text.isdecimal() and len(text) < 6 and int(text) > 0
+
+
+def _failed(error: BaseException) -> int:
+    """Say in one line what ended us before the command line could; the exit code."""
+    from hedgerow.topologies.errors import Exit  # noqa: PLC0415
+    from hedgerow.wire import crash  # noqa: PLC0415
+    from hedgerow.wire.limits import limit_reached  # noqa: PLC0415
+
+    reached = limit_reached(error)
+    with contextlib.suppress(OSError):
+        print(f"error: {reached or crash.report(error)}", file=sys.stderr, flush=True)
+    return Exit.CRASH if reached is None else Exit.UNKNOWN
 
 
 if __name__ == "__main__":

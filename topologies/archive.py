@@ -45,7 +45,8 @@ def write(path: Path, settings: Mapping[str, Any], arrays: Mapping[str, NDArray[
     plain = {name: array for name, array in arrays.items() if name not in mixed}
     text = np.frombuffer(json.dumps({**settings, _MIXED: mixed}).encode(), dtype=np.uint8)
     with path.open("wb") as file:
-        np.savez(file, allow_pickle=False, **{_SETTINGS: text, **plain})
+        # Without allow_pickle: numpy 2.0 would store it as an array of that name.
+        np.savez(file, **{_SETTINGS: text, **plain})  # type: ignore[arg-type]
 
 
 def read(path: Path) -> tuple[dict[str, Any], Arrays]:

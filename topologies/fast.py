@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import functools
+import logging
 from types import ModuleType
 
+LOG = logging.getLogger("topologies")
 LARGE = 4096
 """From so many nodes on, what compiled loops save is more than what it takes to load a compiler."""
 
@@ -18,6 +20,8 @@ def kernels_for(nodes: int) -> ModuleType | None:
 def _kernels() -> ModuleType | None:
     try:
         from hedgerow.topologies import kernels  # noqa: PLC0415  # slow to load
-    except (ImportError, RuntimeError):  # no numba, or nowhere to keep what it compiles
+    except Exception as error:  # no numba, one that fails on this machine, or nowhere to keep what it compiles
+        if not (isinstance(error, ModuleNotFoundError) and error.name == "numba"):
+            LOG.warning("compiled loops are left out, numpy gives the same bits: %s: %s", type(error).__name__, error)
         return None
     return kernels

@@ -25,7 +25,8 @@ from pydantic_core import PydanticCustomError
 from hedgerow.topologies.base import Model, kind_of, number
 from hedgerow.topologies.graph import Index
 
-Count = Annotated[StrictInt, Field(ge=1)]
+# numpy counts in 64 bits, and would raise OverflowError for more.
+Count = Annotated[StrictInt, Field(ge=1, le=10**9)]
 Few = Annotated[StrictInt, Field(ge=1, le=1000)]
 
 

@@ -243,7 +243,8 @@ PROCESSES = ("auto", "per-node")
 PER_NODE = 64
 """Up to so many nodes each has a process of its own, unless the file says otherwise."""
 Processes = Annotated[
-    Annotated[Annotated[StrictInt, Field(ge=1)], Tag("number")] | Annotated[Literal["auto", "per-node"], Tag("word")],
+    Annotated[Annotated[StrictInt, Field(ge=1, lt=2**31)], Tag("number")]
+    | Annotated[Literal["auto", "per-node"], Tag("word")],
     Discriminator(lambda value: "word" if isinstance(value, str) else "number"),
     BeforeValidator(_process_count),
 ]

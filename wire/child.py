@@ -8,13 +8,15 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from typing import NoReturn
 
-from hedgerow.topologies.errors import HedgerowError, UserError
+from hedgerow.topologies.errors import Exit, HedgerowError, UserError
+from hedgerow.wire import crash, start
+from hedgerow.wire.limits import limit_reached
 from hedgerow.wire.runtime import let_numbers_overflow
 
-USER_ERROR = 2
+USER_ERROR = Exit.USER_MISTAKE
 """The exit code of a process that failed by its user's mistake: to start it again would not help."""
 ERROR_PREFIX = "error: "
 """The last line of the log of a process that failed starts so."""
@@ -28,6 +30,8 @@ _stop: Callable[[], None] | None = None
 def run_child(body: Callable[[], None]) -> NoReturn:
     """Run `body` as the whole of this process, as `run_alone` does, for as long as its parent lives.
 
+    Standard error is the log of this process in the run's folder, so a traceback goes there.
+
     Standard input is the lifeline: the parent holds its other end open for as long as the process is to live, and
     even SIGKILL of the parent ends it.
     """
@@ -36,35 +40,53 @@ def run_child(body: Callable[[], None]) -> NoReturn:
         threading.Thread(target=_watch_parent, name="lifeline", daemon=True).start()
         body()
 
-    run_alone(whole)
+    run_alone(whole, logged=True)
 
 
-def run_alone(body: Callable[[], None]) -> NoReturn:
-    """Run `body` as the whole of this process; exit 0, 2 for a user's mistake, 1 for any other failure.
+def run_alone(body: Callable[[], None], logged: bool = False) -> NoReturn:
+    """Run `body` as the whole of this process and exit with a code of `Exit`; 70 means a defect of this project.
+
+    `logged` says that standard error is a log: a traceback is written there, and else to a file that the last line
+    names.
 
     Who is alone, far from `up`, lives until the plant says END, a SIGTERM or a Ctrl-C.
     """
+    start.begin()
     let_numbers_overflow()
     logging.basicConfig(stream=sys.stderr, level=logging.INFO, format=LINE, datefmt=TIME)
     # Every thread that is made from here on leaves these to the one that waits for them: a handler of Python's would
-    # have to wait for the main thread, and one that is just about to wait itself would not hear of it.
-    signal.pthread_sigmask(signal.SIG_BLOCK, _ENDS)
-    threading.Thread(target=_watch_signals, name="signals", daemon=True).start()
-    code = 0
+    # have to wait for the main thread, and one that is just about to wait itself would not hear of it. A signal that is
+    # ignored is left out: while it is blocked, the kernel would deliver it all the same.
+    ends = set(_ENDS) - start.ignored(_ENDS)
+    signal.pthread_sigmask(signal.SIG_BLOCK, ends)
+    code = Exit.VALID
     try:
+        if ends:
+            threading.Thread(target=_watch_signals, args=(ends,), name="signals", daemon=True).start()
         body()
     except HedgerowError as error:
-        code = USER_ERROR if isinstance(error, UserError) else 1
-        print(f"{ERROR_PREFIX}{error}", file=sys.stderr)
-    except Exception as error:
-        code = 1
-        logging.exception("unexpected")
-        print(f"{ERROR_PREFIX}{type(error).__name__}: {error}", file=sys.stderr)
+        code = Exit.USER_MISTAKE if isinstance(error, UserError) else Exit.UNKNOWN
+        _say(str(error))
+    except BaseException as error:  # a panic of a Rust library is no Exception
+        if (reached := limit_reached(error)) is not None:
+            code = Exit.UNKNOWN
+            _say(str(reached))
+        else:
+            code = Exit.CRASH
+            if logged:
+                with contextlib.suppress(Exception):
+                    logging.error("unexpected", exc_info=error)
+            _say(f"this is a defect of hedgerow: {crash.told(error)}" if logged else crash.report(error))
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError, ValueError):  # nobody reads it
             stream.flush()
     # Not sys.exit: Zenoh's threads may outlive a session that was not closed, and must not hold the process.
     os._exit(code)
+
+
+def _say(text: str) -> None:
+    with contextlib.suppress(OSError, ValueError):  # nobody reads it
+        print(f"{ERROR_PREFIX}{text}", file=sys.stderr)
 
 
 @contextlib.contextmanager
@@ -78,11 +100,11 @@ def stopped_by(stop: Callable[[], None]) -> Iterator[None]:
         _stop = None
 
 
-def _watch_signals() -> None:
-    number = signal.sigwait(_ENDS)
+def _watch_signals(ends: Collection[signal.Signals]) -> None:
+    number = signal.sigwait(ends)
     if (stop := _stop) is not None:
         threading.Thread(target=stop, name="stop", daemon=True).start()  # not here, who must hear the next
-        number = signal.sigwait(_ENDS)
+        number = signal.sigwait(ends)
     # Nothing is flushed: a log is written line by line, and whoever hangs in a full pipe would hold us too.
     os._exit(128 + number)
 
@@ -90,4 +112,4 @@ def _watch_signals() -> None:
 def _watch_parent() -> None:
     while os.read(0, 4096):
         pass
-    os._exit(1)
+    os._exit(Exit.UNKNOWN)

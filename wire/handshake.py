@@ -6,8 +6,6 @@ import contextlib
 import secrets
 import time
 from collections.abc import Callable, Iterator, Mapping
-from functools import cache
-from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import zenoh
@@ -15,6 +13,7 @@ import zenoh
 from hedgerow.topologies.errors import UserError
 from hedgerow.wire import keys
 from hedgerow.wire.codec import VERSION
+from hedgerow.wire.release import release
 from hedgerow.wire.session import LEASE_S
 
 LOOK_AGAIN_S = 0.5
@@ -22,15 +21,7 @@ LOOK_AGAIN_S = 0.5
 
 def introduction(network: str) -> dict[str, Any]:
     """What a process says of itself: the format it speaks, its release, and the fingerprint of its network."""
-    return {"codec": VERSION, "hedgerow": _release(), "network": network}
-
-
-@cache  # it is looked up on the disk, and the plant is asked under its lock
-def _release() -> str:
-    try:
-        return version("hedgerow")
-    except PackageNotFoundError:  # run from a folder of sources
-        return "unknown"
+    return {"codec": VERSION, "hedgerow": release("hedgerow"), "network": network}
 
 
 def mismatch(network: str, theirs: Mapping[str, Any]) -> str | None:

@@ -19,6 +19,7 @@ import zenoh
 from hedgerow.topologies.errors import Code, DeadlineError, HedgerowError, UserError
 from hedgerow.wire.codec import MessageError
 from hedgerow.wire.credentials import Credentials, router_tls
+from hedgerow.wire.limits import limit_in
 from hedgerow.wire.runtime import keep_thread
 
 LOG = logging.getLogger("wire")
@@ -29,6 +30,8 @@ LEASE_S = 30.0
 """How long a process may be silent before the others take it for gone, if nothing else says so."""
 LOOK_S, MOST_LOOK_S = 2.0, 30.0
 """How long a secure router is tried before a look at whether it refuses us: at first, and at most."""
+MOST_SAID = 200
+"""Letters of what Zenoh says that are shown; the cause comes last."""
 PAUSE_S = 0.05
 """Between two tries."""
 LISTEN_TIMEOUT_S = 60.0
@@ -203,8 +206,13 @@ def _open_aside(config: zenoh.Config) -> zenoh.Session:
 
 
 def _why(error: zenoh.ZError) -> str:
-    """What Zenoh says, without where in its sources it says so."""
-    return re.sub(r"\s+at /\S+\.rs:\d+\b\.?", "", str(error))
+    """Return the cause alone of what Zenoh says, in one line, without where in its sources it says so."""
+    if (limit := limit_in(str(error))) is not None:
+        return limit
+    words = re.sub(r"\s+at /\S+\.rs:\d+\b\.?", "", str(error))
+    # Zenoh wraps a cause in what it was doing, and the cause comes last.
+    said = " ".join(words.split())
+    return said if len(said) <= MOST_SAID else f"…{said[-MOST_SAID:]}"
 
 
 def _refusal(endpoint: str, credentials: Credentials) -> str | None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import errno
 import json
 import os
 import signal
@@ -26,15 +25,18 @@ from hedgerow.orchestrator.cli import report as cli_report
 from hedgerow.orchestrator.cli import soak as cli_soak
 from hedgerow.orchestrator.cli import sweep as cli_sweep
 from hedgerow.orchestrator.cli import watch as cli_watch
+from hedgerow.orchestrator.cli.exit_code import code_of_run, leave, run_to_exit_code
 from hedgerow.orchestrator.cli.names import Commands
 from hedgerow.orchestrator.cli.options import AsJson, File, Law, RunDir, Seed, Sets, Steps
 from hedgerow.orchestrator.launch.fork_client import Nursery
-from hedgerow.topologies.errors import DeadlineError, HedgerowError, TopologyError, UserError, check_options
+from hedgerow.topologies.errors import DeadlineError, UserError, check_options
 from hedgerow.topologies.paths import user_path
+from hedgerow.wire import start
 from hedgerow.wire.runtime import let_numbers_overflow
 
 # What a topology needs takes most of a second to load: each command loads what it needs itself.
 if TYPE_CHECKING:
+    from hedgerow.orchestrator.runs.folder import RunFolder
     from hedgerow.orchestrator.views.screen import Screen
     from hedgerow.topologies.schema import Topology
 
@@ -47,8 +49,6 @@ app = typer.Typer(
     add_completion=False,
     rich_markup_mode=None,
 )
-FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
-"""Where standard output leads, no more can be written."""
 _BEGAN = time.monotonic()
 _NURSERY: Nursery | None = None
 
@@ -70,47 +70,7 @@ def run_command(began: float, nursery: Nursery | None) -> None:
     global _BEGAN, _NURSERY
     _BEGAN, _NURSERY = began, nursery
     let_numbers_overflow()
-    try:
-        code = app(standalone_mode=False) or 0
-        with contextlib.suppress(BrokenPipeError):  # a reader who has left has read enough
-            sys.stdout.flush()
-    except TopologyError as error:
-        _complain(f"{error}\n{error.summary}")
-        code = 2
-    except UserError as error:
-        _complain(f"error: {error}")
-        code = 2
-    except HedgerowError as error:
-        _complain(f"error: {error}")
-        from hedgerow.orchestrator.metrics.verdict import EXIT_CODES, UNKNOWN  # noqa: PLC0415
-
-        code = EXIT_CODES[UNKNOWN]
-    except typer.Abort:
-        code = 130
-    except OSError as error:
-        if error.errno not in FULL:
-            raise
-        _complain(f"error: what was to be written is lost: {error.strerror}; make room, or write it elsewhere")
-        code = 2
-    except Exception as error:
-        if not hasattr(error, "show"):
-            raise
-        error.show()  # a wrong option or argument, in the words of the command line library
-        code = 2
-    _leave(code)
-
-
-def _complain(text: str) -> None:
-    with contextlib.suppress(OSError):
-        print(text, file=sys.stderr, flush=True)
-
-
-def _leave(code: int) -> None:
-    # Not sys.exit: a stalled viewer's threads must not hold the process (orchestrator.views.rerun.stream).
-    for stream in (sys.stdout, sys.stderr):
-        with contextlib.suppress(OSError):
-            stream.flush()
-    os._exit(code)
+    leave(run_to_exit_code(lambda: app(standalone_mode=False) or 0))
 
 
 def _importable(topology: Topology) -> Topology:
@@ -221,7 +181,7 @@ def up(
         elsewhere = on_ray.external
     folder = folders.create(topology, run_dir)
     display = stack.enter_context(contextlib.closing(screen(topology, as_json, plain, watched=viewer != "none")))
-    _introduce(topology, len(shards), folder.name, display)
+    _introduce(topology, len(shards), folder, display)
     watching = Watching(record, viewer, split_recording)
     options = Options(rate, deadline, router, keys, elsewhere, on_ray, watching, verify)
 
@@ -234,7 +194,7 @@ def up(
     with stack:
         nursery = stack.enter_context(contextlib.closing(_NURSERY or Nursery()))
         network = Network(topology, folder, shards, options, display, nursery, _BEGAN)
-        return network.run(on_first_step, stack).exit_code
+        return code_of_run(network.run(on_first_step, stack), display)
 
 
 def _check_cluster(on: str, external: str | None) -> None:
@@ -246,13 +206,15 @@ def _check_cluster(on: str, external: str | None) -> None:
     check(on)
 
 
-def _introduce(topology: Topology, processes: int, run: str, display: Screen) -> None:
+def _introduce(topology: Topology, processes: int, folder: RunFolder, display: Screen) -> None:
     """Say what is run, and what of it is written down."""
     from hedgerow.orchestrator.metrics.summary import count  # noqa: PLC0415
     from hedgerow.orchestrator.runs.selection import told  # noqa: PLC0415
 
     what = f"{count(len(topology.ids), 'node')} in {count(processes, 'process', 'es')}, {topology.steps} steps"
-    display.say(f"{topology.name}: {what}, run {run}")
+    display.say(f"{topology.name}: {what}, run {folder.name}")
+    if folder.note:
+        display.say(folder.note)
     for line in told(topology):
         display.say(line)
 
@@ -261,7 +223,9 @@ def _end_with_standard_input() -> None:
     """Whoever started us holds the other end of the pipe; even SIGKILL makes them let go of it."""
     while os.read(0, 4096):
         pass
-    os.kill(os.getpid(), signal.SIGTERM)
+    # SIGTERM may be ignored, and then the kernel would drop it.
+    numbers = (signal.SIGTERM, signal.SIGHUP, signal.SIGINT)
+    os.kill(os.getpid(), next((one for one in numbers if not start.ignored([one])), signal.SIGKILL))
 
 
 _DETACHED = "HEDGEROW_DETACHED"
@@ -281,7 +245,7 @@ def _start_detached() -> int:
             threading.Thread(target=_kill_later, args=(process,), daemon=True).start()
 
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, end)
+        start.handle(number, end)
     command = [
         sys.executable,
         "-P",
@@ -360,11 +324,10 @@ def simulate(
     folder = folders.create(topology, run_dir)
     viewer = _viewer(viewer)
     with contextlib.closing(screen(topology, as_json, plain, watched=viewer != "none")) as display:
-        for line in told(topology):
+        for line in filter(None, [folder.note, *told(topology)]):
             display.say(line)
-        return simulate_into(
-            topology, folder, layout(topology, 1), Watching(record, viewer, split_recording), display
-        ).exit_code
+        watching = Watching(record, viewer, split_recording)
+        return code_of_run(simulate_into(topology, folder, layout(topology, 1), watching, display), display)
 
 
 @app.command()

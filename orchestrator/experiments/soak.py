@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import csv
 import json
-import signal
 import subprocess
 import sys
 import threading
@@ -141,7 +140,7 @@ def run_soak(
         say(f"run folder {folder.path}")
         entry = _entry(up, folder, records="--no-record" not in options)
         samples = list(_samples(up, entry, minutes * 60, faults, lambda s: wake.wait(s) or interrupts.count > 0))
-        up.send_signal(signal.SIGINT)
+        up.terminate()  # a SIGINT may be ignored: a background job inherits it so
         with contextlib.suppress(subprocess.TimeoutExpired):
             up.wait(END_DEADLINE_S)
     _write(folder.path / "soak.csv", samples)

@@ -19,27 +19,26 @@ NICE = 3
 class Aside:
     """Does jobs in the order in which they come.
 
-    An error is raised to whoever hands over the next job, or closes; nothing is done after it.
+    After an error no job is done any more, and `failed` has been called with it, on this thread.
     """
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, failed: Callable[[BaseException], object]) -> None:
         self._jobs: deque[tuple[Job | None, int]] = deque()
         self._bytes = 0
         self._changed = threading.Condition()
-        self._error: Exception | None = None
+        self._failed = failed
+        self._over = False
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         self._thread.start()
 
     def do(self, job: Job, size: int = 0) -> None:
         """Hand over a job that holds on to so many bytes."""
-        self._raise()
         self._put(job, size)
 
     def close(self) -> None:
         """Return when all is done."""
         self._put(None, 0)
         self._thread.join()
-        self._raise()
 
     def _put(self, job: Job | None, size: int) -> None:
         def room() -> bool:
@@ -59,17 +58,14 @@ class Aside:
             self._changed.notify_all()
         return job
 
-    def _raise(self) -> None:
-        if self._error is not None:
-            raise self._error
-
     def _run(self) -> None:
         if sys.platform == "linux":  # elsewhere all threads of a process are as nice
             os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
             os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICE)
         while (job := self._take()) is not None:
-            if self._error is None:
+            if not self._over:
                 try:
                     job()
-                except Exception as error:  # it belongs to whoever wanted the job done
-                    self._error = error
+                except BaseException as error:  # a panic of a Rust library is no Exception
+                    self._over = True
+                    self._failed(error)

@@ -9,6 +9,7 @@ from types import FrameType, TracebackType
 from typing import Any
 
 from hedgerow.topologies.errors import HedgerowError
+from hedgerow.wire import start
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
@@ -18,7 +19,10 @@ class EndNowError(HedgerowError):
 
 
 class Interrupts:
-    """While the block runs, counts signals that ask for the end; the second raises EndNowError in the main thread."""
+    """While the block runs, counts signals that ask for the end; the second raises EndNowError in the main thread.
+
+    A signal that was ignored before the block stays ignored: nohup has it so for SIGHUP, a background job for SIGINT.
+    """
 
     def __init__(self, notify: Callable[[], None] = lambda: None) -> None:
         self._notify = notify
@@ -28,14 +32,15 @@ class Interrupts:
 
     def __enter__(self) -> Interrupts:
         if threading.current_thread() is threading.main_thread():
-            self._before = {number: signal.signal(number, self._take) for number in SIGNALS}
+            self._before = {number: start.handle(number, self._take) for number in SIGNALS}
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         for number, before in self._before.items():
-            signal.signal(number, before)
+            if before is not signal.SIG_IGN:
+                signal.signal(number, before)
 
     def _take(self, number: int, _: FrameType | None) -> None:
         self.count += 1

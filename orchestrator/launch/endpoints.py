@@ -93,7 +93,10 @@ def check(
     listen: str | None,
     namespace: str | None,
 ) -> None:
-    """Raise UserError for endpoints and namespaces that are none, and for a run that cannot be as secure as asked."""
+    """Raise UserError for endpoints and namespaces that are none, and for a run that cannot be as secure as asked.
+
+    Raises HedgerowError if a secure run has no port to listen on.
+    """
     for option, endpoint in (("--router", router), ("--listen", listen)):
         if endpoint is not None:
             check_endpoint(endpoint, option)
@@ -121,6 +124,7 @@ def check(
             )
     if keys is None:
         authority.Authority()
+        free_port()  # the plant listens on loopback
     else:
         authority.carried(keys, places)
 

@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from hedgerow.topologies.errors import DeadlineError
+from hedgerow.wire import start
 from hedgerow.wire.runtime import runtime_environment
 
 FORK_DEADLINE_S = 30.0
@@ -35,7 +36,14 @@ class Nursery:
         held, self._lifeline = socket.socketpair()
         # -P: a folder called `agents` in the user's working directory is not ours.
         self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "hedgerow.orchestrator.launch.fork_server", str(held.fileno())],
+            [
+                sys.executable,
+                "-P",
+                "-m",
+                "hedgerow.orchestrator.launch.fork_server",
+                str(held.fileno()),
+                *self._ignored(),
+            ],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             pass_fds=(held.fileno(),),
@@ -49,15 +57,25 @@ class Nursery:
         self.codes: dict[str, int] = {}
         self.on_end: Callable[[], None] = lambda: None
         """called when somebody has ended, on a thread of ours"""
+        self.error = ""
+        """what ended the nursery, in its own words"""
         self._closing = False
         self._changed = threading.Condition()
         self._listener = threading.Thread(target=self._listen, name="nursery", daemon=True)
         self._listener.start()
 
+    @staticmethod
+    def _ignored() -> list[str]:
+        """What tells the nursery that its children ignore SIGINT, as we do; it ignores SIGINT itself in any case."""
+        return ["--ignore-sigint"] if start.ignored([signal.SIGINT]) else []
+
     def _listen(self) -> None:
         assert self._process.stdout is not None
         for line in self._process.stdout:
             said = json.loads(line)
+            if "error" in said:
+                self.error = said["error"]
+                continue
             with self._changed:
                 (self.pids if "pid" in said else self.codes)[said["name"]] = said.get("pid", said.get("code"))
                 self._changed.notify_all()

@@ -25,6 +25,10 @@ from typing import Any, NoReturn
 
 import hedgerow.agents.process
 import hedgerow.plant.process
+from hedgerow.topologies.errors import Exit
+from hedgerow.wire import crash, start
+from hedgerow.wire.child import ERROR_PREFIX
+from hedgerow.wire.limits import limit_reached
 from hedgerow.wire.runtime import share_the_cores
 from hedgerow.wire.session import remove_trace
 
@@ -32,6 +36,10 @@ PROGRAMS: dict[str, Callable[[Sequence[str]], NoReturn]] = {
     "agents": hedgerow.agents.process.main,
     "plant": hedgerow.plant.process.main,
 }
+
+
+IGNORE_SIGINT = "--ignore-sigint"
+"""An argument: the processes of the run ignore SIGINT, as the command did when it was started."""
 
 
 def main() -> None:
@@ -63,10 +71,22 @@ def main() -> None:
                 if "leave" in told:
                     leave = told["leave"]
                     continue
-                if (pid := os.fork()) == 0:
+                try:
+                    pid = os.fork()
+                except OSError as error:
+                    _fail(told, error)
+                    continue
+                if pid == 0:
                     _become(told, lifeline)
                 names[pid] = told["name"]
                 _say(name=told["name"], pid=pid)
+
+
+def _fail(told: dict[str, Any], error: OSError) -> None:
+    """Report a process that could not be forked as one that ended at once, with the cause in its log."""
+    with contextlib.suppress(OSError), open(told["log"], "a", encoding="utf-8") as log:
+        log.write(f"{ERROR_PREFIX}{limit_reached(error) or error}\n")
+    _say(name=told["name"], code=int(Exit.UNKNOWN))
 
 
 def _end(pids: Iterable[int], leave: Sequence[str]) -> None:
@@ -95,8 +115,9 @@ def _say(**what: Any) -> None:
 def _become(told: dict[str, Any], lifeline: int) -> NoReturn:
     """In the child: a session and a log of its own, the lifeline as standard input; then the program, for good."""
     signal.set_wakeup_fd(-1)
-    for number in (signal.SIGCHLD, signal.SIGINT):  # which the nursery itself ignores
-        signal.signal(number, signal.SIG_DFL)
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # the nursery handles it
+    if IGNORE_SIGINT not in sys.argv:  # the nursery ignores it in any case
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
     share_the_cores()
     os.setsid()  # a Ctrl-C in the terminal is the parent's to handle
     log = os.open(told["log"], os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
@@ -108,5 +129,18 @@ def _become(told: dict[str, Any], lifeline: int) -> NoReturn:
     PROGRAMS[told["module"]](told["arguments"])
 
 
+def whole() -> NoReturn:
+    """Run `main`, and tell our parent what ended it."""
+    code = Exit.VALID
+    try:
+        start.begin()
+        main()
+    except BaseException as error:
+        reached = limit_reached(error)
+        _say(error=str(reached or crash.report(error)))
+        code = Exit.CRASH if reached is None else Exit.UNKNOWN
+    os._exit(code)
+
+
 if __name__ == "__main__":
-    main()
+    whole()

@@ -20,7 +20,9 @@ from hedgerow.orchestrator.views.rerun.viewer import Viewer, start
 from hedgerow.topologies.errors import HedgerowError
 from hedgerow.topologies.resolve import to_yaml
 from hedgerow.topologies.schema import Topology
+from hedgerow.wire import crash
 from hedgerow.wire.codec import End, Telemetry, Trips
+from hedgerow.wire.limits import limit_reached
 
 if TYPE_CHECKING:
     from hedgerow.orchestrator.runs.round_trips import RoundTrips
@@ -107,10 +109,15 @@ class Run:
         if not self._replayed:
             return
         if self._replaying is None:
-            self._replaying = Aside("replay")
+            self._replaying = Aside("replay", self._leave_out_replay)
             first = self.topology  # by the faults at the first step, whatever comes before the thread begins
             self._replaying.do(lambda: self._begin_replay(first))
         self._replaying.do(lambda: self._take_replayed(rows), size)
+
+    def _leave_out_replay(self, error: BaseException) -> None:
+        """Go on without the replay after a defect in it; the verdict is unknown, and names the traceback's file."""
+        self.ending.replay = None
+        self.ending.not_replayed = crash.report(error, self.folder.logs / "orchestrator.log")
 
     def _begin_replay(self, topology: Topology) -> None:
         try:
@@ -174,8 +181,15 @@ class Run:
         if not self._watching.record and self._watching.viewer == "none":
             return
         path = self.folder.recording if self._watching.record else None
-        self.viewer = start(self._watching.viewer)
-        self._aside = Aside("rerun")
+        try:
+            self.viewer = start(self._watching.viewer)
+        except (OSError, HedgerowError) as error:
+            self.warnings.append(
+                f"no viewer: {str(limit_reached(error) or error).rstrip('.')}; the run goes on without it"
+            )
+        if path is None and self.viewer is None:
+            return
+        self._aside = Aside("rerun", self._leave_out)
         self._aside.do(lambda: self._load(path))
         for note in self._notes:
             self.note(*note)
@@ -198,10 +212,20 @@ class Run:
             processes=self._processes,
         )
 
+    def _leave_out(self, error: BaseException) -> None:
+        """Go on without the recording and the viewer, which only help, and say so once."""
+        self._stream = None
+        why = str(limit_reached(error) or error)
+        expected = isinstance(error, HedgerowError | OSError | ImportError) or limit_reached(error) is not None
+        if not expected:
+            why = crash.report(error, self.folder.logs / "orchestrator.log")
+        what = "run.rrd is not complete" if self._watching.record else "the viewer is left out"
+        self.warnings.append(f"{what}: {why.rstrip('.')}; the run goes on without it")
+
     def _show(self, show: Callable[[RerunStream], object], size: int = 0) -> None:
         def job() -> None:
-            assert self._stream is not None, "it is loaded first"
-            show(self._stream)
+            if self._stream is not None:  # it is loaded first
+                show(self._stream)
 
         if self._aside is not None:
             self._aside.do(job, size)
@@ -212,6 +236,13 @@ class Run:
         if self._round_trips is not None:
             self._round_trips.close()
 
+    def _close_stream(self) -> None:
+        try:
+            if self._stream is not None and not self._stream.close(CLOSE_DEADLINE_S):
+                self.folder.event("viewer_stalled", deadline_s=CLOSE_DEADLINE_S)
+        except (OSError, HedgerowError) as error:
+            self._leave_out(error)
+
     def close(self) -> Verdict:
         """Close the tables and the recording, judge the run and write the verdict."""
         try:
@@ -219,8 +250,7 @@ class Run:
                 self._replaying.close()
             if self._aside is not None:
                 self._aside.close()
-            if self._stream is not None and not self._stream.close(CLOSE_DEADLINE_S):
-                self.folder.event("viewer_stalled", deadline_s=CLOSE_DEADLINE_S)
+            self._close_stream()
             self.close_tables()
         except (OSError, HedgerowError) as error:  # a full disk: the streams hold what was recorded, and can be read
             self.ending.stopped = self.ending.stopped or str(error)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from hedgerow.agents.shard import LawError, law_class
 from hedgerow.orchestrator.ground.assignment import Layout, law_of, layout, truth_of, views_of
-from hedgerow.orchestrator.ground.signals import EndNowError, Interrupts
+from hedgerow.orchestrator.ground.signals import Interrupts
 from hedgerow.orchestrator.launch.recording import Run, Watching
 from hedgerow.orchestrator.metrics.verdict import Ending, Verdict
 from hedgerow.orchestrator.runs import reference as in_process
@@ -66,8 +66,11 @@ def simulate_into(
                 elif interrupts.count:
                     ending.stopped = f"stopped at step {run.observer.next_step}: {interrupts.name}"
                     break
-        except (EndNowError, LawError, OSError) as error:
-            ending.stopped = f"stopped at step {run.observer.next_step}: {error}"
+        except (KeyboardInterrupt, SystemExit):
+            raise
+        except BaseException as error:  # a panic of a Rust library is no Exception
+            ending.end_by(error, folder.logs / "orchestrator.log")
+            ending.stopped = f"stopped at step {run.observer.next_step}: {ending.stopped}"
         verdict = run.close()
         for warning in run.warnings:
             screen.say(warning)

@@ -6,6 +6,7 @@ import signal
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from hedgerow.agents.view import View
@@ -15,21 +16,25 @@ from hedgerow.orchestrator.launch.external_agents import OWN_START_S, External
 from hedgerow.orchestrator.launch.fork_client import Nursery
 from hedgerow.orchestrator.runs.folder import RunFolder
 from hedgerow.plant.truth import Truth
+from hedgerow.topologies.errors import Exit
 from hedgerow.wire import keys
 from hedgerow.wire.child import ERROR_PREFIX, USER_ERROR
 
 
 @dataclass(frozen=True)
 class Dead:
-    """A process that ended: its name, how, and the error that its log ends with (empty when it says none)."""
+    """A process that ended: its name, how, the error that its log ends with (empty when it says none), and its log."""
 
     name: str
     code: int
     error: str
+    log: Path
 
     def __str__(self) -> str:
         how = f"was killed by {signal.Signals(-self.code).name}" if self.code < 0 else f"ended with code {self.code}"
-        return f"{self.name} {how}" + (f": {self.error}" if self.error else "")
+        # The nursery has no log, and names the file itself.
+        traced = f"; the traceback is in {self.log}" if self.code == Exit.CRASH and self.log.exists() else ""
+        return f"{self.name} {how}" + (f": {self.error}" if self.error else "") + traced
 
 
 def cause(dead: Sequence[Dead]) -> str:
@@ -121,7 +126,7 @@ class Processes:
         credentials = self._wiring.of(name)
         if credentials is not None:
             arguments += ["--credentials", str(credentials)]
-        self._nursery.fork(name, module, arguments, self._folder.logs / f"{name}.log")
+        self._nursery.fork(name, module, arguments, self._log(name))
 
     def wait_until_started(self) -> dict[str, int]:
         """The process ids by name, once all run."""
@@ -159,8 +164,8 @@ class Processes:
                 agent.alive, agent.told = False, False
                 self.deaths[agent.shard] += 1
                 if not agent.killed:
-                    agent.dead, agent.undecided = Dead(name, code, self._last_error(name)), True
-                    happened.append({"kind": "died", "process": name, "how": str(agent.dead)})
+                    agent.dead, agent.undecided = Dead(name, code, self._last_error(name), self._log(name)), True
+                    happened.append({"kind": "died", "process": name, "how": str(agent.dead), "code": code})
             if not agent.alive and not agent.told and (reached := tell_died(agent.shard, agent.life)) is not None:
                 agent.told = True
                 if agent.undecided and agent.dead is not None and not self._restarts(agent, reached):
@@ -208,7 +213,7 @@ class Processes:
     def dead(self) -> list[Dead]:
         """Who has ended, other than in good order, and ends the run: not an agent, unless the fault is its user's."""
         return [
-            Dead(name, code, self._last_error(name))
+            Dead(name, code, self._last_error(name) or self._nursery_error(name), self._log(name))
             for name, code in dict(self._nursery.codes).items()
             if code and (name not in self._agents or code == USER_ERROR)
         ]
@@ -222,9 +227,15 @@ class Processes:
         self._nursery.wait([keys.PLANT], plant_s)
         self._nursery.wait(list(self._agents), agents_s)
 
+    def _nursery_error(self, name: str) -> str:
+        return self._nursery.error if name == "nursery" else ""
+
+    def _log(self, name: str) -> Path:
+        return self._folder.logs / f"{name}.log"
+
     def _last_error(self, name: str) -> str:
         try:
-            lines = (self._folder.logs / f"{name}.log").read_text(encoding="utf-8", errors="replace").splitlines()
+            lines = self._log(name).read_text(encoding="utf-8", errors="replace").splitlines()
         except OSError:
             return ""
         errors = [line for line in lines if line.startswith(ERROR_PREFIX)]

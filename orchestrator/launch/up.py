@@ -23,6 +23,7 @@ from hedgerow.orchestrator.launch.endpoints import Wiring, wire
 from hedgerow.orchestrator.launch.external_agents import External, Meeting, configs
 from hedgerow.orchestrator.launch.fault_changes import with_end, with_fault, with_loss
 from hedgerow.orchestrator.launch.fork_client import Nursery
+from hedgerow.orchestrator.launch.plant_event import checked
 from hedgerow.orchestrator.launch.ray_agents import Fleet, OnRay
 from hedgerow.orchestrator.launch.recording import Run, Watching
 from hedgerow.orchestrator.launch.supervisor import Dead, Processes, cause
@@ -34,11 +35,12 @@ from hedgerow.orchestrator.runs.folder import RunFolder
 from hedgerow.orchestrator.runs.round_trips import line
 from hedgerow.orchestrator.views.rerun.viewer import Viewer
 from hedgerow.orchestrator.views.screen import Screen
-from hedgerow.topologies.errors import HedgerowError
+from hedgerow.topologies.errors import Code, Exit, HedgerowError
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire import keys
 from hedgerow.wire.codec import (
     Kind,
+    MessageError,
     Telemetry,
     decode_end,
     decode_event,
@@ -50,10 +52,13 @@ from hedgerow.wire.codec import (
 )
 from hedgerow.wire.credentials import Credentials
 from hedgerow.wire.handshake import room
+from hedgerow.wire.limits import need_open_files
 from hedgerow.wire.runtime import LONG_BYTES, keep_memory
 from hedgerow.wire.session import CONNECT_TIMEOUT_S, Ear, RefusedError, Voice, WireError, close, has_router, open_client
 from hedgerow.wire.stream import Inbox, rows_ahead
 
+ROUTER_FILES = 24
+"""Open files of a plant that is the router, besides one per agent process."""
 TICK_S = 0.2
 """How often telemetry is taken in: in batches, off the loop's path."""
 WAKE_ROWS = 512
@@ -129,6 +134,9 @@ class Network:
         """when we last had a router"""
         self._cut_off = False
         """it has been gone for too long"""
+        self._down: list[Dead] = []
+        self._refused = 0
+        """messages on `telemetry` that no plant sends"""
         self.interrupted = False
         """the user asked for the end"""
 
@@ -169,14 +177,17 @@ class Network:
                     finally:
                         dead = processes.dead()
                         self._ending.restarts = processes.restarts
+                        self._down = processes.down
                         self._ending.down = [str(one) for one in processes.down]
                         known = (run.topology, self._shards, processes.deaths, self._ending.losses)
                         self._ending.survivors = survivors(*known, run.observer.next_step)
                         if self._fleet is not None:
                             self._ending.restarts += self._fleet.restarts
                             self._ending.down += self._fleet.down
-            except (HedgerowError, OSError) as error:
-                self._ending.stopped = str(error)
+            except (KeyboardInterrupt, SystemExit):
+                raise
+            except BaseException as error:  # a panic of a Rust library is no Exception
+                self._ending.end_by(error, self._folder.logs / "orchestrator.log")
             self.interrupted = interrupts.count > 0
             self._explain(run, dead)
             if self._options.verify and not self._ending.stopped:
@@ -217,6 +228,8 @@ class Network:
         stack.enter_context(wiring.laid(places(self._views)))
         stack.callback(self._nursery.clear)
         processes = Processes(self._nursery, self._folder, wiring)
+        if wiring.listens:  # without this, agents that the router cannot accept would be restarted for a minute
+            need_open_files(len(self._views) + ROUTER_FILES, f"a plant with {len(self._views)} agent processes")
         external = self._options.external
         # Nobody need be started for a router that is not there.
         session = None if wiring.listens else self._connect(processes, interrupts, stack)
@@ -260,8 +273,10 @@ class Network:
             except RefusedError:
                 raise
             except WireError as error:
-                if interrupts.count or (dead := processes.dead()):
-                    raise HedgerowError(interrupts.name or cause(dead)) from None
+                dead = processes.dead()
+                if interrupts.count or dead:
+                    code = Code.CRASH if any(one.code == Exit.CRASH for one in dead) else None
+                    raise HedgerowError(interrupts.name or cause(dead), code=code) from None
                 if time.monotonic() > by:
                     raise WireError(f"{error} (tried for {wait_s:g} s)") from None
 
@@ -302,6 +317,10 @@ class Network:
                     self._folder.event(**happened)
                     if happened["kind"] == "down":
                         self._screen.say(f"{happened['process']} stays down: {happened['how']}")
+                    if happened.get("code") == Exit.CRASH:
+                        self._screen.say(happened["how"])
+                        self._ending.crashed = True
+                        self._ending.stopped = self._ending.stopped or happened["how"]
                 # Without one of ours the first step never comes, whoever else does.
                 missed = processes.failing if self._ending.first_step_s is None else []
                 if interrupts.count or processes.dead() or missed:
@@ -333,13 +352,25 @@ class Network:
                     self._take_rows(run, [decode_telemetry(message, n, e) for message in some])
                 case Kind.EVENT:
                     for message in some:
-                        self._take_event(run, processes, decode_event(message))
+                        try:
+                            event = checked(decode_event(message), len(self._shards), len(run.topology.faults))
+                        except MessageError as error:
+                            self._refuse(error)
+                        else:
+                            self._take_event(run, processes, event)
                 case Kind.TRIPS:
                     for message in some:
                         run.take_trips(decode_trips(message, len(self._shards)))
                 case Kind.END:
                     run.finish(decode_end(next(some), n))
         return bool(messages)
+
+    def _refuse(self, error: MessageError) -> None:
+        """Report the first message on `telemetry` that no plant sends; the run goes on without it."""
+        if not self._refused:
+            self._screen.say(f"{keys.TELEMETRY}: refused: {error}; somebody else writes there")
+            self._folder.event("refused_message", why=str(error))
+        self._refused += 1
 
     def _take_rows(self, run: Run, rows: list[Telemetry]) -> None:
         unseen = run.viewer is None
@@ -434,6 +465,7 @@ class Network:
         done = run.observer.end.t if run.observer.end is not None else run.observer.next_step
         if dead:
             self._folder.event("processes_died", processes=[str(one) for one in dead])
+        self._ending.crashed |= any(one.code == Exit.CRASH for one in [*dead, *self._down])
         if done < self._topology.steps:
             reason = self._ending.stopped or (cause(dead) if dead else "stopped on request")
             self._ending.stopped = f"stopped at step {done}: {reason}"

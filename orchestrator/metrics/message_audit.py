@@ -94,7 +94,7 @@ def audit(places: Sequence[Place], event: Mapping[str, Any], observed: Mapping[s
     if observed is not None:
         words[OBSERVER], lives[OBSERVER] = observed, 0
     for place, word in zip(places, event["shards"], strict=True):
-        if word is not None and _is_word(word):
+        if is_counted(word) and isinstance(word.get("life"), int):
             words[place.name], lives[place.name] = word, word["life"]
     counted, observer = ([_counted(one, words, lives) for one in some] for some in (channels(places), OBSERVED))
     strange = {name: word["strange"] for name, word in words.items() if word["strange"]}
@@ -121,9 +121,9 @@ def _counted(one: Channel, words: Mapping[str, Any], lives: Mapping[str, int]) -
     )
 
 
-def _is_word(word: Mapping[str, Any]) -> bool:
-    """Whether that is what an agent says at its end: it came over the wire."""
-    tables = [word.get(name) for name in ("said", "heard", "refused", "strange")]
-    return isinstance(word.get("life"), int) and all(
+def is_counted(word: Any) -> bool:
+    """Return True if `word`, which came over the wire, is what a process says at its end."""
+    tables = [word.get(name) for name in ("said", "heard", "refused", "strange")] if isinstance(word, dict) else [None]
+    return all(
         isinstance(table, dict) and all(isinstance(number, int) for number in table.values()) for table in tables
     )

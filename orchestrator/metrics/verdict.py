@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from hedgerow.orchestrator.metrics.checks import Worst
@@ -16,9 +17,11 @@ from hedgerow.orchestrator.metrics.replay import Replay
 from hedgerow.orchestrator.runs.folder import versions
 from hedgerow.orchestrator.views.event_texts import gain_said
 from hedgerow.topologies.describe import describe
-from hedgerow.topologies.errors import Exit
+from hedgerow.topologies.errors import Code, Exit, HedgerowError
 from hedgerow.topologies.partition import cut, partition
 from hedgerow.topologies.schema import LAWS, Topology
+from hedgerow.wire import crash
+from hedgerow.wire.limits import limit_reached
 
 VALID, INVALID, UNKNOWN = "valid", "INVALID", "unknown"
 EXIT_CODES = {VALID: Exit.VALID, INVALID: Exit.INVALID, UNKNOWN: Exit.UNKNOWN}
@@ -78,6 +81,18 @@ class Ending:
     """how long each process took to answer; None where nothing crossed a wire"""
     down: list[str] = field(default_factory=list)
     """processes that ended, unplanned, and were not started again, each in words"""
+    crashed: bool = False
+    """the run ended by a defect of this project"""
+
+    def end_by(self, error: BaseException, log: Path) -> None:
+        """Record that an exception ended the run; the traceback of one that nobody expected goes to `log`."""
+        reached = limit_reached(error)
+        if reached is None and not isinstance(error, HedgerowError | OSError):
+            self.crashed = True
+            self.stopped = crash.report(error, log)
+        else:
+            self.crashed |= getattr(error, "code", None) == Code.CRASH
+            self.stopped = str(reached or error)
 
 
 @dataclass(frozen=True)
@@ -89,7 +104,8 @@ class Verdict:
 
     @property
     def exit_code(self) -> int:
-        return EXIT_CODES[self.verdict]
+        """The exit code of the command."""
+        return int(self.content["exit_code"])
 
     def line(self) -> str:
         """The last line on the screen."""
@@ -168,13 +184,14 @@ def judge(topology: Topology, observer: Observer, ending: Ending) -> Verdict:
         f"fault {k + 1} ({faults[k]['what']}) could not fire: {why}"
         for k, why in observer.schedule.idle(topology.steps).items()
     ]
-    verdict = INVALID if failed else UNKNOWN if doubts else VALID
+    # A defect of ours may fail a check as well, and says nothing about the run.
+    verdict = UNKNOWN if ending.crashed else INVALID if failed else UNKNOWN if doubts else VALID
     done = observer.end.t if observer.end is not None else observer.next_step
     elapsed_s = observer.end.elapsed_s if observer.end is not None else None
     content = {
         "verdict": verdict,
-        "exit_code": EXIT_CODES[verdict],
-        "reasons": failed + doubts,
+        "exit_code": Exit.CRASH if ending.crashed else EXIT_CODES[verdict],
+        "reasons": doubts + failed if ending.crashed else failed + doubts,
         "run": ending.run,
         "name": topology.name,
         "law": topology.law,

@@ -48,7 +48,7 @@ def report(
             whole.mkdir()
             with look():
                 drawn = {kind: save(kind.draw(runs), whole, kind.file, kind.title) for kind in kinds}
-            (whole / PAGE).write_text(page(runs, drawn), encoding="utf-8")
+            (whole / PAGE).write_text(page(runs, drawn), encoding="utf-8", errors="backslashreplace")
             if out.is_dir():
                 out.rename(Path(scratch) / "old")
             whole.rename(out)

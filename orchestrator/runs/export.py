@@ -16,6 +16,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 from pyarrow.csv import CSVWriter
 
+from hedgerow.orchestrator.ground.spelling import spelled
 from hedgerow.orchestrator.runs.reader import RecordedRun
 from hedgerow.orchestrator.runs.table import Table
 from hedgerow.orchestrator.runs.writer import ROW_GROUP
@@ -100,7 +101,7 @@ def _parquet(table: Table, path: Path) -> None:
     if table.over:
         shutil.copyfile(table.parquet, path)
     else:
-        pq.write_table(table.whole(), path, row_group_size=ROW_GROUP)
+        pq.write_table(table.whole(), spelled(path), row_group_size=ROW_GROUP)
 
 
 def _npz(run: RecordedRun, path: Path) -> None:

@@ -11,13 +11,14 @@ import time
 from collections.abc import Iterator, Mapping
 from datetime import datetime
 from functools import cache
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from hedgerow.orchestrator.ground.spelling import shown
 from hedgerow.topologies.errors import UserError
 from hedgerow.topologies.resolve import save
 from hedgerow.topologies.schema import Topology
+from hedgerow.wire.release import release
 
 PACKAGES = ("hedgerow", "eclipse-zenoh", "numpy", "rerun-sdk", "pydantic", "pyarrow", "scipy")
 
@@ -34,10 +35,13 @@ class RunFolder:
         self.logs = path / "logs"
         self.processes = path / "processes"
         """what each process was told"""
+        self.note = ""
+        """what could not be done for the run's convenience, in one line"""
 
     @property
     def name(self) -> str:
-        return self.path.name
+        """The run's name: that of its folder, with an escape for each byte that is no UTF-8."""
+        return shown(self.path.name)
 
     def event(self, kind: str, **details: Any) -> None:
         """Append one line to events.jsonl, if the disk has room: who records the run says it when not."""
@@ -82,15 +86,25 @@ def whole_folder(folder: Path, said: str, mode: int = 0o777) -> Iterator[Path]:
 
 def create(topology: Topology, directory: Path | None) -> RunFolder:
     """A new folder for a run of the resolved `topology`: `directory` itself, new or empty, or one in runs/."""
+    made = directory is not None and not directory.exists()
     try:
         if directory is not None:
             new_folder(directory, f"--run-dir {directory}")
             folder = RunFolder(directory.resolve())
         else:
-            folder = RunFolder(_new_in(Path("runs"), topology.name))
-        folder.logs.mkdir()
-        folder.processes.mkdir()
-        save(topology, folder.topology)
+            folder = _new_in(Path("runs"), topology.name)
+            made = True
+        try:
+            folder.logs.mkdir()
+            folder.processes.mkdir()
+            save(topology, folder.topology)
+        except BaseException:
+            _empty(folder.path)
+            if made:
+                folder.path.rmdir()
+            raise
+        if directory is None:
+            folder.note = _point_latest(folder.path.parent, folder.path)
     except OSError as error:
         raise UserError(
             f"no run folder: {error.filename or directory}: {error.strerror}; choose another with --run-dir"
@@ -98,7 +112,14 @@ def create(topology: Topology, directory: Path | None) -> RunFolder:
     return folder
 
 
-def _new_in(runs: Path, name: str) -> Path:
+def _empty(folder: Path) -> None:
+    """Remove what `create` has put into a folder."""
+    for path in (folder / "topology.yaml", folder / "logs", folder / "processes"):
+        with contextlib.suppress(OSError):
+            path.rmdir() if path.is_dir() else path.unlink(missing_ok=True)
+
+
+def _new_in(runs: Path, name: str) -> RunFolder:
     runs.mkdir(exist_ok=True)
     stamp = time.strftime("%Y%m%d-%H%M%S")
     number = 1
@@ -109,15 +130,21 @@ def _new_in(runs: Path, name: str) -> Path:
         except FileExistsError:
             number += 1
             continue
-        _point_latest(runs, path)
-        return path
+        return RunFolder(path)
 
 
-def _point_latest(runs: Path, path: Path) -> None:
+def _point_latest(runs: Path, path: Path) -> str:
+    """Point runs/latest to a run; return why that cannot be, in one line, else nothing."""
     # Replaced by a rename, so that `latest` exists at every moment, whoever else starts a run.
     link = runs / f".latest-{os.getpid()}"
-    link.symlink_to(path.name, target_is_directory=True)
-    link.replace(runs / "latest")
+    try:
+        link.symlink_to(path.name, target_is_directory=True)
+        link.replace(runs / "latest")
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            link.unlink(missing_ok=True)
+        return f"runs/latest: does not point to this run: {error.strerror}. Move what is there away, or name the run."
+    return ""
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
@@ -133,4 +160,4 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
 @cache
 def versions() -> Mapping[str, str]:
     """The versions that a run depends on."""
-    return {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}}
+    return {"python": platform.python_version(), **{name: release(name) for name in PACKAGES}}

@@ -41,7 +41,14 @@ def load_run(run: str | Path = "runs/latest") -> RecordedRun:
     folder = find_run(run)
     tables = {name: Table(folder, name) for name in TABLES if name != "summary" or there_is(folder, name)}
     # The file of a run that goes on may gain faults: it is read after the steps that they strike.
-    return RecordedRun(folder, load_resolved(folder), read_verdict(folder), load_events(folder), tables)
+    topology, verdict = load_resolved(folder), read_verdict(folder)
+    if verdict and len(verdict["faults"]) != len(topology.faults):
+        raise UserError(
+            f"{folder / 'verdict.json'}: has {len(verdict['faults'])} faults, and topology.yaml {len(topology.faults)}."
+            " The two files are of different runs: put back the right one.",
+            code=Code.FILE_FORMAT,
+        )
+    return RecordedRun(folder, topology, verdict, load_events(folder), tables)
 
 
 def _states(name: str) -> cached_property[Array]:

@@ -13,6 +13,7 @@ import numpy as np
 import pyarrow as pa
 
 from hedgerow.orchestrator.ground.assignment import process_names
+from hedgerow.orchestrator.ground.spelling import spelled
 from hedgerow.orchestrator.runs.columns import column, names
 from hedgerow.orchestrator.runs.writer import to_parquet
 from hedgerow.topologies.schema import Topology
@@ -35,7 +36,7 @@ class RoundTrips:
         self._counts = np.zeros((len(processes), BINS), np.int64)
         self._max = np.zeros(len(processes))
         self._stream, self._parquet = folder / f"{TABLE}.arrows", folder / f"{TABLE}.parquet"
-        self._writer = pa.ipc.new_stream(pa.OSFile(str(self._stream), "wb"), SCHEMA)
+        self._writer = pa.ipc.new_stream(pa.OSFile(spelled(self._stream), "wb"), SCHEMA)
 
     def take(self, trips: Trips) -> None:
         """Take in those of some steps."""

@@ -13,6 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from hedgerow.orchestrator.ground.spelling import spelled
 from hedgerow.orchestrator.runs.files import reading
 from hedgerow.orchestrator.runs.writer import whole_batches
 from hedgerow.topologies.errors import UserError
@@ -38,7 +39,7 @@ class Table:
         self.path = self.parquet if self._stream is None else stream
         try:
             with reading(self.parquet):
-                self._file = pq.ParquetFile(self.parquet) if self._stream is None else None
+                self._file = pq.ParquetFile(spelled(self.parquet)) if self._stream is None else None
         except FileNotFoundError:
             raise UserError(f"{folder}: no step of the run is recorded yet: there is no {name}.parquet") from None
 
@@ -116,7 +117,7 @@ class Table:
 def _so_far(stream: Path) -> Any:
     """An Arrow stream as a table that stays in the file, up to its last whole batch."""
     try:
-        reader = pa.ipc.open_stream(pa.memory_map(str(stream)))
+        reader = pa.ipc.open_stream(pa.memory_map(spelled(stream)))
     except pa.ArrowInvalid:  # not even what the columns are
         raise UserError(f"{stream.parent}: no step of the run is recorded yet") from None
     table = pa.Table.from_batches(whole_batches(reader), reader.schema)

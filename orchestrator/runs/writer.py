@@ -18,6 +18,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from hedgerow.orchestrator.ground.spelling import spelled
 from hedgerow.orchestrator.metrics.fault_accounts import at_ends
 from hedgerow.orchestrator.metrics.observer import Batch, Observer
 from hedgerow.orchestrator.runs.columns import column, names
@@ -47,7 +48,7 @@ class _Table:
         self.stream = folder / f"{name}.arrows"
         self.parquet = folder / f"{name}.parquet"
         self.schema = schema
-        self._writer = pa.ipc.new_stream(pa.OSFile(str(self.stream), "wb"), schema)
+        self._writer = pa.ipc.new_stream(pa.OSFile(spelled(self.stream), "wb"), schema)
 
     def append(self, columns: dict[str, pa.Array]) -> None:
         arrays = [columns[name] for name in self.schema.names]
@@ -66,9 +67,9 @@ def to_parquet(stream: Path, parquet: Path) -> None:
     part = parquet.with_suffix(".parquet.part")
     try:
         with (
-            pa.OSFile(str(stream), "rb") as source,
+            pa.OSFile(spelled(stream), "rb") as source,
             pa.ipc.open_stream(source) as reader,
-            pq.ParquetWriter(part, reader.schema) as writer,
+            pq.ParquetWriter(spelled(part), reader.schema) as writer,
         ):
             for table in _row_groups(reader):
                 writer.write_table(table, row_group_size=ROW_GROUP)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hedgerow.orchestrator.ground.spelling import spelled
 from hedgerow.orchestrator.metrics.fault_accounts import at_ends
 from hedgerow.orchestrator.metrics.verdict import Verdict
 from hedgerow.orchestrator.runs.selection import kept
@@ -73,8 +74,8 @@ class Result:
         folder = Path(folder)
         try:
             content = json.loads((folder / "verdict.json").read_text(encoding="utf-8"))
-            table = pq.read_table(folder / "telemetry.parquet")
-            edges = pq.read_table(folder / "edges.parquet")
+            table = pq.read_table(spelled(folder / "telemetry.parquet"))
+            edges = pq.read_table(spelled(folder / "edges.parquet"))
         except FileNotFoundError as error:
             raise UserError(f"{folder}: holds no run that is over: there is no {Path(error.filename).name}") from None
         topology = load(str(folder))

@@ -8,6 +8,8 @@ import os
 import shutil
 import sys
 import time
+from collections.abc import Callable
+from errno import EIO
 from pathlib import Path
 from typing import Protocol
 
@@ -18,11 +20,43 @@ from hedgerow.topologies.schema import Topology
 LINE_EVERY_S = 2.0
 
 
+class Outlet:
+    """Standard output that a run goes on without: what is lost there is remembered, and raises nothing."""
+
+    def __init__(self) -> None:
+        self._terminal = _leads_to_terminal()
+        self.lost: OSError | None = None
+        """why something could not be written"""
+
+    def write(self, put: Callable[[], object]) -> None:
+        """Call `put`, which writes to standard output; after an error all output leads nowhere."""
+        try:
+            put()
+        except OSError as error:
+            self.lost = self.lost or error
+            with contextlib.suppress(OSError, ValueError):
+                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+    @property
+    def incomplete(self) -> OSError | None:
+        """The error, unless the reader of a pipe has left or the terminal was closed: that reader has read enough."""
+        closed = isinstance(self.lost, BrokenPipeError) or (self._terminal and getattr(self.lost, "errno", 0) == EIO)
+        return None if closed else self.lost
+
+
+def _leads_to_terminal() -> bool:
+    with contextlib.suppress(OSError, ValueError):
+        return sys.stdout.isatty()
+    return False
+
+
 class Screen(Protocol):
     """Told of a run's course; says it in its own way."""
 
     interactive: bool
     """whether somebody sits before it"""
+    outlet: Outlet
+    """standard output, which a screen writes to"""
 
     def say(self, text: str) -> None:
         """Something that happened."""
@@ -50,12 +84,10 @@ class Lines:
     def __init__(self, steps: int, interactive: bool = False) -> None:
         self.interactive = interactive
         self._steps, self._said = steps, time.monotonic()
+        self.outlet = Outlet()
 
     def say(self, text: str) -> None:
-        try:
-            print(text, flush=True)
-        except OSError:  # a reader who has left, or a full disk, does not end the run: what is said is lost
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        self.outlet.write(lambda: print(text, flush=True))
 
     def progress(self, batch: Batch) -> None:
         now, done = time.monotonic(), int(batch.t[-1]) + 1
@@ -78,6 +110,9 @@ class Json:
 
     interactive = False
 
+    def __init__(self) -> None:
+        self.outlet = Outlet()
+
     def say(self, text: str) -> None:
         with contextlib.suppress(OSError):
             print(text, file=sys.stderr, flush=True)
@@ -86,7 +121,8 @@ class Json:
         pass
 
     def verdict(self, verdict: Verdict, folder: Path) -> None:
-        print(json.dumps({"folder": str(folder), **verdict.content}), flush=True)
+        text = json.dumps({"folder": str(folder), **verdict.content})
+        self.outlet.write(lambda: print(text, flush=True))
 
     def close(self) -> None:
         pass
@@ -96,6 +132,9 @@ class Quiet:
     """Nothing at all."""
 
     interactive = False
+
+    def __init__(self) -> None:
+        self.outlet = Outlet()
 
     def say(self, text: str) -> None:
         pass

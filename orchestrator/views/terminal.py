@@ -40,7 +40,7 @@ from hedgerow.orchestrator.metrics.fault_accounts import at_ends
 from hedgerow.orchestrator.metrics.observer import Batch
 from hedgerow.orchestrator.metrics.verdict import INVALID, VALID, Verdict
 from hedgerow.orchestrator.views.event_texts import gain_said
-from hedgerow.orchestrator.views.screen import left_behind
+from hedgerow.orchestrator.views.screen import Outlet, left_behind
 from hedgerow.topologies.describe import describe, window
 from hedgerow.topologies.graph import Index, Mask
 from hedgerow.topologies.schema import Topology
@@ -94,7 +94,8 @@ class Standing:
             self._pace.popleft()
 
     def lines(self, width: int, height: int) -> list[Text]:
-        """The table, in at most `height` lines of `width` cells."""
+        """The table, in at most `height` lines of `width` cells; a terminal may claim to have none."""
+        width, height = max(width, 1), max(height, 0)
         if self._last is None:
             return []
         head = [Text(line, "bold") for line in _folded(self._title(), width)]
@@ -246,6 +247,7 @@ class Table:
         self, topology: Topology, console: Console | None = None, clock: Callable[[], float] = time.monotonic
     ) -> None:
         self._console = _console() if console is None else console
+        self.outlet = Outlet()
         self._clock = clock
         self._standing = Standing(topology)
         self._live: Live | None = None
@@ -254,8 +256,7 @@ class Table:
 
     def say(self, text: str) -> None:
         if self._live is None:
-            with contextlib.suppress(OSError):
-                self._console.print(text, markup=False)
+            self.outlet.write(lambda: self._console.print(text, markup=False))
             return
         self._standing.happened(text)
         self._draw_if_due()
@@ -264,9 +265,10 @@ class Table:
         self._standing.take(batch, self._clock())
         if self._live is None:
             self._live = Live(console=self._console, auto_refresh=False, redirect_stdout=False, redirect_stderr=False)
-            with contextlib.suppress(OSError):
-                self._live.start()
-                self._console.show_cursor()  # else somebody would have to bring it back, even after SIGKILL
+            self.outlet.write(self._live.start)
+            self.outlet.write(
+                self._console.show_cursor
+            )  # else somebody would have to bring it back, even after SIGKILL
         self._draw_if_due()
 
     def _draw_if_due(self) -> None:
@@ -275,25 +277,21 @@ class Table:
             self._draw(self._live)
 
     def _draw(self, live: Live, refresh: bool = True) -> None:
-        # A terminal that has gone does not end the run.
-        with contextlib.suppress(OSError):
-            if (size := self._console.size) != self._size:
-                self._size = size
-                self._console.clear()  # where lines were folded, nobody knows where the table began
-            # The last line stays empty, for the cursor and for the ^C that the terminal writes there.
-            lines = self._standing.lines(size.width, size.height - 2)
-            live.update(Text("\n").join([*lines, Text()]), refresh=refresh)
+        if (size := self._console.size) != self._size:
+            self._size = size
+            self.outlet.write(self._console.clear)  # where lines were folded, nobody knows where the table began
+        # The last line stays empty, for the cursor and for the ^C that the terminal writes there.
+        lines = self._standing.lines(size.width, size.height - 2)
+        self.outlet.write(lambda: live.update(Text("\n").join([*lines, Text()]), refresh=refresh))
 
     def verdict(self, verdict: Verdict, folder: Path) -> None:
         self.close()
-        with contextlib.suppress(OSError):
-            _tell(self._console, verdict, folder)
+        self.outlet.write(lambda: _tell(self._console, verdict, folder))
 
     def close(self) -> None:
         if self._live is not None:
             self._draw(self._live, refresh=False)
-            with contextlib.suppress(OSError):
-                self._live.stop()
+            self.outlet.write(self._live.stop)
             self._live = None
 
 
@@ -304,35 +302,41 @@ class Bar:
 
     def __init__(self, steps: int) -> None:
         self._console = _console()
+        self.outlet = Outlet()
         self._bar = Progress(
             TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[rate]}"),
-            TimeRemainingColumn(), console=self._console, transient=True,
+            TimeRemainingColumn(), console=self._console, transient=True, auto_refresh=False,
         )  # fmt: skip
         self._task = self._bar.add_task("steps", total=steps, rate="")
         self._began: float | None = None
+        self._drawn_at = -REDRAW_S
 
     def say(self, text: str) -> None:
-        self._console.print(text, markup=False)
+        self.outlet.write(lambda: self._console.print(text, markup=False))
 
     def progress(self, batch: Batch) -> None:
         done = int(batch.t[-1]) + 1
         if self._began is None:
             self._began = time.monotonic()
-            self._bar.start()
+            self.outlet.write(self._bar.start)
         seconds = time.monotonic() - self._began
-        self._bar.update(self._task, completed=done, rate=f"{done / seconds:.0f} steps/s" if seconds > 0 else "")
+        rate = f"{done / seconds:.0f} steps/s" if seconds > 0 else ""
+        # Not on a thread of Rich's: it would end with a traceback when the terminal is closed.
+        due = time.monotonic() - self._drawn_at >= REDRAW_S
+        self._drawn_at = time.monotonic() if due else self._drawn_at
+        self.outlet.write(lambda: self._bar.update(self._task, completed=done, rate=rate, refresh=due))
 
     def verdict(self, verdict: Verdict, folder: Path) -> None:
         self.close()
-        _tell(self._console, verdict, folder)
+        self.outlet.write(lambda: _tell(self._console, verdict, folder))
 
     def close(self) -> None:
-        self._bar.stop()
+        self.outlet.write(self._bar.stop)
 
 
 def _console() -> Console:
     with contextlib.suppress(AttributeError):  # a name that this terminal cannot write must not end the run
-        sys.stdout.reconfigure(errors="replace")  # type: ignore[union-attr]
+        sys.stdout.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
     return Console(highlight=False, soft_wrap=True)
 
 

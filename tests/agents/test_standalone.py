@@ -153,7 +153,7 @@ def test_a_planned_crash_of_an_agent_elsewhere_ends_no_process(here: Path, endpo
 def test_another_release_and_another_network_are_refused_at_both_ends(here: Path, endpoint: str, start: Any) -> None:
     bundle(endpoint, "--seed", "8")
     old = (
-        "import hedgerow.wire.handshake as h; h.version = lambda _: '0.0.1';"
+        "import hedgerow.wire.handshake as h; h.release = lambda _: '0.0.1';"
         "from hedgerow.agents.standalone import main; main()"
     )
     with Orchestrator("up", "paper7", "--external", "3", "--listen", endpoint, "--wait", "30", *UP) as network:
@@ -188,7 +188,7 @@ def test_an_agent_that_a_killed_run_left_behind_makes_room_for_the_next(here: Pa
     assert gone(children)
     with Orchestrator(*command) as network:
         code, said = left_behind.wait()
-        assert code == 1
+        assert code == 3
         assert "another run has begun here, and we are of the one before; start us again with the next run" in said
         again = start("agents", "--config", "lab/agent-3.toml")
         assert network.wait() == 0, network.output
@@ -266,7 +266,7 @@ def test_a_plant_that_is_started_anew_takes_nobody_of_the_run_before_for_ready(
             assert network.wait() == 0, network.output
             assert [other.wait()[0] for other in others] == [0, 0]
         code, said = left_behind.wait()
-    assert code == 1
+    assert code == 3
     assert "another run has begun here" in said
 
 

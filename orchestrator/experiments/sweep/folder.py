@@ -13,6 +13,7 @@ from typing import Any
 
 from hedgerow.orchestrator.experiments.sweep.plan import Plan, typed
 from hedgerow.orchestrator.experiments.sweep.runs import METRICS, Row
+from hedgerow.orchestrator.ground.spelling import spelled
 from hedgerow.orchestrator.runs.folder import write_json
 from hedgerow.topologies.errors import UserError
 
@@ -128,7 +129,7 @@ class SweepFolder:
             columns[name] = pa.array([row[name] for row in rows], pa.string())
         part = self.table.with_name(self.table.name + ".part")
         try:
-            pq.write_table(pa.table(columns), part)
+            pq.write_table(pa.table(columns), spelled(part))
             part.replace(self.table)
         except OSError as error:
             part.unlink(missing_ok=True)

@@ -16,10 +16,12 @@ from hedgerow.orchestrator.ground.assignment import layout, truth_of, views_of
 from hedgerow.orchestrator.metrics.observer import Observer, rows_at_once
 from hedgerow.orchestrator.metrics.verdict import Ending, judge
 from hedgerow.orchestrator.runs import reference as in_process
-from hedgerow.topologies.errors import HedgerowError, TopologyError, UserError
+from hedgerow.topologies.errors import Code, HedgerowError, TopologyError, UserError
 from hedgerow.topologies.resolve import resolve
 from hedgerow.topologies.schema import Topology
+from hedgerow.wire import crash
 from hedgerow.wire.codec import End, Telemetry
+from hedgerow.wire.limits import limit_reached
 
 Row = dict[str, Any]
 METRICS = (
@@ -36,10 +38,11 @@ class Failure:
     text: str
     users: bool
     """whether it is a mistake of the user's"""
+    code: Code = Code.UNKNOWN
 
     def error(self) -> HedgerowError:
         """The same, to be raised."""
-        return UserError(self.text) if self.users else HedgerowError(self.text)
+        return UserError(self.text) if self.users else HedgerowError(self.text, code=self.code)
 
 
 Answer = list[Row] | Failure
@@ -58,7 +61,9 @@ def answer(plan: Plan, chunk: Chunk) -> Answer:
     except HedgerowError as error:
         return Failure(f"seed {seed}, {plan.says(chunk.setting)}: {error}", isinstance(error, UserError))
     except Exception as error:
-        return Failure(f"seed {seed}, {plan.says(chunk.setting)}: {type(error).__name__}: {error}", users=False)
+        reached = limit_reached(error)
+        where, code = f"seed {seed}, {plan.says(chunk.setting)}", Code.CRASH if reached is None else reached.code
+        return Failure(f"{where}: {reached or crash.report(error)}", users=False, code=code)
 
 
 def _content(plan: Plan, setting: int, seed: int) -> dict[str, Any]:

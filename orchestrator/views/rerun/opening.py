@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from rerun.chunk import RrdReader
 
 from hedgerow.orchestrator.ground.signals import Interrupts
+from hedgerow.orchestrator.ground.spelling import spelled
 from hedgerow.orchestrator.metrics.fault_accounts import at_ends
 from hedgerow.orchestrator.metrics.observer import Observer
 from hedgerow.orchestrator.runs import registry
@@ -96,7 +97,7 @@ def _open(folder: Path, viewer: Viewer, say: Say, go_on: Callable[[], bool]) -> 
 
 def _chunks(file: Path) -> Iterator[Any]:
     """What a recording holds, to where it can be read."""
-    chunks = iter(RrdReader(file).stream())
+    chunks = iter(RrdReader(spelled(file)).stream())
     while True:
         try:
             chunk = next(chunks)
@@ -128,7 +129,7 @@ def _unreadable(files: Sequence[Path]) -> str:
             return f"{file.name} was written by Rerun {head[4]}.{head[5]}, newer than {rr.__version__} here"
         try:
             with warnings.catch_warnings(action="ignore"):  # a killed run left no footer, which only costs time
-                if not RrdReader(file).recordings():
+                if not RrdReader(spelled(file)).recordings():
                     raise ValueError("it holds no recording")
         except (RuntimeError, ValueError, OSError) as error:
             return f"{file.name} cannot be read ({error})"

@@ -13,6 +13,7 @@ from pathlib import Path
 import rerun as rr
 from rerun_bindings import flush_and_cleanup_orphaned_recordings
 
+from hedgerow.orchestrator.ground.spelling import spelled
 from hedgerow.topologies.errors import HedgerowError
 
 Write = Callable[[rr.RecordingStream], None]
@@ -74,7 +75,7 @@ class RrdFile:
 
     def _begin(self) -> rr.RecordingStream:
         try:
-            return self._open(rr.FileSink(self.part, write_footer=self._footer))
+            return self._open(rr.FileSink(spelled(self.part), write_footer=self._footer))
         except RuntimeError as error:
             raise self._unwritable(error) from None
 

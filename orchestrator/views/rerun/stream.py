@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from hedgerow.orchestrator.metrics.observer import Batch, Observer
 from hedgerow.orchestrator.views.rerun.viewer import Viewer
 from hedgerow.topologies.describe import describe, window
+from hedgerow.topologies.errors import Code, HedgerowError
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire.codec import Trips
 
@@ -243,6 +244,11 @@ class RerunStream:
     def opened(self, sink: rr.FileSink | rr.GrpcSink) -> rr.RecordingStream:
         """A recording that leads to `sink`, and has told it all that does not change."""
         stream = rr.RecordingStream(APPLICATION, recording_id=self._id)
+        if not rr.is_enabled(stream):
+            switch = os.environ.get("RERUN", "")
+            raise HedgerowError(
+                f"Rerun is switched off by RERUN={switch} in the environment; unset it", code=Code.OPTION
+            )
         stream.set_log_time_enabled(False)
         stream.set_sinks(sink, default_blueprint=self._blueprint)
         stream.send_recording_name(self._id)

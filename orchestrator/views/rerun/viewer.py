@@ -23,7 +23,6 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 from urllib.parse import quote, urlsplit
 
@@ -31,6 +30,7 @@ import psutil
 
 from hedgerow.topologies.errors import HedgerowError, UserError
 from hedgerow.wire.ports import LOOPBACK, free_port
+from hedgerow.wire.release import release
 
 NATIVE_MEMORY = "1GB"
 """what the native viewer keeps of a run; it drops the oldest steps beyond"""
@@ -38,6 +38,8 @@ SERVER_MEMORY = "256MiB"
 """what a server keeps for pages that are opened late"""
 NICE = 5
 """how much more a run's processes get of the processor than a viewer"""
+END_DEADLINE_S = 5.0
+"""how long a viewer has to end before it is killed"""
 START_DEADLINE_S = 20.0
 """how long a viewer has to start where somebody waits for it"""
 
@@ -89,7 +91,7 @@ class Viewer:
             return "the viewer does not start; try again, or --viewer web"
         port = urlsplit(self.url).port
         return (
-            f"nobody listens there; start a viewer of rerun-sdk {version('rerun-sdk')} with"
+            f"nobody listens there; start a viewer of rerun-sdk {release('rerun-sdk')} with"
             f" `rerun --port {port} --bind {LOOPBACK}`, or choose --viewer web"
         )
 
@@ -99,7 +101,11 @@ class Viewer:
             for process in (self.process, self.door):
                 if process is not None:
                     process.terminate()
-                    process.wait()
+                    try:
+                        process.wait(END_DEADLINE_S)
+                    except subprocess.TimeoutExpired:  # it ignores SIGTERM, as we may do
+                        process.kill()
+                        process.wait()
 
 
 def choose(asked: str) -> str:

@@ -21,6 +21,7 @@ import numpy as np
 import pyarrow as pa
 
 from hedgerow.orchestrator.ground.signals import Interrupts
+from hedgerow.orchestrator.ground.spelling import spelled
 from hedgerow.orchestrator.metrics.fault_accounts import at_ends
 from hedgerow.orchestrator.metrics.observer import Observer
 from hedgerow.orchestrator.metrics.verdict import Verdict
@@ -59,7 +60,7 @@ class ArrowTail:
     """An Arrow stream that may still grow, batch by batch from its first."""
 
     def __init__(self, path: Path) -> None:
-        self._file = pa.OSFile(str(path), "rb")
+        self._file = pa.OSFile(spelled(path), "rb")
         self._schema: pa.Schema | None = None
         self.over = False
         """its writer has closed it, and all was read"""

@@ -127,7 +127,7 @@ def test_a_plant_elsewhere_is_the_router_with_the_routers_keys(here: Path, port:
     bundle(port, "--processes", "2", "--steps", "20")
     listen = ("--listen", f"tls/127.0.0.1:{port}")
     code, said = start("plant", "--config", "lab/plant", *listen).wait()
-    assert code == 1
+    assert code == 3
     assert "no keys of a router" in said
     assert "take the folder `router`" in said
     plant = start("plant", "--config", "lab/plant", *listen, "--credentials", "lab/router")

@@ -1,0 +1,95 @@
+"""The exit code of a command: every exception becomes one line on standard error and a code of `Exit`."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import select
+import sys
+from collections.abc import Callable
+from typing import TYPE_CHECKING, NoReturn
+
+import typer
+
+from hedgerow.topologies.errors import Code, Exit, HedgerowError, TopologyError, UserError
+from hedgerow.wire import crash, start
+from hedgerow.wire.limits import limit_reached
+
+if TYPE_CHECKING:
+    from hedgerow.orchestrator.metrics.verdict import Verdict
+    from hedgerow.orchestrator.views.screen import Screen
+
+FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
+"""Where standard output leads, no more can be written."""
+
+
+def run_to_exit_code(command: Callable[[], int]) -> int:
+    """Run `command` and return the exit code of this process."""
+    try:
+        code = command()
+        with contextlib.suppress(BrokenPipeError):  # a reader who has left has read enough
+            sys.stdout.flush()
+    except TopologyError as error:
+        _complain(f"{error}\n{error.summary}")
+        code = 2
+    except UserError as error:
+        _complain(f"error: {error}")
+        code = 2
+    except HedgerowError as error:
+        _complain(f"error: {error}")
+        code = Exit.CRASH if error.code == Code.CRASH else Exit.UNKNOWN
+    except (typer.Abort, KeyboardInterrupt):
+        code = start.INTERRUPTED
+    except BaseException as error:  # a panic of a Rust library is no Exception
+        code = _unexpected(error)
+    return code
+
+
+def _unexpected(error: BaseException) -> int:
+    """Say in one line what ended the command that is none of our own errors; the exit code."""
+    if isinstance(error, OSError | SystemExit) and _nobody_reads():
+        return Exit.VALID  # a reader who has left has read enough; click makes a SystemExit of it
+    if isinstance(error, SystemExit):
+        return error.code if isinstance(error.code, int) else 0 if error.code is None else Exit.UNKNOWN
+    if isinstance(error, OSError) and error.errno in FULL:
+        _complain(f"error: what was to be written is lost: {error.strerror}; make room, or write it elsewhere")
+        return Exit.USER_MISTAKE
+    if isinstance(error, Exception) and hasattr(error, "show"):
+        with contextlib.suppress(OSError):
+            error.show()  # a wrong option or argument, in the words of the command line library
+        return Exit.USER_MISTAKE
+    reached = limit_reached(error)
+    _complain(f"error: {reached or crash.report(error)}")
+    return Exit.CRASH if reached is None else Exit.UNKNOWN
+
+
+def _nobody_reads() -> bool:
+    """Return True if standard output leads to a pipe whose reader has left, or to a terminal that was closed."""
+    poll = select.poll()
+    with contextlib.suppress(OSError, ValueError):
+        poll.register(sys.stdout.fileno(), 0)
+        return any(events & (select.POLLERR | select.POLLHUP) for _, events in poll.poll(0))
+    return False
+
+
+def code_of_run(verdict: Verdict, display: Screen) -> int:
+    """Return the exit code of a run; a valid one whose verdict could not be shown is unknown to its user."""
+    if (lost := display.outlet.incomplete) is not None and verdict.exit_code == Exit.VALID:
+        _complain(f"error: standard output: the verdict was not shown: {lost.strerror}. Read it in verdict.json.")
+        return Exit.UNKNOWN
+    return verdict.exit_code
+
+
+def _complain(text: str) -> None:
+    with contextlib.suppress(OSError):
+        print(text, file=sys.stderr, flush=True)
+
+
+def leave(code: int) -> NoReturn:
+    """End this process, whatever threads of a stalled viewer there are."""
+    # Not sys.exit: a stalled viewer's threads must not hold the process (orchestrator.views.rerun.stream).
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError):
+            stream.flush()
+    os._exit(code)

@@ -1,0 +1,43 @@
+"""A defect of this project: its traceback in a file, and one line that names the file."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import tempfile
+import traceback
+from pathlib import Path
+
+
+def told(error: BaseException) -> str:
+    """Return one line about an exception that nobody expected."""
+    words = " ".join(str(error).split())
+    return f"{type(error).__name__}: {words[:200]}" if words else type(error).__name__
+
+
+def report(error: BaseException, log: Path | None = None) -> str:
+    """Write the traceback to `log`, or to a new file if that fails; return one line that names the file."""
+    text = "".join(traceback.format_exception(error))
+    file = _written(text, log)
+    where = f"the traceback is in {file}" if file is not None else f"no file can be written; it was at {_place(error)}"
+    return f"this is a defect of hedgerow: {told(error)}; {where}"
+
+
+def _written(text: str, log: Path | None) -> Path | None:
+    data = text.encode(errors="backslashreplace")
+    if log is not None:
+        with contextlib.suppress(OSError), log.open("ab") as opened:
+            opened.write(data)
+            return log
+    for folder in (tempfile.gettempdir, os.getcwd, lambda: str(Path.home())):
+        with contextlib.suppress(OSError, RuntimeError):
+            number, name = tempfile.mkstemp(prefix="hedgerow-crash-", suffix=".txt", dir=folder())
+            with open(number, "wb") as opened:
+                opened.write(data)
+            return Path(name)
+    return None
+
+
+def _place(error: BaseException) -> str:
+    frames = traceback.extract_tb(error.__traceback__)
+    return f"{frames[-1].filename}:{frames[-1].lineno}" if frames else "an unknown place"

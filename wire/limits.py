@@ -1,0 +1,100 @@
+"""The limits of the machine: recognise the one that was reached, and name its cure."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import re
+import resource
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from hedgerow.topologies.errors import Code, HedgerowError
+
+
+@dataclass(frozen=True)
+class _Limit:
+    what: str
+    option: str
+    """of the shell's `ulimit`"""
+    number: int
+    """of the system's getrlimit"""
+    unit: int = 1
+    cure: str = ""
+
+    def __str__(self) -> str:
+        soft = resource.getrlimit(self.number)[0]
+        now = "" if soft == resource.RLIM_INFINITY else f" (the limit is {soft // self.unit}: `ulimit {self.option}`)"
+        return f"the machine allows no more {self.what}{now}. {self.cure}"
+
+
+_FILES = _Limit("open files", "-n", resource.RLIMIT_NOFILE, cure="Raise it with `ulimit -n`, or use fewer --processes.")
+_PROCESSES = _Limit(
+    "processes and threads",
+    "-u",
+    getattr(resource, "RLIMIT_NPROC", resource.RLIMIT_NOFILE),
+    cure="Raise it with `ulimit -u`, or use fewer --processes.",
+)
+_MEMORY = _Limit(
+    "memory",
+    "-v",
+    getattr(resource, "RLIMIT_AS", resource.RLIMIT_DATA),
+    1024,
+    cure="Raise it with `ulimit -v`, or run a smaller network.",
+)
+_BY_NUMBER = {
+    errno.EMFILE: _FILES,
+    errno.ENFILE: _FILES,
+    errno.EAGAIN: _PROCESSES,
+    errno.ENOMEM: _MEMORY,
+}
+_BY_WORDS = (
+    (re.compile(r"os error (24|23)\b|too many open files", re.I), _FILES),
+    (re.compile(r"can't start new thread|failed to spawn|thread.*(os error 11\b|temporarily unavailable)", re.I | re.S),
+     _PROCESSES),
+    (re.compile(r"os error 12\b|cannot allocate memory|failed to map segment|out of memory|unable to allocate", re.I),
+     _MEMORY),
+)  # fmt: skip
+
+
+def limit_in(words: str) -> str | None:
+    """Return which limit of the machine some library's words are about, with the cure; None if they name none."""
+    return next((str(limit) for pattern, limit in _BY_WORDS if pattern.search(words)), None)
+
+
+def limit_reached(error: BaseException) -> HedgerowError | None:
+    """Return the limit of the machine that an exception, or a cause of it, is about; None if there is none."""
+    for one in _causes(error):
+        if isinstance(one, HedgerowError):
+            continue
+        found: str | None = None
+        if isinstance(one, MemoryError):
+            found = str(_MEMORY)
+        elif isinstance(one, OSError) and one.errno is not None:
+            found = str(_BY_NUMBER[one.errno]) if one.errno in _BY_NUMBER else None
+        elif isinstance(one, ImportError | RuntimeError) or not isinstance(one, Exception):
+            found = limit_in(str(one))  # a panic of a Rust library is no Exception
+        if found is not None:
+            return HedgerowError(found, code=Code.LIMIT)
+    return None
+
+
+def _causes(error: BaseException) -> Iterator[BaseException]:
+    seen: set[int] = set()
+    one: BaseException | None = error
+    while one is not None and id(one) not in seen:
+        seen.add(id(one))
+        yield one
+        one = one.__cause__ or one.__context__
+
+
+def need_open_files(count: int, who: str) -> None:
+    """Raise HedgerowError if `who` needs more open files than a process may have."""
+    with contextlib.suppress(OSError):
+        soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+        if soft != resource.RLIM_INFINITY and count > soft:
+            raise HedgerowError(
+                f"{who} needs about {count} open files, and a process may have {soft}."
+                " Raise the limit with `ulimit -n`, or use fewer --processes.",
+                code=Code.LIMIT,
+            )

@@ -1,0 +1,87 @@
+"""The start of every process: streams that never raise for a character, room for open files, and a quiet Ctrl-C.
+
+Import this module before everything slow: it loads nothing but the standard library.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import resource
+import signal
+import sys
+import threading
+from collections.abc import Iterable
+from types import FrameType
+from typing import Any
+
+INTERRUPTED = 128 + signal.SIGINT
+"""The exit code after a Ctrl-C."""
+MOST_OPEN_FILES = 2**16
+"""A process asks for no more: some libraries close every number below the limit, one by one."""
+
+
+def begin() -> None:
+    """Prepare this process, before it loads what is slow; a second call changes nothing."""
+    quiet_ctrl_c()
+    open_streams()
+    raise_open_files()
+
+
+def open_streams() -> None:
+    """Make standard input, output and error exist, and write as an escape what their encoding lacks.
+
+    A closed stream leads to /dev/null: else the next pipe of ours would get its number and be taken for it.
+    """
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        stream = getattr(sys, name)
+        if stream is None:
+            # The new file gets the lowest free number, which is that of the closed stream.
+            stream = open(os.devnull, "w" if number else "r", encoding="utf-8")  # noqa: SIM115
+            os.set_inheritable(stream.fileno(), True)
+            setattr(sys, name, stream)
+        if number and isinstance(stream, io.TextIOWrapper):
+            with contextlib.suppress(OSError, ValueError):  # nobody reads it any more
+                stream.reconfigure(errors="backslashreplace")
+
+
+def raise_open_files() -> None:
+    """Raise the soft limit of open files to the hard one, which a user may; child processes inherit it."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    wanted = MOST_OPEN_FILES if hard == resource.RLIM_INFINITY else min(hard, MOST_OPEN_FILES)
+    if soft != resource.RLIM_INFINITY and soft < wanted:
+        with contextlib.suppress(OSError, ValueError):  # macOS has a lower limit of its own
+            resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
+
+
+def quiet_ctrl_c() -> None:
+    """End without a traceback when a Ctrl-C arrives while modules load; later it raises KeyboardInterrupt as usual.
+
+    Many modules turn a KeyboardInterrupt into an error of their own while they load. A disposition other than
+    Python's own stays: a SIGINT that was ignored at the start stays ignored.
+    """
+    here = threading.current_thread() is threading.main_thread()
+    if here and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, _interrupt)
+
+
+def _interrupt(_: int, frame: FrameType | None) -> None:
+    while frame is not None:
+        if frame.f_code.co_filename.startswith("<frozen importlib"):
+            os._exit(INTERRUPTED)
+        frame = frame.f_back
+    raise KeyboardInterrupt
+
+
+def ignored(numbers: Iterable[signal.Signals]) -> set[signal.Signals]:
+    """Return the signals that this process ignores, as nohup and background jobs have it; they must stay ignored."""
+    return {number for number in numbers if signal.getsignal(number) is signal.SIG_IGN}
+
+
+def handle(number: signal.Signals, handler: Any) -> Any:
+    """Install a signal handler, unless the signal is ignored; return the disposition before."""
+    before = signal.getsignal(number)
+    if before is not signal.SIG_IGN:
+        signal.signal(number, handler)
+    return before
