@@ -366,7 +366,7 @@ def test_the_keys_are_those_of_the_code() -> None:
         "SEEN": keys.SEEN,
     }
     known = {name for name, value in vars(keys).items() if isinstance(value, FunctionType) or name.isupper()}
-    assert known - {"ALIVE", "COMMANDS", "PLANT", "shard_name"} == patterns.keys()
+    assert known - {"ALIVE", "COMMANDS", "PLANT", "chunk", "quote", "shard_name"} == patterns.keys()
     assert {row["key"] for row in table("wire.md", "Keys")} == set(patterns.values())
 
 
@@ -384,10 +384,12 @@ def test_the_commands_and_events_are_those_of_the_code() -> None:
 def test_the_deadlines_are_those_of_the_code() -> None:
     """Each constant that docs/wire.md names has the value that it says."""
     for row in table("wire.md", "Deadlines"):
-        module, *path = row["constant"].replace("Options.", "Options().").split(".")[:2], row["constant"]
-        value: Any = importlib.import_module(".".join(module))
-        for name in path[0].split(".")[2:]:
+        names = row["constant"].split(".")
+        depth = next(k for k, name in enumerate(names) if not name.islower())
+        value: Any = importlib.import_module(".".join(["hedgerow", *names[:depth]]))
+        for name in names[depth:]:
             value = getattr(value, name)
+            value = value() if isinstance(value, type) else value
         assert value == float(row["seconds"]), row["constant"]
 
 
@@ -453,7 +455,7 @@ def test_the_run_folder_is_as_described(tmp_path: Path) -> None:
     described = {pattern for pattern in patterns if any(re.fullmatch(expressions[pattern], file) for file in left)}
     assert [file for file in left if not any(re.fullmatch(e, file) for e in expressions.values())] == []
     streams = {"telemetry.arrows", "edges.arrows", "summary.arrows", "round_trips.arrows"}
-    sometimes = {*streams, "router.sock", "logs/up.log", "run-NNN.rrd", "network.npz"}
+    sometimes = {*streams, "logs/up.log", "run-NNN.rrd", "network.npz"}
     assert patterns - described == sometimes
 
     for name in ("telemetry", "edges", "summary", "round_trips"):
@@ -468,7 +470,7 @@ def test_the_run_folder_is_as_described(tmp_path: Path) -> None:
     (figures,) = {tuple(one) for one in verdict["round_trips"].values()}
     assert all(f"`{name}`" in (ROOT / "docs/run-folder.md").read_text(encoding="utf-8") for name in figures)
 
-    sources = [path.read_text(encoding="utf-8") for path in (ROOT / "orchestrator").glob("*.py")]
+    sources = [path.read_text(encoding="utf-8") for path in (ROOT / "orchestrator").rglob("*.py")]
     events = {event for source in sources for event in re.findall(r'folder\.event\(\s*"(\w+)"', source)}
     assert events == {row["event"] for row in table("run-folder.md", "events.jsonl")}
 

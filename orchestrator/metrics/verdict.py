@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from hedgerow.orchestrator.ground.versions import versions
 from hedgerow.orchestrator.metrics.checks import Worst
 from hedgerow.orchestrator.metrics.deaths import CLAIM as DEATHS
 from hedgerow.orchestrator.metrics.deaths import Survivor
@@ -14,8 +15,6 @@ from hedgerow.orchestrator.metrics.message_audit import CLAIM, Audit
 from hedgerow.orchestrator.metrics.observer import Observer
 from hedgerow.orchestrator.metrics.replay import CLAIMS as REPLAYED
 from hedgerow.orchestrator.metrics.replay import Replay
-from hedgerow.orchestrator.runs.folder import versions
-from hedgerow.orchestrator.views.event_texts import gain_said
 from hedgerow.topologies.describe import describe
 from hedgerow.topologies.errors import Code, Exit, HedgerowError
 from hedgerow.topologies.partition import cut, partition
@@ -127,13 +126,25 @@ class Verdict:
             numbers += [
                 f"regret D {_number(m['regret'])} (nominal {_number(m['regret_nominal'])})",
                 f"cost regret {_number(m['cost_regret'], '+')}",
-                gain_said(gain, less, m["gamma_star"], c["checks"]["oracle_certificate"]["steps"] == c["steps_done"]),
+                gain_text(gain, less, m["gamma_star"], c["checks"]["oracle_certificate"]["steps"] == c["steps_done"]),
                 f"{m['nodes_right']} of {c['nodes']} estimates right",
             ]
         if "law" in c["checks"] and (replayed := c["checks"]["law"]["nodes"]) < c["nodes"]:
             numbers.append(f"{replayed} of {c['nodes']} nodes replayed")
         why = f" ({'; '.join(c['reasons'])})" if c["reasons"] else ""
         return f"{self.verdict}{why}: {', '.join(numbers)}"
+
+
+def gain_text(gain: float, less: float, gamma_star: float, faultless: bool) -> str:
+    """Return the gain in words, with the gain `less` V(x(0)) where it differs, and gamma*, which holds without faults.
+
+    Arguments are NaN where they are undefined or not known yet.
+    """
+    beside = [] if less == gain or math.isnan(gain) else [f"less V(x(0)): {less:.4g}"]
+    if not math.isnan(gamma_star):
+        beside.append(f"gamma* {gamma_star:.4g} is the oracle's{'' if faultless else ' without faults'}")
+    said = "undefined" if math.isnan(gain) else f"{gain:.4g}"
+    return f"gain {said}" + (f" ({'; '.join(beside)})" if beside else "")
 
 
 def _number(value: float | None, sign: str = "") -> str:

@@ -5,12 +5,10 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import platform
 import shutil
 import time
 from collections.abc import Iterator, Mapping
 from datetime import datetime
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +16,6 @@ from hedgerow.orchestrator.ground.spelling import shown
 from hedgerow.topologies.errors import UserError
 from hedgerow.topologies.resolve import save
 from hedgerow.topologies.schema import Topology
-from hedgerow.wire.release import release
-
-PACKAGES = ("hedgerow", "eclipse-zenoh", "numpy", "rerun-sdk", "pydantic", "pyarrow", "scipy")
 
 
 class RunFolder:
@@ -155,9 +150,3 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
         part.rename(path)
     finally:
         part.unlink(missing_ok=True)
-
-
-@cache
-def versions() -> Mapping[str, str]:
-    """The versions that a run depends on."""
-    return {"python": platform.python_version(), **{name: release(name) for name in PACKAGES}}

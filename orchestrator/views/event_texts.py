@@ -23,18 +23,6 @@ SOME = 6
 """longer lists are cut short, and say so"""
 
 
-def gain_said(gain: float, less: float, gamma_star: float, faultless: bool) -> str:
-    """The gain, the same `less` V(x(0)) where that is another, and beside them gamma*, which is of no faults.
-
-    NaN for what is undefined, or not known yet.
-    """
-    beside = [] if less == gain or math.isnan(gain) else [f"less V(x(0)): {less:.4g}"]
-    if not math.isnan(gamma_star):
-        beside.append(f"gamma* {gamma_star:.4g} is the oracle's{'' if faultless else ' without faults'}")
-    said = "undefined" if math.isnan(gain) else f"{gain:.4g}"
-    return f"gain {said}" + (f" ({'; '.join(beside)})" if beside else "")
-
-
 class Now:
     """Says of a step who struggles, what is down, who is wrong and what that costs; in Markdown."""
 

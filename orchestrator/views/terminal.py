@@ -38,8 +38,7 @@ from rich.text import Text
 from hedgerow.orchestrator.metrics.certificate import storage
 from hedgerow.orchestrator.metrics.fault_accounts import at_ends
 from hedgerow.orchestrator.metrics.observer import Batch
-from hedgerow.orchestrator.metrics.verdict import INVALID, VALID, Verdict
-from hedgerow.orchestrator.views.event_texts import gain_said
+from hedgerow.orchestrator.metrics.verdict import INVALID, VALID, Verdict, gain_text
 from hedgerow.orchestrator.views.screen import Outlet, left_behind
 from hedgerow.topologies.describe import describe, window
 from hedgerow.topologies.graph import Index, Mask
@@ -189,7 +188,7 @@ class Standing:
             *(f"{k} {what}" for k, what in losses if k),
             f"regret D {batch.regret_sum[-1]:.4g} (nominal {batch.nominal_regret_sum[-1]:.4g})",
             f"cost regret {batch.cost_regret[-1]:+.4g}",
-            gain_said(gain, less, self._topology.network.gamma_star_now, not np.isnan(batch.slack[-1])),
+            gain_text(gain, less, self._topology.network.gamma_star_now, not np.isnan(batch.slack[-1])),
         ]
 
 

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 from hedgerow.agents.shard import law_class
 from hedgerow.orchestrator.ground.assignment import law_of
-from hedgerow.orchestrator.runs.folder import versions
+from hedgerow.orchestrator.ground.versions import versions
 from hedgerow.topologies.errors import TopologyError, UserError
 from hedgerow.topologies.load import find, load
 from hedgerow.topologies.resolve import resolve, to_yaml
