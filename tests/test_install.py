@@ -1,0 +1,81 @@
+"""An installation puts one package into site-packages, and a user's own modules keep their names."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from tests.tools.processes import COMMAND
+
+ROOT = Path(__file__).parents[1]
+LAW = """import plant
+from hedgerow.agents.law import Minimax
+
+class Mine(Minimax):
+    kept = plant.KEPT
+"""
+UP = ("--viewer", "none", "--no-record", "--steps", "5")
+
+
+@pytest.fixture
+def project(here: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A project of the user's with modules of our folders' names."""
+    for package in ("orchestrator", "agents", "wire", "topologies"):
+        (here / package).mkdir()
+        (here / package / "__init__.py").write_text("raise ImportError('the user own, and not asked for')\n")
+    (here / "plant.py").write_text("KEPT = 3\n")
+    (here / "mylaws.py").write_text(LAW)
+    monkeypatch.setenv("PYTHONPATH", str(here))
+    return here
+
+
+def run(*command: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=100)
+
+
+@pytest.mark.parametrize("verb", [("simulate", "paper7", "--no-record", "--steps", "5"), ("up", "paper7", *UP)])
+def test_a_law_that_imports_a_plant_of_the_users_gets_it(project: Path, verb: tuple[str, ...]) -> None:
+    done = run(*COMMAND, *verb, "--law", "mylaws:Mine")
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_pytest_starts_in_a_project_with_our_folders_names(project: Path) -> None:
+    (project / "test_one.py").write_text(
+        "import plant\n\ndef test_one(network):\n"
+        "    assert plant.KEPT == 3\n    assert network('paper7').run(steps=3).verdict.verdict == 'valid'\n"
+    )
+    done = run(sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "test_one.py")
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_the_plugin_loads_nothing_large_in_a_project_that_does_not_use_it(here: Path) -> None:
+    (here / "test_one.py").write_text(
+        "import sys\n\ndef test_one():\n"
+        "    assert not {'pydantic', 'rerun', 'zenoh', 'numpy', 'typer', 'yaml'} & set(sys.modules)\n"
+    )
+    plain = os.environ | {"PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-p", "hedgerow.orchestrator.testing.pytest_plugin", "test_one.py"],
+        capture_output=True,
+        text=True,
+        check=False,
+        env=plain,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.slow
+def test_a_wheel_holds_one_package(tmp_path: Path) -> None:
+    command = (sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "--wheel-dir", str(tmp_path), str(ROOT))
+    done = run(*command)
+    assert done.returncode == 0, done.stderr
+    (wheel,) = tmp_path.glob("*.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        names = archive.namelist()
+    assert {name.split("/")[0].partition("-")[0] for name in names} == {"hedgerow"}
+    assert {"hedgerow/topologies/paper7.yaml", "hedgerow/orchestrator/report/report.css"} <= set(names)
