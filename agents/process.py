@@ -50,8 +50,8 @@ from hedgerow.wire.runtime import LONG_BYTES, keep_memory, one_network_thread
 from hedgerow.wire.session import (
     CONNECT_TIMEOUT_S,
     LISTEN_TIMEOUT_S,
-    Ear,
-    Voice,
+    Receiver,
+    Sender,
     close,
     counts,
     open_client,
@@ -96,7 +96,7 @@ class Agent:
         self.peers = [peer.shard for peer in view.peers]
         self._pending: State | None = None
         self._since = time.monotonic()
-        self._said: deque[list[tuple[Voice, bytes]]] = deque(maxlen=2)
+        self._said: deque[list[tuple[Sender, bytes]]] = deque(maxlen=2)
         """What went out in the last two steps: a neighbour may still need the one before the last."""
         self._repeated = 0
         """how often any of it was said again"""
@@ -126,17 +126,17 @@ class Agent:
 
     def _join(self, begin: Begin) -> None:
         view = self._view
-        self._input = Voice(self.session, keys.input_(view.shard))
-        self._links = [Voice(self.session, keys.link(view.shard, peer)) for peer in self.peers]
-        self._ears = [
+        self._input = Sender(self.session, keys.input_(view.shard))
+        self._links = [Sender(self.session, keys.link(view.shard, peer)) for peer in self.peers]
+        self._receivers = [
             self._hear(keys.link(peer, view.shard), functools.partial(self._take_link, p))
             for p, peer in enumerate(self.peers)
         ]
-        self._ears.append(self._hear(keys.state(view.shard), self._take_state))
+        self._receivers.append(self._hear(keys.state(view.shard), self._take_state))
         # Of a neighbour that is dead itself nobody listens: who comes back waits for the plant alone.
-        voices = [self._input] if begin.join(self.session).life else [self._input, *self._links]
+        senders = [self._input] if begin.join(self.session).life else [self._input, *self._links]
         LOG.info("shard %d has its place, and waits for the others", view.shard)
-        wait_for_listeners([voice.publisher for voice in voices], begin.wait_s or LISTEN_TIMEOUT_S)
+        wait_for_listeners([sender.publisher for sender in senders], begin.wait_s or LISTEN_TIMEOUT_S)
         # They may have taken minutes to come, and our place another process, or another run begun.
         self.joined = begin.join(self.session)
 
@@ -203,9 +203,9 @@ class Agent:
     @property
     def refused(self) -> int:
         """How many messages were none."""
-        return sum(ear.refused for ear in self._ears)
+        return sum(receiver.refused for receiver in self._receivers)
 
-    def _hear(self, key: str, take: Callable[[bytes], None]) -> Ear:
+    def _hear(self, key: str, take: Callable[[bytes], None]) -> Receiver:
         """Take what comes on `key`, one message at a time; what is no message is refused, and the law may raise."""
 
         def on_message(message: bytes) -> None:
@@ -219,7 +219,7 @@ class Agent:
                 except Exception as error:  # it must reach the main thread, not Zenoh's log
                     self._fail(error)
 
-        return Ear(self.session, key, on_message)
+        return Receiver(self.session, key, on_message)
 
     def _take_state(self, message: bytes) -> None:
         kind = kind_of(message)
@@ -235,7 +235,7 @@ class Agent:
             self._take(decode_state(message, self.shard.k, self.shard.m))
 
     def _say_last(self) -> None:
-        counted = counts([self._input, *self._links], self._ears)
+        counted = counts([self._input, *self._links], self._receivers)
         counted["said"][self._input.key] += 1  # this last word too
         # To leave at once would lose it: the plant says END again when it has it.
         word = encode_event(max(0, self.shard.t), {"event": "counted", "life": self.joined.life, **counted})
@@ -283,9 +283,9 @@ class Agent:
             _say(out)
 
 
-def _say(messages: Sequence[tuple[Voice, bytes]]) -> None:
-    for voice, message in messages:
-        voice.put(message)
+def _say(messages: Sequence[tuple[Sender, bytes]]) -> None:
+    for sender, message in messages:
+        sender.put(message)
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:

@@ -27,7 +27,7 @@ MARK_EVERY = 64
 """steps between copies of the law's memory while a sample is incomplete: it bounds how much is learned again"""
 
 
-class Came(NamedTuple):
+class LateRows(NamedTuple):
     """What has come of steps first .. stop - 1 over an incidence, which its samples may have waited for."""
 
     incidence: int
@@ -89,7 +89,7 @@ class Samples:
         u: Array,
         took: bytes,
         x_next: Array,
-        came: Sequence[Came],
+        late_rows: Sequence[LateRows],
         back: Mask | None,
     ) -> None:
         """Learn the sample of t under these Flag bits, and in their place those before it that are complete by now.
@@ -101,7 +101,7 @@ class Samples:
             if (wants := Flag.OPEN in took) and not (self._marks and self._marks[-1].of.all()):
                 self._mark(t)
             self._append(x, u, bits)
-            since = self._completed(came)
+            since = self._completed(late_rows)
             if back is not None:
                 self._forget(back)
                 since |= dict.fromkeys(np.flatnonzero(back).tolist(), self._history.first)
@@ -146,10 +146,10 @@ class Samples:
         """The states and inputs of our own nodes at steps start .. stop - 1, as far as they are kept, (S, k) each."""
         return self._history.x(start, stop), self._history.u(start, stop)[:, : self.k]
 
-    def _completed(self, came: Sequence[Came]) -> dict[int, int]:
+    def _completed(self, late_rows: Sequence[LateRows]) -> dict[int, int]:
         """Put what has come where it belongs; by node, the first step whose sample waited for any of it."""
         history, since = self._history, dict[int, int]()
-        for c, first, stop, inputs in came:
+        for c, first, stop, inputs in late_rows:
             bits = history.bits(first, stop)[:, c]
             if inputs is not None:
                 history.u(first, stop)[:, self._other[c]] = inputs[len(inputs) - len(bits) :]

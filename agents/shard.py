@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hedgerow.agents.law import Array, Law, Minimax
-from hedgerow.agents.samples import Came, Samples
+from hedgerow.agents.samples import LateRows, Samples
 from hedgerow.agents.view import View
 from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.graph import all_finite
@@ -194,24 +194,24 @@ class Shard:
             _SILENCE * n if link is None else link.u[-8 * n :] for link, n in zip(links, self.hears, strict=True)
         ]
         took = bytearray((state.flags or self._up).translate(_TAKEN_OF))
-        came: list[Came] = []
+        late_rows: list[LateRows] = []
         for c, late, count, _, _ in state.spans:
             if took[c] & Flag.HEAR:
                 last = past - late
-                came.append(self._came(c, links, last - count, min(last + 1, past)))
+                late_rows.append(self._came(c, links, last - count, min(last + 1, past)))
                 if late:
                     took[c] -= Flag.HEAR
         self.took = bytes(took)
         inputs = gather([self.u, *last_rows])
-        self._samples.take_late(past, self.x, inputs, self.took, state.x, came, back)
+        self._samples.take_late(past, self.x, inputs, self.took, state.x, late_rows, back)
 
-    def _came(self, c: int, links: Sequence[Link | None], start: int, stop: int) -> Came:
+    def _came(self, c: int, links: Sequence[Link | None], start: int, stop: int) -> LateRows:
         """What has come of steps start .. stop - 1 over an incidence, and in which link message."""
         if (p := self._peer_of.get(c)) is None or (link := links[p]) is None:
-            return Came(c, start, stop)
+            return LateRows(c, start, stop)
         start = max(start, link.first)
         rows = gather([link.u]).reshape(-1, self.hears[p])[start - link.first : stop - link.first]
-        return Came(c, start, start + len(rows), rows[:, self._view.column[c] - self._columns[p].start])
+        return LateRows(c, start, start + len(rows), rows[:, self._view.column[c] - self._columns[p].start])
 
     def _act(self, t: int, x: Array) -> Array:
         try:

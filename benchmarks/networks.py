@@ -73,8 +73,8 @@ def measure(graph: str, nodes: int, processes: int) -> dict[str, float]:
         del worlds, agents
         with stage("load again"):
             load(str(folder))
-        crossing = cut(network.graph, shards) / max(1, len(network.edges))
-    return spent | {"MB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, "cut": crossing}
+        deliveries = cut(network.graph, shards) / max(1, len(network.edges))
+    return spent | {"MB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, "cut": deliveries}
 
 
 def main() -> None:

@@ -123,7 +123,7 @@ def main() -> None:
             met = border(topology.graph, partition(topology.graph, machines))
         grown = (far / n) ** power
         # Link messages carry x and u of a node; a plant that is cut up needs u alone, once for each part.
-        crossing = met.said * grown * (16 + 8)
+        crossing_bytes = met.said * grown * (16 + 8)
         columns.append(
             {
                 f"measured at {n:,} nodes: plant [ns of CPU a node]": f"{cost.plant / n * 1e9:.0f}",
@@ -136,7 +136,7 @@ def main() -> None:
                 "nodes with a neighbour elsewhere": f"{met.nodes * grown:,.0f}",
                 "machines that it has neighbours on": f"{met.parts:.1f}",
                 "messages to and from them a step": f"{4 * met.parts:.0f}",
-                "to them a step [MB]": f"{crossing / 1e6:.2f}",
+                "to them a step [MB]": f"{crossing_bytes / 1e6:.2f}",
             }
         )
     print(f"| | {' | '.join(GRAPHS)} |")

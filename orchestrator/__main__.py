@@ -20,12 +20,12 @@ def main() -> None:
     _settle_environment()
     launches = "up" in sys.argv[1:2] and not {"--help", "--detach"} & set(sys.argv)
     try:
-        from hedgerow.orchestrator.launch.fork_client import Nursery  # noqa: PLC0415
+        from hedgerow.orchestrator.launch.fork_client import ForkClient  # noqa: PLC0415
 
-        nursery = Nursery() if launches else None
+        fork_client = ForkClient() if launches else None
         from hedgerow.orchestrator.cli.main import run_command  # noqa: PLC0415
 
-        run_command(BEGAN, nursery)
+        run_command(BEGAN, fork_client)
     except KeyboardInterrupt:  # before there was a run to end
         os._exit(start.INTERRUPTED)
     except BaseException as error:

@@ -79,7 +79,7 @@ def _name(effect: Effect) -> tuple[int, str, Sequence[int]]:
 
 
 @dataclass(frozen=True)
-class Wrong:
+class ActiveFaults:
     """What goes wrong at one step; None where nothing of the kind does."""
 
     lost: Mask | None = None
@@ -94,7 +94,7 @@ class Wrong:
     """nodes whose input is lost, (n,)"""
 
 
-NOTHING = Wrong()
+NOTHING = ActiveFaults()
 _FIELD = {"drop": "lost", "cut": "cut", "sensor": "blind", "actuator": "mute"}
 
 
@@ -141,7 +141,7 @@ class Faults:
         """Whether no effect is at work at step t."""
         return not self._look(t)
 
-    def at(self, t: int) -> Wrong:
+    def at(self, t: int) -> ActiveFaults:
         """What goes wrong at step t, but for crashes and jumps."""
         if not self._look(t):
             return NOTHING
@@ -157,7 +157,7 @@ class Faults:
                 if field not in found:
                     found[field] = np.zeros(self._sizes[field], dtype=bool)
                 found[field][struck] = True
-        return Wrong(late=late, **found) if found or late is not None else NOTHING
+        return ActiveFaults(late=late, **found) if found or late is not None else NOTHING
 
     def _struck(self, effect: Effect, t: int) -> Index:
         if effect.table is not None:

@@ -13,7 +13,7 @@ import numpy as np
 from hedgerow.topologies.graph import Graph, Index, Mask
 
 
-class Crossing(NamedTuple):
+class Deliveries(NamedTuple):
     """What crosses the links at one step, (2E,) each: whether any row does, row t - late, and `back` before it."""
 
     some: Mask
@@ -38,28 +38,28 @@ class Links:
         self.forgotten = 0
         """rows that were no longer kept when their link came up again"""
         nothing: Index = np.zeros(len(graph.node), dtype=np.int64)
-        self.whole = Crossing(np.ones(len(graph.node), dtype=bool), nothing, nothing)
+        self.whole = Deliveries(np.ones(len(graph.node), dtype=bool), nothing, nothing)
         """Every link brings the row of its step."""
 
-    def plan(self, t: int, down: Mask, late: Index | None) -> Crossing:
+    def plan(self, t: int, down: Mask, late: Index | None) -> Deliveries:
         """What crosses at step t when these links are down and those late."""
         nothing = self.whole.late
         if not self._history:  # nothing is made up for, and what is late comes too late
-            return Crossing(~down & (late == 0) if late is not None else ~down, nothing, nothing)
+            return Deliveries(~down & (late == 0) if late is not None else ~down, nothing, nothing)
         late = nothing if late is None else late
         first = np.where(self._lacks < 0, t, self._lacks)
         kept = np.maximum(first, t - self._history + 1)
         some = ~down & (kept <= t - late)
         back = np.where(some, np.maximum(t - late - kept, 0), 0)
-        return Crossing(some, np.where(some, late, 0), back)
+        return Deliveries(some, np.where(some, late, 0), back)
 
-    def commit(self, t: int, crossing: Crossing) -> None:
+    def commit(self, t: int, deliveries: Deliveries) -> None:
         """It has crossed."""
-        if not self._history or (crossing is self.whole and self.complete):
+        if not self._history or (deliveries is self.whole and self.complete):
             return
         first = np.where(self._lacks < 0, t, self._lacks)
-        self.forgotten += int(np.maximum(t - self._history + 1 - first, 0)[crossing.some].sum())
-        after = np.where(crossing.some, t + 1 - crossing.late, first)
+        self.forgotten += int(np.maximum(t - self._history + 1 - first, 0)[deliveries.some].sum())
+        after = np.where(deliveries.some, t + 1 - deliveries.late, first)
         self._lacks = np.where(after > t, -1, after)
         self.complete = bool((self._lacks < 0).all())
 

@@ -48,7 +48,16 @@ from hedgerow.wire.codec import (
     telemetry_bytes,
 )
 from hedgerow.wire.runtime import LONG_BYTES, keep_memory
-from hedgerow.wire.session import Ear, close, counts, direct, open_client, open_router, publisher, wait_for_listeners
+from hedgerow.wire.session import (
+    Receiver,
+    close,
+    counts,
+    direct,
+    open_client,
+    open_router,
+    publisher,
+    wait_for_listeners,
+)
 from hedgerow.wire.stream import Outbox, rows_ahead
 
 LOG = logging.getLogger("plant")
@@ -110,9 +119,12 @@ class Plant:
         ]
         self._inputs = list(self._silence)
         """Per shard: what it says at this step."""
-        self._ears = [
-            *(Ear(session, keys.input_(p), functools.partial(self._take_input, p)) for p in range(len(truth.shards))),
-            Ear(session, keys.SEEN, self._take_seen),
+        self._receivers = [
+            *(
+                Receiver(session, keys.input_(p), functools.partial(self._take_input, p))
+                for p in range(len(truth.shards))
+            ),
+            Receiver(session, keys.SEEN, self._take_seen),
         ]
         self._control = Control(self, session)
         # Before we look who is there: who is left of another run leaves now.
@@ -304,7 +316,7 @@ class Plant:
             self.changed.wait_for(
                 lambda: all(shard.word or not shard.ready for shard in self.shards.all), WORD_DEADLINE_S
             )
-            counted = counts([shard.state for shard in self.shards.all], self._ears)
+            counted = counts([shard.state for shard in self.shards.all], self._receivers)
             counted["said"][keys.TELEMETRY] = self._outbox.said + 1  # with this event
             self.tell(
                 "heard",
@@ -316,7 +328,7 @@ class Plant:
             while self._outbox and (left := by - time.monotonic()) > 0:
                 self._outbox.tend()
                 self.changed.wait(min(left, RESEND_AFTER_S))
-        refused = sum(ear.refused for ear in self._ears)
+        refused = sum(receiver.refused for receiver in self._receivers)
         LOG.info("end at step %d of %d, %d messages refused", self.world.t, self.truth.steps, refused)
 
     @property

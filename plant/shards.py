@@ -20,7 +20,7 @@ from hedgerow.plant.world import World
 from hedgerow.topologies.effects import FOREVER, Effect
 from hedgerow.wire import keys
 from hedgerow.wire.codec import encode_record, encode_state
-from hedgerow.wire.session import Voice
+from hedgerow.wire.session import Sender
 
 
 @dataclass
@@ -31,7 +31,7 @@ class Shard:
     """what messages call it"""
     nodes: Sequence[int]
     incidences: int
-    state: Voice
+    state: Sender
     messages: list[bytes] = field(default_factory=list)
     """what it is told at this step"""
     life: int = -1
@@ -83,7 +83,7 @@ class Shards:
         self._world, self._tell = world, tell
         degree = world.graph.degree
         self.all = [
-            Shard(_name(p, truth), nodes.tolist(), int(degree[nodes].sum()), Voice(session, keys.state(p)))
+            Shard(_name(p, truth), nodes.tolist(), int(degree[nodes].sum()), Sender(session, keys.state(p)))
             for p, nodes in enumerate(truth.shards)
         ]
         self.missing: set[int] = set()

@@ -16,7 +16,7 @@ import numpy as np
 
 from hedgerow.plant.disturbance import Disturbance
 from hedgerow.plant.faults import NOTHING, Faults
-from hedgerow.plant.links import Crossing, Links
+from hedgerow.plant.links import Deliveries, Links
 from hedgerow.plant.truth import Truth
 from hedgerow.topologies.effects import Effect
 from hedgerow.topologies.fast import kernels_for
@@ -57,7 +57,7 @@ class _Step:
     absent: Mask
     back: Mask
     """nodes that were absent at the step before"""
-    crossing: Crossing
+    deliveries: Deliveries
     cut: Mask | None
     mute: Mask | None
     flags: Flags | None
@@ -119,34 +119,36 @@ class World:
         """Decide what holds at t."""
         t, faults, links, graph = self.t, self.faults, self.links, self.graph
         before = self._now.absent
-        wrong, gone, soon = NOTHING, None, None
+        active, gone, soon = NOTHING, None, None
         if not (faults.none_at(t) and faults.none_at(t + 1)):
             for node, a in faults.jumps(t):
                 self.a[node] = a
-            wrong, gone, soon = faults.at(t), faults.absent(t), faults.absent(t + 1)
-        if wrong is NOTHING and gone is None and soon is None and before is self._nobody and links.complete:
-            crossing = links.whole
-            quiet = self._open is self._all_open and self._heard is crossing
-            flags = None if quiet else self._flags(crossing)
-            self._now = _Step(self.x, self.x, before, before, crossing, None, None, flags)
+            active, gone, soon = faults.at(t), faults.absent(t), faults.absent(t + 1)
+        if active is NOTHING and gone is None and soon is None and before is self._nobody and links.complete:
+            deliveries = links.whole
+            quiet = self._open is self._all_open and self._heard is deliveries
+            flags = None if quiet else self._flags(deliveries)
+            self._now = _Step(self.x, self.x, before, before, deliveries, None, None, flags)
             return
         absent = self._nobody if gone is None else gone
         down = absent[graph.neighbour]
         if gone is not None and soon is not None:  # who is back at t + 1 hears already what is said at t
             down = down | (gone & soon)[graph.node]
-        if wrong.lost is not None:
-            down = down | wrong.lost
+        if active.lost is not None:
+            down = down | active.lost
         links.forget(absent)
-        crossing = links.plan(t, down, wrong.late)
-        read = self.x if wrong.blind is None else np.where(wrong.blind, np.nan, self.x)
+        deliveries = links.plan(t, down, active.late)
+        read = self.x if active.blind is None else np.where(active.blind, np.nan, self.x)
         told = read if gone is None else np.where(absent, np.nan, read)
-        self._now = _Step(told, read, absent, before & ~absent, crossing, wrong.cut, wrong.mute, self._flags(crossing))
+        self._now = _Step(
+            told, read, absent, before & ~absent, deliveries, active.cut, active.mute, self._flags(deliveries)
+        )
 
-    def _flags(self, crossing: Crossing) -> Flags:
+    def _flags(self, deliveries: Deliveries) -> Flags:
         graph = self.graph
         flags = self._open.take(graph.edge)
         flags |= self._heard.some.view(np.uint8) << 1
-        flags |= crossing.some.take(graph.reverse).view(np.uint8) << 2
+        flags |= deliveries.some.take(graph.reverse).view(np.uint8) << 2
         return flags
 
     def present(self, p: int) -> bool:
@@ -192,7 +194,7 @@ class World:
 
     def _spans(self) -> dict[int, list[Span]]:
         """By shard: where other rows cross than that of the step alone."""
-        heard, told, reverse = self._heard, self._now.crossing, self.graph.reverse
+        heard, told, reverse = self._heard, self._now.deliveries, self.graph.reverse
         numbers = np.stack([heard.late, heard.back, told.late[reverse], told.back[reverse]])
         spans: dict[int, list[Span]] = {}
         for c in np.flatnonzero(numbers.any(axis=0)).tolist():
@@ -225,26 +227,26 @@ class World:
             u, report = u.take(self._place), report.take(self._place, axis=1)
         taken = self._taken(took)
         gone = self.faults.absent(t)
-        edge_open, crossing, up = self._all_open, now.crossing, self._all_up
+        edge_open, deliveries, up = self._all_open, now.deliveries, self._all_up
         if now.flags is not None or gone is not None or not all_finite(u):
-            u, report, taken, edge_open, crossing, up = self._what_acts(u, report, taken, gone)
-        self.links.commit(t, crossing)
+            u, report, taken, edge_open, deliveries, up = self._what_acts(u, report, taken, gone)
+        self.links.commit(t, deliveries)
         w = self._disturbance.at(t) if self._next_w is None else self._next_w
         self._next_w = None
         closed = None if edge_open is self._all_open else edge_open.view(np.bool_)
         self.x = dynamics(self.a, self.b, graph, x, u, w, closed)
         self._record.append(now.read, u, edge_open)
-        self._open, self._heard = edge_open, crossing
+        self._open, self._heard = edge_open, deliveries
         self.whole = edge_open is self._all_open and up is self._all_up and taken is self._all_taken
         self.t += 1
         return Telemetry(t, x, u, w, report, edge_open, up, taken)
 
     def _what_acts(
         self, u: Array, report: Array, taken: Flags, gone: Mask | None
-    ) -> tuple[Array, Array, Flags, Flags, Crossing, Flags]:
+    ) -> tuple[Array, Array, Flags, Flags, Deliveries, Flags]:
         """Inputs, reports, what was taken in, open edges, what crosses, links up: where something is missing."""
         now, graph = self._now, self.graph
-        edge_open, crossing = self._all_open, now.crossing
+        edge_open, deliveries = self._all_open, now.deliveries
         missing = ~np.isfinite(u)
         absent = self._nobody if gone is None else gone
         died = absent & ~now.absent  # since the step began
@@ -261,12 +263,12 @@ class World:
         if absent.any():
             report = np.where(absent, np.nan, report)
             taken = np.where(absent[graph.node], np.uint8(0), taken)
-            some = crossing.some & ~absent[graph.neighbour] & ~died[graph.node]
-            crossing = Crossing(some, np.where(some, crossing.late, 0), np.where(some, crossing.back, 0))
-        up = self._all_up if crossing is self.links.whole else (crossing.fresh & ~absent[graph.node]).view(np.uint8)
+            some = deliveries.some & ~absent[graph.neighbour] & ~died[graph.node]
+            deliveries = Deliveries(some, np.where(some, deliveries.late, 0), np.where(some, deliveries.back, 0))
+        up = self._all_up if deliveries is self.links.whole else (deliveries.fresh & ~absent[graph.node]).view(np.uint8)
         if now.back.any():  # what was said to them before they were there is made up for, and not heard in time
             taken = np.where(now.back[graph.node], taken & np.uint8(~Flag.HEAR & 0xFF), taken)
-        return u, report, taken, edge_open, crossing, up
+        return u, report, taken, edge_open, deliveries, up
 
     @cached_property
     def _in_order(self) -> bool:

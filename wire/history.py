@@ -30,7 +30,7 @@ class History:
         """where `first` stands"""
         self._x, self._u = np.empty((0, states)), np.empty((0, inputs))
         self._bits = np.empty((0, bits), dtype=np.uint8)
-        self._aside: deque[tuple[Array, Array, Flags]] = deque()
+        self._background: deque[tuple[Array, Array, Flags]] = deque()
         """the last rows, which do not stand in the arrays yet"""
         self._patience = min(ASIDE, most) if states + inputs < LONG else most + 1
 
@@ -38,27 +38,27 @@ class History:
         """The row of step `next`; nothing is kept where `most` is 0."""
         if not self.most:
             return
-        self._aside.append((x, u, bits))
+        self._background.append((x, u, bits))
         self.next += 1
         if self.next - self.first > self.most:
-            if len(self._aside) == self.next - self.first:
-                self._aside.popleft()
+            if len(self._background) == self.next - self.first:
+                self._background.popleft()
             else:
                 self._at += 1
             self.first += 1
-        if len(self._aside) == self._patience:
+        if len(self._background) == self._patience:
             self._settle()
 
     def _settle(self) -> None:
         """Put what was laid aside where it belongs."""
-        if not (new := len(self._aside)):
+        if not (new := len(self._background)):
             return
         rows = self.next - self.first - new  # of those in the arrays, the oldest may have fallen off already
         if self._at + rows + new > len(self._x):
             self._make_room(rows, new)
         end = slice(self._at + rows, self._at + rows + new)
-        self._x[end], self._u[end], self._bits[end] = zip(*self._aside, strict=True)
-        self._aside.clear()
+        self._x[end], self._u[end], self._bits[end] = zip(*self._background, strict=True)
+        self._background.clear()
 
     def _make_room(self, rows: int, new: int) -> None:
         size = min(2 * self.most, max(64, 2 * (rows + new)))
@@ -73,7 +73,7 @@ class History:
         """Start anew, with rows `first` .. `after` - 1 of which nothing is known yet."""
         self.first = self.next = first
         self._at = 0
-        self._aside.clear()
+        self._background.clear()
         nothing = (np.full(self._x.shape[1], np.nan), np.full(self._u.shape[1], np.nan))
         closed = np.zeros(self._bits.shape[1], dtype=np.uint8)
         for _ in range(first, after):

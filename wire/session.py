@@ -287,7 +287,7 @@ def subscriber(session: zenoh.Session, key: str, take: Callable[[bytes], None]) 
     return session.declare_subscriber(key, direct(lambda sample: take(sample.payload.to_bytes())))
 
 
-class Voice:
+class Sender:
     """A publisher that counts what it said."""
 
     def __init__(self, session: zenoh.Session, key: str) -> None:
@@ -301,7 +301,7 @@ class Voice:
         self._put(message)
 
 
-class Ear:
+class Receiver:
     """A subscriber that counts what it heard; `take` raises MessageError for what is no message of its key."""
 
     def __init__(self, session: zenoh.Session, key: str, take: Callable[[bytes], None]) -> None:
@@ -334,12 +334,12 @@ class Ear:
             self.heard += 1
 
 
-def counts(voices: Iterable[Voice], ears: Iterable[Ear]) -> dict[str, dict[str, int]]:
+def counts(senders: Iterable[Sender], receivers: Iterable[Receiver]) -> dict[str, dict[str, int]]:
     """What a process said, heard, refused and should not have been told, by key."""
-    ears = list(ears)
+    receivers = list(receivers)
     return {
-        "said": {voice.key: voice.said for voice in voices},
-        "heard": {ear.key: ear.heard for ear in ears},
-        "refused": {ear.key: ear.refused for ear in ears if ear.refused},
-        "strange": {key: number for ear in ears for key, number in ear.strange.items()},
+        "said": {sender.key: sender.said for sender in senders},
+        "heard": {receiver.key: receiver.heard for receiver in receivers},
+        "refused": {receiver.key: receiver.refused for receiver in receivers if receiver.refused},
+        "strange": {key: number for receiver in receivers for key, number in receiver.strange.items()},
     }

@@ -28,7 +28,7 @@ from hedgerow.orchestrator.cli import watch as cli_watch
 from hedgerow.orchestrator.cli.exit_code import code_of_run, leave, run_to_exit_code
 from hedgerow.orchestrator.cli.names import Commands
 from hedgerow.orchestrator.cli.options import AsJson, File, Law, RunDir, Seed, Sets, Steps
-from hedgerow.orchestrator.launch.fork_client import Nursery
+from hedgerow.orchestrator.launch.fork_client import ForkClient
 from hedgerow.topologies.errors import DeadlineError, UserError, check_options
 from hedgerow.topologies.paths import user_path
 from hedgerow.wire import start
@@ -50,7 +50,7 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 _BEGAN = time.monotonic()
-_NURSERY: Nursery | None = None
+_FORK_CLIENT: ForkClient | None = None
 
 Record = Annotated[bool, typer.Option("--record/--no-record", help="write run.rrd")]
 SplitRecording = Annotated[
@@ -65,10 +65,10 @@ Viewer = Annotated[
 ]
 
 
-def run_command(began: float, nursery: Nursery | None) -> None:
+def run_command(began: float, fork_client: ForkClient | None) -> None:
     """Run the command line and leave with its exit code; `began` is when the process did, by time.monotonic()."""
-    global _BEGAN, _NURSERY
-    _BEGAN, _NURSERY = began, nursery
+    global _BEGAN, _FORK_CLIENT
+    _BEGAN, _FORK_CLIENT = began, fork_client
     let_numbers_overflow()
     leave(run_to_exit_code(lambda: app(standalone_mode=False) or 0))
 
@@ -192,8 +192,8 @@ def up(
             _let_go_of_terminal(folder.logs / "up.log")
 
     with stack:
-        nursery = stack.enter_context(contextlib.closing(_NURSERY or Nursery()))
-        network = Network(topology, folder, shards, options, display, nursery, _BEGAN)
+        fork_client = stack.enter_context(contextlib.closing(_FORK_CLIENT or ForkClient()))
+        network = Network(topology, folder, shards, options, display, fork_client, _BEGAN)
         return code_of_run(network.run(on_first_step, stack), display)
 
 

@@ -20,7 +20,7 @@ import psutil
 
 from hedgerow.orchestrator.ground.assignment import layout
 from hedgerow.orchestrator.ground.signals import EndNowError
-from hedgerow.orchestrator.launch.fork_client import Nursery
+from hedgerow.orchestrator.launch.fork_client import ForkClient
 from hedgerow.orchestrator.launch.recording import Watching
 from hedgerow.orchestrator.launch.up import Network, Options
 from hedgerow.orchestrator.metrics.summary import count
@@ -111,12 +111,12 @@ def _json(raw: Raw) -> bytes:
     return json.dumps(raw).encode()
 
 
-def trial(topology: Topology, folder: Path, nursery: Nursery) -> str:
+def trial(topology: Topology, folder: Path, fork_client: ForkClient) -> str:
     """Run a network over Zenoh; what is wrong with the run, or nothing."""
     options = Options(watching=Watching(record=False), verify=True)
     shards = layout(topology, topology.process_count)
     before = _children()
-    network = Network(topology, create(topology, folder), shards, options, Quiet(), nursery, time.monotonic())
+    network = Network(topology, create(topology, folder), shards, options, Quiet(), fork_client, time.monotonic())
     content = network.run().content
     if network.interrupted:
         raise EndNowError("stopped on request")
@@ -193,10 +193,10 @@ def shrunk(raw: Raw, wrong: str, fails: Callable[[Raw], str]) -> tuple[Raw, str]
 def hunt(seeds: Iterable[int], most: int, scratch: Path, say: Callable[[str], None]) -> Finding | None:
     """Run a trial a seed until one fails; that one, made smaller, or None."""
     count = itertools.count(1)
-    with contextlib.closing(Nursery()) as nursery:
+    with contextlib.closing(ForkClient()) as fork_client:
 
         def fails(raw: Raw) -> str:
-            return trial(read(raw), scratch / f"{next(count):05}", nursery)
+            return trial(read(raw), scratch / f"{next(count):05}", fork_client)
 
         for seed in seeds:
             raw = drawn(seed, most)

@@ -16,7 +16,7 @@ NICE = 3
 """half of the share of others, not nothing: whoever waits for Python's lock waits for this thread"""
 
 
-class Aside:
+class BackgroundThread:
     """Does jobs in the order in which they come.
 
     After an error no job is done any more, and `failed` has been called with it, on this thread.

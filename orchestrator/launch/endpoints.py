@@ -21,7 +21,7 @@ from hedgerow.wire.sockets import check_socket, locator, socket_folder, socket_i
 
 
 @dataclass(frozen=True)
-class Wiring:
+class Connection:
     """The router of a run, and the folder with everybody's credentials where the run is secure."""
 
     endpoint: str
@@ -40,7 +40,7 @@ class Wiring:
         name = ROUTER if name == PLANT and self.listens else name
         return self.credentials and self.credentials / name
 
-    def with_keys_of_its_own(self, folder: RunFolder, host: str) -> Wiring:
+    def with_keys_of_its_own(self, folder: RunFolder, host: str) -> Connection:
         """The same with credentials that are made for this run, whose plant is reached at `host`."""
         return replace(self, credentials=registry.secrets_of(registry.entry_path(folder.name)), made_for=host)
 
@@ -69,19 +69,19 @@ class Wiring:
             yield
 
 
-def wire(folder: RunFolder, secure: bool, router: str | None, keys: Path | None, places: Sequence[Place]) -> Wiring:
+def wire(folder: RunFolder, secure: bool, router: str | None, keys: Path | None, places: Sequence[Place]) -> Connection:
     """The wiring of a run: over a router of its own, or over one that is there; raises UserError as `check` does."""
     namespace = namespace_of(folder.name)
     if not secure:
         if router is not None:
-            return Wiring(router, namespace, listens=False)
+            return Connection(router, namespace, listens=False)
         own = socket_folder()
-        return Wiring(locator(socket_in(own)), namespace, listens=True, socket_folder=own)
+        return Connection(locator(socket_in(own)), namespace, listens=True, socket_folder=own)
     if keys is None:
-        open_one = Wiring(f"tls/{authority.HERE[0]}:{free_port()}", namespace, listens=True)
+        open_one = Connection(f"tls/{authority.HERE[0]}:{free_port()}", namespace, listens=True)
         return open_one.with_keys_of_its_own(folder, authority.HERE[0])
     endpoint, namespace = authority.carried(keys, places)
-    return Wiring(router or endpoint, namespace, listens=False, credentials=keys.resolve())
+    return Connection(router or endpoint, namespace, listens=False, credentials=keys.resolve())
 
 
 def check(

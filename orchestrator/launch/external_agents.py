@@ -19,7 +19,7 @@ import zenoh
 
 from hedgerow.orchestrator.ground.assignment import Layout, process_name, truth_of, views_of
 from hedgerow.orchestrator.launch.control import ask
-from hedgerow.orchestrator.launch.endpoints import Wiring
+from hedgerow.orchestrator.launch.endpoints import Connection
 from hedgerow.topologies.errors import Code, DeadlineError, HedgerowError, UserError
 from hedgerow.topologies.resolve import to_yaml
 from hedgerow.topologies.schema import Topology
@@ -59,10 +59,10 @@ class External:
         """Whether it is started elsewhere: a shard, or PLANT."""
         return self.plant if process == PLANT else process in self.shards
 
-    def wiring(self, router: str | None, keys: Path | None) -> Wiring:
+    def connection(self, router: str | None, keys: Path | None) -> Connection:
         """How our own processes find the run: over a router that is there, or the port that our plant opens."""
         endpoint = router or local(self.listen or "")
-        return Wiring(endpoint, self.namespace, listens=router is None, credentials=keys and keys.resolve())
+        return Connection(endpoint, self.namespace, listens=router is None, credentials=keys and keys.resolve())
 
     def __str__(self) -> str:
         return ", ".join(self.names)

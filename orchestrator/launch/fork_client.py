@@ -29,7 +29,7 @@ def _leave_ctrl_c_to_us() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-class Nursery:
+class ForkClient:
     """Our end of `hedgerow.orchestrator.launch.fork_server`: who it forked, and who of them has ended."""
 
     def __init__(self) -> None:

@@ -41,7 +41,7 @@ END_DEADLINE_S = 2.0
 """How long agents have to leave by themselves, and to say their last lines, once the plant has ended."""
 
 
-class Seat:
+class RemoteAgent:
     """One agent, in a worker of Ray on some machine; two threads: one is the agent, one says how it does."""
 
     def __init__(self) -> None:
@@ -129,7 +129,7 @@ class Fleet:
     @contextlib.contextmanager
     def placed(self, told: Sequence[tuple[Config, Credentials | None]], wait_s: float) -> Iterator[None]:
         """Agents with these configs, and credentials where the network is secure, while the block lasts."""
-        seat = self._ray.remote(Seat).options(
+        seat = self._ray.remote(RemoteAgent).options(
             num_cpus=self.on.share,
             scheduling_strategy="SPREAD",
             max_restarts=RESTARTS,
@@ -263,7 +263,7 @@ def chosen(
     wait_s: float | None,
 ) -> Iterator[OnRay]:
     """What `--on ON` means, while we are joined to that cluster; UserError where it cannot be."""
-    from hedgerow.orchestrator.launch import endpoints as wiring  # noqa: PLC0415
+    from hedgerow.orchestrator.launch import endpoints as connection  # noqa: PLC0415
     from hedgerow.orchestrator.launch import external_agents as external  # noqa: PLC0415
     from hedgerow.orchestrator.launch.ray_cluster import joined  # noqa: PLC0415
     from hedgerow.wire.ports import LOOPBACK, free_port  # noqa: PLC0415
@@ -272,7 +272,7 @@ def chosen(
         # Nobody else is let in where there is nobody else.
         here = LOOPBACK if cluster.machines <= {cluster.here} else cluster.here
         listens = None if router else listen or f"{'tls' if topology.secure else 'tcp'}/{here}:{free_port(here)}"
-        meet = namespace or wiring.namespace_of(topology.name)
+        meet = namespace or connection.namespace_of(topology.name)
         share = share_of(len(shards), cluster.free_cpus, len(cluster.machines))
         everybody = external.chosen("all", topology, shards, router, listens, meet, wait_s or WAIT_S)
         yield OnRay(cluster, everybody, router or external.local(listens or "", here), share)

@@ -11,7 +11,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hedgerow.orchestrator.ground.background import Aside
+from hedgerow.orchestrator.ground.background import BackgroundThread
 from hedgerow.orchestrator.metrics.observer import Batch, Observer, rows_at_once
 from hedgerow.orchestrator.metrics.replay import Replay
 from hedgerow.orchestrator.metrics.verdict import Ending, Verdict, judge
@@ -64,9 +64,9 @@ class Run:
         self.observer = Observer(topology)
         self.rows_at_once = rows_at_once(self.observer.graph.n)
         self._watching = watching
-        self._aside: Aside | None = None
+        self._background: BackgroundThread | None = None
         """who feeds the stream: Rerun takes a second to load, and nobody waits for it"""
-        self._replaying: Aside | None = None
+        self._replaying: BackgroundThread | None = None
         """the thread of the replay: a step of it takes as long as one of an agent, and the loop is not to wait"""
         self._replayed = replayed
         self._stream: RerunStream | None = None
@@ -109,7 +109,7 @@ class Run:
         if not self._replayed:
             return
         if self._replaying is None:
-            self._replaying = Aside("replay", self._leave_out_replay)
+            self._replaying = BackgroundThread("replay", self._leave_out_replay)
             first = self.topology  # by the faults at the first step, whatever comes before the thread begins
             self._replaying.do(lambda: self._begin_replay(first))
         self._replaying.do(lambda: self._take_replayed(rows), size)
@@ -189,8 +189,8 @@ class Run:
             )
         if path is None and self.viewer is None:
             return
-        self._aside = Aside("rerun", self._leave_out)
-        self._aside.do(lambda: self._load(path))
+        self._background = BackgroundThread("rerun", self._leave_out)
+        self._background.do(lambda: self._load(path))
         for note in self._notes:
             self.note(*note)
         self.folder.event(
@@ -227,8 +227,8 @@ class Run:
             if self._stream is not None:  # it is loaded first
                 show(self._stream)
 
-        if self._aside is not None:
-            self._aside.do(job, size)
+        if self._background is not None:
+            self._background.do(job, size)
 
     def close_tables(self) -> None:
         """Bring the tables into their final form; nothing can be taken in afterwards."""
@@ -248,8 +248,8 @@ class Run:
         try:
             if self._replaying is not None:
                 self._replaying.close()
-            if self._aside is not None:
-                self._aside.close()
+            if self._background is not None:
+                self._background.close()
             self._close_stream()
             self.close_tables()
         except (OSError, HedgerowError) as error:  # a full disk: the streams hold what was recorded, and can be read

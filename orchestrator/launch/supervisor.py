@@ -11,9 +11,9 @@ from typing import Any
 
 from hedgerow.agents.view import View
 from hedgerow.orchestrator.ground.assignment import process_name
-from hedgerow.orchestrator.launch.endpoints import Wiring
+from hedgerow.orchestrator.launch.endpoints import Connection
 from hedgerow.orchestrator.launch.external_agents import OWN_START_S, External
-from hedgerow.orchestrator.launch.fork_client import Nursery
+from hedgerow.orchestrator.launch.fork_client import ForkClient
 from hedgerow.orchestrator.runs.folder import RunFolder
 from hedgerow.plant.truth import Truth
 from hedgerow.topologies.errors import Exit
@@ -88,10 +88,10 @@ class _Agent:
 class Processes:
     """The plant and the agents of one run, each a process of its own with a log of its own."""
 
-    def __init__(self, nursery: Nursery, folder: RunFolder, wiring: Wiring) -> None:
-        self._nursery, self._folder = nursery, folder
-        self._wiring = wiring
-        self._connect = ["--connect", wiring.endpoint]
+    def __init__(self, fork_client: ForkClient, folder: RunFolder, connection: Connection) -> None:
+        self._fork_client, self._folder = fork_client, folder
+        self._connection = connection
+        self._connect = ["--connect", connection.endpoint]
         self._names: list[str] = []
         self._agents: dict[str, _Agent] = {}
         self.deaths: dict[int, int] = {}
@@ -114,31 +114,31 @@ class Processes:
         options = ["--rate", str(rate), "--deadline", str(deadline_s)]
         if external is not None:
             options += ["--network", external.network, "--start", str(external.wait_s + OWN_START_S)]
-        listen = external.listen if external and external.listen else self._wiring.endpoint
-        options += ["--listen", listen] if self._wiring.listens else self._connect
+        listen = external.listen if external and external.listen else self._connection.endpoint
+        options += ["--listen", listen] if self._connection.listens else self._connect
         truth.write(self._folder.processes / f"{keys.PLANT}.npz")
         self._start(keys.PLANT, "plant", options)
         self._names.append(keys.PLANT)
 
     def _start(self, name: str, module: str, options: Sequence[str]) -> None:
         file = self._folder.processes / f"{name}.npz"
-        arguments = [str(file), "--namespace", self._wiring.namespace, *options]
-        credentials = self._wiring.of(name)
+        arguments = [str(file), "--namespace", self._connection.namespace, *options]
+        credentials = self._connection.of(name)
         if credentials is not None:
             arguments += ["--credentials", str(credentials)]
-        self._nursery.fork(name, module, arguments, self._log(name))
+        self._fork_client.fork(name, module, arguments, self._log(name))
 
     def wait_until_started(self) -> dict[str, int]:
         """The process ids by name, once all run."""
-        self._nursery.wait_until_forked(self._names)
-        return dict(self._nursery.pids)
+        self._fork_client.wait_until_forked(self._names)
+        return dict(self._fork_client.pids)
 
     def kill(self, shard: int, life: int, restart: bool) -> None:
         """End the agent process of a shard, for a crash that the plant has decided; start it again if it comes back."""
         name, agent = self._agent(shard)
         if agent.life == life:
             agent.killed, agent.again, agent.undecided = True, restart, False
-            self._nursery.kill(name)
+            self._fork_client.kill(name)
 
     def revive(self, shard: int) -> None:
         """Start the agent process of a shard again, if it was to stay down."""
@@ -156,10 +156,10 @@ class Processes:
         """
         happened: list[dict[str, Any]] = []
         for name, agent in self._agents.items():
-            if agent.starting and (pid := self._nursery.pids.get(name)) is not None:
+            if agent.starting and (pid := self._fork_client.pids.get(name)) is not None:
                 agent.starting = False
                 happened.append({"kind": "restarted", "process": name, "pid": pid, "life": agent.life})
-            code = self._nursery.codes.get(name)
+            code = self._fork_client.codes.get(name)
             if agent.alive and code not in (None, 0, USER_ERROR):
                 agent.alive, agent.told = False, False
                 self.deaths[agent.shard] += 1
@@ -214,21 +214,21 @@ class Processes:
         """Who has ended, other than in good order, and ends the run: not an agent, unless the fault is its user's."""
         return [
             Dead(name, code, self._last_error(name) or self._nursery_error(name), self._log(name))
-            for name, code in dict(self._nursery.codes).items()
+            for name, code in dict(self._fork_client.codes).items()
             if code and (name not in self._agents or code == USER_ERROR)
         ]
 
     def ended(self, name: str) -> bool:
         """Whether that process is gone, in good order or not."""
-        return name in self._nursery.codes or "nursery" in self._nursery.codes
+        return name in self._fork_client.codes or "nursery" in self._fork_client.codes
 
     def wait(self, plant_s: float, agents_s: float) -> None:
         """Wait for the plant to end by itself, at most so long, and then for the agents."""
-        self._nursery.wait([keys.PLANT], plant_s)
-        self._nursery.wait(list(self._agents), agents_s)
+        self._fork_client.wait([keys.PLANT], plant_s)
+        self._fork_client.wait(list(self._agents), agents_s)
 
     def _nursery_error(self, name: str) -> str:
-        return self._nursery.error if name == "nursery" else ""
+        return self._fork_client.error if name == "nursery" else ""
 
     def _log(self, name: str) -> Path:
         return self._folder.logs / f"{name}.log"

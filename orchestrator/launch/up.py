@@ -19,10 +19,10 @@ from hedgerow.orchestrator.ground.signals import Interrupts
 from hedgerow.orchestrator.launch.certificates import host_of
 from hedgerow.orchestrator.launch.comparison import compare
 from hedgerow.orchestrator.launch.control import ask, tell_died
-from hedgerow.orchestrator.launch.endpoints import Wiring, wire
+from hedgerow.orchestrator.launch.endpoints import Connection, wire
 from hedgerow.orchestrator.launch.external_agents import External, Meeting, configs
 from hedgerow.orchestrator.launch.fault_changes import with_end, with_fault, with_loss
-from hedgerow.orchestrator.launch.fork_client import Nursery
+from hedgerow.orchestrator.launch.fork_client import ForkClient
 from hedgerow.orchestrator.launch.plant_event import checked
 from hedgerow.orchestrator.launch.ray_agents import Fleet, OnRay
 from hedgerow.orchestrator.launch.recording import Run, Watching
@@ -54,7 +54,16 @@ from hedgerow.wire.credentials import Credentials
 from hedgerow.wire.handshake import room
 from hedgerow.wire.limits import need_open_files
 from hedgerow.wire.runtime import LONG_BYTES, keep_memory
-from hedgerow.wire.session import CONNECT_TIMEOUT_S, Ear, RefusedError, Voice, WireError, close, has_router, open_client
+from hedgerow.wire.session import (
+    CONNECT_TIMEOUT_S,
+    Receiver,
+    RefusedError,
+    Sender,
+    WireError,
+    close,
+    has_router,
+    open_client,
+)
 from hedgerow.wire.stream import Inbox, rows_ahead
 
 ROUTER_FILES = 24
@@ -102,11 +111,11 @@ class Network:
         shards: Layout,
         options: Options,
         screen: Screen,
-        nursery: Nursery,
+        fork_client: ForkClient,
         began: float,
     ) -> None:
         """`began` is when the command was given, by time.monotonic(): the first step is counted from there."""
-        self._nursery = nursery
+        self._fork_client = fork_client
         self._topology, self._folder, self._shards, self._options = topology, folder, shards, options
         self._screen, self._began = screen, began
         self._ending = Ending(run=folder.name, engine="zenoh", processes=len(shards))
@@ -122,7 +131,7 @@ class Network:
         self._word: Callable[[], dict[str, Any] | None] = lambda: None
         """what we said and heard, by key"""
         self._views = views_of(topology, shards)
-        self._wiring = self._wire()
+        self._connection = self._wire()
         self._meeting: Meeting | None = None
         """with those who are started elsewhere"""
         self._fleet: Fleet | None = None
@@ -140,14 +149,14 @@ class Network:
         self.interrupted = False
         """the user asked for the end"""
 
-    def _wire(self) -> Wiring:
+    def _wire(self) -> Connection:
         secure, options = self._topology.secure, self._options
         if options.external is None:
             return wire(self._folder, secure, options.router, options.keys, places(self._views))
-        wiring = options.external.wiring(options.router, options.keys)
+        connection = options.external.connection(options.router, options.keys)
         if secure and options.keys is None and options.ray is not None:
-            return wiring.with_keys_of_its_own(self._folder, host_of(options.ray.endpoint))
-        return wiring
+            return connection.with_keys_of_its_own(self._folder, host_of(options.ray.endpoint))
+        return connection
 
     def run(
         self,
@@ -160,9 +169,9 @@ class Network:
         left when all is over, while a signal still asks for no more than the end.
         """
         dead: list[Dead] = []
-        self._nursery.on_end = self._wake.set
+        self._fork_client.on_end = self._wake.set
         # Said before any of it exists: whenever we are killed, nothing of it stays.
-        self._nursery.leave_no([registry.entry_path(self._folder.name), *self._wiring.traces])
+        self._fork_client.leave_no([registry.entry_path(self._folder.name), *self._connection.traces])
         with Interrupts(self._wake.set) as interrupts, at_last, self._announced():
             names = [process_name(view) for view in self._views]
             run = Run(self._topology, self._folder, self._options.watching, self._ending, names)
@@ -212,30 +221,30 @@ class Network:
         viewer.end()
 
     def _announced(self) -> contextlib.AbstractContextManager[Path]:
-        wiring = self._wiring
+        connection = self._connection
         return registry.announced(
             self._folder.name,
             self._folder.path,
-            wiring.endpoint,
-            wiring.namespace,
-            wiring.credentials,
-            wiring.traces,
+            connection.endpoint,
+            connection.namespace,
+            connection.credentials,
+            connection.traces,
         )
 
     def _launch(self, stack: contextlib.ExitStack, interrupts: Interrupts) -> tuple[Processes, zenoh.Session]:
         """Processes and our own session; each is undone when `stack` closes, however that comes."""
-        wiring = self._wiring
-        stack.enter_context(wiring.laid(places(self._views)))
-        stack.callback(self._nursery.clear)
-        processes = Processes(self._nursery, self._folder, wiring)
-        if wiring.listens:  # without this, agents that the router cannot accept would be restarted for a minute
+        connection = self._connection
+        stack.enter_context(connection.laid(places(self._views)))
+        stack.callback(self._fork_client.clear)
+        processes = Processes(self._fork_client, self._folder, connection)
+        if connection.listens:  # without this, agents that the router cannot accept would be restarted for a minute
             need_open_files(len(self._views) + ROUTER_FILES, f"a plant with {len(self._views)} agent processes")
         external = self._options.external
         # Nobody need be started for a router that is not there.
-        session = None if wiring.listens else self._connect(processes, interrupts, stack)
+        session = None if connection.listens else self._connect(processes, interrupts, stack)
         if external is None or not external.plant:
             if session is not None:  # nor for one where another network runs
-                stack.enter_context(room(session, wiring.namespace, self._screen.say, lambda: interrupts.count > 0))
+                stack.enter_context(room(session, connection.namespace, self._screen.say, lambda: interrupts.count > 0))
                 if interrupts.count:
                     raise HedgerowError(interrupts.name)
             truth = truth_of(self._topology, self._shards)
@@ -246,28 +255,32 @@ class Network:
         session = session or self._connect(processes, interrupts, stack)
         pids = processes.wait_until_started()
         if external is not None:
-            self._screen.say(f"waiting for {external} at {external.listen or wiring.endpoint}, {wiring.namespace}")
+            self._screen.say(
+                f"waiting for {external} at {external.listen or connection.endpoint}, {connection.namespace}"
+            )
             self._meeting = Meeting(external, session, self._folder.logs / f"{keys.PLANT}.log")
             stack.enter_context(self._meeting.watched())
             if external.plant:
                 self._meeting.introduce()
         if external is not None and self._options.ray is not None:
-            told = configs(self._topology, self._shards, self._options.ray.endpoint, wiring.namespace)
+            told = configs(self._topology, self._shards, self._options.ray.endpoint, connection.namespace)
             self._fleet = Fleet(self._options.ray, self._folder, self._wake.set, self._screen.say)
-            own = [Credentials.read(where) if (where := wiring.of(one.process)) else None for one in told[1:]]
+            own = [Credentials.read(where) if (where := connection.of(one.process)) else None for one in told[1:]]
             stack.enter_context(self._fleet.placed([*zip(told[1:], own, strict=True)], external.wait_s))
-        self._folder.event("start", engine="zenoh", endpoint=wiring.endpoint, namespace=wiring.namespace, pids=pids)
+        self._folder.event(
+            "start", engine="zenoh", endpoint=connection.endpoint, namespace=connection.namespace, pids=pids
+        )
         return processes, session
 
     def _connect(self, processes: Processes, interrupts: Interrupts, stack: contextlib.ExitStack) -> zenoh.Session:
         """Our own session while `stack` lasts; HedgerowError if no router comes in time, or who would be it died."""
-        wiring, external = self._wiring, self._options.external
+        connection, external = self._connection, self._options.external
         wait_s = external.wait_s if external and external.plant else CONNECT_TIMEOUT_S
         by = time.monotonic() + wait_s
-        own = Credentials.read(wiring.own) if wiring.own else None  # once: what is wrong with them is told once
+        own = Credentials.read(connection.own) if connection.own else None  # once: what is wrong with them is told once
         while True:
             try:
-                session = open_client(wiring.endpoint, wiring.namespace, own, LOOK_S)
+                session = open_client(connection.endpoint, connection.namespace, own, LOOK_S)
                 stack.callback(close, session)
                 return session
             except RefusedError:
@@ -289,9 +302,9 @@ class Network:
         on_first_step: Callable[[float], None],
     ) -> None:
         """Take telemetry in, batch by batch, until the plant's END or until there is nobody to wait for."""
-        ear, seen = Ear(session, keys.TELEMETRY, self._put), Voice(session, keys.SEEN)
-        self._word = functools.partial(observed, seen, ear, self._inbox)
-        with contextlib.closing(ear):
+        receiver, seen = Receiver(session, keys.TELEMETRY, self._put), Sender(session, keys.SEEN)
+        self._word = functools.partial(observed, seen, receiver, self._inbox)
+        with contextlib.closing(receiver):
             while run.observer.end is None:
                 self._wake.wait(self._tick_s(processes))
                 self._wake.clear()
@@ -439,14 +452,14 @@ class Network:
     def _is_cut_off(self, session: zenoh.Session) -> bool:
         """Whether a router of the user's is gone for too long; processes elsewhere are waited for longer (Meeting)."""
         now = time.monotonic()
-        if self._wiring.listens or self._meeting is not None or has_router(session):
+        if self._connection.listens or self._meeting is not None or has_router(session):
             self._routed_at = now
             return False
         in_steps = self._first_at is not None and self._asked_at is None
         patience_s = max(ROUTER_GONE_S, self._options.deadline_s) if in_steps else ROUTER_GONE_S
         if now - self._routed_at > patience_s:
             self._cut_off = True
-            gone = f"the router at {self._wiring.endpoint} is gone: not seen for {patience_s:g} s"
+            gone = f"the router at {self._connection.endpoint} is gone: not seen for {patience_s:g} s"
             self._ending.stopped = self._ending.stopped or gone
         return self._cut_off
 

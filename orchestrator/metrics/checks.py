@@ -55,7 +55,7 @@ class _Due(NamedTuple):
         return _Due(*(np.concatenate([getattr(one, name) for one in (self, later)]) for name in self._fields))
 
 
-class Motion:
+class DynamicsCheck:
     """Equation (1) to the bit, and the contraction: from each row to the state after it, whatever lies between."""
 
     def __init__(self) -> None:

@@ -13,7 +13,7 @@ from hedgerow.wire import keys
 from hedgerow.wire.access import OBSERVER, Place
 
 if TYPE_CHECKING:
-    from hedgerow.wire.session import Ear, Voice
+    from hedgerow.wire.session import Receiver, Sender
     from hedgerow.wire.stream import Inbox
 
 CLAIM = "every message that a process took in was said to it, by the one process that may speak on its key"
@@ -101,11 +101,11 @@ def audit(places: Sequence[Place], event: Mapping[str, Any], observed: Mapping[s
     return Audit(counted, strange, [place.name for place in places if place.name not in words], observer)
 
 
-def observed(seen: Voice, ear: Ear, inbox: Inbox) -> dict[str, Any]:
+def observed(seen: Sender, receiver: Receiver, inbox: Inbox) -> dict[str, Any]:
     """What the observer said and heard until the plant told its own counts, as an agent's last word holds it."""
-    refused = {ear.key: inbox.refused} if inbox.refused else {}
-    heard = {ear.key: inbox.arrived_at_event}
-    return {"said": {seen.key: seen.said}, "heard": heard, "refused": refused, "strange": ear.strange}
+    refused = {receiver.key: inbox.refused} if inbox.refused else {}
+    heard = {receiver.key: inbox.arrived_at_event}
+    return {"said": {seen.key: seen.said}, "heard": heard, "refused": refused, "strange": receiver.strange}
 
 
 def _counted(one: Channel, words: Mapping[str, Any], lives: Mapping[str, int]) -> Channel:

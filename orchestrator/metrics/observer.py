@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from hedgerow.agents.law import control
 from hedgerow.orchestrator.ground.assignment import candidates_of
 from hedgerow.orchestrator.metrics.certificate import Certificate, running
-from hedgerow.orchestrator.metrics.checks import Motion, Worst
+from hedgerow.orchestrator.metrics.checks import DynamicsCheck, Worst
 from hedgerow.orchestrator.metrics.fault_accounts import Accounts, Told
 from hedgerow.orchestrator.metrics.fault_schedule import Schedule
 from hedgerow.orchestrator.metrics.twins import Twins
@@ -132,7 +132,7 @@ class Observer:
         self._twins = Twins(self.b, self.graph, self.x0, self._a0, self.nominal)
         self._certificate = Certificate(self._a0, self.b, self.graph, self.x0)
         self.v0 = self._certificate.v0
-        self._motion = Motion()
+        self._dynamics = DynamicsCheck()
         self._estimates = Worst()
         self._sums = np.zeros(5)
         self._sxx, self._sxd = np.zeros(self.graph.n), np.zeros(self.graph.n)
@@ -149,8 +149,8 @@ class Observer:
         self._jumped = False
         self.accounts = Accounts(self.graph, self.schedule)
         self.checks = {
-            "dynamics": self._motion.dynamics,
-            "contraction": self._motion.contraction,
+            "dynamics": self._dynamics.dynamics,
+            "contraction": self._dynamics.contraction,
             "oracle_certificate": self._certificate.check,
             "estimates": self._estimates,
             **self.accounts.checks,
@@ -201,7 +201,7 @@ class Observer:
         rho = self._contraction(a) if turns else self._contraction(self._a)
         self.rho = max(self.rho, float(rho.max()))
         bound = rho * np.abs(x).sum(axis=1) + np.abs(w).sum(axis=1)
-        self._motion.take(t, x, dynamics(a, self.b, self.graph, x, u, w, closed), bound)
+        self._dynamics.take(t, x, dynamics(a, self.b, self.graph, x, u, w, closed), bound)
         index = self._named(ahat)
         self._check_estimates(t, x, u, ahat, index)
         changed: NDArray[np.bool_] = np.asarray(~edge_open.all(axis=1))
@@ -226,7 +226,7 @@ class Observer:
         self.x_oracle_end, self.x_nominal_end = self._twins.x
         self._sums[0] += np.square(end.x - self.x_oracle_end).sum()
         self._sums[1] += np.square(self.x_nominal_end - self.x_oracle_end).sum()
-        self._motion.finish(end.t, end.x)
+        self._dynamics.finish(end.t, end.x)
         self.accounts.finish()
 
     def _expect(self, t: int) -> None:

@@ -16,7 +16,7 @@ from hedgerow.agents.shard import Shard
 from hedgerow.agents.view import View
 from hedgerow.orchestrator.ground.assignment import candidates_of, history_of, law_of
 from hedgerow.plant.disturbance import Disturbance
-from hedgerow.plant.faults import NOTHING, Faults, Wrong
+from hedgerow.plant.faults import NOTHING, ActiveFaults, Faults
 from hedgerow.plant.truth import Truth
 from hedgerow.plant.world import World
 from hedgerow.topologies.archive import id_array
@@ -242,7 +242,7 @@ class _Shadow(World):
         """Make a quiet step under inputs that are all there."""
         t, x = self.t, self.x
         self._record.append(x, u, self._all_open)
-        self._open, self._heard = self._all_open, self._now.crossing
+        self._open, self._heard = self._all_open, self._now.deliveries
         self.t += 1
         return Telemetry(t, x, u, x, report, self._all_open, self._all_up, self._all_taken)
 
@@ -312,12 +312,12 @@ class _Some(Faults):
     def none_at(self, t: int) -> bool:
         return self._whole.none_at(t)
 
-    def at(self, t: int) -> Wrong:
-        wrong = self._whole.at(t)
-        if wrong is NOTHING:
-            return wrong
-        found = {name: getattr(wrong, name) for name in self._kept}
-        return Wrong(**{name: None if one is None else one[self._kept[name]] for name, one in found.items()})
+    def at(self, t: int) -> ActiveFaults:
+        active = self._whole.at(t)
+        if active is NOTHING:
+            return active
+        found = {name: getattr(active, name) for name in self._kept}
+        return ActiveFaults(**{name: None if one is None else one[self._kept[name]] for name, one in found.items()})
 
     def absent(self, t: int) -> Mask | None:
         absent = self._whole.absent(t)

@@ -44,11 +44,11 @@ def table(topology: Topology) -> str:
         gamma, rho = gamma_star(a, topology.b, graph), contraction(a, candidates_of(topology))
         held = f"; rho = {rho:.6g}, the contraction whatever is estimated" if topology.law in LAWS else ""
         processes = topology.process_count
-        crossing = cut(graph, partition(graph, processes))
+        cut_edges = cut(graph, partition(graph, processes))
         console.print(
             f"\n{topology.name}: {size}, {topology.steps} steps, seed {topology.seed}, law {topology.law}\n"
             f"gamma* = {gamma:.6g}, the optimal gain when every a is known{held}\n"
-            f"{count(processes, 'process', 'es')}; {crossing} of {count(len(graph.edges), 'edge')} from one to another"
+            f"{count(processes, 'process', 'es')}; {cut_edges} of {count(len(graph.edges), 'edge')} from one to another"
         )
     return capture.get().rstrip()
 

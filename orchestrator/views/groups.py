@@ -44,10 +44,10 @@ class Groups:
         home = np.empty(graph.n, dtype=np.int64)
         home[self._nodes] = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
         low, high = np.sort(home[graph.edges], axis=1).T
-        crossing = np.flatnonzero(low != high)
-        pairs, place = np.unique(low[crossing] * len(parts) + high[crossing], return_inverse=True)
+        deliveries = np.flatnonzero(low != high)
+        pairs, place = np.unique(low[deliveries] * len(parts) + high[deliveries], return_inverse=True)
         self.graph = Graph(len(parts), np.stack([pairs // len(parts), pairs % len(parts)], axis=1))
-        self._edges = _Gathered(crossing, place, len(pairs))
+        self._edges = _Gathered(deliveries, place, len(pairs))
         outward = np.flatnonzero(home[graph.node] != home[graph.neighbour])
         own = self.graph.node * len(parts) + self.graph.neighbour
         at = np.searchsorted(own, home[graph.node[outward]] * len(parts) + home[graph.neighbour[outward]])

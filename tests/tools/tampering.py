@@ -15,7 +15,7 @@ from unittest import mock
 import numpy as np
 
 from hedgerow.agents.law import Array, Minimax
-from hedgerow.agents.samples import Came
+from hedgerow.agents.samples import LateRows
 from hedgerow.agents.shard import Shard
 from hedgerow.agents.view import View
 from hedgerow.orchestrator.ground.assignment import layout, truth_of, views_of
@@ -24,7 +24,7 @@ from hedgerow.orchestrator.metrics.replay import Replay
 from hedgerow.orchestrator.metrics.verdict import Ending, Verdict, judge
 from hedgerow.orchestrator.runs import reference as in_process
 from hedgerow.plant.disturbance import Disturbance
-from hedgerow.plant.faults import Faults, Wrong
+from hedgerow.plant.faults import ActiveFaults, Faults
 from hedgerow.plant.truth import Truth
 from hedgerow.plant.world import World
 from hedgerow.topologies.effects import Effect
@@ -233,7 +233,7 @@ class HeldForMissing(Shard):
 class NoBackfill(Shard):
     """Throws away rows that come late."""
 
-    def _came(self, c: int, links: Sequence[Link | None], start: int, stop: int) -> Came:
+    def _came(self, c: int, links: Sequence[Link | None], start: int, stop: int) -> LateRows:
         return super()._came(c, links, start, stop)._replace(stop=start, inputs=np.empty(0))
 
 
@@ -486,7 +486,7 @@ class OtherLots(_Changed):
     def begin(self) -> None:
         at = self.faults.at
 
-        def lost(t: int) -> Wrong:
+        def lost(t: int) -> ActiveFaults:
             wrong = at(t)
             if t != 12:
                 return wrong

@@ -23,7 +23,7 @@ import pytest
 from hedgerow.agents.view import View
 from hedgerow.orchestrator import load_run
 from hedgerow.orchestrator.ground.assignment import layout
-from hedgerow.orchestrator.launch.fork_client import Nursery
+from hedgerow.orchestrator.launch.fork_client import ForkClient
 from hedgerow.orchestrator.launch.recording import Watching
 from hedgerow.orchestrator.launch.up import Network, Options
 from hedgerow.orchestrator.runs.folder import create
@@ -178,9 +178,9 @@ def test_a_signal_after_the_last_word_changes_nothing(here: Path) -> None:
     before = signal.signal(signal.SIGTERM, lambda number, _: heard.append(number))
     try:
         with contextlib.ExitStack() as stack:
-            nursery = stack.enter_context(contextlib.closing(Nursery()))
+            fork_client = stack.enter_context(contextlib.closing(ForkClient()))
             stack.callback(signal.raise_signal, signal.SIGTERM)
-            network = Network(topology, create(topology, None), shards, options, Quiet(), nursery, time.monotonic())
+            network = Network(topology, create(topology, None), shards, options, Quiet(), fork_client, time.monotonic())
             verdict = network.run(at_last=stack)
     finally:
         signal.signal(signal.SIGTERM, before)

@@ -20,7 +20,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hedgerow.orchestrator.ground.assignment import layout, places, truth_of, views_of
-from hedgerow.orchestrator.launch.endpoints import Wiring
+from hedgerow.orchestrator.launch.endpoints import Connection
 from hedgerow.orchestrator.launch.supervisor import RESTARTS, UNREACHED_S, Processes
 from hedgerow.orchestrator.metrics.message_audit import audit
 from hedgerow.orchestrator.runs.folder import RunFolder
@@ -67,15 +67,15 @@ class Lives:
     def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now = 1000.0
         monkeypatch.setattr("orchestrator.launch.supervisor.time.monotonic", lambda: self.now)
-        self.nursery = Started()
+        self.fork_client = Started()
         (folder / "processes").mkdir(parents=True)
         (folder / "logs").mkdir()
-        self.processes = Processes(self.nursery, RunFolder(folder), Wiring("tcp/x:1", "n", listens=True))  # type: ignore[arg-type]
+        self.processes = Processes(self.fork_client, RunFolder(folder), Connection("tcp/x:1", "n", listens=True))  # type: ignore[arg-type]
         self.processes.start_agent(VIEWS[0])
 
     def end(self, reached: bool | None) -> list[str]:
         """End the life at hand and wait for the next; the kinds of events."""
-        self.nursery.codes["agent-1"] = -9
+        self.fork_client.codes["agent-1"] = -9
         happened = self.processes.tend(lambda _, __: reached)
         if (due := self.processes.next_due) is not None:
             self.now = max(self.now, due)

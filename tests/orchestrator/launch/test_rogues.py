@@ -137,12 +137,12 @@ def test_of_all_pairs_of_writer_key_and_reader_exactly_the_allowed_ones_succeed(
 def test_tokens_and_commands_are_their_owners(secure: Secure) -> None:
     """Nobody can claim that another is alive, or ask for another's place, and an agent cannot command the plant."""
     tokens: set[str] = set()
-    came = threading.Condition()
+    late_rows = threading.Condition()
 
     def see(sample: zenoh.Sample) -> None:
-        with came:
+        with late_rows:
             tokens.add(str(sample.key_expr))
-            came.notify_all()
+            late_rows.notify_all()
 
     def answer(query: zenoh.Query) -> None:
         query.reply(str(query.key_expr), b"{}")
@@ -172,8 +172,8 @@ def test_tokens_and_commands_are_their_owners(secure: Secure) -> None:
             if any(reply.ok is not None for reply in session.get(keys.control(command), timeout=DEADLINE_S)):
                 obeyed.add((name, command))
     tokens_of_shards = {keys.alive(keys.shard_name(p), 3) for p in range(N)}
-    with came:
-        assert came.wait_for(lambda: tokens_of_shards <= tokens, DEADLINE_S)
+    with late_rows:
+        assert late_rows.wait_for(lambda: tokens_of_shards <= tokens, DEADLINE_S)
     assert tokens == tokens_of_shards | {keys.alive(name) for name in names}
     assert obeyed == {(OBSERVER, "died"), (OBSERVER, "stop"), (OBSERVER, "status")} | {
         (OPERATOR, command) for command in keys.COMMANDS if command != "died"

@@ -123,9 +123,9 @@ def test_keys_are_their_users_alone_short_lived_and_in_no_log(here: Path, networ
 
 def test_a_killed_up_leaves_no_key(here: Path, network: Orchestrator) -> None:
     children = network.children
-    nursery = psutil.Process(children["plant"]).ppid()
+    fork_client = psutil.Process(children["plant"]).ppid()
     network.send(signal.SIGKILL)
-    assert gone({**children, "nursery": nursery})
+    assert gone({**children, "nursery": fork_client})
     assert secrets(here) == []
     assert [*(here / f"hedgerow-{os.getuid()}").iterdir()] == []
 
@@ -133,13 +133,13 @@ def test_a_killed_up_leaves_no_key(here: Path, network: Orchestrator) -> None:
 def test_a_nursery_that_hears_of_its_children_first_leaves_no_key_either(here: Path, network: Orchestrator) -> None:
     """It wakes up, and there is nobody left to tell that they have died."""
     children = network.children
-    nursery = psutil.Process(children["plant"]).ppid()
-    os.kill(nursery, signal.SIGSTOP)
+    fork_client = psutil.Process(children["plant"]).ppid()
+    os.kill(fork_client, signal.SIGSTOP)
     network.send(signal.SIGKILL)
     network.wait()
     assert psutil.wait_procs([psutil.Process(pid) for pid in children.values()], 0)[1]  # it reaps them
-    os.kill(nursery, signal.SIGCONT)
-    assert gone({**children, "nursery": nursery})
+    os.kill(fork_client, signal.SIGCONT)
+    assert gone({**children, "nursery": fork_client})
     assert secrets(here) == []
 
 
