@@ -1,7 +1,30 @@
-"""Networks in tests: what the fixture `network` gives, runs, and leaves (docs/testing.md)."""
+"""Networks in tests: what the fixture `network` gives, runs, and leaves (docs/testing.md).
 
-from hedgerow.orchestrator.testing.result import Estimates, Result
-from hedgerow.orchestrator.testing.running import Running
-from hedgerow.orchestrator.testing.scenario import Networks, Scenario
+The pytest plugin lies in this package, so nothing heavy is loaded before a name is used.
+"""
 
+from __future__ import annotations
+
+TYPE_CHECKING = False  # the one of typing takes a while to load
+if TYPE_CHECKING:
+    from hedgerow.orchestrator.testing.result import Estimates, Result
+    from hedgerow.orchestrator.testing.running import Running
+    from hedgerow.orchestrator.testing.scenario import Networks, Scenario
+
+_HOMES = {
+    "Estimates": "result",
+    "Networks": "scenario",
+    "Result": "result",
+    "Running": "running",
+    "Scenario": "scenario",
+}
 __all__ = ["Estimates", "Networks", "Result", "Running", "Scenario"]
+
+
+def __getattr__(name: str) -> object:
+    """Load the module of a public name when it is first used."""
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from importlib import import_module  # noqa: PLC0415
+
+    return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)

@@ -14,7 +14,7 @@ import yaml
 from cryptography import x509
 
 from hedgerow.orchestrator.launch.certificates import Authority, to_carry
-from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.errors import Exit, UserError
 from hedgerow.wire.access import access_control
 from hedgerow.wire.credentials import CA, CERTIFICATE, PRIVATE_KEY
 from hedgerow.wire.handshake import room
@@ -159,7 +159,7 @@ def test_who_has_no_right_keys_is_told_why_at_both_ends(here: Path, port: int, s
         wrong["open"] = start("agents", "--config", "lab/agent-3", "--router", f"tcp/localhost:{port}")
         for name, agent in wrong.items():
             code, said[name] = agent.wait()
-            assert code in (1, 2), said[name]
+            assert code in (Exit.USER_MISTAKE, Exit.UNKNOWN), said[name]
             assert "Traceback" not in said[name]
         network.wait_for("somebody's certificate was refused: it is of another authority")
         network.wait_for("somebody refused our certificate: it is of another authority")

@@ -666,11 +666,11 @@ def test_a_run_of_no_step_is_none(here: Path, monkeypatch: pytest.MonkeyPatch) -
 
 def test_the_package_itself_loads_nothing() -> None:
     """Every command and every process imports it."""
-    program = "import sys; before = set(sys.modules); import orchestrator; print(sorted(set(sys.modules) - before))"
+    program = "import sys; before = set(sys.modules); import hedgerow.orchestrator; print({*sys.modules} - before)"
     loaded = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert set(eval(loaded.stdout)) <= {"orchestrator", "__future__"}
+    assert set(eval(loaded.stdout)) <= {"hedgerow", "hedgerow.orchestrator", "__future__"}
     assert package.__all__ == ["RecordedRun", "load_run", "simulate"]
-    with pytest.raises(AttributeError, match="module 'orchestrator' has no attribute 'load_runs'"):
+    with pytest.raises(AttributeError, match=r"module 'hedgerow\.orchestrator' has no attribute 'load_runs'"):
         _ = package.load_runs
 
 

@@ -252,7 +252,7 @@ def test_a_failing_test_says_why_and_where_to_look(pytester: pytest.Pytester) ->
             "E         first at step 4: x of node 2 * != *; x of node 4 *",
             "  fault 1: cut 2-4 from step 3 to 9",
             ">       network(\"paper7\").drop((2, 5))",
-            "E       topologies.errors.UserError: drop: link: 2 and 5 are not neighbours; the neighbours of 2 are *",
+            "E       hedgerow.topologies.errors.UserError: drop: link: 2 and 5 are not neighbours; *",
         ]
     )  # fmt: skip
     assert "def inject" not in ran.stdout.str(), "frames of ours in a mistake of the test's"
@@ -261,9 +261,9 @@ def test_a_failing_test_says_why_and_where_to_look(pytester: pytest.Pytester) ->
 
 def test_the_plugin_is_light(tmp_path: Path) -> None:
     """A test session that never asks for a network loads nothing of ours but the plugin."""
-    code = "import sys, orchestrator.testing.pytest_plugin; print(*sys.modules)"
+    code = "import sys, hedgerow.orchestrator.testing.pytest_plugin; print(*sys.modules)"
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
-    heavy = {"numpy", "pyarrow", "zenoh", "rerun", "scipy", "pydantic", "topologies", "hedgerow.orchestrator.testing"}
+    heavy = {"numpy", "pyarrow", "zenoh", "rerun", "scipy", "pydantic", "hedgerow.topologies"}
     assert "hedgerow.orchestrator.testing.pytest_plugin" in loaded
     assert not heavy & {*loaded}
 
