@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import json
 import os
 import signal
@@ -193,8 +194,8 @@ def up(
 
     with stack:
         fork_client = stack.enter_context(contextlib.closing(_FORK_CLIENT or ForkClient()))
-        network = Network(topology, folder, shards, options, display, fork_client, _BEGAN)
-        return code_of_run(network.run(on_first_step, stack), display)
+        begin = functools.partial(Network, topology, folder, shards, options, display, fork_client, _BEGAN)
+        return code_of_run(folders.begun_or_withdrawn(folder, begin).run(on_first_step, stack), display)
 
 
 def _check_cluster(on: str, external: str | None) -> None:

@@ -7,15 +7,17 @@ import json
 import os
 import shutil
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from hedgerow.orchestrator.ground.spelling import shown
-from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.errors import HedgerowError, UserError
 from hedgerow.topologies.resolve import save
 from hedgerow.topologies.schema import Topology
+
+T = TypeVar("T")
 
 
 class RunFolder:
@@ -30,6 +32,10 @@ class RunFolder:
         self.logs = path / "logs"
         self.processes = path / "processes"
         """what each process was told"""
+        self.made = True
+        """`create` made the folder; else it was there, and empty."""
+        self.latest_before: str | None = None
+        """The run that runs/latest pointed to before this one."""
         self.note = ""
         """what could not be done for the run's convenience, in one line"""
 
@@ -98,13 +104,40 @@ def create(topology: Topology, directory: Path | None) -> RunFolder:
             if made:
                 folder.path.rmdir()
             raise
+        folder.made = made
         if directory is None:
+            latest = folder.path.parent / "latest"
+            folder.latest_before = os.readlink(latest) if latest.is_symlink() else None
             folder.note = _point_latest(folder.path.parent, folder.path)
     except OSError as error:
         raise UserError(
             f"no run folder: {error.filename or directory}: {error.strerror}; choose another with --run-dir"
         ) from None
     return folder
+
+
+def begun_or_withdrawn(folder: RunFolder, begin: Callable[[], T]) -> T:
+    """Return `begin()`; if it raises HedgerowError, undo `create` first."""
+    try:
+        return begin()
+    except HedgerowError:
+        withdraw(folder)
+        raise
+
+
+def withdraw(folder: RunFolder) -> None:
+    """Undo `create` for a run that was refused before it began: its folder goes, and runs/latest points back."""
+    _empty(folder.path)
+    with contextlib.suppress(OSError):
+        if folder.made:
+            folder.path.rmdir()  # fails where the user has put something into it
+        runs, name = folder.path.parent, folder.path.name
+        latest = runs / "latest"
+        if latest.is_symlink() and os.readlink(latest) == name:
+            if folder.latest_before is None:
+                latest.unlink()
+            else:
+                _point_latest(runs, runs / folder.latest_before)
 
 
 def _empty(folder: Path) -> None:

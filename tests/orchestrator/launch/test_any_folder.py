@@ -7,6 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from hedgerow.orchestrator.runs.folder import create, withdraw
+from hedgerow.topologies.load import load
+from hedgerow.topologies.resolve import resolve
 from tests.tools.processes import orchestrator
 
 UP = ("--viewer", "none", "--no-record")
@@ -55,3 +58,34 @@ def test_a_tilde_is_the_home_folder(here: Path, monkeypatch: pytest.MonkeyPatch)
     assert orchestrator("simulate", "pair.yaml", "--no-record", "--run-dir=~/a").returncode == 0
     assert (here / "home/a/verdict.json").is_file()
     assert not (here / "~").exists()
+
+
+def test_a_refused_run_leaves_no_folder_and_latest_where_it_was(here: Path) -> None:
+    Path("pair.yaml").write_text(PAIR)
+    assert orchestrator("simulate", "pair.yaml", "--no-record").returncode == 0
+    before = sorted(one.name for one in Path("runs").iterdir()), os.readlink("runs/latest")
+    (here / "no keys").mkdir()
+    refused = (
+        ("up", "pair.yaml", *UP, "--processes", "9"),
+        ("up", "pair.yaml", *UP, "--router", "bench"),
+        ("up", "pair.yaml", *UP, "--secure", "--keys", "no keys"),
+        ("up", "pair.yaml", *UP, "--law", "nowhere:Law"),
+        ("up", "pair.yaml", *UP, "--external", "z"),
+    )
+    for command in refused:
+        done = orchestrator(*command)
+        assert done.returncode == 2, (command, done.stdout)
+        assert (sorted(one.name for one in Path("runs").iterdir()), os.readlink("runs/latest")) == before, command
+
+
+def test_what_a_run_made_is_withdrawn_and_the_users_files_stay(here: Path) -> None:
+    topology = resolve(load("paper7"))
+    first = create(topology, None)
+    second = create(topology, None)
+    assert os.readlink("runs/latest") == second.name
+    withdraw(second)
+    assert os.readlink("runs/latest") == first.name
+    assert not second.path.exists()
+    (first.path / "mine.txt").write_text("data")
+    withdraw(first)
+    assert (first.path / "mine.txt").read_text() == "data"
