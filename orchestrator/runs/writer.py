@@ -8,6 +8,7 @@ ends; at the end they become Parquet, in row groups of one size, so that equal r
 from __future__ import annotations
 
 import functools
+import os
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
@@ -29,6 +30,7 @@ from hedgerow.topologies.schema import Topology
 from hedgerow.wire.codec import End
 
 ROW_GROUP = 2**16
+STEPS_AT_ONCE = 64
 
 
 def _id_type(topology: Topology) -> pa.DataType:
@@ -48,16 +50,27 @@ class _Table:
         self.stream = folder / f"{name}.arrows"
         self.parquet = folder / f"{name}.parquet"
         self.schema = schema
-        self._writer = pa.ipc.new_stream(pa.OSFile(spelled(self.stream), "wb"), schema)
+        self._file = pa.OSFile(spelled(self.stream), "wb")
+        self._writer = pa.ipc.new_stream(self._file, schema)
+        self._full = False
 
     def append(self, columns: dict[str, pa.Array]) -> None:
+        """Append some rows; OSError when the disk is full, and then the stream ends with the last whole rows."""
         arrays = [columns[name] for name in self.schema.names]
-        self._writer.write_batch(pa.RecordBatch.from_arrays(arrays, schema=self.schema))
+        whole = self._file.tell()
+        try:
+            self._writer.write_batch(pa.RecordBatch.from_arrays(arrays, schema=self.schema))
+        except OSError:
+            # What was written in part is of no use, and the verdict needs the room.
+            self._full = True
+            os.truncate(self.stream, whole)
+            raise
 
     def close(self) -> None:
         if not self.stream.exists():
             return
-        self._writer.close()
+        if not self._full:  # else an end of the stream would be written behind a hole
+            self._writer.close()
         to_parquet(self.stream, self.parquet)
         self.stream.unlink()
 
@@ -208,33 +221,36 @@ class Recorder:
                 values = values[rows]
             return values if len(columns) == values.shape[1] else values[:, columns]
 
+        telemetry: dict[str, pa.Array] = {}
+        edges: dict[str, pa.Array] = {}
         if len(rows) and n:
             u, ahat, margin = (of(values, self._nodes) for values in (batch.u, batch.ahat, batch.margin))
             unknown = np.isnan(ahat)
             states = ("x", "w", "x_oracle", "x_nominal")
-            self._telemetry.append(
-                {
-                    "step": column(np.repeat(t, n)),
-                    "node": pa.concat_arrays([self._ids] * len(rows)),
-                    **{name: column(of(getattr(batch, name), self._nodes)) for name in states},
-                    "u": column(u, np.isnan(u)),
-                    "ahat": column(ahat, unknown),
-                    "index": column(of(batch.index, self._nodes), unknown),
-                    "margin": column(margin, ~np.isfinite(margin)),
-                }
-            )
+            telemetry = {
+                "step": column(np.repeat(t, n)),
+                "node": pa.concat_arrays([self._ids] * len(rows)),
+                **{name: column(of(getattr(batch, name), self._nodes)) for name in states},
+                "u": column(u, np.isnan(u)),
+                "ahat": column(ahat, unknown),
+                "index": column(of(batch.index, self._nodes), unknown),
+                "margin": column(margin, ~np.isfinite(margin)),
+            }
         if len(rows) and e:
-            self._edge_inputs.append(
-                {
-                    "step": column(np.repeat(t, e)),
-                    "i": pa.concat_arrays([self._i] * len(rows)),
-                    "j": pa.concat_arrays([self._j] * len(rows)),
-                    "u_edge": column(of(batch.u_edge, self._e)),
-                    "open": column(of(batch.edge_open, self._e)),
-                    "i_hears": column(of(batch.link_up, self._hears[:, 0])),
-                    "j_hears": column(of(batch.link_up, self._hears[:, 1])),
-                }
-            )
+            edges = {
+                "step": column(np.repeat(t, e)),
+                "i": pa.concat_arrays([self._i] * len(rows)),
+                "j": pa.concat_arrays([self._j] * len(rows)),
+                "u_edge": column(of(batch.u_edge, self._e)),
+                "open": column(of(batch.edge_open, self._e)),
+                "i_hears": column(of(batch.link_up, self._hears[:, 0])),
+                "j_hears": column(of(batch.link_up, self._hears[:, 1])),
+            }
+        # A few steps at a time: where the disk is full, only the last of them are lost.
+        for first in range(0, len(rows), STEPS_AT_ONCE):
+            for table, columns, width in ((self._telemetry, telemetry, n), (self._edge_inputs, edges, e)):
+                if columns:
+                    table.append({k: one.slice(first * width, STEPS_AT_ONCE * width) for k, one in columns.items()})
 
     def write_end(self, observer: Observer, end: End) -> None:
         """Append the last states: at step T nothing acts, so all but the states is null."""

@@ -14,6 +14,7 @@ from hedgerow.orchestrator.launch.comparison import compare, first_difference
 from hedgerow.orchestrator.launch.recording import Run, Watching
 from hedgerow.orchestrator.metrics.verdict import Ending
 from hedgerow.orchestrator.runs.folder import create
+from hedgerow.orchestrator.runs.reader import load_run
 from hedgerow.orchestrator.testing.scenario import Networks
 from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import resolve
@@ -126,3 +127,13 @@ def test_ctrl_c_after_the_last_step_changes_nothing(here: Path) -> None:
 def last_step_is_recorded(step: int) -> bool:
     log = Path("runs/latest/logs/plant.log")
     return log.exists() and f"end at step {step + 1}" in log.read_text(encoding="utf-8")
+
+
+def test_what_was_recorded_before_a_disk_was_full_can_be_exported(here: Path) -> None:
+    """The first rows come together: those that do not fit must not take the others with them."""
+    full = orchestrator("simulate", "paper7", "--steps", "3000", "--no-record", largest=150_000)
+    assert full.returncode == 3, full.stdout + full.stderr
+    assert verdict()["verdict"] == "unknown"
+    done = orchestrator("export", "runs/latest", "--to", "csv", "--out", "tables")
+    assert done.returncode == 0, done.stderr
+    assert load_run("runs/latest").T >= 64
