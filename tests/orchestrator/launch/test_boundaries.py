@@ -1,0 +1,66 @@
+"""Random networks over Zenoh whose faults begin and end at the boundaries of the run equal the in-process reference."""
+
+from __future__ import annotations
+
+import json
+import random
+from typing import Any
+
+import pytest
+
+from hedgerow.orchestrator.testing import Networks
+
+T = 8
+BOUNDARIES = (0, 1, T - 2, T - 1, T, T + 3)
+SEEDS = range(24)
+
+
+def window(draw: random.Random) -> list[int]:
+    first, stop = sorted(draw.sample(BOUNDARIES, 2))
+    return [first, stop]
+
+
+def fault(draw: random.Random, edges: list[list[int]], n: int) -> dict[str, Any]:
+    node, edge = draw.randrange(n), draw.choice(edges)
+    match draw.choice(("crash", "crash", "drop", "delay", "cut", "sensor", "actuator")):
+        case "crash":
+            at = draw.choice((0, 1, T - 2, T - 1))
+            stop = draw.choice([one for one in BOUNDARIES if one > at])
+            return {"kind": "crash", "node": node, "at": at, "restart_after": stop - at}
+        case "drop":
+            return {"kind": "drop", "link": edge, "steps": window(draw), "probability": draw.choice((0.5, 1.0))}
+        case "delay":
+            return {
+                "kind": "delay",
+                "from": edge[0],
+                "to": edge[1],
+                "by": draw.choice((1, 2, T)),
+                "steps": window(draw),
+            }
+        case "cut":
+            return {"kind": "cut", "edge": edge, "steps": window(draw)}
+        case kind:
+            return {"kind": kind, "node": node, "steps": window(draw)}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", SEEDS)
+def test_faults_at_the_boundaries_of_a_run_give_the_reference(network: Networks, seed: int) -> None:
+    draw = random.Random(seed)
+    n = draw.randint(2, 4)
+    edges = [[draw.randrange(node), node] for node in range(1, n)]
+    topology: dict[str, Any] = {
+        "name": "model",
+        "b": 0.1,
+        "steps": T,
+        "seed": seed,
+        "nodes": list(range(n)),
+        "edges": edges,
+    }
+    topology["defaults"] = {"x0": 3.0, "disturbance": {"kind": "white", "std": 0.2}}
+    scenario = network(json.dumps(topology))
+    for _ in range(draw.randint(1, 3)):
+        scenario = scenario.inject(fault(draw, edges, n))
+    over_zenoh = scenario.run(engine="zenoh", processes=draw.randint(1, n))
+    assert over_zenoh == scenario.run(engine="in-process")
+    assert over_zenoh.verdict.verdict != "INVALID", over_zenoh.verdict.line()
