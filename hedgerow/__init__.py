@@ -1,1 +1,65 @@
-"""Networks of independent controllers that talk only to their neighbours, each its own process, over Zenoh."""
+"""Networks of independent controllers that talk only to their neighbours, each its own process, over Zenoh.
+
+    import hedgerow as hg
+    net = hg.load("paper7", steps=300)       # a bundled name, a path, YAML text, a dictionary, or a Topology
+    run = hg.simulate(net, law="hinf")       # in this process; `orchestrator up` runs it over Zenoh
+    run = hg.load_run("runs/latest")         # what any run recorded
+
+Agents import this package too, so every name is loaded when it is first used.
+"""
+
+from __future__ import annotations
+
+TYPE_CHECKING = False  # the one of typing takes a while to load
+if TYPE_CHECKING:
+    from hedgerow.agents.law import Law, Minimax
+    from hedgerow.orchestrator.facade import load, simulate
+    from hedgerow.orchestrator.runs.reader import RecordedRun, load_run
+    from hedgerow.topologies.errors import Code, HedgerowError, TopologyError, UserError
+    from hedgerow.topologies.schema import Topology
+
+    __version__: str
+
+_HOMES = {
+    "Code": "topologies.errors",
+    "HedgerowError": "topologies.errors",
+    "Law": "agents.law",
+    "Minimax": "agents.law",
+    "RecordedRun": "orchestrator.runs.reader",
+    "Topology": "topologies.schema",
+    "TopologyError": "topologies.errors",
+    "UserError": "topologies.errors",
+    "load": "orchestrator.facade",
+    "load_run": "orchestrator.runs.reader",
+    "simulate": "orchestrator.facade",
+}
+__all__ = [
+    "Code",
+    "HedgerowError",
+    "Law",
+    "Minimax",
+    "RecordedRun",
+    "Topology",
+    "TopologyError",
+    "UserError",
+    "load",
+    "load_run",
+    "simulate",
+]
+
+
+def __getattr__(name: str) -> object:
+    """Load the module of a public name when it is first used."""
+    if name == "__version__":
+        from hedgerow.wire.release import release  # noqa: PLC0415
+
+        return release("hedgerow")
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from importlib import import_module  # noqa: PLC0415
+
+    return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]

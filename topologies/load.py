@@ -9,7 +9,7 @@ import json
 import operator
 import re
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path as FilePath
@@ -80,6 +80,33 @@ def load(name: str, overrides: Sequence[str] = ()) -> Topology:
     except OSError as error:
         raise UserError(f"{path}: cannot be read: {error.strerror}; check its permissions") from None
     return parse(text, str(path), path.parent, overrides)
+
+
+Named = str | FilePath | Mapping[str, Any] | Topology
+"""A network as Python code names it: see `text_of`."""
+
+
+def text_of(network: Named) -> tuple[bytes, str, FilePath]:
+    """Return the text of a network, its name in messages, and the folder of its CSV files.
+
+    `network` is a bundled name, the path of a file or of a run folder, the text of a file, a dictionary of the same
+    shape, or a Topology. Raises UserError if there is no such file, or it cannot be read.
+    """
+    if isinstance(network, Topology):
+        from hedgerow.topologies.resolve import to_yaml  # noqa: PLC0415 (it loads this module)
+
+        return to_yaml(network).encode(), network.name, FilePath()
+    if isinstance(network, Mapping):
+        return json.dumps(network).encode(), "network", FilePath()
+    if isinstance(network, str) and ("\n" in network or network.lstrip().startswith("{")):
+        return network.encode(), "network", FilePath()
+    path = find(str(network))
+    try:
+        return path.read_bytes(), str(path), path.parent
+    except OSError as error:
+        raise UserError(
+            f"{path}: cannot be read: {error.strerror}; check its permissions", code=Code.FILE_UNREADABLE
+        ) from None
 
 
 def parse(text: bytes, name: str, folder: FilePath, overrides: Sequence[str] = ()) -> Topology:

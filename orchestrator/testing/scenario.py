@@ -19,8 +19,8 @@ from hedgerow.orchestrator.testing.result import Result
 from hedgerow.orchestrator.testing.running import Running, run_to_the_end
 from hedgerow.topologies.errors import UserError
 from hedgerow.topologies.faults import Fault
-from hedgerow.topologies.load import find, parse
-from hedgerow.topologies.resolve import resolve, to_yaml
+from hedgerow.topologies.load import Named, parse, text_of
+from hedgerow.topologies.resolve import resolve
 from hedgerow.topologies.schema import Record, Topology
 from hedgerow.wire.codec import End, Telemetry
 
@@ -146,22 +146,10 @@ class Networks:
     new_folder: Callable[[str], Path] = field(repr=False)
     on_result: Callable[[Result], None] = field(repr=False, default=lambda _: None)
 
-    def __call__(self, network: str | Path | Topology, *settings: str) -> Scenario:
-        """network: a bundled name, a file, the folder of a run, a Topology, or the text of a file.
+    def __call__(self, network: Named, *settings: str) -> Scenario:
+        """network: a bundled name, a file, the folder of a run, a Topology, a dictionary, or the text of a file.
 
         settings: `path=value`, as for `--set` on the command line. Raises UserError.
         """
-        text, name, folder = _text(network)
+        text, name, folder = text_of(network)
         return _now(Scenario(text, name, folder, self.new_folder, self.on_result, settings))
-
-
-def _text(network: str | Path | Topology) -> tuple[bytes, str, Path]:
-    if isinstance(network, Topology):
-        return to_yaml(network).encode(), network.name, Path()
-    if isinstance(network, str) and ("\n" in network or network.lstrip().startswith("{")):
-        return network.encode(), "network", Path()
-    path = find(str(network))
-    try:
-        return path.read_bytes(), str(path), path.parent
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read: {error.strerror}; check its permissions") from None
