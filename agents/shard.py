@@ -59,10 +59,13 @@ def law_class(name: str) -> type[Law]:
     except Exception as error:
         raise UserError(
             f"law {name}: cannot be loaded: {type(error).__name__}: {error}; "
-            "give package.module:Class, importable here (docs/laws.md)"
+            "give package.module:Class, importable here (docs/laws.md)",
+            code=Code.LAW,
         ) from error
     if missing := [method for method in ("act", "learn", "report") if not callable(getattr(law, method, None))]:
-        raise UserError(f"law {name}: has no {', '.join(missing)}(); a law has act, learn and report (docs/laws.md)")
+        raise UserError(
+            f"law {name}: has no {', '.join(missing)}(); a law has act, learn and report (docs/laws.md)", code=Code.LAW
+        )
     return law
 
 

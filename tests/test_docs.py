@@ -39,6 +39,7 @@ from hedgerow.orchestrator.metrics.fault_accounts import Account
 from hedgerow.orchestrator.metrics.observer import Batch
 from hedgerow.orchestrator.runs.writer import to_parquet
 from hedgerow.orchestrator.views.rerun.panels import quantities
+from hedgerow.topologies.errors import Code
 from hedgerow.topologies.faults import KINDS
 from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import resolve
@@ -398,6 +399,11 @@ def test_the_session_settings_are_those_of_the_code() -> None:
     config = session._config(None, {})
     for row in table("wire.md", "Router and sessions"):
         assert config.get_json(row["setting"]) == row["value"], row["setting"]
+
+
+def test_every_error_code_is_in_errors_md() -> None:
+    """Each code has a row, and no other has."""
+    assert [row["code"] for row in table("errors.md", "Codes")] == [*Code]
 
 
 def test_every_kind_of_fault_is_in_faults_md() -> None:

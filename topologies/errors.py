@@ -39,13 +39,9 @@ class Code(StrEnum):
     TOPOLOGY = "topology"
     FAULT = "fault"
     LAW = "law"
-    LAW_CONTRACT = "law-contract"
     RUN_MISSING = "run-missing"
     NETWORK_MISSING = "network-missing"
     NETWORK_AMBIGUOUS = "network-ambiguous"
-    PACKAGE_MISSING = "package-missing"
-    VERSION = "version"
-    CREDENTIALS = "credentials"
     # Circumstances: exit code 3.
     UNKNOWN = "unknown"
     DEADLINE = "deadline"
@@ -53,7 +49,6 @@ class Code(StrEnum):
     REFUSED = "refused"
     MESSAGE = "message"
     LIMIT = "limit"
-    DISK_FULL = "disk-full"
     # A defect of this project: exit code 70.
     CRASH = "crash"
 

@@ -50,16 +50,20 @@ def find(name: str) -> FilePath:
         if (path / "topology.yaml").is_file():
             return path / "topology.yaml"
         if path.is_dir() and name not in bundled():
-            raise UserError(f"{name}: is a directory, and no run's folder; name a topology file in it")
+            raise UserError(
+                f"{name}: is a directory, and no run's folder; name a topology file in it", code=Code.FILE_MISSING
+            )
         if path.is_file() or (path.exists() and not path.is_dir()):
             return path
     except OSError as error:
-        raise UserError(f"{name}: {error.strerror}; check the path and its permissions") from None
+        raise UserError(
+            f"{name}: {error.strerror}; check the path and its permissions", code=Code.FILE_UNREADABLE
+        ) from None
     if name in bundled():
         return FilePath(str(resources.files("hedgerow.topologies") / f"{name}.yaml"))
     near = difflib.get_close_matches(name, bundled(), 1)
     hint = f"did you mean {near[0]}? " if near else ""
-    raise UserError(f"{name}: no such file; {hint}bundled names are {', '.join(bundled())}")
+    raise UserError(f"{name}: no such file; {hint}bundled names are {', '.join(bundled())}", code=Code.FILE_MISSING)
 
 
 def load(name: str, overrides: Sequence[str] = ()) -> Topology:
@@ -78,7 +82,9 @@ def load(name: str, overrides: Sequence[str] = ()) -> Topology:
             )
         text = path.read_bytes()
     except OSError as error:
-        raise UserError(f"{path}: cannot be read: {error.strerror}; check its permissions") from None
+        raise UserError(
+            f"{path}: cannot be read: {error.strerror}; check its permissions", code=Code.FILE_UNREADABLE
+        ) from None
     return parse(text, str(path), path.parent, overrides)
 
 

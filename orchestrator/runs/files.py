@@ -37,12 +37,18 @@ def find_run(run: str | Path) -> Path:
         for path in (own, listed_run, *named[-1:]):
             if path.is_dir():
                 if not (path / "topology.yaml").is_file():
-                    raise UserError(f"{path}: is no folder of a run: there is no topology.yaml in it")
+                    raise UserError(
+                        f"{path}: is no folder of a run: there is no topology.yaml in it", code=Code.RUN_MISSING
+                    )
                 return path.resolve()
     except OSError as error:
-        raise UserError(f"{run}: {error.strerror}; check the path and its permissions") from None
+        raise UserError(
+            f"{run}: {error.strerror}; check the path and its permissions", code=Code.FILE_UNREADABLE
+        ) from None
     listed = f"; runs/ has {', '.join(path.name for path in there[-6:])}" if there else ""
-    raise UserError(f"{run}: there is no such run; name its folder, or its name in runs/{listed}")
+    raise UserError(
+        f"{run}: there is no such run; name its folder, or its name in runs/{listed}", code=Code.RUN_MISSING
+    )
 
 
 def load_resolved(folder: Path) -> Topology:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from hedgerow.orchestrator.ground.spelling import shown
-from hedgerow.topologies.errors import HedgerowError, UserError
+from hedgerow.topologies.errors import Code, HedgerowError, UserError
 from hedgerow.topologies.resolve import save
 from hedgerow.topologies.schema import Topology
 
@@ -59,7 +59,7 @@ def new_folder(folder: Path, said: str, mode: int = 0o777) -> None:
     """Make a folder, or take an empty one; UserError if it holds something. `said` is how the user named it."""
     folder.mkdir(mode, parents=True, exist_ok=True)
     if any(folder.iterdir()):
-        raise UserError(f"{said}: holds something already; name a new folder")
+        raise UserError(f"{said}: holds something already; name a new folder", code=Code.OUTPUT)
 
 
 @contextlib.contextmanager
@@ -111,7 +111,8 @@ def create(topology: Topology, directory: Path | None) -> RunFolder:
             folder.note = _point_latest(folder.path.parent, folder.path)
     except OSError as error:
         raise UserError(
-            f"no run folder: {error.filename or directory}: {error.strerror}; choose another with --run-dir"
+            f"no run folder: {error.filename or directory}: {error.strerror}; choose another with --run-dir",
+            code=Code.OUTPUT,
         ) from None
     return folder
 
