@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from hedgerow.orchestrator.launch.certificates import host_of, to_carry, write_private
+from hedgerow.topologies.escape import command
 from hedgerow.topologies.resolve import to_yaml
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire import keys
@@ -98,7 +99,8 @@ def _write_rest(
     folder: Path, topology: Topology, configs: Sequence[Config], readme: str, ending: str, **words: object
 ) -> None:
     (folder / "topology.yaml").write_text(to_yaml(topology), encoding="utf-8")
-    agents = [f"$ agent --config {config.process}{ending}" for config in configs if config.process != keys.PLANT]
+    told = [f"{config.process}{ending}" for config in configs if config.process != keys.PLANT]
+    agents = [f"$ {command(['agent', '--config', name])}" for name in told]
     shown = agents[:20] + ([f"... and {len(agents) - 20} more"] if len(agents) > 20 else [])
     text = readme.format(
         name=topology.name,
