@@ -122,8 +122,8 @@ _NOT_OF_LABELS = re.compile(r"[^a-z0-9]+")
 
 def _meta(network: str, process: str, original: str = "") -> dict[str, Any]:
     """Return the name and the labels of an object, and what they stand for where they had to be changed."""
-    texts = {"hedgerow/network": network, "hedgerow/process": original or process}
-    changed = {key: text for key, text in texts.items() if text not in (label(network), label(process))}
+    names = {"hedgerow/network": (network, label(network)), "hedgerow/process": (original or process, label(process))}
+    changed = {key: text for key, (text, name) in names.items() if text != name}
     annotations = {"annotations": changed} if changed else {}
     return {"name": label(process), "labels": _labels(network, process), **annotations}
 

@@ -337,7 +337,7 @@ class Bar:
 def _console() -> Console:
     with contextlib.suppress(AttributeError):  # a name that this terminal cannot write must not end the run
         sys.stdout.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
-    return Console(highlight=False, soft_wrap=True)
+    return Console(highlight=False, soft_wrap=True, markup=False, emoji=False)
 
 
 def _tell(console: Console, verdict: Verdict, folder: Path) -> None:
