@@ -28,8 +28,8 @@ LINE, TIME = "%(asctime)s.%(msecs)03d %(name)s: %(message)s", "%H:%M:%S"
 class Line(logging.Formatter):
     """The formatter of our logs: a message is one line, and neither it nor a traceback acts on a terminal."""
 
-    def __init__(self) -> None:
-        super().__init__(LINE, TIME)
+    def __init__(self, form: str = LINE) -> None:
+        super().__init__(form, TIME)
 
     def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802 (logging's name)
         """Return the line without its traceback; a line feed in it would forge the next line of the log."""

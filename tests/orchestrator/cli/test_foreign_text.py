@@ -95,7 +95,8 @@ def test_a_hostile_folder_and_verdict(here: Path, capsys: pytest.CaptureFixture[
 
 def test_a_processs_own_streams(here: Path) -> None:
     """Standard output and standard error of real processes, to the byte."""
-    commands = [(*COMMAND, "simulate", "paper7", "--steps", "3", "--no-record", "--json", "--run-dir", HOSTILE)]
+    simulated = ("simulate", "paper7", "--steps", "3", "--no-record", "--json", "--run-dir", HOSTILE)
+    commands: list[tuple[str, ...]] = [(*COMMAND, *simulated)]
     commands += [(sys.executable, "-P", "-m", f"hedgerow.{name}", f"--{HOSTILE}") for name in ("agents", "plant")]
     for command, code in zip(commands, (0, 2, 2), strict=True):
         done = subprocess.run(command, capture_output=True, check=False, timeout=DEADLINE_S, cwd=here)
