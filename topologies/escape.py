@@ -32,6 +32,14 @@ def shorten(text: str, most: int = 80) -> str:
     return line if len(line) <= most else line[: most - 1] + "…"
 
 
+_MARKS = re.compile(r"[\\`*_{}\[\]<>#|~&!$]")
+
+
+def markdown(text: str) -> str:
+    """Return `text` as words of one Markdown line: no emphasis, link, HTML, or cell of a table begins or ends in it."""
+    return _MARKS.sub(r"\\\g<0>", escape(text, keep=""))
+
+
 def echo(text: object, *, error: bool = False, end: str = "\n") -> None:
     """Print the escaped text to standard output, or to standard error if `error`, and flush it.
 

@@ -4,6 +4,7 @@ import ast
 import io
 import json
 import logging
+import re
 import subprocess
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from hypothesis import strategies as st
 
 import hedgerow.wire.child
 from hedgerow.orchestrator.metrics.message_audit import STRANGE_KEYS, _shortened
-from hedgerow.topologies.escape import command, escape, shorten
+from hedgerow.topologies.escape import command, escape, markdown, shorten
 from hedgerow.wire.child import Line
 
 ANY = st.text(st.characters())
@@ -118,6 +119,17 @@ def test_a_shell_reads_the_words_of_a_command() -> None:
 @given(MANY)
 def test_a_command_shows_no_control(text: str) -> None:
     assert not {ord(one) for one in command([text])} & ACTS
+
+
+def test_markdown_has_no_mark_of_a_text() -> None:
+    assert markdown("a|b *c* [d](e) <f> `g` \\ \n\x1b") == (r"a\|b \*c\* \[d\](e) \<f\> \`g\` \\ \\u000a\\u001b")
+
+
+@given(MANY)
+def test_every_mark_of_markdown_is_escaped(text: str) -> None:
+    said = markdown(text)
+    assert not {ord(one) for one in said} & ACTS
+    assert not set("|*_<>[]`") & set(re.sub(r"\\.", "", said))
 
 
 def test_only_echo_prints() -> None:

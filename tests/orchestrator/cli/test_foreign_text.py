@@ -1,6 +1,7 @@
 """Text of others on the way to a screen: ids, tags, file names, column names and keys act on no terminal."""
 
 import json
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -9,6 +10,7 @@ import pytest
 
 from hedgerow.orchestrator.cli.exit_code import run_to_exit_code
 from hedgerow.orchestrator.cli.main import app
+from hedgerow.orchestrator.views.screen import left_behind
 from tests.tools.processes import COMMAND, DEADLINE_S
 
 HOSTILE = "\x1b]0;owned\x07\x1b[2J\x9b2J\u202e\x7f"
@@ -104,3 +106,15 @@ def test_a_processs_own_streams(here: Path) -> None:
         assert_harmless(done.stdout.decode(), done.stderr.decode())
         if code == 0:
             assert json.loads(done.stdout)["folder"].endswith(HOSTILE)
+
+
+@pytest.mark.parametrize("name", ["a b", "a;b", "$(a)", "a'b", "#a", "~a", "`a`"])
+def test_commands_for_copy_and_paste(here: Path, capsys: pytest.CaptureFixture[str], name: str) -> None:
+    """The command that a run prints at its end opens that run, and the README of a bundle has the namespace whole."""
+    assert shlex.split(left_behind(here / name).splitlines()[1].partition(": ")[2])[1:] == ["open", str(here / name)]
+    namespace = name.replace("#", "+").replace("$", "+")
+    assert run("bundle", "paper7", "--out", str(here / name), "--router", "tcp/h:7447", "--namespace", namespace) == 0
+    readme = (here / name / "README.md").read_text(encoding="utf-8")
+    told = next(line for line in readme.splitlines() if "--namespace" in line)
+    assert shlex.split(told)[-1] == namespace
+    assert str(here / name) in capsys.readouterr().out
