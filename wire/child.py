@@ -45,6 +45,12 @@ _stop: Callable[[], None] | None = None
 """what the first of them does, if it is not to end us"""
 
 
+def escape_warnings() -> None:
+    """Escape the warnings of a process without a log, which logging writes to standard error as they are."""
+    if logging.lastResort is not None:
+        logging.lastResort.setFormatter(Line("%(message)s"))
+
+
 def run_child(body: Callable[[], None]) -> NoReturn:
     """Run `body` as the whole of this process, as `run_alone` does, for as long as its parent lives.
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import logging
 import os
 import signal
 import subprocess
@@ -34,7 +33,7 @@ from hedgerow.topologies.errors import DeadlineError, UserError, check_options
 from hedgerow.topologies.escape import command, echo
 from hedgerow.topologies.paths import user_path
 from hedgerow.wire import start
-from hedgerow.wire.child import Line
+from hedgerow.wire.child import escape_warnings
 from hedgerow.wire.runtime import let_numbers_overflow
 
 # What a topology needs takes most of a second to load: each command loads what it needs itself.
@@ -73,9 +72,7 @@ def run_command(began: float, nursery: Nursery | None) -> None:
     global _BEGAN, _NURSERY
     _BEGAN, _NURSERY = began, nursery
     let_numbers_overflow()
-    if logging.lastResort is not None:
-        # The sessions of this process log keys of others; without a log of ours, a warning goes to standard error.
-        logging.lastResort.setFormatter(Line("%(message)s"))
+    escape_warnings()
     leave(run_to_exit_code(lambda: app(standalone_mode=False) or 0))
 
 

@@ -6,6 +6,7 @@ import json
 import logging
 import re
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -146,3 +147,14 @@ def test_only_echo_prints() -> None:
                 if called in ("print", "typer.echo", "sys.stdout.write", "sys.stderr.write"):
                     found.append(f"{file.relative_to(root)}:{node.lineno}")
     assert [place for place in found if not place.startswith("topologies/escape.py")] == []
+
+
+def test_a_warning_without_a_log_is_escaped() -> None:
+    """A session warns of the keys of strangers, and the operator's process has no log."""
+    code = (
+        "import logging; from hedgerow.wire.child import escape_warnings; escape_warnings();"
+        rf" logging.getLogger('x').warning('key %s', {HOSTILE[:-1]!r})"
+    )
+    done = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, check=True, timeout=20)
+    assert b"key " in done.stderr
+    assert not {ord(one) for one in done.stderr.decode()} & (ACTS - {0x0A})
