@@ -7,6 +7,7 @@ import os
 import sys
 import time
 
+from hedgerow.topologies.escape import echo
 from hedgerow.wire import start
 
 BEGAN = time.monotonic()
@@ -30,7 +31,7 @@ def main() -> None:
         os._exit(start.INTERRUPTED)
     except BaseException as error:
         if isinstance(error, ModuleNotFoundError) and error.name in MORE_THAN_AN_AGENT_NEEDS:
-            print(f"error: there is no {error.name} here: pip install 'hedgerow[orchestrator]'", file=sys.stderr)
+            echo(f"error: there is no {error.name} here: pip install 'hedgerow[orchestrator]'", error=True)
             os._exit(2)
         os._exit(_failed(error))
 
@@ -58,7 +59,7 @@ def _failed(error: BaseException) -> int:
 
     reached = limit_reached(error)
     with contextlib.suppress(OSError):
-        print(f"error: {reached or crash.report(error)}", file=sys.stderr, flush=True)
+        echo(f"error: {reached or crash.report(error)}", error=True)
     return Exit.CRASH if reached is None else Exit.UNKNOWN
 
 

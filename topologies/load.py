@@ -27,7 +27,7 @@ from hedgerow.topologies.generators import GENERATORS
 from hedgerow.topologies.graph import LARGEST
 from hedgerow.topologies.nodes import Edges, Nodes
 from hedgerow.topologies.odd import no_id, odd_numbers
-from hedgerow.topologies.override import origin_of
+from hedgerow.topologies.override import next_key, origin_of, split_setting, steps_of
 from hedgerow.topologies.paths import user_path
 from hedgerow.topologies.rules import broken_rules
 from hedgerow.topologies.schema import COMPONENTS, Defaults, Node, Record, Topology
@@ -176,8 +176,8 @@ def _with_table(topology: Topology, file: str, folder: FilePath) -> Topology:
 
 
 def _override(source: Source, override: str) -> None:
-    where, equals, text = override.partition("=")
-    if not equals or not where:
+    where, text = split_setting(override)
+    if not where:
         raise UserError(f"--set {override}: is not path=value; for example --set defaults.x0=5")
     try:
         override.encode()
@@ -191,10 +191,13 @@ def _override(source: Source, override: str) -> None:
         raise TopologyError(source.name, found) from None
     source.problems.extend(replace(problem, line=0, column=0, origin=origin) for problem in given.problems)
     value = given.value
-    keys: list[Any] = [node_id(step) for step in where.split(".")]
+    rest = steps_of(where)
+    keys: list[Any] = []
     at = source.value
-    for depth, key in enumerate(keys):
-        last = depth == len(keys) - 1
+    while rest:
+        key, rest = next_key(at, rest)
+        depth, last = len(keys), not rest
+        keys.append(key)
         if isinstance(at, list) and isinstance(key, int) and -len(at) <= key < len(at):
             keys[depth] = key % len(at)
             at[key] = value if last else copy.deepcopy(at[key])

@@ -12,6 +12,7 @@ from collections.abc import Callable, Collection, Iterator
 from typing import NoReturn
 
 from hedgerow.topologies.errors import Exit, HedgerowError, UserError
+from hedgerow.topologies.escape import echo, escape
 from hedgerow.wire import crash, start
 from hedgerow.wire.limits import limit_reached
 from hedgerow.wire.runtime import let_numbers_overflow
@@ -22,9 +23,32 @@ ERROR_PREFIX = "error: "
 """The last line of the log of a process that failed starts so."""
 LINE, TIME = "%(asctime)s.%(msecs)03d %(name)s: %(message)s", "%H:%M:%S"
 """What a line of a log looks like."""
+
+
+class Line(logging.Formatter):
+    """The formatter of our logs: a message is one line, and neither it nor a traceback acts on a terminal."""
+
+    def __init__(self, form: str = LINE) -> None:
+        super().__init__(form, TIME)
+
+    def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802 (logging's name)
+        """Return the line without its traceback; a line feed in it would forge the next line of the log."""
+        return escape(super().formatMessage(record), keep="\t")
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Return the line and the traceback, if there is one."""
+        return escape(super().format(record))
+
+
 _ENDS = (signal.SIGTERM, signal.SIGINT)
 _stop: Callable[[], None] | None = None
 """what the first of them does, if it is not to end us"""
+
+
+def escape_warnings() -> None:
+    """Escape the warnings of a process without a log, which logging writes to standard error as they are."""
+    if logging.lastResort is not None:
+        logging.lastResort.setFormatter(Line("%(message)s"))
 
 
 def run_child(body: Callable[[], None]) -> NoReturn:
@@ -53,7 +77,9 @@ def run_alone(body: Callable[[], None], logged: bool = False) -> NoReturn:
     """
     start.begin()
     let_numbers_overflow()
-    logging.basicConfig(stream=sys.stderr, level=logging.INFO, format=LINE, datefmt=TIME)
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(Line())
+    logging.basicConfig(handlers=[handler], level=logging.INFO)
     # Every thread that is made from here on leaves these to the one that waits for them: a handler of Python's would
     # have to wait for the main thread, and one that is just about to wait itself would not hear of it. A signal that is
     # ignored is left out: while it is blocked, the kernel would deliver it all the same.
@@ -86,7 +112,7 @@ def run_alone(body: Callable[[], None], logged: bool = False) -> NoReturn:
 
 def _say(text: str) -> None:
     with contextlib.suppress(OSError, ValueError):  # nobody reads it
-        print(f"{ERROR_PREFIX}{text}", file=sys.stderr)
+        echo(f"{ERROR_PREFIX}{text}", error=True)
 
 
 @contextlib.contextmanager

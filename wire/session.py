@@ -17,6 +17,7 @@ from typing import Any, cast
 import zenoh
 
 from hedgerow.topologies.errors import Code, DeadlineError, HedgerowError, UserError
+from hedgerow.topologies.escape import escape
 from hedgerow.wire.codec import MessageError
 from hedgerow.wire.credentials import Credentials, router_tls
 from hedgerow.wire.limits import limit_in
@@ -68,6 +69,8 @@ def check_endpoint(endpoint: str, option: str = "--router") -> None:
 
 def check_namespace(namespace: str) -> None:
     """Raise UserError for what keys cannot stand under."""
+    if escape(namespace, keep="") != namespace:
+        raise UserError(f"--namespace {namespace}: holds control characters. Remove them.", code=Code.OPTION)
     try:
         wild = "*" in str(zenoh.KeyExpr(namespace))
     except zenoh.ZError:

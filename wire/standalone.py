@@ -7,7 +7,7 @@ import os
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from hedgerow.wire.runtime import runtime_environment, share_the_cores
 
@@ -18,11 +18,15 @@ for _name, _value in runtime_environment().items():
 import zenoh  # noqa: E402
 
 from hedgerow.topologies.errors import DeadlineError, UserError, check_options  # noqa: E402
+from hedgerow.topologies.escape import echo, escape  # noqa: E402
 from hedgerow.topologies.paths import user_path  # noqa: E402
 from hedgerow.wire import keys  # noqa: E402
 from hedgerow.wire.child import run_alone  # noqa: E402
 from hedgerow.wire.config import Config  # noqa: E402
 from hedgerow.wire.session import close, direct, open_client  # noqa: E402
+
+if TYPE_CHECKING:
+    from _typeshed import SupportsWrite
 
 WAIT_S = 600.0
 """How long a process waits for the others, who may be started by hand."""
@@ -30,9 +34,16 @@ ASK_S, PAUSE_S = 2.0, 0.5
 CHECK_S = 5.0
 
 
+class _Parser(argparse.ArgumentParser):
+    """A parser that shows a wrong option in escaped text."""
+
+    def _print_message(self, message: str, file: SupportsWrite[str] | None = None) -> None:
+        super()._print_message(escape(message) if message else message, file)
+
+
 def options(program: str, what: str) -> argparse.ArgumentParser:
     """The options that agents and plants have in common."""
-    parser = argparse.ArgumentParser(prog=program, description=what)
+    parser = _Parser(prog=program, description=what)
     parser.add_argument("--config", type=user_path, help="what `orchestrator bundle` wrote for it [$HEDGEROW_CONFIG]")
     parser.add_argument("--router", metavar="ENDPOINT", help="in place of the config's router, e.g. tcp/bench:7447")
     parser.add_argument(
@@ -105,4 +116,4 @@ def _check(config: Config, endpoint: str, credentials: Path | None) -> None:
         wait_for(session, name, CHECK_S)
     finally:
         close(session)
-    print(f"{config.process} takes part")
+    echo(f"{config.process} takes part")

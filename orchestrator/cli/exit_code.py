@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import io
 import os
 import select
 import sys
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING, NoReturn
 import typer
 
 from hedgerow.topologies.errors import Code, Exit, HedgerowError, TopologyError, UserError
+from hedgerow.topologies.escape import echo
 from hedgerow.wire import crash, start
 from hedgerow.wire.limits import limit_reached
 
@@ -57,7 +59,9 @@ def _unexpected(error: BaseException) -> int:
         return Exit.USER_MISTAKE
     if isinstance(error, Exception) and hasattr(error, "show"):
         with contextlib.suppress(OSError):
-            error.show()  # a wrong option or argument, in the words of the command line library
+            said = io.StringIO()
+            error.show(file=said)  # a wrong option or argument, in the words of the command line library
+            echo(said.getvalue(), error=True, end="")
         return Exit.USER_MISTAKE
     reached = limit_reached(error)
     _complain(f"error: {reached or crash.report(error)}")
@@ -83,7 +87,7 @@ def code_of_run(verdict: Verdict, display: Screen) -> int:
 
 def _complain(text: str) -> None:
     with contextlib.suppress(OSError):
-        print(text, file=sys.stderr, flush=True)
+        echo(text, error=True)
 
 
 def leave(code: int) -> NoReturn:

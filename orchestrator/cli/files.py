@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from hedgerow.topologies.escape import echo
 from hedgerow.topologies.paths import user_path
 
 Run = Annotated[str, typer.Argument(metavar="[RUN]", help="a run's folder, or its name in runs/")]
@@ -30,5 +31,5 @@ def export(to: To, run: Run = "runs/latest", out: Out = None, force: Force = Fal
 
     recorded = load_run(run)
     files = exports.export(recorded, to, out, force)
-    print(f"{recorded.T} steps of {recorded.run}: {', '.join(map(str, files))}")
+    echo(f"{recorded.T} steps of {recorded.run}: {', '.join(map(str, files))}")
     return 0

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from hedgerow.orchestrator.cli.options import AsJson, File, Processes
+from hedgerow.topologies.escape import command, echo
 from hedgerow.topologies.paths import user_path
 
 if TYPE_CHECKING:
@@ -50,10 +50,10 @@ def keys(
     check_endpoint(router)
     name, places = _places(file, processes)
     made = to_carry(out, places, namespace_of(name), router, days)
-    print(f"{out}: keys for {', '.join(made)}; they hold for {days:g} days")
+    echo(f"{out}: keys for {', '.join(made)}; they hold for {days:g} days")
     again = ["orchestrator", "up", file, "--secure", "--keys", str(out)]
     again += [] if processes is None else ["--processes", str(processes)]
-    print(f"router: zenohd -c {CONFIGURATION}, in its folder; then: {shlex.join(again)}")
+    echo(f"router: zenohd -c {CONFIGURATION}, in its folder; then: {command(again)}")
     return 0
 
 
@@ -77,14 +77,14 @@ def audit(
     found, granted = channels(places), rights(places)
     if as_json:
         heard = [{"key": one.key, "from": one.speaker, "to": one.listener} for one in found]
-        print(json.dumps({"channels": heard, "rights": {name: some._asdict() for name, some in granted.items()}}))
+        echo(json.dumps({"channels": heard, "rights": {name: some._asdict() for name, some in granted.items()}}))
         return 0
     if as_rights:
         for name, some in granted.items():
-            print(f"{name}:")
+            echo(f"{name}:")
             for right, allowed in some._asdict().items():
                 if allowed:
-                    print(f"  {right} {', '.join(allowed)}")
+                    echo(f"  {right} {', '.join(allowed)}")
         return 0
     names = [PLANT, *(place.name for place in places)]
     cells = {(one.listener, one.speaker): one.key for one in found}

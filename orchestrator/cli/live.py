@@ -10,6 +10,7 @@ import typer
 
 from hedgerow.orchestrator.cli.names import Commands
 from hedgerow.orchestrator.cli.options import AsJson
+from hedgerow.topologies.escape import echo
 
 if TYPE_CHECKING:
     from hedgerow.orchestrator.launch.live import Injected, Live
@@ -48,7 +49,7 @@ def _with(run: str | None, as_json: bool, ask: Callable[[Live], tuple[str, dict[
 
     with Live(run) as live:
         text, answer = ask(live)
-        print(json.dumps({"run": live.run, **answer}) if as_json else f"{live.run}: {text}")
+        echo(json.dumps({"run": live.run, **answer}) if as_json else f"{live.run}: {text}")
     return 0
 
 

@@ -10,6 +10,7 @@ import typer
 
 from hedgerow.orchestrator.cli.options import File, Law, Processes, Seed, Sets, Steps
 from hedgerow.topologies.errors import UserError, check_options
+from hedgerow.topologies.escape import echo
 from hedgerow.topologies.paths import user_path
 
 Secure = Annotated[
@@ -68,7 +69,7 @@ def bundle(
                 write(part, topology, told)
     except OSError as error:
         raise UserError(f"--out {out}: {error.strerror}; choose another folder") from None
-    print(f"{out}: {len(told)} processes; {out / 'README.md'} says how to start them")
+    echo(f"{out}: {len(told)} processes; {out / 'README.md'} says how to start them")
     return 0
 
 
@@ -137,7 +138,7 @@ def compose(
     one = containers(topology, shards, meet, rate, most, folder, registry)
     text = to_compose(one, beside) if docker else to_kubernetes(one)
     if out is None:
-        print(text, end="")
+        echo(text, end="")
         return 0
     try:
         write_private(out, text.encode())

@@ -31,8 +31,10 @@ from hedgerow.orchestrator.cli.names import Commands
 from hedgerow.orchestrator.cli.options import AsJson, File, Law, RunDir, Seed, Sets, Steps
 from hedgerow.orchestrator.launch.fork_client import ForkClient
 from hedgerow.topologies.errors import DeadlineError, UserError, check_options
+from hedgerow.topologies.escape import command, echo
 from hedgerow.topologies.paths import user_path
 from hedgerow.wire import start
+from hedgerow.wire.child import escape_warnings
 from hedgerow.wire.runtime import let_numbers_overflow
 
 # What a topology needs takes most of a second to load: each command loads what it needs itself.
@@ -71,6 +73,7 @@ def run_command(began: float, fork_client: ForkClient | None) -> None:
     global _BEGAN, _FORK_CLIENT
     _BEGAN, _FORK_CLIENT = began, fork_client
     let_numbers_overflow()
+    escape_warnings()
     leave(run_to_exit_code(lambda: app(standalone_mode=False) or 0))
 
 
@@ -189,7 +192,7 @@ def up(
     def on_first_step(after_s: float) -> None:
         display.say(f"running: first step after {after_s:.2f} s")
         if os.environ.get(_DETACHED):
-            display.say(f"running in the background; `orchestrator stop {folder.name}` ends it")
+            display.say(f"running in the background; `{command(['orchestrator', 'stop', folder.name])}` ends it")
             _let_go_of_terminal(folder.logs / "up.log")
 
     with stack:
@@ -266,7 +269,7 @@ def _start_detached() -> int:
         end(asked[0], None)
     assert process.stdout is not None
     for line in process.stdout:
-        print(line.decode(errors="replace"), end="", flush=True)
+        echo(line.decode(errors="replace"), end="")
     try:
         code = process.wait(timeout=1.0)
     except subprocess.TimeoutExpired:
@@ -346,7 +349,7 @@ def check(
     from hedgerow.orchestrator.metrics.summary import table  # noqa: PLC0415
 
     topology = read(file, sets, steps=steps, seed=seed, law=law)
-    print(table(_importable(topology) if import_law else topology))
+    echo(table(_importable(topology) if import_law else topology))
     return 0
 
 
@@ -355,7 +358,7 @@ def schema() -> int:
     """Print the JSON Schema of topology files, for editors."""
     from hedgerow.topologies.schema import Topology  # noqa: PLC0415
 
-    print(json.dumps(Topology.model_json_schema(), indent=2))
+    echo(json.dumps(Topology.model_json_schema(), indent=2))
     return 0
 
 
@@ -366,13 +369,13 @@ def ps(as_json: AsJson = False) -> int:
 
     entries = registry.running()
     if as_json:
-        print(json.dumps([vars(entry) for entry in entries]))
+        echo(json.dumps([vars(entry) for entry in entries]))
         return 0
     for entry in entries:
         since = datetime.fromtimestamp(entry.started).strftime("%H:%M:%S")
-        print(f"{entry.run}  pid {entry.pid}  since {since}  {entry.folder}")
+        echo(f"{entry.run}  pid {entry.pid}  since {since}  {entry.folder}")
     if not entries:
-        print("no network is running")
+        echo("no network is running")
     return 0
 
 
@@ -383,7 +386,7 @@ def status(run: RunName = None, as_json: AsJson = False) -> int:
 
     with Live(run) as live:
         answer = live.status()
-    print(json.dumps({**vars(live.entry), **answer}) if as_json else f"{live.run}: {where(answer)}")
+    echo(json.dumps({**vars(live.entry), **answer}) if as_json else f"{live.run}: {where(answer)}")
     return 0
 
 
@@ -410,7 +413,7 @@ def stop(
         if time.monotonic() > until:
             raise DeadlineError(f"{entry.run}: still there after {deadline:g} s; kill -9 {entry.pid} ends it at once")
         time.sleep(0.05)
-    print(f"{entry.run}: stopped; {entry.folder}")
+    echo(f"{entry.run}: stopped; {entry.folder}")
     return 0
 
 
@@ -426,12 +429,13 @@ def chaos(
     from hedgerow.orchestrator.experiments.chaos import hunt, write  # noqa: PLC0415
 
     with tempfile.TemporaryDirectory(prefix="hedgerow-") as scratch:
-        finding = hunt(range(seed, seed + runs), nodes, Path(scratch), lambda text: print(text, flush=True))
+        finding = hunt(range(seed, seed + runs), nodes, Path(scratch), echo)
     if finding is None:
         return 0
     file = Path(f"chaos-{finding.seed}.yaml")
     write(finding, file)
-    print(f"{finding.wrong}\nagain with: orchestrator up {file} --verify")
+    again = command(["orchestrator", "up", file, "--verify"])
+    echo(f"{finding.wrong}\nagain with: {again}")
     return 1
 
 

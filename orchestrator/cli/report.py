@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from hedgerow.topologies.escape import echo
 from hedgerow.topologies.paths import user_path
 
 Runs = Annotated[
@@ -30,5 +31,5 @@ def report(runs: Runs = None, out: Out = None, figures: Figures = None, force: F
     recorded = [load_run(run) for run in runs or ["runs/latest"]]
     page, *drawn = write(recorded, out, figures, force)
     kinds = len(drawn) // 2
-    print(f"{page}, and {kinds} figure{'s' * (kinds != 1)} as PDF and PNG beside it")
+    echo(f"{page}, and {kinds} figure{'s' * (kinds != 1)} as PDF and PNG beside it")
     return 0

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from hedgerow.orchestrator.cli.options import RunDir
+from hedgerow.topologies.escape import echo
 
 File = Annotated[str, typer.Argument(metavar="[FILE]", help="a topology file, a bundled name, or the folder of a run")]
 Minutes = Annotated[float, typer.Option(metavar="N", help="for how long")]
@@ -45,4 +46,4 @@ def soak(
     topology = read(file, None, processes=processes)
     options = ["--rate", str(rate), *([] if record else ["--no-record"])]
     directory = run_dir or Path("runs") / f"{topology.name}-soak-{time.strftime('%Y%m%d-%H%M%S')}"
-    return run_soak(topology, directory, minutes, faults, options, lambda text: print(text, flush=True))
+    return run_soak(topology, directory, minutes, faults, options, echo)

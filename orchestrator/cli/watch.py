@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.escape import command, echo
 
 Running = Annotated[
     str | None, typer.Argument(metavar="[RUN]", help="a running network's name [the only one, or that of this folder]")
@@ -26,10 +27,6 @@ def register(app: typer.Typer) -> None:
     app.command(name="open")(open_)
 
 
-def _say(text: str) -> None:
-    print(text, flush=True)
-
-
 def watch(run: Running = None, viewer: Viewer = "auto") -> int:
     """Show a running network from its first step, whenever it began, and follow it; it costs the run nothing."""
     from hedgerow.orchestrator.runs import registry  # noqa: PLC0415
@@ -40,11 +37,11 @@ def watch(run: Running = None, viewer: Viewer = "auto") -> int:
     except UserError as error:
         hint = "`orchestrator open` shows runs that are over, and those of `simulate`"
         raise UserError(f"{error}\n{hint}", code=error.code) from None
-    choice = choose_one(viewer, f"`orchestrator status {entry.run}` says how far it is")
+    choice = choose_one(viewer, f"`{command(['orchestrator', 'status', entry.run])}` says how far it is")
     from hedgerow.orchestrator.views.rerun.watch import watch as follow  # noqa: PLC0415
 
-    _say(f"{entry.run}: running in {entry.folder}")
-    follow(entry, choice, _say)
+    echo(f"{entry.run}: running in {entry.folder}")
+    follow(entry, choice, echo)
     return 0
 
 
@@ -58,5 +55,5 @@ def open_(runs: Runs = None, viewer: Viewer = "auto") -> int:
     choice = choose_one(viewer, f"or copy {folders[0] / 'run.rrd'} to where there is one, and `rerun run.rrd` there")
     from hedgerow.orchestrator.views.rerun.opening import open_runs  # noqa: PLC0415
 
-    open_runs(named, choice, _say)
+    open_runs(named, choice, echo)
     return 0

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from hedgerow.orchestrator.launch.certificates import host_of, to_carry, write_private
+from hedgerow.topologies.escape import command, escape
 from hedgerow.topologies.resolve import to_yaml
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire import keys
@@ -27,7 +28,7 @@ $ python3 -m venv .venv && .venv/bin/pip install './hedgerow-{release}-py3-none-
 On the operator's, in this folder:
 
 ```console
-$ orchestrator up topology.yaml --external all --listen tcp/0.0.0.0:{port} --namespace {namespace}
+$ orchestrator up topology.yaml --external all --listen tcp/0.0.0.0:{port} --namespace {quoted_namespace}
 ```
 
 And wherever an agent is to live, with its file beside it (`--router` if it is not at `{router}`):
@@ -37,7 +38,7 @@ And wherever an agent is to live, with its file beside it (`--router` if it is n
 ```
 
 The order does not matter: each waits ten minutes for the others (`--wait`). `--external 3,5` has the operator start
-the others itself; with `--external plant,all --router {router}` the plant runs elsewhere, too:
+the others itself; with `--external plant,all --router {quoted_router}` the plant runs elsewhere, too:
 `plant --config plant.toml`, beside a Zenoh router of yours or as one (`--listen tcp/0.0.0.0:{port}`).
 """
 
@@ -67,8 +68,9 @@ And wherever an agent is to live, with its folder beside it (`--router` if it is
 ```
 
 The order does not matter: each waits ten minutes for the others (`--wait`). `--external 3,5` has the operator start
-the others itself. With `--external plant,all --router {router}` the plant runs elsewhere, too: `plant --config plant`
-beside a Zenoh router (`zenohd -c zenohd.json5`, in the folder `router`); or as the router, with that folder:
+the others itself. With `--external plant,all --router {quoted_router}` the plant runs elsewhere, too:
+`plant --config plant` beside a Zenoh router (`zenohd -c zenohd.json5`, in the folder `router`); or as the router,
+with that folder:
 `plant --config plant --listen tls/0.0.0.0:{port} --credentials router`.
 """
 
@@ -98,13 +100,15 @@ def _write_rest(
     folder: Path, topology: Topology, configs: Sequence[Config], readme: str, ending: str, **words: object
 ) -> None:
     (folder / "topology.yaml").write_text(to_yaml(topology), encoding="utf-8")
-    agents = [f"$ agent --config {config.process}{ending}" for config in configs if config.process != keys.PLANT]
+    told = [f"{config.process}{ending}" for config in configs if config.process != keys.PLANT]
+    agents = [f"$ {command(['agent', '--config', name])}" for name in told]
     shown = agents[:20] + ([f"... and {len(agents) - 20} more"] if len(agents) > 20 else [])
     text = readme.format(
         name=topology.name,
         release=release(),
-        namespace=configs[0].namespace,
-        router=configs[0].router,
+        quoted_namespace=command([configs[0].namespace]),
+        router=escape(configs[0].router, keep=""),
+        quoted_router=command([configs[0].router]),
         port=configs[0].router.rpartition(":")[2],
         commands="\n".join(shown),
         **words,

@@ -28,6 +28,8 @@ from hedgerow.orchestrator.deploy.containers import (
     Containers,
     Files,
 )
+from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.escape import command, escape
 from hedgerow.topologies.resolve import to_yaml
 from hedgerow.wire import keys
 from hedgerow.wire.access import ROUTER
@@ -125,7 +127,8 @@ OBSERVER = """\
     command:
       - /bin/sh
       - -c
-      - printf '%s' "$$HEDGEROW_TOPOLOGY" > runs/topology.yaml && exec {command}
+      - |-
+        printf '%s' "$$HEDGEROW_TOPOLOGY" > runs/topology.yaml && exec {command}
     init: true
     networks: [wire]
     depends_on: [router]
@@ -164,7 +167,7 @@ def _head(one: Containers) -> str:
         router_command=_words(one.router_command),
         router_check=_test(one.router_check),
         router_keys=_own_keys(one, ROUTERS, f"    {_user()}    working_dir: {KEYS}/{ROUTER}\n"),
-        secure=HEAD_SECURE.format(keys=one.keys) if one.keys else "",
+        secure=HEAD_SECURE.format(keys=escape(str(one.keys), keep="")) if one.keys else "",
         user=f"  {_user()}" if one.keys else "",
     )
 
@@ -187,7 +190,7 @@ def _service(one: Containers, config: Config) -> str:
 def _observer(one: Containers) -> str:
     return OBSERVER.format(
         image=one.image("hedgerow"),
-        command=" ".join(one.observer("runs/topology.yaml")),
+        command=command(one.observer("runs/topology.yaml")).replace("$", "$$"),
         own_keys=_own_keys(one, OBSERVERS, f"    {_user()}"),
         page=PAGE_PORT,
         check=_test(PAGE_CHECK),
@@ -239,11 +242,21 @@ def _all_secrets(one: Containers, beside: Path) -> list[str]:
     folder = one.keys if one.keys.is_absolute() else f"./{os.path.relpath(one.keys, beside)}"
     files = {**ROUTERS, **dict.fromkeys(one.services, CREDENTIALS), **OBSERVERS}
     lines = [
-        f"  {one.services.get(home, home)}-{file}: {{file: {folder}/{home}/{file}}}"
+        f"  {one.services.get(home, home)}-{file}: {{file: {_path(f'{folder}/{home}/{file}')}}}"
         for home, some in files.items()
         for file in some
     ]
     return ["\n".join(["secrets:", *lines, ""])]
+
+
+def _path(path: str) -> str:
+    """Return a path as a value of a Compose file, in which $ is written twice; raises UserError if it is not text."""
+    try:
+        path.encode()
+    except UnicodeEncodeError:
+        raise UserError(f"--keys {path}: a Compose file is UTF-8, and this path is not. Name another folder.") from None
+    text: str = yaml.safe_dump(path.replace("$", "$$"), default_style='"', allow_unicode=True, width=10**6)
+    return text.strip()
 
 
 def _words(words: Sequence[str]) -> str:

@@ -15,7 +15,7 @@ from hedgerow.orchestrator.deploy.bundle import release
 from hedgerow.orchestrator.ground.assignment import Layout
 from hedgerow.orchestrator.launch.certificates import CONFIGURATION, LIFE_DAYS, SETTINGS, carried, to_carry
 from hedgerow.orchestrator.launch.external_agents import configs
-from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.resolve import to_yaml
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire import keys
@@ -124,6 +124,10 @@ class Containers:
         return SECURE_ROUTER_CHECK if self.keys else ROUTER_CHECK
 
 
+_REGISTRY = re.compile(r"[A-Za-z0-9][A-Za-z0-9.-]*(:[0-9]{1,5})?(/[a-z0-9]+([._-]+[a-z0-9]+)*)*/?")
+"""a prefix of an image's name, by Docker's reference grammar"""
+
+
 def provide_keys(folder: Path, places: Sequence[Place], namespace: str, days: float | None) -> None:
     """Make the keys of a network in containers, if `folder` is not there; UserError if it holds others."""
     if not folder.exists():
@@ -148,6 +152,10 @@ def containers(
     registry: str = "",
 ) -> Containers:
     """The containers of a network, with keys out of `folder`; UserError where one would be told over `most_bytes`."""
+    if registry and not _REGISTRY.fullmatch(registry):
+        raise UserError(
+            f"--registry {registry}: is no prefix of an image. Write HOST[:PORT]/PATH in lower case.", code=Code.OPTION
+        )
     told = configs(topology, shards, SECURE_ROUTER if folder else f"tcp/router:{ROUTER_PORT}", namespace)
     homes = [one.process for one in told]
     if folder is not None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import base64
+import hashlib
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -38,14 +40,15 @@ USER_ID = 10001
 
 def to_kubernetes(one: Containers) -> str:
     """Kubernetes manifests: a Deployment and a Service for the router, a Job and a ConfigMap for each process."""
-    name = one.topology.name.lower().replace("_", "-").replace(".", "-")
+    name = one.topology.name
+    originals = {service: home for home, service in one.services.items()}
     documents: list[Mapping[str, Any]] = [*_secrets(one, name, ROUTERS), *_router(one, name)]
     for config in one.configs:
         again, own = config.process != keys.PLANT, one.own(config)
         mounted = _mounted(one, own)
         documents += [
             *_secrets(one, name, own),
-            _config_map(name, config.process, "told.toml", config.to_toml()),
+            _config_map(name, config.process, "told.toml", config.to_toml(), originals[config.process]),
             _job(
                 name,
                 config.process,
@@ -54,6 +57,7 @@ def to_kubernetes(one: Containers) -> str:
                 one.check(config),
                 again,
                 mounted,
+                originals[config.process],
             ),
         ]
     check = list(PAGE_CHECK)
@@ -65,7 +69,7 @@ def to_kubernetes(one: Containers) -> str:
         _job(name, "orchestrator", one.image("hedgerow"), command, check, False, _mounted(one, OBSERVERS)),
         _page(name),
     ]
-    return HEAD_KUBERNETES.format(name=name, page=PAGE_PORT) + yaml.safe_dump_all(
+    return HEAD_KUBERNETES.format(name=label(name), page=PAGE_PORT) + yaml.safe_dump_all(
         documents, sort_keys=False, width=10**6, explicit_start=True
     )
 
@@ -96,12 +100,40 @@ def _temporary(paths: Sequence[str]) -> tuple[list[dict[str, Any]], list[dict[st
     return mounts, volumes
 
 
-def _meta(network: str, process: str) -> dict[str, Any]:
-    return {"name": process, "labels": _labels(network, process)}
+def label(text: str) -> str:
+    """Return a name for `text` that Kubernetes takes everywhere: an RFC 1123 label of 1 to 63 characters.
+
+    A text that is such a label stays as it is. Another one ends with a hash of it, so that two texts never get one
+    name. `default` and `kube-…` are namespaces of Kubernetes' own, which our instructions would delete.
+    """
+    if _LABEL.fullmatch(text) and text != "default" and not text.startswith("kube-"):
+        return text
+    digest = hashlib.sha256(text.encode(errors="surrogatepass")).hexdigest()[:10]
+    stem = _NOT_OF_LABELS.sub("-", text.lower())[: _MOST_LABEL - len(digest) - 1].strip("-")
+    if stem == "kube" or stem.startswith("kube-"):
+        stem = f"net-{stem}"[: _MOST_LABEL - len(digest) - 1].strip("-")
+    return f"{stem}-{digest}" if stem else digest
+
+
+_MOST_LABEL = 63
+_LABEL = re.compile(r"[a-z0-9]([-a-z0-9]{0,61}[a-z0-9])?")
+_NOT_OF_LABELS = re.compile(r"[^a-z0-9]+")
+
+
+def _meta(network: str, process: str, original: str = "") -> dict[str, Any]:
+    """Return the name and the labels of an object, and what they stand for where they had to be changed."""
+    names = {"hedgerow/network": (network, label(network)), "hedgerow/process": (original or process, label(process))}
+    changed = {key: text for key, (text, name) in names.items() if text != name}
+    annotations = {"annotations": changed} if changed else {}
+    return {"name": label(process), "labels": _labels(network, process), **annotations}
 
 
 def _labels(network: str, process: str) -> dict[str, str]:
-    return {"app.kubernetes.io/name": "hedgerow", "app.kubernetes.io/instance": network, "hedgerow/process": process}
+    return {
+        "app.kubernetes.io/name": "hedgerow",
+        "app.kubernetes.io/instance": label(network),
+        "hedgerow/process": label(process),
+    }
 
 
 Keys = Mapping[str, str]
@@ -123,10 +155,12 @@ def _secrets(one: Containers, network: str, files: Files) -> Iterator[Mapping[st
 def _key_volumes(own: Keys) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """What a container mounts, and the volumes of its pod; nobody but it and its group reads them."""
     mounts = [
-        {"name": f"keys-{secret}", "mountPath": f"{KEYS}/{home}", "readOnly": True} for home, secret in own.items()
+        {"name": label(f"keys-{secret}"), "mountPath": f"{KEYS}/{home}", "readOnly": True}
+        for home, secret in own.items()
     ]
     volumes = [
-        {"name": f"keys-{secret}", "secret": {"secretName": secret, "defaultMode": 0o440}} for secret in own.values()
+        {"name": label(f"keys-{secret}"), "secret": {"secretName": label(secret), "defaultMode": 0o440}}
+        for secret in own.values()
     ]
     return mounts, volumes
 
@@ -171,8 +205,9 @@ def _page(network: str) -> Mapping[str, Any]:
     return _a_service(network, "page", "orchestrator", PAGE_PORT)
 
 
-def _config_map(network: str, process: str, file: str, text: str) -> Mapping[str, Any]:
-    return {"apiVersion": "v1", "kind": "ConfigMap", "metadata": _meta(network, process), "data": {file: text}}
+def _config_map(network: str, process: str, file: str, text: str, original: str = "") -> Mapping[str, Any]:
+    meta = _meta(network, process, original)
+    return {"apiVersion": "v1", "kind": "ConfigMap", "metadata": meta, "data": {file: text}}
 
 
 def _volume_claim(network: str) -> Mapping[str, Any]:
@@ -181,18 +216,25 @@ def _volume_claim(network: str) -> Mapping[str, Any]:
 
 
 def _job(
-    network: str, process: str, image: str, command: Sequence[str], check: Sequence[str], again: bool, own: Keys
+    network: str,
+    process: str,
+    image: str,
+    command: Sequence[str],
+    check: Sequence[str],
+    again: bool,
+    own: Keys,
+    original: str = "",
 ) -> Mapping[str, Any]:
     """One process: started `again` when it fails, or not; each is told what its own ConfigMap holds and no more.
 
-    `own` are its folders of keys.
+    `own` are its folders of keys, `original` is the name of the process outside of Kubernetes.
     """
     key_mounts, key_volumes = _key_volumes(own)
     observer = process == "orchestrator"
     mounts, temporary = _temporary([TEMPORARY, *(HOMES if observer else ())])
     memory = OBSERVER_MEMORY if observer else PLANT_MEMORY if process == keys.PLANT else AGENT_MEMORY
     container: dict[str, Any] = {
-        "name": process,
+        "name": label(process),
         "image": image,
         "command": list(command) if observer else [*command, "--config", "/told/told.toml"],
         "readinessProbe": {
@@ -204,7 +246,7 @@ def _job(
         "securityContext": SECURITY,
         "resources": _resources(memory),
     }
-    volumes: list[dict[str, Any]] = [{"name": "told", "configMap": {"name": process}}, *key_volumes, *temporary]
+    volumes: list[dict[str, Any]] = [{"name": "told", "configMap": {"name": label(process)}}, *key_volumes, *temporary]
     if observer:
         container["ports"] = [{"containerPort": PAGE_PORT}]
         container["volumeMounts"].append({"name": "runs", "mountPath": "/home/hedgerow/runs"})
@@ -219,7 +261,7 @@ def _job(
     return {
         "apiVersion": "batch/v1",
         "kind": "Job",
-        "metadata": _meta(network, process),
+        "metadata": _meta(network, process, original),
         "spec": {
             "backoffLimit": 6 if again else 0,
             "template": {"metadata": {"labels": _labels(network, process)}, "spec": pod},

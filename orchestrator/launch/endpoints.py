@@ -13,6 +13,7 @@ from hedgerow.orchestrator.launch import certificates as authority
 from hedgerow.orchestrator.runs import registry
 from hedgerow.orchestrator.runs.folder import RunFolder
 from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.escape import command
 from hedgerow.wire.access import OBSERVER, ROUTER, Place
 from hedgerow.wire.keys import PLANT, chunk
 from hedgerow.wire.ports import free_port
@@ -118,8 +119,9 @@ def check(
     if router is not None:
         authority.host_of(router)
         if keys is None:
+            made = command(["orchestrator", "keys", "FILE", "--router", router, "--out", "DIR"])
             raise UserError(
-                f"--router {router}: it must know who may connect; `orchestrator keys FILE --router {router} --out DIR`"
+                f"--router {router}: it must know who may connect; `{made}`"
                 " makes its configuration and everybody's keys, and --keys DIR uses them"
             )
     if keys is None:

@@ -50,11 +50,11 @@ class RemoteAgent:
     def run(self, config: Config, wait_s: float, credentials: Credentials | None) -> str:
         """Be the agent until the plant says END; why that could not be, or nothing."""
         from hedgerow.agents.standalone import take_part  # noqa: PLC0415
-        from hedgerow.wire.child import LINE, TIME  # noqa: PLC0415
+        from hedgerow.wire.child import Line  # noqa: PLC0415
         from hedgerow.wire.runtime import share_the_cores  # noqa: PLC0415
 
         listener = _Lines(self._said)
-        listener.setFormatter(logging.Formatter(LINE, TIME))
+        listener.setFormatter(Line())
         logging.getLogger().addHandler(listener)
         logging.getLogger("agent").setLevel(logging.INFO)
         share_the_cores()

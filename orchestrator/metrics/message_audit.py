@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
+from hedgerow.topologies.escape import shorten
 from hedgerow.wire import keys
 from hedgerow.wire.access import OBSERVER, Place
 
@@ -97,7 +98,7 @@ def audit(places: Sequence[Place], event: Mapping[str, Any], observed: Mapping[s
         if is_counted(word) and isinstance(word.get("life"), int):
             words[place.name], lives[place.name] = word, word["life"]
     counted, observer = ([_counted(one, words, lives) for one in some] for some in (channels(places), OBSERVED))
-    strange = {name: word["strange"] for name, word in words.items() if word["strange"]}
+    strange = {name: _shortened(word["strange"]) for name, word in words.items() if word["strange"]}
     return Audit(counted, strange, [place.name for place in places if place.name not in words], observer)
 
 
@@ -106,6 +107,23 @@ def observed(seen: Sender, receiver: Receiver, inbox: Inbox) -> dict[str, Any]:
     refused = {receiver.key: inbox.refused} if inbox.refused else {}
     heard = {receiver.key: inbox.arrived_at_event}
     return {"said": {seen.key: seen.said}, "heard": heard, "refused": refused, "strange": receiver.strange}
+
+
+STRANGE_KEYS = 16
+"""strange keys of one process that a verdict names"""
+_LARGEST_COUNT = 2**63 - 1
+
+
+def _shortened(strange: Mapping[str, int]) -> dict[str, int]:
+    """Return the first 16 keys of nobody, each in at most 80 characters, and the others as one sum.
+
+    An agent's last word is the text of another machine: it can hold any number of keys of any length.
+    """
+    found: dict[str, int] = {}
+    for k, (key, number) in enumerate(strange.items()):
+        name = shorten(key) if k < STRANGE_KEYS else f"{len(strange) - STRANGE_KEYS} more keys"
+        found[name] = max(-1, min(found.get(name, 0) + number, _LARGEST_COUNT))
+    return found
 
 
 def _counted(one: Channel, words: Mapping[str, Any], lives: Mapping[str, int]) -> Channel:

@@ -34,7 +34,7 @@ def table(topology: Topology) -> str:
             f"{own.x0:g}",
             " + ".join(_shown(part) for part in parts if part is not None) or "none",
         )
-    console = Console(width=160, no_color=True, highlight=False)
+    console = Console(width=160, no_color=True, highlight=False, markup=False, emoji=False)
     with console.capture() as capture:
         console.print(rows)
         if graph.n > MAX_ROWS:

@@ -17,6 +17,7 @@ from hedgerow.orchestrator.metrics.replay import CLAIMS as REPLAYED
 from hedgerow.orchestrator.metrics.replay import Replay
 from hedgerow.topologies.describe import describe
 from hedgerow.topologies.errors import Code, Exit, HedgerowError
+from hedgerow.topologies.escape import escape
 from hedgerow.topologies.partition import cut, partition
 from hedgerow.topologies.schema import LAWS, Topology
 from hedgerow.wire import crash
@@ -202,7 +203,7 @@ def judge(topology: Topology, observer: Observer, ending: Ending) -> Verdict:
     content = {
         "verdict": verdict,
         "exit_code": Exit.CRASH if ending.crashed else EXIT_CODES[verdict],
-        "reasons": doubts + failed if ending.crashed else failed + doubts,
+        "reasons": [escape(why) for why in (doubts + failed if ending.crashed else failed + doubts)],
         "run": ending.run,
         "name": topology.name,
         "law": topology.law,

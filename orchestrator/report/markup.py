@@ -5,6 +5,8 @@ from __future__ import annotations
 import html
 from collections.abc import Iterable, Sequence
 
+from hedgerow.topologies.escape import escape
+
 
 class Markup(str):
     """HTML; only `tag` and `join` make it."""
@@ -16,13 +18,16 @@ _VOID = {"img", "meta", "link"}
 
 
 def join(parts: Iterable[object]) -> Markup:
-    """Parts behind each other; text among them is escaped."""
-    return Markup("".join(part if isinstance(part, Markup) else html.escape(str(part)) for part in parts))
+    """Parts behind each other; text among them is escaped, its control characters too."""
+    return Markup("".join(part if isinstance(part, Markup) else html.escape(escape(str(part))) for part in parts))
 
 
 def tag(name: str, /, *inside: object, **attributes: str) -> Markup:
     """An element; a trailing underscore of an attribute's name is dropped, others become hyphens."""
-    said = "".join(f' {key.rstrip("_").replace("_", "-")}="{html.escape(value)}"' for key, value in attributes.items())
+    said = "".join(
+        f' {key.rstrip("_").replace("_", "-")}="{html.escape(escape(value, keep=""))}"'
+        for key, value in attributes.items()
+    )
     opened = f"<{name}{said}>"
     return Markup(opened if name in _VOID else f"{opened}{join(inside)}</{name}>")
 

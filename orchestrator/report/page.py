@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import json
-import shlex
 from collections.abc import Mapping, Sequence
 from importlib import resources
 from typing import Any
@@ -19,6 +18,7 @@ from hedgerow.orchestrator.report.figures import Kind
 from hedgerow.orchestrator.report.markup import Markup, join, listed, table, tag
 from hedgerow.orchestrator.report.reading import METRICS, growth, metrics, number, sentences
 from hedgerow.orchestrator.runs.reader import RecordedRun
+from hedgerow.topologies.escape import command
 from hedgerow.topologies.resolve import to_yaml
 
 Runs = Sequence[RecordedRun]
@@ -204,18 +204,17 @@ def _repeat(runs: Runs) -> list[Markup]:
             where = join([tag("a", name, download=name, href=link), " holds every number that was drawn."])
         else:
             where = join([tag("code", name), " stands for topology.yaml in the run's folder, too large for this page."])
-        stopped = f" --steps {run.T}" if run.topology.steps > run.T else ""
-        processes = f" --processes {run.verdict['processes']}" if run.verdict.get("processes") else ""
-        commands = (
-            f"orchestrator simulate {_quoted(name)}{stopped}\norchestrator up {_quoted(name)}{stopped}{processes}"
-        )
+        stopped = ["--steps", run.T] if run.topology.steps > run.T else []
+        processes = ["--processes", run.verdict["processes"]] if run.verdict.get("processes") else []
+        simulated = command(["orchestrator", "simulate", name, *stopped])
+        commands = f"{simulated}\n{command(['orchestrator', 'up', name, *stopped, *processes])}"
         own = f" The law is {run.law}, which must be importable." if ":" in run.law else ""
         parts += [
             tag("p", where, " With the same versions either command gives the same trajectory, to the bit.", own),
             tag("pre", commands),
         ]
-    reported = " ".join(_quoted(run.run) for run in runs)
-    parts += [tag("p", "And this report of the runs' folders:"), tag("pre", f"orchestrator report {reported}")]
+    reported = command(["orchestrator", "report", *(run.run for run in runs)])
+    parts += [tag("p", "And this report of the runs' folders:"), tag("pre", reported)]
     for run in runs:
         if run.verdict:
             versions = {**run.verdict["versions"], "matplotlib (this report)": mpl.__version__}
@@ -226,7 +225,3 @@ def _repeat(runs: Runs) -> list[Markup]:
                 tag("details", tag("summary", "verdict.json"), whole),
             ]
     return parts
-
-
-def _quoted(name: str) -> str:
-    return shlex.quote(name)

@@ -24,6 +24,7 @@ from hedgerow.orchestrator.runs.files import find_run, load_events, load_resolve
 from hedgerow.orchestrator.runs.selection import Kept, kept
 from hedgerow.orchestrator.runs.table import Table, there_is
 from hedgerow.topologies.errors import Code, HedgerowError, UserError
+from hedgerow.topologies.escape import command
 from hedgerow.topologies.graph import Array, Index, Mask
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire.codec import TAKEN, End, Telemetry
@@ -118,9 +119,10 @@ class RecordedRun:
     def need_all(self, what: str) -> None:
         """Raise UserError where not all has rows; `what` needs it."""
         if not self.whole:
+            again = command(["orchestrator", "simulate", self.folder, "--set", "record={nodes: all}"])
             raise UserError(
                 f"{self.folder}: {what} needs all rows, and the run kept {self.kept}; it can be run again with all of"
-                f" them, to the same bits: orchestrator simulate {self.folder} --set 'record={{nodes: all}}'"
+                f" them, to the same bits: {again}"
             )
 
     def __repr__(self) -> str:

@@ -15,6 +15,7 @@ from typing import Protocol
 
 from hedgerow.orchestrator.metrics.observer import Batch
 from hedgerow.orchestrator.metrics.verdict import Verdict
+from hedgerow.topologies.escape import command, echo
 from hedgerow.topologies.schema import Topology
 
 LINE_EVERY_S = 2.0
@@ -74,8 +75,8 @@ class Screen(Protocol):
 def left_behind(folder: Path) -> str:
     """What a run leaves, and how it is looked at."""
     # The command stands beside our own interpreter, which need not be on the PATH.
-    command = "orchestrator" if shutil.which("orchestrator") else Path(sys.executable).with_name("orchestrator")
-    return f"run folder {folder}\nsee it again with: {command} open {folder}"
+    program = "orchestrator" if shutil.which("orchestrator") else Path(sys.executable).with_name("orchestrator")
+    return f"run folder {folder}\nsee it again with: {command([program, 'open', folder])}"
 
 
 class Lines:
@@ -87,7 +88,7 @@ class Lines:
         self.outlet = Outlet()
 
     def say(self, text: str) -> None:
-        self.outlet.write(lambda: print(text, flush=True))
+        self.outlet.write(lambda: echo(text))
 
     def progress(self, batch: Batch) -> None:
         now, done = time.monotonic(), int(batch.t[-1]) + 1
@@ -115,14 +116,14 @@ class Json:
 
     def say(self, text: str) -> None:
         with contextlib.suppress(OSError):
-            print(text, file=sys.stderr, flush=True)
+            echo(text, error=True)
 
     def progress(self, batch: Batch) -> None:
         pass
 
     def verdict(self, verdict: Verdict, folder: Path) -> None:
         text = json.dumps({"folder": str(folder), **verdict.content})
-        self.outlet.write(lambda: print(text, flush=True))
+        self.outlet.write(lambda: echo(text))
 
     def close(self) -> None:
         pass

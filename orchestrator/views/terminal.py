@@ -41,6 +41,7 @@ from hedgerow.orchestrator.metrics.observer import Batch
 from hedgerow.orchestrator.metrics.verdict import INVALID, VALID, Verdict, gain_text
 from hedgerow.orchestrator.views.screen import Outlet, left_behind
 from hedgerow.topologies.describe import describe, window
+from hedgerow.topologies.escape import escape
 from hedgerow.topologies.graph import Index, Mask
 from hedgerow.topologies.schema import Topology
 
@@ -78,7 +79,7 @@ class Standing:
 
     def happened(self, text: str) -> None:
         """Something to be shown as one of the last events."""
-        self._events.append(text)
+        self._events.append(escape(text, keep=""))
 
     def take(self, batch: Batch, now: float) -> None:
         """Some more steps are done at `now` [s]."""
@@ -138,7 +139,7 @@ class Standing:
             hidden = [Text(f"... {len(rank) - len(shown)} more: |x| <= {most:.4g}, {said}")]
         else:
             shown = np.argsort(rank, kind="stable")
-        names = [str(self._ids[k]) for k in shown]
+        names = [escape(str(self._ids[k]), keep="") for k in shown]
         broad = min(max(map(cell_len, [*names, "node"])), max(4, width // 4))
         columns: list[tuple[str, list[Cell]]] = [
             (set_cell_size("node", broad), [(set_cell_size(name, broad), "") for name in names]),
@@ -255,7 +256,7 @@ class Table:
 
     def say(self, text: str) -> None:
         if self._live is None:
-            self.outlet.write(lambda: self._console.print(text, markup=False))
+            self.outlet.write(lambda: self._console.print(escape(text), markup=False))
             return
         self._standing.happened(text)
         self._draw_if_due()
@@ -311,7 +312,7 @@ class Bar:
         self._drawn_at = -REDRAW_S
 
     def say(self, text: str) -> None:
-        self.outlet.write(lambda: self._console.print(text, markup=False))
+        self.outlet.write(lambda: self._console.print(escape(text), markup=False))
 
     def progress(self, batch: Batch) -> None:
         done = int(batch.t[-1]) + 1
@@ -336,10 +337,10 @@ class Bar:
 def _console() -> Console:
     with contextlib.suppress(AttributeError):  # a name that this terminal cannot write must not end the run
         sys.stdout.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
-    return Console(highlight=False, soft_wrap=True)
+    return Console(highlight=False, soft_wrap=True, markup=False, emoji=False)
 
 
 def _tell(console: Console, verdict: Verdict, folder: Path) -> None:
-    console.print(left_behind(folder), markup=False)
+    console.print(escape(left_behind(folder)), markup=False)
     colour = {VALID: "green", INVALID: "bold red"}.get(verdict.verdict, "yellow")
-    console.print(verdict.line(), style=colour, markup=False)
+    console.print(escape(verdict.line()), style=colour, markup=False)

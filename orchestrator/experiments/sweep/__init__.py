@@ -16,6 +16,7 @@ from hedgerow.orchestrator.experiments.sweep.workers import over_processes
 from hedgerow.orchestrator.ground.signals import Interrupts
 from hedgerow.orchestrator.metrics.verdict import EXIT_CODES, INVALID, UNKNOWN, VALID
 from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.escape import echo
 
 
 def sweep(plan: Plan, out: Path | None = None, jobs: int | None = None, on: str | None = None) -> int:
@@ -27,9 +28,9 @@ def sweep(plan: Plan, out: Path | None = None, jobs: int | None = None, on: str 
     """
     with SweepFolder(plan, out or default_out(plan)) as folder:
         there = folder.there
-        print(f"{plan.name}: {_counted(plan)}, into {folder.path}" + (f"; {there} were there" if there else ""))
+        echo(f"{plan.name}: {_counted(plan)}, into {folder.path}" + (f"; {there} were there" if there else ""))
         if stopped := there < plan.runs and _run(plan, folder, jobs, on):
-            print(f"stopped: {stopped}: {folder.there} of {plan.runs} runs are there; the same command goes on")
+            echo(f"stopped: {stopped}: {folder.there} of {plan.runs} runs are there; the same command goes on")
             return EXIT_CODES[UNKNOWN]
         return _conclude(plan, folder)
 
@@ -79,13 +80,13 @@ def _conclude(plan: Plan, folder: SweepFolder) -> int:
         raise UserError(f"{folder.path}: {error.strerror}; make room, then the same command goes on") from None
     verdicts = Counter(row["verdict"] for own in rows for row in own)
     worst = next(one for one in (INVALID, UNKNOWN, VALID) if verdicts[one])
-    print(summary.table(plan, rows))
-    print(f"{folder.table}, summary.csv, {drawn}")
+    echo(summary.table(plan, rows))
+    echo(f"{folder.table}, summary.csv, {drawn}")
     first = next(row for own in rows for row in own if row["verdict"] == worst)
     where = (
         "" if worst == VALID else f" (first seed {first['seed']}, {plan.says(first['setting'])}: {first['reasons']})"
     )
-    print(f"{worst}{where}: {verdicts[VALID]} of {plan.runs} runs valid")
+    echo(f"{worst}{where}: {verdicts[VALID]} of {plan.runs} runs valid")
     return EXIT_CODES[worst]
 
 

@@ -15,6 +15,7 @@ from hedgerow.orchestrator.ground.assignment import law_of
 from hedgerow.orchestrator.ground.versions import versions
 from hedgerow.topologies.errors import TopologyError, UserError
 from hedgerow.topologies.load import find, load
+from hedgerow.topologies.override import split_setting
 from hedgerow.topologies.resolve import resolve, to_yaml
 from hedgerow.topologies.schema import Topology
 from hedgerow.topologies.source import read_source
@@ -122,8 +123,8 @@ def _values(sets: Sequence[str]) -> dict[str, list[str]]:
     """By key, the values that it takes."""
     values: dict[str, list[str]] = {}
     for given in sets:
-        key, equals, text = given.partition("=")
-        if not key or not equals:
+        key, text = split_setting(given)
+        if not key:
             raise UserError(f"--set {given}: is not path=value,value; for example --set defaults.x0=0,15")
         if key == "seed":
             raise UserError(f"--set {given}: seeds are given with --seeds FIRST:STOP")

@@ -8,6 +8,8 @@ import time
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from hedgerow.topologies.escape import echo
+
 LINE_EVERY_S = 10.0
 
 
@@ -24,7 +26,7 @@ class Lines:
         if (now := time.monotonic()) - self._said >= LINE_EVERY_S:
             self._said = now
             rate = (self._done - self._there) / (now - self._began)
-            print(f"{self._done} of {self._runs} runs, {rate:.3g} runs/s", flush=True)
+            echo(f"{self._done} of {self._runs} runs, {rate:.3g} runs/s")
 
     def close(self) -> None:
         """Nothing is left behind."""

@@ -38,6 +38,7 @@ from hedgerow.orchestrator.views.rerun.watch import (
     told,
 )
 from hedgerow.topologies.errors import HedgerowError, UserError
+from hedgerow.topologies.escape import markdown
 from hedgerow.wire.codec import TAKEN, End, Telemetry
 
 Say = Callable[[str], None]
@@ -286,8 +287,9 @@ def comparison_blueprint(names: Sequence[str]) -> rrb.Blueprint:
 def _about(runs: Sequence[RecordedRun], names: Sequence[str]) -> str:
     """A table of what is compared, in Markdown."""
     lines = [
-        f"| {name} | {run.run} | {run.topology.name} | {run.law} | {run.topology.seed} | {run.T} |"
-        f" {run.regret_sum[-1]:.4g} | {run.cost_regret[-1]:+.4g} | {run.verdict.get('verdict', '–')} |"
+        f"| {markdown(name)} | {markdown(run.run)} | {markdown(run.topology.name)} | {markdown(run.law)} |"
+        f" {run.topology.seed} | {run.T} | {run.regret_sum[-1]:.4g} | {run.cost_regret[-1]:+.4g} |"
+        f" {markdown(str(run.verdict.get('verdict', '–')))} |"
         for run, name in zip(runs, names, strict=True)
     ]
     head = "| shown as | run | network | law | seed | steps | D | R | verdict |\n|---|---|---|---|---|---|---|---|---|"

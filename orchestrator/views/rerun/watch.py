@@ -35,6 +35,7 @@ from hedgerow.orchestrator.views.rerun.stream import RerunStream
 from hedgerow.orchestrator.views.rerun.viewer import Viewer, start
 from hedgerow.orchestrator.views.rerun.viewer_version import VERSION_DEADLINE_S, compare
 from hedgerow.topologies.errors import HedgerowError, UserError
+from hedgerow.topologies.escape import command
 from hedgerow.topologies.graph import Graph
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire.codec import TAKEN, End, Telemetry
@@ -256,7 +257,7 @@ def watch(entry: Entry, choice: str, say: Say) -> None:
         if not (what := kept(topology)).whole:
             raise UserError(
                 f"{entry.run}: keeps {what}, and can only be watched where all is kept; start it with --viewer, or see"
-                f" what it has so far with `orchestrator open {entry.folder}`"
+                f" what it has so far with `{command(['orchestrator', 'open', entry.folder])}`"
             )
         if (trail := _attached(entry, topology, wake, interrupts)) is None:
             return
@@ -289,7 +290,9 @@ def _attached(entry: Entry, topology: Topology, wake: threading.Event, interrupt
         except FileNotFoundError:
             over = any((Path(entry.folder) / name).exists() for name in ("telemetry.parquet", "verdict.json"))
             if over or entry not in registry.running():
-                raise UserError(f"{entry.run}: has just ended; `orchestrator open {entry.folder}` shows it") from None
+                raise UserError(
+                    f"{entry.run}: has just ended; `{command(['orchestrator', 'open', entry.folder])}` shows it"
+                ) from None
         wake.wait(POLL_S)
     return None
 
