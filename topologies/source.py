@@ -14,11 +14,13 @@ from typing import Any, NamedTuple
 
 import yaml
 
+from hedgerow.topologies import budget
 from hedgerow.topologies.errors import Code, Problem, Problems, TopologyError
 
 MAX_BYTES = 32 * 2**20
 MAX_DEPTH = 32
-MAX_VALUES = 5_000_000
+BYTES_PER_VALUE = 400
+"""of memory, for a value of the file, its mark and its path"""
 
 Path = tuple[Any, ...]
 
@@ -137,10 +139,10 @@ def _layout(text: bytes, line: int) -> str:
     return "see the line above it too"
 
 
-def _refuse(source: Source, line: int, what: str, cure: str, column: int = 0) -> None:
-    raise TopologyError(
-        source.name, [*source.problems, Problem(line, "", what, cure, Code.FILE_FORMAT, column)]
-    ) from None
+def _refuse(source: Source, line: int, what: str, cure: str, column: int = 0, code: Code = Code.FILE_FORMAT) -> None:
+    # A caller can tell by the code that memory was the reason, whatever else is wrong with the file.
+    others = [] if code == Code.FILE_TOO_LARGE else source.problems
+    raise TopologyError(source.name, [*others, Problem(line, "", what, cure, code, column)]) from None
 
 
 @dataclass
@@ -174,6 +176,7 @@ class _Builder:
         self.anchors: dict[str, tuple[Any, int]] = {}
         self.total = 0
         """values so far, those of aliases counted each time"""
+        self.most = budget.cap() // BYTES_PER_VALUE
         self.documents = 0
 
     def take(self, event: Any) -> None:
@@ -225,9 +228,11 @@ class _Builder:
     def _place(self, value: Any, size: int, mark: Mark, anchor: str | None = None, plain: bool = False) -> None:
         """Put a finished value where it belongs: into the collection that is open, as a key of it, or at the top."""
         self.total += size
-        if self.total > MAX_VALUES:
-            what = f"the file expands to more than {MAX_VALUES:,} values"
-            _refuse(self.source, mark.line, what, "remove aliases that multiply", mark.column)
+        if self.total > self.most:
+            what = f"the file expands to more than {self.most:,} values"
+            cure = "remove aliases that multiply, put long samples in a CSV file, or allow more with "
+            cure += f"{budget.VARIABLE}={2 * budget.cap() // 10**6}"
+            _refuse(self.source, mark.line, what, cure, mark.column, Code.FILE_TOO_LARGE)
         if anchor:
             self.anchors[anchor] = (value, size)
         if not self.stack:

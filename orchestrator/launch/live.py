@@ -26,6 +26,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from hedgerow.orchestrator.launch.control import ask
 from hedgerow.orchestrator.runs import registry
+from hedgerow.orchestrator.runs.files import read_file
 from hedgerow.topologies.base import node_id
 from hedgerow.topologies.describe import describe
 from hedgerow.topologies.errors import Code, DeadlineError, HedgerowError, TopologyError, UserError
@@ -385,7 +386,7 @@ class Live:
     def _done(self) -> int | None:
         """How many steps were made, once the run has its verdict."""
         try:
-            verdict: dict[str, Any] = json.loads((self.folder / "verdict.json").read_text(encoding="utf-8"))
+            verdict: dict[str, Any] = json.loads(read_file(self.folder / "verdict.json"))
         except OSError:
             return None
         return int(verdict["steps_done"])

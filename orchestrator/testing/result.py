@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from hedgerow.orchestrator.ground.spelling import spelled
 from hedgerow.orchestrator.metrics.fault_accounts import at_ends
 from hedgerow.orchestrator.metrics.verdict import Verdict
+from hedgerow.orchestrator.runs.files import check_file, read_file
 from hedgerow.orchestrator.runs.selection import kept
 from hedgerow.topologies.describe import describe
 from hedgerow.topologies.errors import HedgerowError, UserError
@@ -73,7 +74,9 @@ class Result:
 
         folder = Path(folder)
         try:
-            content = json.loads((folder / "verdict.json").read_text(encoding="utf-8"))
+            content = json.loads(read_file(folder / "verdict.json"))
+            check_file(folder / "telemetry.parquet")
+            check_file(folder / "edges.parquet")
             table = pq.read_table(spelled(folder / "telemetry.parquet"))
             edges = pq.read_table(spelled(folder / "edges.parquet"))
         except FileNotFoundError as error:
@@ -102,7 +105,7 @@ class Result:
         x = column("x")
         heard = np.empty((steps, 2 * e), dtype=np.bool_)
         heard[:, at_ends(topology.graph).T.ravel()] = np.hstack([of_edges("i_hears"), of_edges("j_hears")])
-        lines = (folder / "events.jsonl").read_text(encoding="utf-8").splitlines()
+        lines = read_file(folder / "events.jsonl").splitlines()
         return cls(
             folder=folder,
             topology=topology,
