@@ -32,7 +32,7 @@ from hedgerow.topologies.paths import user_path
 from hedgerow.topologies.regular_file import check_regular, read_regular
 from hedgerow.topologies.rules import broken_rules
 from hedgerow.topologies.schema import COMPONENTS, Defaults, Node, Record, Topology
-from hedgerow.topologies.source import MAX_BYTES, Mark, Path, Source, place_of, read_source
+from hedgerow.topologies.source import BYTES_PER_FAULT, MAX_BYTES, Mark, Path, Source, place_of, read_source
 
 _SHOWN = 60
 _UNSPACED = re.compile(r"[A-Za-z_]\w*:[^\s:/]")
@@ -131,9 +131,6 @@ def _read(source: Source, name: str, folder: FilePath, overrides: Sequence[str])
     if topology is not None:
         source.problems.extend(broken_rules(topology, source, folder))
     return source.problems if topology is None or len(source.problems) else topology
-
-
-BYTES_PER_FAULT = 10_000
 
 
 def _refuse_many_faults(source: Source) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -19,8 +20,8 @@ from hedgerow.topologies.errors import Code, Problem, Problems, TopologyError
 
 MAX_BYTES = 32 * 2**20
 MAX_DEPTH = 32
-BYTES_PER_VALUE = 400
-"""of memory, for a value of the file, its mark and its path"""
+BYTES_PER_VALUE, BYTES_PER_FAULT = 400, 10_000
+"""of memory: of a value with its mark and path, and of a fault with its values and what it means"""
 
 Path = tuple[Any, ...]
 
@@ -141,7 +142,7 @@ def _layout(text: bytes, line: int) -> str:
 
 def _refuse(source: Source, line: int, what: str, cure: str, column: int = 0, code: Code = Code.FILE_FORMAT) -> None:
     # A caller can tell by the code that memory was the reason, whatever else is wrong with the file.
-    others = [] if code == Code.FILE_TOO_LARGE else source.problems
+    others: Iterable[Problem] = [] if code == Code.FILE_TOO_LARGE else source.problems
     raise TopologyError(source.name, [*others, Problem(line, "", what, cure, code, column)]) from None
 
 
@@ -177,6 +178,7 @@ class _Builder:
         self.total = 0
         """values so far, those of aliases counted each time"""
         self.most = budget.cap() // BYTES_PER_VALUE
+        self.most_faults = budget.cap() // BYTES_PER_FAULT
         self.documents = 0
 
     def take(self, event: Any) -> None:
@@ -248,6 +250,9 @@ class _Builder:
             self.source.marks.setdefault(path, mark)
             self._note_odd(path, value, mark)
             top.items.append(value)
+            if len(top.items) > self.most_faults and top.path == ("faults",):
+                what, cure = f"more than {self.most_faults:,} faults", budget.cure(2 * budget.cap())
+                _refuse(self.source, mark.line, what, cure, mark.column, Code.FILE_TOO_LARGE)
         elif top.has_key:
             if top.bare and value is None and mark.text == "":
                 self._split_key(top)
