@@ -26,7 +26,6 @@ from pydantic import TypeAdapter, ValidationError
 
 from hedgerow.orchestrator.launch.control import ask
 from hedgerow.orchestrator.runs import registry
-from hedgerow.orchestrator.runs.files import read_file
 from hedgerow.topologies.base import node_id
 from hedgerow.topologies.describe import describe
 from hedgerow.topologies.errors import Code, DeadlineError, HedgerowError, TopologyError, UserError
@@ -385,6 +384,8 @@ class Live:
 
     def _done(self) -> int | None:
         """How many steps were made, once the run has its verdict."""
+        from hedgerow.orchestrator.runs.files import read_file  # noqa: PLC0415 (Arrow takes a while to load)
+
         try:
             verdict: dict[str, Any] = json.loads(read_file(self.folder / "verdict.json"))
         except OSError:

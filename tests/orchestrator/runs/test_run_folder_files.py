@@ -132,9 +132,19 @@ def test_an_unfinished_table_is_held_to_the_same(run: Path, monkeypatch: pytest.
 
 
 @pytest.mark.parametrize("content", [b"", b"{", b"[" * 100_000, b"\xff", b"null\n", b'{"verdict": 1}\n'])
-@pytest.mark.parametrize("read", [read_verdict, load_events])
+@pytest.mark.parametrize("read", [read_verdict, load_events, load_run, Result.read])
 def test_broken_json_is_refused(read: Callable[[Path], object], content: bytes, run: Path) -> None:
     for name in ("verdict.json", "events.jsonl"):
         (run / name).write_bytes(content + b"\n")
     with pytest.raises(UserError):
         read(run)
+
+
+@pytest.mark.parametrize("content", [b"", b"PAR1", b"PAR1" * 100, b"hello"])
+@pytest.mark.parametrize("name", ["telemetry", "edges"])
+@pytest.mark.parametrize("read", [load_run, Result.read])
+def test_a_broken_table_is_refused(read: Callable[[Path], object], name: str, content: bytes, run: Path) -> None:
+    (run / f"{name}.parquet").write_bytes(content)
+    with pytest.raises(UserError) as error:
+        read(run)
+    assert error.value.code == Code.FILE_FORMAT
