@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import secrets
 import threading
@@ -18,8 +19,8 @@ from hedgerow.agents.plant_watch import PlantWatch
 from hedgerow.agents.process import LOG, Agent, Begin, Joined
 from hedgerow.agents.view import View
 from hedgerow.topologies.errors import DeadlineError, UserError
+from hedgerow.wire import bounded_json, keys
 from hedgerow.wire import config as configs
-from hedgerow.wire import keys
 from hedgerow.wire.config import Config
 from hedgerow.wire.credentials import Credentials
 from hedgerow.wire.handshake import introduction
@@ -103,6 +104,8 @@ class PlaceRequest:
         request = {"process": self._config.process, "number": self._number, **introduction(self._config.network)}
         for reply in session.get(keys.join(self._shard), payload=json.dumps(request), timeout=anywhere.ASK_S):
             if reply.ok is not None:
-                answer: dict[str, Any] = json.loads(reply.ok.payload.to_string())
-                return answer
+                with contextlib.suppress(ValueError):  # no plant answers so: ask again
+                    answer = bounded_json.decode(reply.ok.payload.to_bytes())
+                    if isinstance(answer, dict):
+                        return answer
         return None

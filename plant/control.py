@@ -30,6 +30,7 @@ from hedgerow.plant.request import Request
 from hedgerow.topologies.effects import FOREVER, Effect
 from hedgerow.topologies.errors import Code, UserError
 from hedgerow.wire import keys
+from hedgerow.wire.codec import MessageError
 from hedgerow.wire.handshake import introduction, mismatch
 from hedgerow.wire.session import direct
 
@@ -93,7 +94,7 @@ class Control:
                     self._plant.changed.notify_all()
             except _TooOftenError:
                 reply = {"error": f"{name}: asked too often; ask again a second later", "wait": True}
-            except UserError as error:
+            except (UserError, MessageError) as error:
                 reply = {"error": f"{name}: {error}"}
             with contextlib.suppress(zenoh.ZError):  # whoever asked has left, or we are leaving
                 query.reply(asked if name == "join" else key, json.dumps(reply))

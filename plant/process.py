@@ -64,6 +64,8 @@ LOG = logging.getLogger("plant")
 START_DEADLINE_S = 60.0
 OBSERVER_DEADLINE_S = 60.0
 END_DEADLINE_S = 5.0
+WORD_BYTES, WORD_BYTES_PER_INCIDENCE = 2**16, 256
+"""of the last word of a shard, at most: it names two keys for each peer, and has no more peers than incidences"""
 WORD_DEADLINE_S = 2.0
 """How long a shard that is there has to say what it heard, once it is told of the end."""
 
@@ -343,7 +345,8 @@ class Plant:
         with self.changed:
             shard = self.shards.all[p]
             if self.over and kind_of(message) == Kind.EVENT:
-                shard.word = shard.word or decode_event(message)
+                most = WORD_BYTES + WORD_BYTES_PER_INCIDENCE * shard.incidences
+                shard.word = shard.word or decode_event(message, most)
                 shard.state.put(self._farewell)
                 self.changed.notify_all()
                 return

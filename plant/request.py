@@ -5,13 +5,13 @@ Every function here raises UserError, in words that are the answer.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
-from typing import Any, NoReturn
+from typing import Any
 
 from hedgerow.topologies.effects import FOREVER, Effect
-from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.graph import Graph
+from hedgerow.wire import bounded_json
 
 Request = Mapping[str, Any]
 
@@ -27,19 +27,13 @@ MOST_LATE = 10**6
 def read(payload: bytes, graph: Graph) -> Request:
     """The JSON object in a query."""
     most = LEAST_BYTES + BYTES_PER_INCIDENCE * len(graph.node)
-    if len(payload) > most:
-        raise UserError(f"{len(payload)} bytes are no request; the most for this network is {most}")
     try:
-        request = json.loads(payload, parse_constant=_no_constant)
-    except (ValueError, RecursionError) as error:
-        raise UserError(f"no JSON: {shortened(error)}") from None
+        request = bounded_json.decode(payload, most)
+    except ValueError as error:
+        raise UserError(f"no request in JSON: {shortened(error)}", code=Code.MESSAGE) from None
     if not isinstance(request, dict):
-        raise UserError(f"{shortened(request)} is no JSON object")
+        raise UserError(f"{shortened(request)} is no JSON object", code=Code.MESSAGE)
     return request
-
-
-def _no_constant(name: str) -> NoReturn:
-    raise ValueError(f"{name} is no number")
 
 
 def shortened(what: object) -> str:

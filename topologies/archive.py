@@ -4,28 +4,23 @@ from __future__ import annotations
 
 import contextlib
 import json
-import struct
 import zipfile
-import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hedgerow.topologies.errors import Code, UserError
+from hedgerow.topologies import budget
+from hedgerow.topologies.errors import Code, HedgerowError, UserError
+from hedgerow.topologies.regular_file import open_regular
 
 NodeId = int | str
 Arrays = dict[str, Any]
 _SETTINGS = "settings"
 _MIXED = "ids"
 """among the settings: arrays of ids of which some are names, or integers beyond 64 bits"""
-_BROKEN: tuple[type[Exception], ...] = (
-    *(OSError, ValueError, TypeError, LookupError, EOFError, AttributeError, RuntimeError, MemoryError, OverflowError),
-    *(SyntaxError, struct.error, zipfile.BadZipFile, zlib.error),
-)
-"""what NumPy and zipfile raise for a damaged file"""
 
 
 def id_array(ids: Sequence[NodeId]) -> NDArray[Any]:
@@ -49,16 +44,36 @@ def write(path: Path, settings: Mapping[str, Any], arrays: Mapping[str, NDArray[
         np.savez(file, **{_SETTINGS: text, **plain})  # type: ignore[arg-type]
 
 
-def read(path: Path) -> tuple[dict[str, Any], Arrays]:
-    """The settings and the arrays that `write` wrote; UserError for a file that cannot be read as such."""
-    with reading(path):
-        with np.load(path, allow_pickle=False) as file:
-            arrays: Arrays = {name: _array(path, file, name) for name in file.files}
+def read(path: Path, growth: Mapping[str, int] | None = None) -> tuple[dict[str, Any], Arrays]:
+    """Return the settings and the arrays that `write` wrote.
+
+    growth: bytes of memory for a byte of an array, by name, where its reader makes more of it. Raises UserError for a
+    file that cannot be read as such, or that takes more memory than is allowed.
+    """
+    with reading(path), open_regular(path) as opened:
+        sizes = _sizes(opened)
+        growth = {_SETTINGS: 20, **(growth or {})}
+        budget.require(path, sum(size * growth.get(name, 1) for name, size in sizes.items()))
+        opened.seek(0)
+        with np.load(opened, allow_pickle=False) as file:
+            arrays: Arrays = {name: _array(path, file, name, sizes.get(name, 0)) for name in file.files}
         settings: dict[str, Any] = json.loads(arrays.pop(_SETTINGS, np.array([], dtype=np.uint8)).tobytes() or "{}")
         return settings, arrays | {name: id_array(ids) for name, ids in settings.pop(_MIXED, {}).items()}
 
 
-def _array(path: Path, file: Any, name: str) -> NDArray[Any]:
+def _sizes(file: BinaryIO) -> dict[str, int]:
+    """Return the uncompressed bytes of every array, by the directory of the archive."""
+    sizes: dict[str, int] = {}
+    with zipfile.ZipFile(file) as archive:
+        for member in archive.infolist():
+            name = member.filename.removesuffix(".npy")
+            if name in sizes:
+                raise ValueError(f"it has two arrays `{name[:40]}`")
+            sizes[name] = member.file_size
+    return sizes
+
+
+def _array(path: Path, file: Any, name: str, size: int) -> NDArray[Any]:
     try:
         array: NDArray[Any] = file[name]
     except ValueError as error:
@@ -69,15 +84,24 @@ def _array(path: Path, file: Any, name: str) -> NDArray[Any]:
             f"numpy.savez: {name}.astype(str) for names, {name}.astype(float) for numbers",
             code=Code.FILE_FORMAT,
         ) from None
+    if not isinstance(array, np.ndarray):
+        raise ValueError(f"`{name[:40]}` is no array")
+    # Elements of no bytes can be any number in a small file, and a list of them can fill the memory.
+    if max(array.shape, default=0) > size:
+        raise ValueError(f"`{name[:40]}` has the shape {array.shape} in {size} bytes")
     return array
 
 
 @contextlib.contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Whatever a damaged file, or another's, comes to while the block makes sense of it, is a UserError."""
+    """Raise UserError for whatever a damaged or strange file leads to while the block makes sense of it."""
     try:
         yield
-    except _BROKEN as error:
+    except HedgerowError:
+        raise
+    # NumPy and zipfile raise almost anything for a damaged file: AttributeError and tokenize.TokenError among others.
+    except Exception as error:
+        said = str(error) or type(error).__name__
         raise UserError(
-            f"{path}: cannot be read as a .npz file: {error}; write it with numpy.savez", code=Code.FILE_FORMAT
+            f"{path}: cannot be read as a .npz file: {said}; write it with numpy.savez", code=Code.FILE_FORMAT
         ) from None

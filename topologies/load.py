@@ -18,7 +18,7 @@ from typing import Any
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
-from hedgerow.topologies import table
+from hedgerow.topologies import budget, table
 from hedgerow.topologies.base import Model, kind_of, node_id
 from hedgerow.topologies.cures import cure_of_number, cure_of_text
 from hedgerow.topologies.errors import Code, FileRefusedError, Problem, Problems, TopologyError, UserError
@@ -29,9 +29,10 @@ from hedgerow.topologies.nodes import Edges, Nodes
 from hedgerow.topologies.odd import no_id, odd_numbers
 from hedgerow.topologies.override import next_key, origin_of, split_setting, steps_of
 from hedgerow.topologies.paths import user_path
+from hedgerow.topologies.regular_file import check_regular, read_regular
 from hedgerow.topologies.rules import broken_rules
 from hedgerow.topologies.schema import COMPONENTS, Defaults, Node, Record, Topology
-from hedgerow.topologies.source import MAX_BYTES, Mark, Path, Source, place_of, read_source
+from hedgerow.topologies.source import BYTES_PER_FAULT, MAX_BYTES, Mark, Path, Source, place_of, read_source
 
 _SHOWN = 60
 _UNSPACED = re.compile(r"[A-Za-z_]\w*:[^\s:/]")
@@ -73,14 +74,13 @@ def load(name: str, overrides: Sequence[str] = ()) -> Topology:
     """
     path = find(name)
     try:
-        if not path.is_file():
-            raise UserError(f"{path}: is not a regular file; name a topology file")
-        if (size := path.stat().st_size) > MAX_BYTES:
+        if (size := check_regular(path).st_size) > MAX_BYTES:
             raise UserError(
                 f"{path}: {size / 2**20:.0f} MB, and at most {MAX_BYTES / 2**20:.0f} are read; "
-                "put long samples in a CSV file"
+                "put long samples in a CSV file",
+                code=Code.FILE_TOO_LARGE,
             )
-        text = path.read_bytes()
+        text = read_regular(path)
     except OSError as error:
         raise UserError(
             f"{path}: cannot be read: {error.strerror}; check its permissions", code=Code.FILE_UNREADABLE
@@ -150,6 +150,7 @@ def _read(source: Source, name: str, folder: FilePath, overrides: Sequence[str])
     for override in overrides:
         _override(source, override)
     _nodes_as_mapping(source)
+    _refuse_many_faults(source)
     source.problems.extend(odd_numbers(source))
     topology, problems = _validate(source)
     source.problems.extend(problems)
@@ -163,6 +164,14 @@ def _read(source: Source, name: str, folder: FilePath, overrides: Sequence[str])
     if topology is not None:
         source.problems.extend(broken_rules(topology, source, folder))
     return source.problems if topology is None or len(source.problems) else topology
+
+
+def _refuse_many_faults(source: Source) -> None:
+    """Raise TopologyError for more faults than memory is allowed for: the models of a fault are made after this."""
+    faults = source.value.get("faults")
+    if isinstance(faults, list) and (why := budget.excess(len(faults) * BYTES_PER_FAULT)):
+        problem = source.problem(("faults",), f"{len(faults):,} faults: {why}", code=Code.FILE_TOO_LARGE)
+        raise TopologyError(source.name, [problem])
 
 
 def _with_table(topology: Topology, file: str, folder: FilePath) -> Topology:
@@ -338,11 +347,14 @@ def _without(value: dict[str, Any], found: Iterable[ErrorDetails]) -> dict[str, 
 def _problem(source: Source, details: ErrorDetails) -> Problem:
     path, at = _trace(source.value, details["loc"])
     kind, last = details["type"], details["loc"][-1]
+    if kind == "budget":
+        return source.problem(path, details["msg"], code=Code.FILE_TOO_LARGE)
     shown = _shown(at, source.written(path))
-    if kind == "missing" and isinstance(last, int):
-        return source.problem(path, f"{shown} has too few members", "a pair has two")
     if kind == "missing":
-        return source.problem(path, f"`{last}:` is missing", f"add `{last}: …`")
+        of_pair = f"{shown} has too few members", "a pair has two"
+        return source.problem(
+            path, *(of_pair if isinstance(last, int) else (f"`{last}:` is missing", f"add `{last}: …`"))
+        )
     if kind == "invalid_key":
         path, at = _trace(source.value, details["loc"][:-1])
         key = next((key for key in at if str(key) == str(last)), last)

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from hedgerow.topologies.errors import FileRefusedError
+from hedgerow.topologies import budget
+from hedgerow.topologies.errors import Code, FileRefusedError
 from hedgerow.topologies.graph import LARGEST
 from hedgerow.topologies.header import Header, split
+from hedgerow.topologies.regular_file import open_regular
 
 MAX_BYTES = 512 * 2**20
 
@@ -24,6 +27,20 @@ def beside(folder: Path, file: str) -> Path:
     return path
 
 
+BYTES_PER_CELL, BYTES_PER_LINE = 130, 200
+"""of memory; each cell is text first and then a number"""
+
+
+def _memory(path: Path) -> int:
+    """Return the bytes of memory that the samples in a file take, by its commas and lines."""
+    cells = lines = 0
+    with open_regular(path) as file:
+        while part := file.read(2**20):
+            cells += part.count(b",")
+            lines += max(part.count(b"\n"), part.count(b"\r"))
+    return path.stat().st_size + (cells + lines) * BYTES_PER_CELL + lines * BYTES_PER_LINE
+
+
 def columns(
     file: str, folder: Path, ids: Sequence[int | str], header: Header | None = None
 ) -> dict[int | str, list[float]]:
@@ -35,8 +52,10 @@ def columns(
     try:
         path = beside(folder, file)
         if path.stat().st_size > MAX_BYTES:
-            raise ValueError(f"{file}: larger than {MAX_BYTES // 2**20} MB")
-        with path.open(newline="", encoding="utf-8-sig") as lines:
+            raise FileRefusedError(f"{file}: larger than {MAX_BYTES // 2**20} MB", code=Code.FILE_TOO_LARGE)
+        if why := budget.excess(_memory(path)):
+            raise FileRefusedError(f"{file}: {why}", code=Code.FILE_TOO_LARGE)
+        with io.TextIOWrapper(open_regular(path), "utf-8-sig", newline="") as lines:
             reader = csv.reader(lines)
             rows = [(reader.line_num, row) for row in reader if row]
     except (OSError, UnicodeDecodeError, csv.Error) as error:

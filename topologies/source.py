@@ -9,16 +9,19 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import yaml
 
+from hedgerow.topologies import budget
 from hedgerow.topologies.errors import Code, Problem, Problems, TopologyError
 
 MAX_BYTES = 32 * 2**20
 MAX_DEPTH = 32
-MAX_VALUES = 5_000_000
+BYTES_PER_VALUE, BYTES_PER_FAULT = 400, 10_000
+"""of memory: of a value with its mark and path, and of a fault with its values and what it means"""
 
 Path = tuple[Any, ...]
 
@@ -137,10 +140,10 @@ def _layout(text: bytes, line: int) -> str:
     return "see the line above it too"
 
 
-def _refuse(source: Source, line: int, what: str, cure: str, column: int = 0) -> None:
-    raise TopologyError(
-        source.name, [*source.problems, Problem(line, "", what, cure, Code.FILE_FORMAT, column)]
-    ) from None
+def _refuse(source: Source, line: int, what: str, cure: str, column: int = 0, code: Code = Code.FILE_FORMAT) -> None:
+    # A caller can tell by the code that memory was the reason, whatever else is wrong with the file.
+    others: Iterable[Problem] = [] if code == Code.FILE_TOO_LARGE else source.problems
+    raise TopologyError(source.name, [*others, Problem(line, "", what, cure, code, column)]) from None
 
 
 @dataclass
@@ -174,6 +177,8 @@ class _Builder:
         self.anchors: dict[str, tuple[Any, int]] = {}
         self.total = 0
         """values so far, those of aliases counted each time"""
+        self.most = budget.cap() // BYTES_PER_VALUE
+        self.most_faults = budget.cap() // BYTES_PER_FAULT
         self.documents = 0
 
     def take(self, event: Any) -> None:
@@ -225,9 +230,11 @@ class _Builder:
     def _place(self, value: Any, size: int, mark: Mark, anchor: str | None = None, plain: bool = False) -> None:
         """Put a finished value where it belongs: into the collection that is open, as a key of it, or at the top."""
         self.total += size
-        if self.total > MAX_VALUES:
-            what = f"the file expands to more than {MAX_VALUES:,} values"
-            _refuse(self.source, mark.line, what, "remove aliases that multiply", mark.column)
+        if self.total > self.most:
+            what = f"the file expands to more than {self.most:,} values"
+            cure = "remove aliases that multiply, put long samples in a CSV file, or allow more with "
+            cure += f"{budget.VARIABLE}={2 * budget.cap() // 10**6}"
+            _refuse(self.source, mark.line, what, cure, mark.column, Code.FILE_TOO_LARGE)
         if anchor:
             self.anchors[anchor] = (value, size)
         if not self.stack:
@@ -243,6 +250,9 @@ class _Builder:
             self.source.marks.setdefault(path, mark)
             self._note_odd(path, value, mark)
             top.items.append(value)
+            if len(top.items) > self.most_faults and top.path == ("faults",):
+                what, cure = f"more than {self.most_faults:,} faults", budget.cure(2 * budget.cap())
+                _refuse(self.source, mark.line, what, cure, mark.column, Code.FILE_TOO_LARGE)
         elif top.has_key:
             if top.bare and value is None and mark.text == "":
                 self._split_key(top)

@@ -35,6 +35,8 @@ NAME = "network.npz"
 """how a run's folder calls it"""
 NodesBy = Literal["positions", "ids"]
 _NUMBERS = ("a", "x0", "nominal")
+_GROWTH = {"edges": 12, "ids": 8}
+"""bytes of memory for a byte of an array: a graph lists every edge from both ends, and ids become Python objects"""
 _GROUP = re.compile(r"w ([0-9]{1,3}) (\w+) (\w+)")
 
 
@@ -86,13 +88,13 @@ def read(file: str, folder: Path, named_by: NodesBy | None = None) -> Table:
     """Return the table in a file; raise ValueError for what is none, FileRefusedError for one that has two readings."""
     path = beside(folder, file)
     try:
-        _, arrays = archive.read(path)
+        _, arrays = archive.read(path, _GROWTH)
     except UserError as error:
         raise FileRefusedError(str(error), code=error.code) from None
     try:
         return _table(arrays, named_by)
-    except ValueError as error:
-        refused = FileRefusedError.of(error)
+    except (ValueError, LookupError, TypeError, AttributeError, ArithmeticError, MemoryError) as error:
+        refused = FileRefusedError.of(error if isinstance(error, ValueError) else ValueError(str(error)))
         raise FileRefusedError(f"{file}: {refused.what}", refused.cure, refused.code) from None
 
 

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hedgerow.topologies.errors import Code, HedgerowError
+from hedgerow.wire import bounded_json
 
 VERSION = 4
 REPORT_ROWS = 2
@@ -410,15 +411,21 @@ def decode_seen(message: bytes) -> int:
 
 
 def encode_event(t: int, event: Mapping[str, Any]) -> bytes:
-    """Plant to observer, between the rows of telemetry: something that happened at step t."""
-    return _pack(Kind.EVENT, 0, t, json.dumps(event).encode())
+    """Plant to observer, between the rows of telemetry: something that happened at step t.
+
+    Raises MessageError for an event that JSON cannot hold.
+    """
+    try:
+        return _pack(Kind.EVENT, 0, t, json.dumps(event).encode())
+    except (ValueError, TypeError, RecursionError) as error:
+        raise MessageError(f"an event that is no JSON object: {error}") from None
 
 
-def decode_event(message: bytes) -> dict[str, Any]:
-    """The event in a message, with its `step`."""
+def decode_event(message: bytes, most_bytes: int = bounded_json.MOST_BYTES) -> dict[str, Any]:
+    """Return the event in a message with its `step`, rebuilt from plain types; raise MessageError for none."""
     t = _open(message, Kind.EVENT, 0, max(0, len(message) - _SIZE))
     try:
-        event: dict[str, Any] = json.loads(message[_SIZE:])
+        event: dict[str, Any] = bounded_json.decode(message[_SIZE:], most_bytes)
         return {**event, "step": t}
-    except (ValueError, TypeError, RecursionError) as error:
+    except (ValueError, TypeError) as error:
         raise MessageError(f"an event that is no JSON object: {error}") from None

@@ -9,7 +9,7 @@ from typing import Any
 
 import zenoh
 
-from hedgerow.wire import keys
+from hedgerow.wire import bounded_json, keys
 from hedgerow.wire.session import WireError
 
 
@@ -20,7 +20,12 @@ def ask(
     key = keys.control(command)
     for reply in session.get(key, payload=json.dumps(request or {}), timeout=timeout_s):
         if reply.ok is not None:
-            answer: dict[str, Any] = json.loads(reply.ok.payload.to_string())
+            try:
+                answer = bounded_json.decode(reply.ok.payload.to_bytes())
+            except ValueError as error:
+                raise WireError(f"{key}: the answer is no JSON: {error}") from None
+            if not isinstance(answer, dict):
+                raise WireError(f"{key}: the answer is no JSON object")
             return answer
     raise WireError(f"the plant did not answer {key} within {timeout_s:g} s")
 

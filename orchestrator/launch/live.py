@@ -384,8 +384,10 @@ class Live:
 
     def _done(self) -> int | None:
         """How many steps were made, once the run has its verdict."""
+        from hedgerow.orchestrator.runs.files import read_file  # noqa: PLC0415 (Arrow takes a while to load)
+
         try:
-            verdict: dict[str, Any] = json.loads((self.folder / "verdict.json").read_text(encoding="utf-8"))
+            verdict: dict[str, Any] = json.loads(read_file(self.folder / "verdict.json"))
         except OSError:
             return None
         return int(verdict["steps_done"])

@@ -14,6 +14,7 @@ from pydantic import BaseModel, ValidationError
 
 from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.load import load
+from hedgerow.topologies.regular_file import check_regular, read_regular
 from hedgerow.topologies.schema import Topology
 
 
@@ -53,13 +54,15 @@ def find_run(run: str | Path) -> Path:
 
 def load_resolved(folder: Path) -> Topology:
     """The topology in a run's folder; UserError if it is another than the resolved one that belongs there."""
+    file = folder / "topology.yaml"
+    with reading(file):
+        check_regular(file, inside=folder)
     topology = load(str(folder))
     try:
         network = topology.network  # it draws nothing, and raises where a number is left to chance
     except (TypeError, ValueError, AttributeError):
         network = None
     if network is None:
-        file = folder / "topology.yaml"
         raise UserError(f"{file}: leaves numbers to chance, so it is not the resolved file of this run") from None
     return topology
 
@@ -73,7 +76,29 @@ def reading(file: Path) -> Iterator[None]:
         raise
     except (OSError, ValueError, LookupError, TypeError, RecursionError, MemoryError, pa.ArrowException) as error:
         said = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise UserError(f"{file}: cannot be read: {said}; it is damaged, or no file of a run") from None
+        raise UserError(
+            f"{file}: cannot be read: {said}; it is damaged, or no file of a run", code=Code.FILE_FORMAT
+        ) from None
+
+
+JSON_GROWTH = 10
+"""bytes of memory for a byte of JSON, once it is parsed"""
+
+
+def read_file(file: Path, start: int = 0) -> bytes:
+    """Return the content of a JSON file of a run's folder, from byte `start`.
+
+    Raises UserError for a FIFO, a device, a link out of the folder, or more memory than is allowed; FileNotFoundError
+    passes.
+    """
+    with reading(file):
+        return read_regular(file, file.parent, JSON_GROWTH, start)
+
+
+def check_file(file: Path) -> int:
+    """Return the size of a file of a run's folder that another library opens by its name; errors as of `read_file`."""
+    with reading(file):
+        return check_regular(file, file.parent).st_size
 
 
 class _Check(BaseModel):
@@ -114,7 +139,7 @@ def read_verdict(folder: Path) -> dict[str, Any]:
     file = folder / "verdict.json"
     try:
         with reading(file):
-            content: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+            content: dict[str, Any] = json.loads(read_file(file))
         _Verdict.model_validate(content)
     except FileNotFoundError:
         return {}
@@ -131,7 +156,7 @@ def load_events(folder: Path) -> list[dict[str, Any]]:
     file = folder / "events.jsonl"
     try:
         with reading(file):
-            return read_events(file.read_bytes())
+            return read_events(read_file(file))
     except FileNotFoundError:
         return []
 

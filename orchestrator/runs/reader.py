@@ -23,6 +23,7 @@ from hedgerow.orchestrator.metrics.replay import Finding, Replay
 from hedgerow.orchestrator.runs.files import find_run, load_events, load_resolved, read_verdict
 from hedgerow.orchestrator.runs.selection import Kept, kept
 from hedgerow.orchestrator.runs.table import Table, there_is
+from hedgerow.topologies import budget
 from hedgerow.topologies.errors import Code, HedgerowError, UserError
 from hedgerow.topologies.escape import command
 from hedgerow.topologies.graph import Array, Index, Mask
@@ -426,6 +427,8 @@ def _spread(values: NDArray[Any], steps: Index, rows: int, missing: Any) -> NDAr
     known = int(np.searchsorted(steps, rows))
     if known == rows:
         return _frozen(values[:rows])
+    # The steps are those that the file names: one number can ask for any number of rows.
+    budget.require(f"{rows} steps", rows * values[:1].nbytes)
     spread = np.full((rows, *values.shape[1:]), missing, values.dtype)
     spread[steps[:known]] = values[:known]
     return _frozen(spread)

@@ -14,8 +14,9 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from hedgerow.orchestrator.ground.spelling import spelled
-from hedgerow.orchestrator.runs.files import reading
+from hedgerow.orchestrator.runs.files import check_file, reading
 from hedgerow.orchestrator.runs.writer import whole_batches
+from hedgerow.topologies import budget
 from hedgerow.topologies.errors import UserError
 from hedgerow.topologies.graph import Index
 
@@ -33,11 +34,15 @@ class Table:
     def __init__(self, folder: Path, name: str) -> None:
         self.parquet, stream = folder / f"{name}.parquet", folder / f"{name}.arrows"
         self._stream: Any = None
+        self._taken: set[str] = set()
+        """columns that were read whole"""
         with contextlib.suppress(FileNotFoundError), reading(stream):  # it has become the Parquet file just now
             if not self.parquet.exists() and stream.exists():
                 self._stream = _so_far(stream)
         self.path = self.parquet if self._stream is None else stream
         try:
+            if self._stream is None:
+                check_file(self.parquet)
             with reading(self.parquet):
                 self._file = pq.ParquetFile(spelled(self.parquet)) if self._stream is None else None
         except FileNotFoundError:
@@ -52,8 +57,17 @@ class Table:
     def schema(self) -> Any:
         return self._stream.schema if self._file is None else self._file.schema_arrow
 
+    def _require(self, *names: str) -> None:
+        """Raise UserError if these columns, with those that were read before, take more memory than is allowed."""
+        self._taken.update(names)
+        rows = self._stream.num_rows if self._file is None else self._file.metadata.num_rows
+        row = sum(_width(self.schema.field(name).type) for name in self._taken)
+        # What the file says of its size on disk is not asked: repeated values take no room there.
+        budget.require(self.path, rows * row)
+
     def whole(self) -> Any:
-        """A pyarrow.Table."""
+        """Return a pyarrow.Table."""
+        self._require(*self.schema.names)
         with reading(self.path):
             return self._stream if self._file is None else self._file.read()
 
@@ -66,6 +80,7 @@ class Table:
         """One column, a row a recorded step, (K, width); NaN where a number is null."""
         if name not in self.schema.names:
             raise UserError(f"{self.path}: has no column {name}: another version of hedgerow wrote it")
+        self._require(name)
         with reading(self.path):
             table = self._stream if self._file is None else self._file.read(columns=[name])
             values: NDArray[Any] = table[name].to_numpy()
@@ -78,6 +93,7 @@ class Table:
         rows = self._stream.num_rows if self._file is None else self._file.metadata.num_rows
         if rows % width:
             raise UserError(f"{self.path}: {rows} rows are no whole steps of {width}; topology.yaml is another's")
+        budget.require(self.path, 8 * (rows // width))
         if rows and rows == (self._last_step() + 1) * width:
             return np.arange(rows // width)
         steps: Index = self.column("step", width)[:, 0].astype(np.int64)
@@ -114,12 +130,27 @@ class Table:
         return self.whole().to_pandas(types_mapper={pa.int32(): library.Int32Dtype()}.get)
 
 
+def _width(kind: Any) -> int:
+    """Return the bytes that a value of an Arrow type takes, at least 8: numbers become float64 on the way."""
+    try:
+        return max(8, int(kind.bit_width) // 8)
+    except ValueError:  # text and lists are as long as they are
+        return 24
+
+
 def _so_far(stream: Path) -> Any:
     """An Arrow stream as a table that stays in the file, up to its last whole batch."""
+    size = check_file(stream)
     try:
         reader = pa.ipc.open_stream(pa.memory_map(spelled(stream)))
     except pa.ArrowInvalid:  # not even what the columns are
         raise UserError(f"{stream.parent}: no step of the run is recorded yet") from None
-    table = pa.Table.from_batches(whole_batches(reader), reader.schema)
+    batches, taken = [], 0
+    for batch in whole_batches(reader):
+        batches.append(batch)
+        taken += batch.nbytes
+        # Batches stay in the file, except those that are compressed: no run writes those.
+        budget.require(stream, max(0, taken - size))
+    table = pa.Table.from_batches(batches, reader.schema)
     table.validate(full=True)  # a text whose offsets came to harm would be read from anywhere in memory
     return table

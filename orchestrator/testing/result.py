@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hedgerow.orchestrator.ground.spelling import spelled
 from hedgerow.orchestrator.metrics.fault_accounts import at_ends
 from hedgerow.orchestrator.metrics.verdict import Verdict
 from hedgerow.orchestrator.runs.selection import kept
@@ -69,13 +68,19 @@ class Result:
     @classmethod
     def read(cls, folder: str | Path) -> Result:
         """The run in a folder, of `orchestrator up`, of `simulate` or of a test; raises UserError if it is not over."""
-        import pyarrow.parquet as pq  # noqa: PLC0415
+        # Arrow takes a while to load, and a project that does not use the plugin would wait for it.
+        from hedgerow.orchestrator.runs.files import check_file, read_events, read_file, reading  # noqa: PLC0415
+        from hedgerow.orchestrator.runs.table import Table  # noqa: PLC0415
 
         folder = Path(folder)
         try:
-            content = json.loads((folder / "verdict.json").read_text(encoding="utf-8"))
-            table = pq.read_table(spelled(folder / "telemetry.parquet"))
-            edges = pq.read_table(spelled(folder / "edges.parquet"))
+            with reading(folder / "verdict.json"):
+                content = json.loads(read_file(folder / "verdict.json"))
+                if type(content["steps_done"]) is not int or not isinstance(content["verdict"], str):
+                    raise ValueError("it is no verdict")
+            for name in ("telemetry", "edges"):
+                check_file(folder / f"{name}.parquet")
+            table, edges = (Table(folder, name).whole() for name in ("telemetry", "edges"))
         except FileNotFoundError as error:
             raise UserError(f"{folder}: holds no run that is over: there is no {Path(error.filename).name}") from None
         topology = load(str(folder))
@@ -102,7 +107,8 @@ class Result:
         x = column("x")
         heard = np.empty((steps, 2 * e), dtype=np.bool_)
         heard[:, at_ends(topology.graph).T.ravel()] = np.hstack([of_edges("i_hears"), of_edges("j_hears")])
-        lines = (folder / "events.jsonl").read_text(encoding="utf-8").splitlines()
+        with reading(folder / "events.jsonl"):
+            events = read_events(read_file(folder / "events.jsonl"))
         return cls(
             folder=folder,
             topology=topology,
@@ -114,7 +120,7 @@ class Result:
             regret=np.abs(x - column("x_oracle")),
             edge_open=of_edges("open"),
             heard=heard,
-            events=[json.loads(line) for line in lines],
+            events=events,
             verdict=Verdict(content["verdict"], content),
         )
 

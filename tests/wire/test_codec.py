@@ -208,7 +208,8 @@ def test_a_message_of_a_batch_is_a_header_long_at_least(message: Message, length
         codec.decode_batch(whole[:8] + length.to_bytes(8, "little", signed=True) + whole[16:])
 
 
-JSON = st.dictionaries(st.text(), st.integers() | st.text() | st.booleans() | st.lists(st.floats(allow_nan=False)))
+FINITE = st.floats(allow_nan=False, allow_infinity=False)
+JSON = st.dictionaries(st.text(), st.integers() | st.text() | st.booleans() | st.lists(FINITE))
 
 
 @given(STEPS, st.text(), JSON)

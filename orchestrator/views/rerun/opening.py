@@ -21,7 +21,7 @@ from hedgerow.orchestrator.ground.spelling import spelled
 from hedgerow.orchestrator.metrics.fault_accounts import at_ends
 from hedgerow.orchestrator.metrics.observer import Observer
 from hedgerow.orchestrator.runs import registry
-from hedgerow.orchestrator.runs.files import find_run, load_resolved
+from hedgerow.orchestrator.runs.files import check_file, find_run, load_resolved
 from hedgerow.orchestrator.runs.reader import RecordedRun, load_run
 from hedgerow.orchestrator.runs.round_trips import processes_of
 from hedgerow.orchestrator.views.rerun.rrd_file import parts
@@ -119,10 +119,11 @@ def _unreadable(files: Sequence[Path]) -> str:
         return "there is no run.rrd"
     for file in files:
         try:
+            check_file(file)
             with file.open("rb") as opened:
                 head = opened.read(8)
-        except OSError as error:
-            return f"{file.name} cannot be read ({error.strerror})"
+        except (UserError, OSError) as error:
+            return str(error) if isinstance(error, UserError) else f"{file.name} cannot be read ({error.strerror})"
         if len(head) < 8 or not head.startswith(b"RRF"):
             return f"{file.name} is empty or no recording"
         written, ours = (head[4], head[5]), tuple(int(part) for part in rr.__version__.split(".")[:2])

@@ -26,7 +26,7 @@ from hedgerow.orchestrator.metrics.fault_accounts import at_ends
 from hedgerow.orchestrator.metrics.observer import Observer
 from hedgerow.orchestrator.metrics.verdict import Verdict
 from hedgerow.orchestrator.runs import registry
-from hedgerow.orchestrator.runs.files import load_resolved, read_events, reading
+from hedgerow.orchestrator.runs.files import check_file, load_resolved, read_events, read_file, reading
 from hedgerow.orchestrator.runs.folder import RunFolder
 from hedgerow.orchestrator.runs.registry import Entry
 from hedgerow.orchestrator.runs.round_trips import TABLE, processes_of, trips_in
@@ -61,6 +61,7 @@ class ArrowTail:
     """An Arrow stream that may still grow, batch by batch from its first."""
 
     def __init__(self, path: Path) -> None:
+        check_file(path)
         self._file = pa.OSFile(spelled(path), "rb")
         self._schema: pa.Schema | None = None
         self.over = False
@@ -166,9 +167,7 @@ class Happenings:
     def new(self) -> Iterator[Mapping[str, Any]]:
         """What has happened since it was last asked."""
         try:
-            with reading(self._path), self._path.open("rb") as file:
-                file.seek(self._at)
-                text = file.read()
+            text = read_file(self._path, self._at)
         except FileNotFoundError:
             return
         with reading(self._path):
@@ -374,7 +373,7 @@ class _Watch:
         while not self._folder.verdict.exists() and self._entry in registry.running() and not self._interrupts.count:
             self._wake.wait(POLL_S)
         if self._folder.verdict.exists():
-            content = json.loads(self._folder.verdict.read_text(encoding="utf-8"))
+            content = json.loads(read_file(self._folder.verdict))
             text = Verdict(content["verdict"], content).line()
         else:
             text = f"{self._entry.run}: was killed after step {self._observer.next_step - 1}; what it left is shown"

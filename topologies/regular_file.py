@@ -1,0 +1,65 @@
+"""Files that others may have made: only regular files are opened, and none of them can make the reader wait."""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+from typing import BinaryIO
+
+from hedgerow.topologies import budget
+from hedgerow.topologies.errors import Code, UserError
+
+
+def check_regular(path: Path, inside: Path | None = None) -> os.stat_result:
+    """Return the status of a regular file; raise UserError for anything else, and OSError if there is nothing.
+
+    inside: the folder that a symbolic link must not lead out of.
+    """
+    status = path.stat()
+    if inside is not None and not path.resolve().is_relative_to(inside.resolve()):
+        raise UserError(f"{path}: is a link out of its folder. Put the file itself there.", code=Code.FILE_NOT_REGULAR)
+    _refuse_others(path, status)
+    return status
+
+
+def open_regular(path: Path, inside: Path | None = None) -> BinaryIO:
+    """Open a regular file to read, in bytes; errors as of `check_regular`."""
+    check_regular(path, inside)
+    # Between the check and here the file can change. Without O_NONBLOCK, opening a FIFO would wait for a writer.
+    file = open(os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK), "rb")  # noqa: SIM115
+    try:
+        _refuse_others(path, os.fstat(file.fileno()))
+    except UserError:
+        file.close()
+        raise
+    return file
+
+
+def read_regular(path: Path, inside: Path | None = None, growth: int = 1, start: int = 0) -> bytes:
+    """Return the content of a regular file from byte `start`; raise UserError if it takes more memory than is allowed.
+
+    growth: bytes of memory for a byte of the file, once it is parsed.
+    """
+    with open_regular(path, inside) as file:
+        size = max(os.fstat(file.fileno()).st_size - start, 0)
+        budget.require(path, size * growth)
+        file.seek(start)
+        return file.read(size)
+
+
+def _refuse_others(path: Path, status: os.stat_result) -> None:
+    if not stat.S_ISREG(status.st_mode):
+        kind = next((name for is_kind, name in _KINDS if is_kind(status.st_mode)), "special file")
+        raise UserError(
+            f"{path}: is a {kind}, not a regular file. Remove it, or name another.", code=Code.FILE_NOT_REGULAR
+        )
+
+
+_KINDS = (
+    (stat.S_ISDIR, "folder"),
+    (stat.S_ISFIFO, "FIFO"),
+    (stat.S_ISSOCK, "socket"),
+    (stat.S_ISCHR, "device"),
+    (stat.S_ISBLK, "device"),
+)
