@@ -44,7 +44,7 @@ class Law(Protocol):
 
     memory: Array
     """Everything learned so far, (..., k), one column per node. Assigning a saved copy discards everything learned since.
-    The shard does this to learn a late sample in its place, and to reset a node that lost its memory."""
+    The shard does this to learn a late sample, and to reset a node that lost its memory."""
 
 
 def control(b: float, x: Array, ahat: Array) -> Array:
