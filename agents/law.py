@@ -43,7 +43,7 @@ class Law(Protocol):
         """Return the report of the nodes, (2, k): ahat and J_(2) - J_(1), NaN where a value does not exist."""
 
     memory: Array
-    """Everything learned so far, (..., k), one column per node. Assigning a saved copy discards everything learned since.
+    """Everything learned, (..., k), one column per node. Assigning a saved copy discards everything learned since.
     The shard does this to learn a late sample, and to reset a node that lost its memory."""
 
 
@@ -75,7 +75,7 @@ class Minimax:
         none, k = np.isnan(candidates), candidates.shape[1]
         self.candidates = np.where(none, 0.5, candidates)
         self.J = np.where(none, np.inf, 0.0)
-        """J_m,i(t), (M, k); infinite for the padding of shorter candidate lists, so that padding is never chosen."""
+        """J_m,i(t), (M, k), infinite for the padding of shorter candidate lists, so that padding is never chosen."""
         self._nodes = np.arange(k)
         self._report = np.full((2, k), np.inf)
         self.ahat, self.margin = self._report

@@ -63,8 +63,8 @@ class Samples:
         """incidences with a wanted row that has not arrived"""
         self._everybody = np.ones(self.k, dtype=bool)
         self._marks: list[_Mark] = []
-        """by step, while an incidence is behind; valid for all nodes, but the first mark, at the oldest row, may be valid
-        only for nodes that came back"""
+        """by step, while an incidence is behind; valid for all nodes, but the first mark, at the oldest row, may be
+        valid only for nodes that came back"""
         self._read: Array | None = None
         """the readings x(t + 1) of the last sample taken, None if one is missing"""
 
