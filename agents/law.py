@@ -4,8 +4,8 @@
     ahat_i(t)    = the first candidate that minimises J_i,m(t)                   (7)
     J_i,m(t + 1) = J_i,m(t) + (a_m x_i(t) + b f_i(t) - x_i(t + 1))^2,  J_i,m(0) = 0
 
-All is vectorised over the k nodes of a shard; rows never mix. The H-infinity controller (8) is this law with
-the truth as its only candidate, the nominal one with the nominal value.
+All operations are vectorised over the k nodes of a shard; nodes never mix. The H-infinity controller (8) is this law
+with the true a as its only candidate. The nominal controller has the nominal value as its only candidate.
 """
 
 from __future__ import annotations
@@ -22,37 +22,40 @@ Array = NDArray[np.float64]
 
 
 class Law(Protocol):
-    """What a control law is to a shard; `Class(b, candidates)` makes one.
+    """The interface of a control law; a shard constructs it as `Class(b, candidates)`.
 
-    `b` is the gain of (1); `candidates` (M, k) holds the models of each node in a column, in list order, NaN behind the
-    end of a shorter list.
+    `b` is the gain of (1). `candidates` (M, k) has one column per node with its models in list order. Shorter lists
+    are padded with NaN.
     """
 
     def __init__(self, b: float, candidates: Array) -> None: ...
 
     def act(self, x: Array) -> Array:
-        """The inputs u(t) from the states x(t), both (k,)."""
+        """Return the inputs u(t) for the states x(t), both (k,)."""
 
     def learn(self, x: Array, flow: Array, x_next: Array) -> None:
-        """Take in the sample of one past step: x(t), f(t) and x(t + 1), (k,); where f is NaN there is none."""
+        """Learn the sample of one past step: x(t), f(t) and x(t + 1), each (k,).
+
+        If f is NaN, the node has no sample.
+        """
 
     def report(self) -> Array:
-        """What the nodes say of themselves, (2, k): ahat and J_(2) - J_(1); NaN for what there is not."""
+        """Return the report of the nodes, (2, k): ahat and J_(2) - J_(1), NaN where a value does not exist."""
 
     memory: Array
-    """All that was learned, (..., k), a node a column. To put back a copy is to unlearn what came since: so a sample
-    whose input arrives late is learned in its place, and a node that lost its memory begins again."""
+    """Everything learned, (..., k), one column per node. Assigning a saved copy discards everything learned since.
+    The shard does this to learn a late sample, and to reset a node that lost its memory."""
 
 
 def control(b: float, x: Array, ahat: Array) -> Array:
-    """The inputs u = b x / (ahat - 1), all (k,); equations (6) and (8)."""
+    """Return the inputs u = b x / (ahat - 1), all (k,); equations (6) and (8)."""
     if x.ndim == 1 and (kernels := kernels_for(len(x))) is not None:
         return kernels.control(b, x, ahat)  # type: ignore[no-any-return]
     return b * x / (ahat - 1.0)
 
 
 def two_smallest(rows: Array) -> tuple[Array, Array]:
-    """The smallest and the second smallest number of each column of two rows or more."""
+    """Return the smallest and the second smallest number of each column; `rows` has at least two rows."""
     if rows.size <= FEW:
         ordered = rows.copy()
         ordered.sort(axis=0)
@@ -65,14 +68,14 @@ def two_smallest(rows: Array) -> tuple[Array, Array]:
 
 
 class Minimax:
-    """The distributed minimax adaptive controller: memory of M numbers a node, no history."""
+    """The distributed minimax adaptive controller; it remembers M numbers per node and no history."""
 
     def __init__(self, b: float, candidates: Array) -> None:
         self.b = b
         none, k = np.isnan(candidates), candidates.shape[1]
         self.candidates = np.where(none, 0.5, candidates)
         self.J = np.where(none, np.inf, 0.0)
-        """J_m,i(t), (M, k); infinite where a node has fewer candidates than the longest list, so that it never wins."""
+        """J_m,i(t), (M, k), infinite for the padding of shorter candidate lists, so that padding is never chosen."""
         self._nodes = np.arange(k)
         self._report = np.full((2, k), np.inf)
         self.ahat, self.margin = self._report
@@ -80,7 +83,7 @@ class Minimax:
 
     @property
     def memory(self) -> Array:
-        """J."""
+        """Return the costs J, (M, k)."""
         return self.J
 
     @memory.setter
@@ -89,18 +92,18 @@ class Minimax:
         self._choose()
 
     def _choose(self) -> None:
-        # argmin takes the first of equals: ties go to the candidate that is listed first.
+        # argmin returns the first of equal values, so a tie goes to the candidate listed first.
         self.ahat[:] = self.candidates[self.J.argmin(axis=0), self._nodes]
         if len(self.J) > 1:
             least, second = two_smallest(self.J)
             np.subtract(second, least, out=self.margin)
 
     def act(self, x: Array) -> Array:
-        """Equation (6)."""
+        """Return the inputs of equation (6)."""
         return control(self.b, x, self.ahat)
 
     def learn(self, x: Array, flow: Array, x_next: Array) -> None:
-        """Equation (7), one sample further; a node whose flow is unknown (NaN) skips it."""
+        """Update J by one sample, equation (7); a node whose flow is unknown (NaN) skips the sample."""
         whole = all_finite(flow)
         if whole and (kernels := kernels_for(len(flow))) is not None:
             kernels.learn(self.J, self.candidates, self.b, x, flow, x_next, self.ahat, self.margin)
@@ -117,5 +120,5 @@ class Minimax:
         self._choose()
 
     def report(self) -> Array:
-        """The estimate ahat, and the margin J_(2) - J_(1), infinite without a rival."""
+        """Return the estimate ahat and the margin J_(2) - J_(1), infinite if there is only one candidate."""
         return self._report

@@ -1,4 +1,4 @@
-"""Whether the plant that an agent joined is still there: who was started by hand has nobody else to end it."""
+"""A watch on the plant that an agent joined; an agent started by hand has no other process that would end it."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from hedgerow.wire import keys
 from hedgerow.wire.session import direct
 
 PLANT_GONE_S = 60.0
-"""How long the plant may be out of sight; a cable that was pulled is put back sooner."""
+"""time that the plant's token may be absent; longer than it takes to plug a cable back in"""
 LOOK_S = 2.0
-"""How long the plant that has just given us our place may not be seen, where another is."""
+"""time that our plant's token may be absent after joining, while another plant's token is present"""
 
 
 class PlantWatch:
-    """Watches plants' tokens while a block lasts, and gives up when ours is gone for good, or another's in its place.
+    """A context manager that watches plants' tokens; it gives up if our plant is gone or another plant replaced it.
 
-    While ours is there another's means nothing: somebody began a second run by mistake, or the token of one that died
-    is not forgotten yet.
+    While our plant's token is present, another plant's token is ignored. A second run may have begun by mistake, or the
+    token of a dead plant may not have expired yet.
     """
 
     def __init__(self, session: zenoh.Session, plant: int, give_up: Callable[[HedgerowError], None]) -> None:
         self._session, self._give_up = session, give_up
         self._ours = keys.alive(keys.PLANT, plant)
         self._seen = False
-        """whether ours was ever there"""
+        """True once our plant's token was present"""
         self._there: set[str] = set()
         self._patience: threading.Timer | None = None
 
@@ -53,7 +53,7 @@ class PlantWatch:
         self._look()
 
     def _look(self) -> None:
-        """Give up where ours is not to be seen, after as long as it may yet be."""
+        """If our plant's token is absent, give up after the permitted time."""
         self._wait_no_longer()
         if self._ours in self._there:
             return

@@ -1,11 +1,11 @@
-"""A shard on the wire: state and links in, input and links out.
+"""A shard connected to Zenoh: it receives state and link messages and sends input and link messages.
 
 The work is done where messages arrive, on the network thread; the main thread only watches the clock, so
 that a step costs no change of threads. A step begins with the state message of t and needs the link messages of
-t - 1 from every peer whose link was up; whichever comes last sets it off.
+t - 1 from every peer whose link was up; the last of these to arrive starts the step.
 
-To say something long takes until it is read. So what is long is said on the main thread: or two processes that say
-something long would wait to be heard, and neither would hear.
+A large send blocks until it is read, so large messages are sent on the main thread. Otherwise two processes that
+send each other large messages would both block, and neither would read.
 """
 
 from __future__ import annotations
@@ -60,11 +60,11 @@ from hedgerow.wire.session import (
 
 LOG = logging.getLogger("agent")
 NO_STEP = 2**62
-"""The step of an input that is none."""
+"""step number of an input message without an input"""
 PAUSE_S = 20 / MOST_PER_S
-"""How long before its last word nothing is said: a secure router drops what comes on the heels of another."""
+"""pause before the last message; a secure router drops a message that follows another too closely"""
 PATIENCE_S = 1.0
-"""How long a step may take before the log says what it waits for."""
+"""time that a step may take before the log names the missing messages"""
 
 
 class Joined(NamedTuple):
@@ -97,14 +97,14 @@ class Agent:
         self._pending: State | None = None
         self._since = time.monotonic()
         self._said: deque[list[tuple[Sender, bytes]]] = deque(maxlen=2)
-        """What went out in the last two steps: a neighbour may still need the one before the last."""
+        """The messages sent in the last two steps; a neighbour may still need those of the step before the last."""
         self._repeated = 0
-        """how often any of it was said again"""
+        """number of repetitions of these messages"""
         self._lock = threading.Lock()
         self._later: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
-        """what the main thread is to say"""
+        """sends queued for the main thread"""
         self._unsaid = 0
-        """how much of that is not said yet"""
+        """number of queued sends not done yet"""
         if 8 * (1 + REPORT_ROWS) * self.shard.k + self.shard.m > LONG_BYTES:
             keep_memory()
         else:
@@ -112,10 +112,10 @@ class Agent:
         self._ended = threading.Event()
         self._failure: Exception | None = None
         self._over = False
-        """the plant has said END, and we our last word"""
+        """True once the plant sent END and we answered it"""
 
         self.joined = Joined(-1)
-        """until it is ours nothing is heard: another may have the place"""
+        """until we have the place, messages are ignored, because another process may have it"""
 
         self.session = open_client(endpoint, namespace, credentials, begin.wait_s or CONNECT_TIMEOUT_S)
         try:
@@ -133,15 +133,15 @@ class Agent:
             for p, peer in enumerate(self.peers)
         ]
         self._receivers.append(self._hear(keys.state(view.shard), self._take_state))
-        # Of a neighbour that is dead itself nobody listens: who comes back waits for the plant alone.
+        # A dead neighbour has no subscriber, so a shard that comes back waits only for the plant.
         senders = [self._input] if begin.join(self.session).life else [self._input, *self._links]
         LOG.info("shard %d has its place, and waits for the others", view.shard)
         wait_for_listeners([sender.publisher for sender in senders], begin.wait_s or LISTEN_TIMEOUT_S)
-        # They may have taken minutes to come, and our place another process, or another run begun.
+        # Waiting may take minutes. Ask again: another process may have our place, or another run may have begun.
         self.joined = begin.join(self.session)
 
     def live(self) -> None:
-        """Take part until the end, and leave the network; the log says both. Raises what `run` does."""
+        """Take part until the end, then leave the network, and log both. Raises the same errors as `run`."""
         if not self._ended.is_set():
             alive = keys.alive(keys.shard_name(self._view.shard), *self.joined)
             self._token = self.session.liveliness().declare_token(alive)
@@ -153,7 +153,7 @@ class Agent:
         LOG.info("end: %d steps answered, %d messages refused", self.shard.t + 1, self.refused)
 
     def run(self) -> None:
-        """Wait for the end, saying in the log what a slow step waits for; raises what a message provoked."""
+        """Wait for the end and log the missing messages of a slow step; raise the error that a message caused."""
         said = -1
         while not self._wait(PATIENCE_S):
             if self._over:
@@ -168,7 +168,7 @@ class Agent:
             raise self._failure
 
     def _wait(self, timeout_s: float) -> bool:
-        """Whether the end comes within so long; what is the main thread's to say is said meanwhile."""
+        """Return True if the end comes within the timeout; meanwhile do the sends of the main thread."""
         by = time.monotonic() + timeout_s
         while not self._ended.is_set() and (left := by - time.monotonic()) > 0:
             with contextlib.suppress(queue.Empty):
@@ -178,12 +178,12 @@ class Agent:
         return self._ended.is_set()
 
     def _say_later(self, say: Callable[[], None]) -> None:
-        """Leave it to the main thread; the lock is held, as in all that a message sets off."""
+        """Queue a send for the main thread; the lock is held, as in every message handler."""
         self._unsaid += 1
         self._later.put(say)
 
     def give_up(self, error: Exception) -> None:
-        """Have `run` raise this, unless the plant has said END."""
+        """Make `run` raise this error, unless the plant already sent END."""
         with self._lock:
             if not self._over:
                 self._fail(error)
@@ -202,11 +202,14 @@ class Agent:
 
     @property
     def refused(self) -> int:
-        """How many messages were none."""
+        """Return the number of refused messages."""
         return sum(receiver.refused for receiver in self._receivers)
 
     def _hear(self, key: str, take: Callable[[bytes], None]) -> Receiver:
-        """Take what comes on `key`, one message at a time; what is no message is refused, and the law may raise."""
+        """Subscribe to `key` and call `take` per message, under the lock.
+
+        Malformed messages are refused, and the law may raise.
+        """
 
         def on_message(message: bytes) -> None:
             with self._lock:
@@ -236,18 +239,18 @@ class Agent:
 
     def _say_last(self) -> None:
         counted = counts([self._input, *self._links], self._receivers)
-        counted["said"][self._input.key] += 1  # this last word too
-        # To leave at once would lose it: the plant says END again when it has it.
+        counted["said"][self._input.key] += 1  # count this event too
+        # Leaving at once would lose the event. The plant sends END again after it received the event.
         word = encode_event(max(0, self.shard.t), {"event": "counted", "life": self.joined.life, **counted})
         self._ended.wait(PAUSE_S)
-        self._over = True  # not before: who is over may leave
+        self._over = True  # set it last, because a process that is over may leave
         self._input.put(word)
 
     def _take(self, state: State) -> None:
         done = self.shard.t
         if state.t == done or (self._pending is not None and self._pending.t == state.t):
-            # The plant repeats itself: somebody missed something, so everybody says again what they said.
-            # One step with each repetition, the newer first: a secure router drops what comes on the heels of another.
+            # The plant repeats its state because a message was missed, so every shard repeats its messages.
+            # Repeat one step each time, the newer first: a secure router drops messages that follow too closely.
             if self._said and not self._unsaid:
                 which = -1 - self._repeated % len(self._said)
                 self._repeated += 1
@@ -256,7 +259,7 @@ class Agent:
             self._pending, self._since = state, time.monotonic()
             self._step_if_complete()
         elif state.t > done and not self._unsaid:
-            # The network went on without us: say that we are here, and the plant tells us all that we missed.
+            # The network advanced without us. Announce ourselves, and the plant sends everything that we missed.
             here = [(self._input, encode_input(NO_STEP, *self.shard.silence))]
             self._say_later(functools.partial(_say, here))
 

@@ -1,8 +1,8 @@
-"""Samples in the order of their steps, whatever the order in which their inputs came.
+"""Samples learned in the order of their steps, even if their inputs arrive in another order.
 
-A sample of node i at step t is x_i(t), f_i(t) and x_i(t + 1). The law learns each as it is closed and skips those
-that lack an input. When that input comes after all, what was learned since is unlearned, and all is learned again in
-the order of the steps: what the law then knows is, bit for bit, what it would have known without the gap.
+A sample of node i at step t is x_i(t), f_i(t) and x_i(t + 1). The law learns each sample when it is closed. It
+skips a sample that lacks an input. If that input arrives late, the law returns to an earlier memory and learns all
+samples since then again, in the order of the steps. Its memory is then bit for bit the same as without the gap.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ Index = NDArray[np.int64]
 
 _OPEN, _HEAR = np.uint8(Flag.OPEN), np.uint8(Flag.HEAR)
 MARK_EVERY = 64
-"""steps between copies of the law's memory while a sample is incomplete: it bounds how much is learned again"""
+"""steps between copies of the law's memory while a sample is incomplete; this bounds how much is learned again"""
 
 
 class LateRows(NamedTuple):
-    """What has come of steps first .. stop - 1 over an incidence, which its samples may have waited for."""
+    """The rows of steps first .. stop - 1 that arrived over an incidence; samples may have waited for them."""
 
     incidence: int
     first: int
@@ -38,18 +38,18 @@ class LateRows(NamedTuple):
 
 
 class _Mark(NamedTuple):
-    """What the law knew before a sample, to go back to."""
+    """A copy of the law's memory before the sample of step t, to return to."""
 
     t: int
     memory: Array
     of: Mask
-    """the nodes of which it is the memory"""
+    """the nodes for which the copy is valid"""
 
 
 class Samples:
-    """What k nodes learn from: `row` and `ends` (2, m) say where the ends of each incidence stand among `width` inputs.
+    """The samples of k nodes. `row` (m,): the node of each incidence; `ends` (2, m): its ends in `width` inputs.
 
-    At most `most` past steps are kept, and with 0 of them nothing is ever learned late.
+    At most `most` past steps are kept. With 0, no late input is learned.
     """
 
     def __init__(self, law: Law, most: int, row: Index, ends: Index, width: int) -> None:
@@ -60,20 +60,21 @@ class Samples:
         self._history = History(most, self.k, width, m)
         self._all = np.full(m, TAKEN, dtype=np.uint8)
         self._behind: set[int] = set()
-        """incidences with a row that is wanted and has not come"""
+        """incidences with a wanted row that has not arrived"""
         self._everybody = np.ones(self.k, dtype=bool)
         self._marks: list[_Mark] = []
-        """by step, while any is behind: of everybody, but that the first, at the oldest row, may be of who came back"""
+        """by step, while an incidence is behind; valid for all nodes, but the first mark, at the oldest row, may be
+        valid only for nodes that came back"""
         self._read: Array | None = None
-        """the last readings in a row of samples, if none of them is missing"""
+        """the readings x(t + 1) of the last sample taken, None if one is missing"""
 
     @property
     def complete(self) -> bool:
-        """Whether no sample waits for an input."""
+        """Return True if no sample waits for an input."""
         return not self._marks
 
     def take(self, x: Array, u: Array, x_next: Array) -> None:
-        """Learn the sample of the next step, of which all is known but, maybe, a reading of x, as of all before it."""
+        """Learn the sample of the next step; this and all earlier samples may lack readings of x, but no inputs."""
         self._history.append(x, u, self._all)
         flow = self._whole_flow(u)
         before, self._read = self._read, x_next if all_finite(x_next) else None
@@ -92,9 +93,9 @@ class Samples:
         late_rows: Sequence[LateRows],
         back: Mask | None,
     ) -> None:
-        """Learn the sample of t under these Flag bits, and in their place those before it that are complete by now.
+        """Learn the sample of t under these Flag bits, after the earlier samples that are now complete.
 
-        `came` is what has come of earlier steps; `back` are nodes to learn anew from the oldest row on.
+        `late_rows` are the rows of earlier steps that arrived; `back` are nodes that learn again from the oldest row.
         """
         bits = np.frombuffer(took, np.uint8)
         if self._most:
@@ -106,7 +107,7 @@ class Samples:
                 self._forget(back)
                 since |= dict.fromkeys(np.flatnonzero(back).tolist(), self._history.first)
             self._learn_again(since, t)
-            # What closes a gap is a row of t itself: all rows before it have come with it.
+            # A row of t itself closes a gap, because all earlier rows arrive with it.
             self._behind = {c for c in self._behind if not took[c] & Flag.HEAR}
             if wants:
                 self._behind.update(np.flatnonzero(bits == _OPEN).tolist())
@@ -122,7 +123,7 @@ class Samples:
         self._marks.append(_Mark(t, self._law.memory.copy(), self._everybody))
 
     def restore(self, record: Record, anew: bool) -> None:
-        """Put what was recorded of nodes that come back where it belongs; `anew` if nothing else is known."""
+        """Write the record of nodes that come back into the history; `anew` if the shard has no other history."""
         if not self._most:
             return
         first, last = record.first, record.t - 1
@@ -137,17 +138,20 @@ class Samples:
         self._history.x(first, last)[:, nodes] = record.x[past]
         self._history.u(first, last)[:, nodes] = record.u[past]
         self._history.bits(first, last)[:, incidences] = record.edge_open[past] * _OPEN
-        # Until its rows come, each of these waits for all that was open.
+        # Until their rows arrive, these incidences wait for every step at which their edge was open.
         wanted = (record.edge_open[past] != 0).any(axis=0)
         self._behind.difference_update(incidences.tolist())
         self._behind.update(incidences[wanted].tolist())
 
     def said(self, start: int, stop: int) -> tuple[Array, Array]:
-        """The states and inputs of our own nodes at steps start .. stop - 1, as far as they are kept, (S, k) each."""
+        """Return the states and inputs of our own nodes at steps start .
+
+        Stop - 1, as far as they are kept, (S, k) each.
+        """
         return self._history.x(start, stop), self._history.u(start, stop)[:, : self.k]
 
     def _completed(self, late_rows: Sequence[LateRows]) -> dict[int, int]:
-        """Put what has come where it belongs; by node, the first step whose sample waited for any of it."""
+        """Write late rows into the history; return, by node, the first step whose sample waited for one of them."""
         history, since = self._history, dict[int, int]()
         for c, first, stop, inputs in late_rows:
             bits = history.bits(first, stop)[:, c]
@@ -167,7 +171,7 @@ class Samples:
         history.append(x, u, bits)
 
     def _move_first_mark(self, newest: Array) -> None:
-        """What falls off is learned for good: nothing can complete it any more."""
+        """Advance the first mark by one step, because the oldest row is dropped and its sample can no longer change."""
         t, memory, of = self._marks.pop(0)
         if self._marks and self._marks[0].t == t + 1:
             return
@@ -179,7 +183,7 @@ class Samples:
         self._law.memory = now
 
     def _forget(self, nodes: Mask) -> None:
-        """Have these nodes know nothing from the oldest row on."""
+        """Reset the memory of these nodes to blank from the oldest row on."""
         first = self._history.first
         if not self._marks or self._marks[0].t > first:
             self._marks.insert(0, _Mark(first, self._blank.copy(), nodes))
@@ -191,7 +195,7 @@ class Samples:
         self._law.memory = memory
 
     def _learn_again(self, since: Mapping[int, int], until: int) -> None:
-        """Learn once more what lies between a step, by node, and `until`; each from the last mark that knows it."""
+        """Learn the samples of each node from its step in `since` to `until` again, starting at its last valid mark."""
         from_mark: dict[int, list[int]] = {}
         for node, step in sorted(since.items()):
             marks = (k for k, mark in enumerate(self._marks) if mark.t <= step and mark.of[node])
@@ -200,7 +204,7 @@ class Samples:
             self._learn_from(k, until, nodes)
 
     def _learn_from(self, k: int, until: int, nodes: list[int]) -> None:
-        """Learn the samples from the k-th mark on once more, for these nodes."""
+        """Learn the samples from the k-th mark to `until` again, for these nodes."""
         law, (start, memory, _) = self._law, self._marks[k]
         later = {mark.t: mark.memory for mark in self._marks[k + 1 :]}
         if len(nodes) == self.k:
@@ -222,7 +226,7 @@ class Samples:
                 self._learn(x[step], flow, x[step + 1])
 
     def _whole_flow(self, u: Array) -> Array:
-        """The flow f of one step, (k,), from inputs (width,) of which none is missing, over edges that are all open."""
+        """Return the flow f of one step, (k,), from inputs (width,); no input is missing and all edges are open."""
         if (kernels := kernels_for(self.k)) is not None:
             return kernels.flow(self._first, self._other, u)  # type: ignore[no-any-return]
         return self._sums(u[self._own] - u[self._other])
@@ -232,17 +236,20 @@ class Samples:
         return starts(self._row, self.k)
 
     def _flow(self, u: Array, bits: Flags) -> Array:
-        """The flow f of one step, (k,), from inputs (width,) and Flag bits (m,); NaN where an input is missing."""
+        """Return the flow f of one step, (k,), from inputs (width,) and Flag bits (m,).
+
+        NaN where an input is missing.
+        """
         difference = u[self._own] - u[self._other]
         difference[bits & _HEAR == 0] = np.nan
         difference[bits & _OPEN == 0] = 0.0
-        return self._sums(difference).astype(float, copy=False)  # of no incidences at all they are integers
+        return self._sums(difference).astype(float, copy=False)  # without incidences, bincount returns integers
 
     def _sums(self, difference: Array) -> Array:
         flow: Array = np.bincount(self._row, difference, self.k)  # type: ignore[assignment]  # weighted: floats
         return flow
 
     def _learn(self, x: Array, flow: Array, x_next: Array) -> None:
-        if np.isnan(np.add.reduce(x + x_next)):  # a reading is missing: so is the sample before it and the one after
+        if np.isnan(np.add.reduce(x + x_next)):  # without a reading, the samples before and after it are missing
             flow = np.where(np.isnan(x + x_next), np.nan, flow)
         self._law.learn(x, flow, x_next)

@@ -1,4 +1,7 @@
-"""The mind of one agent process: k >= 1 nodes, their law, and what they heard; a shard of one is not special."""
+"""The shard of one agent process: k >= 1 nodes, their law and the messages received.
+
+A shard of one is no special case.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +27,7 @@ Index = NDArray[np.int64]
 
 _TAKEN_OF = bytes(flags & TAKEN for flags in range(256))
 MAIL = 64
-"""how many link messages of a peer are kept; one that does not lie is never so far ahead"""
+"""number of link messages kept per peer; a correct peer is never this far ahead"""
 _SILENCE = struct.pack("<d", math.nan)
 
 
@@ -35,7 +38,7 @@ class LawError(UserError):
 
 
 def new_law(view: View) -> Law:
-    """The law of a view, with no sample seen yet; UserError when there is none such, LawError when it cannot begin."""
+    """Return the law of a view, before any sample; UserError if it cannot be loaded, LawError if it cannot begin."""
     law = law_class(view.law)
     try:
         begun = law(view.b, view.candidates)
@@ -48,7 +51,7 @@ def new_law(view: View) -> Law:
 
 
 def law_class(name: str) -> type[Law]:
-    """The class of a law: `minimax`, or `package.module:Class` (looked for in the working directory too)."""
+    """Return the class of a law: `minimax`, or `package.module:Class` (the working directory is searched too)."""
     if name == "minimax":
         return Minimax
     module, _, attribute = name.partition(":")
@@ -74,12 +77,12 @@ def _all_or(k: int, nodes: Index) -> Index | None:
 
 
 class Shard:
-    """Closes the sample of t - 1 and acts at t, for all its nodes at once.
+    """The nodes of one process; at step t they close the sample of t - 1 and act, all at once.
 
-    `hear` what neighbours say and `recall` what the plant says of nodes that come back; when `awaits` nobody any more,
-    `answer` a state, and `say` the link messages of that step. Incidences (a node and one of its edges) are ordered by
-    node and then by neighbour, as in the plant, so that a flow is the same sum, bit for bit, in every layout of the
-    network over processes.
+    `hear` takes link messages of peers and `recall` takes the plant's record of nodes that come back. If `awaits` is
+    empty, `answer` the state and `say` the link messages of that step. Incidences (a node and one of its edges) are
+    ordered by node and then by neighbour, as in the plant. A flow is therefore the same sum, bit for bit, in every
+    layout of the network over processes.
     """
 
     def __init__(self, view: View) -> None:
@@ -89,18 +92,18 @@ class Shard:
         self.degrees: Index = np.bincount(view.row, minlength=self.k)
         self._row = view.row
         ends: Index = np.stack([view.row, view.column])
-        """Per incidence: where the inputs of its two ends stand among our own and the heard ones, (2, m)."""
+        """Per incidence: the indices of its two ends in our own inputs followed by the peers' inputs, (2, m)."""
         self._say = [_all_or(self.k, peer.say) for peer in view.peers]
-        """Per peer: which of our nodes stand in a link message to it; None for all of them, in order."""
+        """Per peer: the indices of our nodes in a link message to it; None for all nodes in order."""
         everything = [p for p, nodes in enumerate(self._say) if nodes is None]
         self._audience: list[tuple[Index | None, Sequence[int]]] = [(None, everything)] if everything else []
-        """Who hears the same of us: one message serves all peers that hear everything."""
+        """Peers that receive the same message: all peers that receive every node share one."""
         self._audience += [(nodes, [p]) for p, nodes in enumerate(self._say) if nodes is not None]
         self.hears = [peer.hear for peer in view.peers]
         self.says = [len(peer.say) for peer in view.peers]
         stops = [self.k, *(self.k + np.cumsum(self.hears, dtype=np.int64)).tolist()]
         self._columns = [slice(first, stop) for first, stop in itertools.pairwise(stops)]
-        """Per peer: where its inputs stand among our own and the heard ones."""
+        """Per peer: the slice of its inputs in our own inputs followed by the peers' inputs."""
         outside = np.flatnonzero(view.column >= self.k)
         peer_of = np.searchsorted(stops, view.column[outside], side="right") - 1
         self._over: list[list[int]] = [outside[peer_of == p].tolist() for p in range(len(view.peers))]
@@ -111,21 +114,24 @@ class Shard:
         self._up = bytes([ALL_UP]) * self.m
         self._samples = Samples(self._law, view.history, self._row, ends, stops[-1])
         self._mail: list[dict[int, Link]] = [{} for _ in view.peers]
-        """Per peer: link messages by step, of the steps that no sample has used yet."""
+        """Per peer: link messages by step, for steps not yet used by a sample."""
         self._record: Record | None = None
         self.t = -1
         """The last step answered."""
         self.x: Array = np.zeros(self.k)
         self.u: Array = np.zeros(self.k)
         self.report: Array = np.full((REPORT_ROWS, self.k), np.nan)
-        """What the nodes say of themselves at the last step."""
+        """The law's report of the nodes at the last step."""
         self.took = b""
-        """What they took in of the step before it: Flag bits by incidence, none if they took in everything."""
+        """The data taken in for the step before: Flag bits by incidence; empty if everything was taken in."""
 
-    # What comes in.
+    # Incoming messages.
 
     def hear(self, peer: int, link: Link) -> None:
-        """Keep a link message of a peer until its step is closed; of too many, not that of the latest step."""
+        """Keep a link message of a peer until its step is closed.
+
+        If there are too many, drop the one of the latest step.
+        """
         if link.t >= self.t:
             mail = self._mail[peer]
             mail[link.t] = link
@@ -133,16 +139,16 @@ class Shard:
                 del mail[max(mail)]
 
     def recall(self, record: Record) -> None:
-        """Keep what the plant says of nodes that come back at `record.t`."""
+        """Keep the plant's record of nodes that come back at `record.t`."""
         if record.t > self.t:
             self._record = record
 
     def follows(self, state: State) -> bool:
-        """Whether a state is the next one to be answered; a shard that comes back begins where its record ends."""
+        """Return True if a state is the next to answer; a shard that comes back begins at the step of its record."""
         return state.t == self.t + 1 or (self._record is not None and self._record.t == state.t)
 
     def awaits(self, state: State) -> list[int]:
-        """Peers whose link message of t - 1 crosses, by what the plant says, and is not here yet."""
+        """Return the peers whose link message of t - 1 crosses, by the plant's flags, and has not arrived yet."""
         past, flags = state.t - 1, state.flags
         late = [p for p in self._everybody if past not in self._mail[p]] if state.t else []
         if late and flags:
@@ -152,7 +158,7 @@ class Shard:
     # A step.
 
     def answer(self, state: State) -> Array:
-        """u(t), (k,), from the state of t once nobody is awaited: the sample of t - 1 is closed first."""
+        """Close the sample of t - 1 and return u(t), (k,), for the state of t; call it once no peer is awaited."""
         t, x = state.t, state.x
         record = self._record if self._record is not None and self._record.t == t else None
         try:
@@ -166,7 +172,7 @@ class Shard:
         return self._act(t, x)
 
     def _restore(self, record: Record) -> None:
-        """Take the record of the nodes that come back for what they remember; the mail is kept, it may be theirs."""
+        """Restore the memory of the nodes that come back from the record; keep the mail, because it may be for them."""
         back = record.back
         for mail in self._mail:
             for t in [t for t in mail if t < record.t - 1]:
@@ -182,12 +188,12 @@ class Shard:
             self.x[back] = self.u[back] = np.nan
 
     def _close(self, state: State, back: Mask | None) -> None:
-        """Learn the sample of t - 1, and first those before it whose inputs have come by now."""
+        """Learn earlier samples whose inputs have now arrived, then the sample of t - 1."""
         past = state.t - 1
         links = [mail.pop(past, None) for mail in self._mail]
         if not state.flags and not state.spans and self._samples.complete and back is None:
             self.took = b""
-            # The last row of each is its newest; here there should be no other.
+            # The last row of each message is its newest; here it should be the only one.
             last_rows = [link.u[-8 * n :] for link, n in zip(links, self.hears, strict=True) if link is not None]
             inputs = gather([self.u, *last_rows]) if links else self.u
             self._samples.take(self.x, inputs, state.x)
@@ -209,7 +215,7 @@ class Shard:
         self._samples.take_late(past, self.x, inputs, self.took, state.x, late_rows, back)
 
     def _came(self, c: int, links: Sequence[Link | None], start: int, stop: int) -> LateRows:
-        """What has come of steps start .. stop - 1 over an incidence, and in which link message."""
+        """Return the rows of steps start .. stop - 1 that arrived over an incidence."""
         if (p := self._peer_of.get(c)) is None or (link := links[p]) is None:
             return LateRows(c, start, stop)
         start = max(start, link.first)
@@ -218,7 +224,7 @@ class Shard:
 
     def _act(self, t: int, x: Array) -> Array:
         try:
-            u = np.array(self._law.act(x), dtype=float)  # a copy: it is kept, and the law may use its own again
+            u = np.array(self._law.act(x), dtype=float)  # copy: the shard keeps it, and the law may reuse its array
             self.report = np.asarray(self._law.report(), dtype=float)
         except Exception as error:
             raise self._failed("act", f"raised {type(error).__name__}: {error}") from error
@@ -230,7 +236,7 @@ class Shard:
         return u
 
     def _without_blind(self, x: Array, u: Array) -> Array:
-        """Inputs of the nodes that have a reading: without one there is no input."""
+        """Return the inputs, NaN for nodes without a reading; LawError if another node has no finite input."""
         blind = np.isnan(x)
         if u.shape != (self.k,) or not np.isfinite(u[~blind]).all():
             given, states = (np.array2string(one, threshold=8, max_line_width=2**16) for one in (u, x))
@@ -241,16 +247,16 @@ class Shard:
         nodes = ", ".join(map(str, self._view.ids[:8]))
         return LawError(f"law {self._view.law}: {method}() of node {nodes} {what}")
 
-    # What goes out.
+    # Outgoing messages.
 
     @property
     def silence(self) -> tuple[bytes, bytes, bytes]:
-        """Of one that cannot answer: no inputs, no reports, nothing taken in."""
+        """Return the answer of a shard that cannot answer: no inputs, no reports, nothing taken in."""
         nothing = np.full((1 + REPORT_ROWS) * self.k, np.nan).tobytes()
         return nothing[: 8 * self.k], nothing[8 * self.k :], bytes(self.m)
 
     def say(self, state: State) -> list[tuple[Sequence[int], Link]]:
-        """The link messages of the step just answered, each with the peers that it is for."""
+        """Return the link messages of the step just answered, each with its receiving peers."""
         if not state.flags and not state.spans:
             return self._say_now() if self._say else []
         flags, first, last = state.flags or self._up, {}, {}
@@ -264,7 +270,7 @@ class Shard:
         return said
 
     def _say_now(self) -> list[tuple[Sequence[int], Link]]:
-        """To every peer the row of this step alone."""
+        """Return messages with the row of this step alone, for every peer."""
         t, x, u = self.t, self.x, self.u
         return [
             (

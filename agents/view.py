@@ -1,4 +1,4 @@
-"""The local view: all that one agent process is told of the network, and nothing else."""
+"""The local view: the only part of the network that one agent process knows."""
 
 from __future__ import annotations
 
@@ -25,16 +25,17 @@ class Peer:
 
     shard: int
     say: Index
-    """which of our nodes stand in a message to it, in that order"""
+    """indices of our nodes in a message to it, in message order"""
     hear: int
-    """how many of its nodes stand in a message to us"""
+    """number of its nodes in a message to us"""
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """What a shard of k >= 1 nodes knows: the gain b of (1), its law, its own nodes, and where its neighbours are.
+    """The knowledge of a shard of k >= 1 nodes: the gain b of (1), its law, its own nodes and its neighbours' shards.
 
-    An incidence is a node and one of its edges; they are ordered by node and then by neighbour, in network order.
+    An incidence is a pair of a node and one of its edges. Incidences are ordered by node, then by neighbour, in network
+    order.
     """
 
     shard: int
@@ -44,20 +45,20 @@ class View:
     ids: Ids
     """of its own nodes, (k,)"""
     candidates: Array
-    """the models of each node in list order, NaN behind the end of a shorter list, (M, k)"""
+    """the models of each node in list order, padded with NaN, (M, k)"""
     row: Index
     """per incidence: the node that it is seen from, (m,)"""
     column: Index
-    """per incidence: its neighbour, by its place among our own nodes, and behind them the heard ones, (m,)"""
+    """per incidence: the index of the neighbour in our own nodes followed by `heard`, (m,)"""
     peers: Sequence[Peer]
     heard: Ids
     """ids of the neighbours in other shards, peer by peer"""
     history: int
-    """how many past steps are kept for back-filling, 0 for none: then what was missed stays missed"""
+    """number of past steps kept for back-filling; with 0, missed samples are never learned"""
 
     @property
     def k(self) -> int:
-        """How many nodes it has."""
+        """Return the number of nodes."""
         return len(self.ids)
 
     def write(self, path: Path) -> None:
@@ -78,7 +79,7 @@ class View:
 
     @classmethod
     def read(cls, path: Path) -> View:
-        """The view in a file."""
+        """Return the view stored in a file."""
         settings, arrays = archive.read(path)
         with archive.reading(path):
             shards, says, hears = arrays.pop("peers").T
@@ -87,11 +88,11 @@ class View:
             return cls(**settings, **arrays, peers=peers)
 
     def to_json(self) -> str:
-        """The same for people to read."""
+        """Return `to_dict` as JSON text."""
         return json.dumps(self.to_dict())
 
     def to_dict(self) -> dict[str, Any]:
-        """The same in words: every node with its candidates and the ids of its neighbours."""
+        """Return the view as a dictionary; every node has its candidates and the ids of its neighbours."""
         own, heard = self.ids.tolist(), self.heard.tolist()
         known = own + heard
         neighbours: list[list[Any]] = [[] for _ in own]
@@ -111,7 +112,10 @@ class View:
 
     @classmethod
     def from_dict(cls, told: Mapping[str, Any]) -> View:
-        """The view that `to_dict` put into words; raises KeyError, TypeError or ValueError where it did not."""
+        """Return the view from a dictionary of `to_dict`.
+
+        KeyError, TypeError or ValueError if the dictionary is malformed.
+        """
         nodes = told["nodes"]
         own, heard = [node["id"] for node in nodes], [j for peer in told["peers"] for j in peer["hear"]]
         place = {node: k for k, node in enumerate(own + heard)}

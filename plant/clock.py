@@ -26,7 +26,7 @@ class Clock:
         self.set_rate(self.rate, 0)
 
     def set_rate(self, rate: float, t: int) -> None:
-        """So many steps a second from step t on; 0 for as fast as possible."""
+        """Set the rate in steps per second from step t on; 0 means as fast as possible."""
         self.rate = rate
         self._period = min(1 / rate, 1e9) if rate else 0.0
         self._base, self._base_t = time.monotonic(), t
@@ -36,17 +36,17 @@ class Clock:
         self.paused, self._allowed = True, 0
 
     def resume(self, t: int) -> None:
-        """Go on at the same rate from step t."""
+        """Continue at the same rate from step t."""
         self.paused, self._allowed = False, 0
         self.set_rate(self.rate, t)
 
     def allow(self, steps: int) -> None:
-        """Pause, but make so many steps first, at the same rate."""
+        """Pause after the given number of steps, made at the same rate."""
         self.paused = True
         self._allowed += steps
 
     def wait_s(self, t: int) -> float:
-        """How long state(t) must still be held; infinite while paused."""
+        """Return how long state(t) must still be held, in seconds; infinite while paused."""
         if self.paused:
             return self.sent_at + self._period - time.monotonic() if self._allowed else float("inf")
         return self._base + (t - self._base_t) * self._period - time.monotonic() if self._period else 0.0
@@ -58,11 +58,11 @@ class Clock:
             self._allowed -= 1
 
     def waited_s(self) -> float:
-        """How long the answers to the last state have been waited for."""
+        """Return how long the answers to the last state have been awaited, in seconds."""
         return time.monotonic() - self.sent_at
 
     def repeat_is_due(self) -> bool:
-        """Whether the last state should be said again; true once every RESEND_AFTER_S."""
+        """Return True if the last state should be sent again; True once every RESEND_AFTER_S."""
         if self.waited_s() <= RESEND_AFTER_S * (self._repeats + 1):
             return False
         self._repeats += 1

@@ -80,7 +80,7 @@ def _name(effect: Effect) -> tuple[int, str, Sequence[int]]:
 
 @dataclass(frozen=True)
 class ActiveFaults:
-    """What goes wrong at one step; None where nothing of the kind does."""
+    """The faults active at one step; None for each kind without a fault."""
 
     lost: Mask | None = None
     """link messages, by incidence, (2E,)"""
@@ -138,11 +138,11 @@ class Faults:
         return self._active
 
     def none_at(self, t: int) -> bool:
-        """Whether no effect is at work at step t."""
+        """Return True if no effect is active at step t."""
         return not self._look(t)
 
     def at(self, t: int) -> ActiveFaults:
-        """What goes wrong at step t, but for crashes and jumps."""
+        """Return the faults active at step t, except crashes and jumps."""
         if not self._look(t):
             return NOTHING
         found: dict[str, Mask] = {}
@@ -172,7 +172,7 @@ class Faults:
         return np.asarray(targets[lots[t - first]])
 
     def absent(self, t: int) -> Mask | None:
-        """Nodes whose agent is dead at step t, (n,); None when none is."""
+        """Return a mask of nodes whose agent is dead at step t, (n,); None if there is none."""
         if not self._look(t):
             return None
         dead = [one.targets for one in self._look(t) if one.kind == "crash"]
@@ -184,5 +184,5 @@ class Faults:
         return absent
 
     def jumps(self, t: int) -> list[tuple[int, float]]:
-        """Nodes whose true a is another from step t on, and which."""
+        """Return the nodes whose true a changes at step t, each with its new a."""
         return [(one.targets[0], one.a) for one in self._look(t) if one.kind == "jump" and one.start == t]

@@ -22,7 +22,7 @@ class Deliveries(NamedTuple):
 
     @property
     def fresh(self) -> Mask:
-        """Links that bring the row of the step itself."""
+        """Return the links that deliver the row of the step itself."""
         return np.asarray(self.some & (self.late == 0))
 
 
@@ -42,7 +42,7 @@ class Links:
         """Every link brings the row of its step."""
 
     def plan(self, t: int, down: Mask, late: Index | None) -> Deliveries:
-        """What crosses at step t when these links are down and those late."""
+        """Return the rows that cross at step t, given the links that are down and the delays of late links."""
         nothing = self.whole.late
         if not self._history:  # nothing is made up for, and what is late comes too late
             return Deliveries(~down & (late == 0) if late is not None else ~down, nothing, nothing)

@@ -37,7 +37,7 @@ class Shard:
     life: int = -1
     """how often it was started again; -1 before it was ever seen"""
     alive: bool = False
-    """whether its token is there"""
+    """True while its token is present"""
     seen: int = -1
     """the last life whose token came: it had reached the router"""
     died: int = -1
@@ -61,7 +61,7 @@ class Shard:
 
     @property
     def ready(self) -> bool:
-        """Whether it can be sent a state."""
+        """Return True if a state can be sent to it."""
         return self.alive and self.life > self.died
 
     @property

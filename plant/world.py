@@ -78,7 +78,7 @@ class World:
         self._next_w: Array | None = None
         """w(t), if it is known already"""
         self.fault_count = truth.faults
-        """how many faults there are, those that came while the run goes on among them"""
+        """number of faults, including those added during the run"""
         self.faults = Faults((Effect.from_dict(one) for one in truth.effects), graph, truth.ids, truth.seed)
         self.links = Links(graph, truth.history)
         self._record = History(truth.history, graph.n, graph.n, len(graph.edges))
@@ -152,21 +152,21 @@ class World:
         return flags
 
     def present(self, p: int) -> bool:
-        """Whether shard p has a node whose agent is there at t."""
+        """Return True if shard p has a node whose agent is present at t."""
         return self._now.absent is self._nobody or not bool(self._now.absent[self._parts[p].nodes].all())
 
     def wanted(self, p: int, t: int) -> bool:
-        """Whether shard p has a node whose agent should be there at step t."""
+        """Return True if shard p has a node whose agent should be present at step t."""
         absent = self.faults.absent(t)
         return absent is None or not bool(absent[self._parts[p].nodes].all())
 
     def comes_back(self, p: int) -> bool:
-        """Whether shard p, where nobody is at t, will be wanted again before the last step."""
+        """Return True if shard p, absent at t, will be wanted again before the last step."""
         ends = [one.stop for one in self.faults.effects if one.kind == "crash"]
         return any(self.wanted(p, stop) for stop in ends if self.t < stop < self.steps)
 
     def states(self) -> list[tuple[State | None, Record | None]]:
-        """By shard: its state of t, None if nobody is there, and the record of its nodes that come back."""
+        """Return, by shard, its state of t, None if the shard is absent, and the record of its nodes that come back."""
         now, t = self._now, self.t
         x = now.told if self._in_order else now.told.take(self.order)
         told: list[tuple[State | None, Record | None]] = []
@@ -272,7 +272,7 @@ class World:
 
     @cached_property
     def _in_order(self) -> bool:
-        """Whether the shards, one after the other, hold the nodes in network order."""
+        """Return True if the shards, one after the other, hold the nodes in network order."""
         return bool((self.order[1:] > self.order[:-1]).all())
 
     def _taken(self, took: Sequence[Buffer]) -> Flags:

@@ -24,7 +24,7 @@ REPORT_ROWS = 2
 """Numbers that a node reports about itself: ahat and the margin J_(2) - J_(1)."""
 
 _HEADER = struct.Struct("<BBHIq")
-"""version, kind, 0, how many nodes, step"""
+"""version, kind, 0, number of nodes, step"""
 
 _SIZE = _HEADER.size
 _F8 = np.dtype("<f8")
@@ -41,7 +41,7 @@ Buffer = bytes | memoryview | NDArray[Any]
 
 
 class Kind(IntEnum):
-    """What a message is."""
+    """The kind of a message."""
 
     STATE = 0
     INPUT = 1
@@ -60,7 +60,7 @@ class Flag(IntEnum):
     OPEN = 1
     """the edge carried flow at t - 1"""
     HEAR = 2
-    """the link from the neighbour brought something at t - 1: its message of that step has come or will"""
+    """the link from the neighbour delivers at t - 1: its message of that step has arrived or will arrive"""
     TELL = 4
     """the link to the neighbour is up at t: send it this step's message"""
 
@@ -81,7 +81,7 @@ class MessageError(HedgerowError):
 
 
 class Span(NamedTuple):
-    """Which rows cross the links of one incidence, where that is not the row of the step alone.
+    """The rows that cross the links of one incidence, if they are not only the row of the step.
 
     Over the link from the neighbour, at t - 1: row t - 1 - heard_late and heard_back rows before it; over the link to
     it, at t: row t - told_late and told_back rows before it.
@@ -108,7 +108,7 @@ class State(NamedTuple):
 
 
 class Record(NamedTuple):
-    """Plant to shard, before the state of t, of the r nodes that come back: all that they said and were told.
+    """Plant to shard, before the state of t, the history of the r nodes that come back: states, inputs and open edges.
 
     Steps `first` .. t - 1, S of them: x and u (S, r), NaN where there was none, and which of their incidences' edges
     were open (S, m_r).
@@ -116,7 +116,7 @@ class Record(NamedTuple):
 
     t: int
     back: Mask
-    """which of the shard's nodes come back, (k,)"""
+    """True for the shard's nodes that come back, (k,)"""
     first: int
     x: Array
     u: Array
@@ -177,7 +177,7 @@ class End(NamedTuple):
     t: int
     x: Array
     elapsed_s: float
-    """from the first state sent to the last input taken, by the plant's clock"""
+    """time from the first state sent to the last input taken, by the plant's clock"""
     forgotten: int = 0
     """rows of neighbours' inputs that fell off the history before they could be back-filled"""
 
@@ -195,12 +195,12 @@ def _count(doubles: Buffer) -> int:
 
 
 def join(parts: Iterable[Buffer]) -> bytes:
-    """All parts, one after the other."""
+    """Return all parts, concatenated."""
     return b"".join(parts)  # type: ignore[arg-type]  # arrays are buffers
 
 
 def gather(parts: Iterable[Buffer]) -> Array:
-    """The doubles of several messages as one array.
+    """Return the doubles of several messages as one array.
 
     They stay bytes until all of a step are here: one look at many costs what a look at each would.
     """
@@ -208,12 +208,12 @@ def gather(parts: Iterable[Buffer]) -> Array:
 
 
 def kind_of(message: bytes) -> int:
-    """The kind byte of a message, unchecked beyond its presence."""
+    """Return the kind byte of a message; only its presence is checked."""
     return message[1] if len(message) >= _SIZE else -1
 
 
 def _open(message: bytes, kind: int, n: int, size: int) -> int:
-    """The step of a message whose header and length are right; raise MessageError for any other."""
+    """Return the step of a message; raise MessageError if its header or length is wrong."""
     if len(message) == _SIZE + size:
         version, found, _, nodes, t = _HEADER.unpack_from(message)
         if version == VERSION and found == kind and nodes == n and t >= 0:
@@ -238,14 +238,14 @@ def _floats(message: bytes, count: int, skip: int = 0) -> Array:
 
 
 def encode_state(t: int, x: Buffer, flags: Buffer, spans: Sequence[Span] = ()) -> bytes:
-    """A State message."""
+    """Return the bytes of a State message."""
     if spans:
         flags = bytes(flags) + b"".join([_SPAN.pack(*span) for span in spans])
     return _pack(_STATE, _count(x), t, x, flags)
 
 
 def decode_state(message: bytes, k: int, m: int) -> State:
-    """A State of k nodes and m incidences."""
+    """Return the State of k nodes and m incidences."""
     end = _SIZE + 8 * k
     if len(message) in (end, end + m):
         t = _open(message, _STATE, k, len(message) - _SIZE)
@@ -261,13 +261,13 @@ def decode_state(message: bytes, k: int, m: int) -> State:
 
 
 def encode_record(record: Record) -> bytes:
-    """A Record message."""
+    """Return the bytes of a Record message."""
     arrays = (_STEP.pack(record.first), record.back.astype(_U1), record.x, record.u, record.edge_open)
     return _pack(Kind.RECORD, len(record.back), record.t, *arrays)
 
 
 def decode_record(message: bytes, degrees: Sequence[int] | NDArray[np.int64]) -> Record:
-    """A Record for a shard whose nodes have so many neighbours each."""
+    """Return the Record for a shard, given the degrees of its nodes."""
     k = len(degrees)
     fixed = 8 + k
     back = np.frombuffer(message[_SIZE + 8 : _SIZE + fixed], _U1).astype(bool)
@@ -287,12 +287,12 @@ def decode_record(message: bytes, degrees: Sequence[int] | NDArray[np.int64]) ->
 
 
 def encode_input(t: int, u: Buffer, report: Buffer, took: Buffer) -> bytes:
-    """An Input message; report is ahat and margin."""
+    """Return the bytes of an Input message; `report` is ahat and margin."""
     return _pack(_INPUT, _count(u), t, u, report, took)
 
 
 def decode_input(message: bytes, k: int, m: int) -> Input:
-    """An Input of k nodes with m incidences."""
+    """Return the Input of k nodes with m incidences."""
     size, whole = 8 * k, memoryview(message)
     numbers = size * (1 + REPORT_ROWS)
     t = _open(message, _INPUT, k, numbers if len(message) == _SIZE + numbers else numbers + m)
@@ -301,13 +301,13 @@ def decode_input(message: bytes, k: int, m: int) -> Input:
 
 
 def encode_link(link: Link, n: int) -> bytes:
-    """A Link message of n nodes."""
+    """Return the bytes of a Link message of n nodes."""
     t, first, x, u = link
     return _LINK_HEADER.pack(VERSION, _LINK, 0, n, t, first) + x + u
 
 
 def decode_link(message: bytes, n: int) -> Link:
-    """A Link of n boundary nodes, with one row or more."""
+    """Return the Link of n boundary nodes, with one row or more."""
     size = max(1, (len(message) - _LINK_HEADER.size) // (16 * n)) * 16 * n
     t = _open(message, _LINK, n, 8 + size)
     (first,) = _STEP.unpack_from(message, _SIZE)
@@ -328,7 +328,7 @@ def encode_telemetry(row: Telemetry, whole: bool = False) -> tuple[Buffer, ...]:
 
 
 def decode_telemetry(message: bytes, n: int, e: int) -> Telemetry:
-    """A Telemetry row of n nodes and e edges."""
+    """Return the Telemetry of n nodes and e edges."""
     rows = 3 + REPORT_ROWS
     size = 8 * n * rows
     whole = len(message) == _SIZE + size
@@ -344,37 +344,37 @@ def decode_telemetry(message: bytes, n: int, e: int) -> Telemetry:
 
 @cache
 def _whole(e: int) -> tuple[Flags, Flags, Flags]:
-    """That all of e edges are open, all links up and all is taken in."""
+    """Return the flags of a step where all e edges are open, all links are up and everything is taken in."""
     edge_open, link_up, took = (np.broadcast_to(np.uint8(bit), c) for bit, c in ((1, e), (1, 2 * e), (TAKEN, 2 * e)))
     return edge_open, link_up, took
 
 
 def encode_trips(trips: Trips) -> bytes:
-    """A Trips message."""
+    """Return the bytes of a Trips message."""
     return _pack(Kind.TRIPS, trips.seconds.shape[1], trips.t, trips.seconds)
 
 
 def decode_trips(message: bytes, p: int) -> Trips:
-    """The Trips of p shards, of one step or more."""
+    """Return the Trips of p shards, for one step or more."""
     size = max(1, (len(message) - _SIZE) // (8 * p)) * 8 * p
     t = _open(message, Kind.TRIPS, p, size)
     return Trips(t, _floats(message, size // 8).reshape(-1, p))
 
 
 def encode_end(end: End) -> bytes:
-    """An End message; to a shard it carries no states."""
+    """Return the bytes of an End message; to a shard it carries no states."""
     return _pack(Kind.END, len(end.x), end.t, end.x, np.array([end.elapsed_s]), _STEP.pack(end.forgotten))
 
 
 def decode_end(message: bytes, n: int) -> End:
-    """An End with n final states."""
+    """Return the End with n final states."""
     t = _open(message, Kind.END, n, 8 * n + 16)
     (forgotten,) = _STEP.unpack_from(message, _SIZE + 8 * n + 8)
     return End(t, _floats(message, n), float(_floats(message, 1, n)[0]), forgotten)
 
 
 def telemetry_bytes(n: int, e: int) -> int:
-    """How long a Telemetry message of n nodes and e edges is at most."""
+    """Return the maximum length of a Telemetry message of n nodes and e edges."""
     return _SIZE + 8 * n * (3 + REPORT_ROWS) + 5 * e
 
 

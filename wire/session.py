@@ -43,7 +43,7 @@ STRANGE_KEYS = 16
 
 
 class WireError(HedgerowError):
-    """A session that could not be opened, or a peer that never came."""
+    """A session that could not be opened, or a peer that never arrived."""
 
     default_code = Code.WIRE
 
@@ -225,7 +225,7 @@ def _refusal(endpoint: str, credentials: Credentials) -> str | None:
 
 
 def has_router(session: zenoh.Session) -> bool:
-    """Whether a client has its router; it looks for one that is gone for as long as it lives."""
+    """Return True if a client is connected to its router; a client keeps trying to reconnect."""
     return bool(session.info.routers_zid())
 
 
@@ -291,7 +291,7 @@ def subscriber(session: zenoh.Session, key: str, take: Callable[[bytes], None]) 
 
 
 class Sender:
-    """A publisher that counts what it said."""
+    """A publisher that counts its messages."""
 
     def __init__(self, session: zenoh.Session, key: str) -> None:
         self.key, self.said = key, 0
@@ -299,13 +299,13 @@ class Sender:
         self._put = self.publisher.put
 
     def put(self, message: bytes) -> None:
-        """Say it."""
+        """Send the message and count it."""
         self.said += 1
         self._put(message)
 
 
 class Receiver:
-    """A subscriber that counts what it heard; `take` raises MessageError for what is no message of its key."""
+    """A subscriber that counts its messages; `take` raises MessageError for a message that is not valid on its key."""
 
     def __init__(self, session: zenoh.Session, key: str, take: Callable[[bytes], None]) -> None:
         """`take` is called on the network thread, where it must not wait."""
@@ -316,7 +316,7 @@ class Receiver:
         self._declared = session.declare_subscriber(key, direct(self._on_sample))
 
     def close(self) -> None:
-        """Hear nothing more."""
+        """Stop receiving messages."""
         with contextlib.suppress(zenoh.ZError):  # the session may be closed
             self._declared.undeclare()  # type: ignore[no-untyped-call]
 
