@@ -55,8 +55,11 @@ def find_run(run: str | Path) -> Path:
 def load_resolved(folder: Path) -> Topology:
     """The topology in a run's folder; UserError if it is another than the resolved one that belongs there."""
     file = folder / "topology.yaml"
-    with reading(file):
-        check_regular(file, inside=folder)
+    try:
+        with reading(file):
+            check_regular(file, inside=folder)
+    except FileNotFoundError:
+        raise UserError(f"{folder}: has no topology.yaml. Name the folder of a run.", code=Code.RUN_MISSING) from None
     topology = load(str(folder))
     try:
         network = topology.network  # it draws nothing, and raises where a number is left to chance

@@ -268,7 +268,7 @@ def test_a_machine_of_a_cluster_needs_what_an_agent_needs() -> None:
     """What Ray loads there brings numpy and Zenoh, and none of the operator's packages."""
     code = """
 import sys
-from hedgerow.orchestrator.launch.ray_agents import Seat
+from hedgerow.orchestrator.launch.ray_agents import RemoteAgent
 import hedgerow.agents.standalone
 print([name for name in ("pydantic", "yaml", "scipy", "pyarrow", "rerun", "rich", "typer") if name in sys.modules])
 """
