@@ -12,7 +12,7 @@ from hedgerow.orchestrator.testing import Networks
 
 T = 8
 BOUNDARIES = (0, 1, T - 2, T - 1, T, T + 3)
-SEEDS = range(24)
+SEEDS = range(60)
 
 
 def window(draw: random.Random) -> list[int]:
