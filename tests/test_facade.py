@@ -50,3 +50,10 @@ def test_a_mistake_has_a_code(here: Path) -> None:
     with pytest.raises(hg.TopologyError) as raised:
         hg.load(PAIR, b=2.0)
     assert raised.value.code in hg.Code
+
+
+def test_a_file_that_no_command_reads_is_refused_here_as_well(here: Path) -> None:
+    for load in (hg.load, hg.simulate):
+        with pytest.raises(hg.UserError) as raised:
+            load("/dev/zero")
+        assert raised.value.code == hg.Code.FILE_NOT_REGULAR

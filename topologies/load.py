@@ -9,7 +9,7 @@ import json
 import operator
 import re
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path as FilePath
@@ -73,6 +73,11 @@ def load(name: str, overrides: Sequence[str] = ()) -> Topology:
     Raises TopologyError with every mistake found, or UserError when there is no such file.
     """
     path = find(name)
+    return parse(content(path), str(path), path.parent, overrides)
+
+
+def content(path: FilePath) -> bytes:
+    """Return the bytes of a topology file; raise UserError if it is too large, not regular, or cannot be read."""
     try:
         if (size := check_regular(path).st_size) > MAX_BYTES:
             raise UserError(
@@ -80,35 +85,7 @@ def load(name: str, overrides: Sequence[str] = ()) -> Topology:
                 "put long samples in a CSV file",
                 code=Code.FILE_TOO_LARGE,
             )
-        text = read_regular(path)
-    except OSError as error:
-        raise UserError(
-            f"{path}: cannot be read: {error.strerror}; check its permissions", code=Code.FILE_UNREADABLE
-        ) from None
-    return parse(text, str(path), path.parent, overrides)
-
-
-Named = str | FilePath | Mapping[str, Any] | Topology
-"""A network as Python code names it: see `text_of`."""
-
-
-def text_of(network: Named) -> tuple[bytes, str, FilePath]:
-    """Return the text of a network, its name in messages, and the folder of its CSV files.
-
-    `network` is a bundled name, the path of a file or of a run folder, the text of a file, a dictionary of the same
-    shape, or a Topology. Raises UserError if there is no such file, or it cannot be read.
-    """
-    if isinstance(network, Topology):
-        from hedgerow.topologies.resolve import to_yaml  # noqa: PLC0415 (it loads this module)
-
-        return to_yaml(network).encode(), network.name, FilePath()
-    if isinstance(network, Mapping):
-        return json.dumps(network).encode(), "network", FilePath()
-    if isinstance(network, str) and ("\n" in network or network.lstrip().startswith("{")):
-        return network.encode(), "network", FilePath()
-    path = find(str(network))
-    try:
-        return path.read_bytes(), str(path), path.parent
+        return read_regular(path)
     except OSError as error:
         raise UserError(
             f"{path}: cannot be read: {error.strerror}; check its permissions", code=Code.FILE_UNREADABLE

@@ -13,12 +13,12 @@ from hedgerow.orchestrator.ground.assignment import Layout, law_of, layout, trut
 from hedgerow.orchestrator.ground.signals import Interrupts
 from hedgerow.orchestrator.launch.recording import Run, Watching
 from hedgerow.orchestrator.metrics.verdict import Ending, Verdict
-from hedgerow.orchestrator.runs import reference as in_process
+from hedgerow.orchestrator.runs import reference
 from hedgerow.orchestrator.runs.folder import RunFolder, create
 from hedgerow.orchestrator.views.screen import Quiet, Screen
 from hedgerow.topologies.errors import HedgerowError
-from hedgerow.topologies.load import find, load
-from hedgerow.topologies.resolve import resolve
+from hedgerow.topologies.named import Named, resolved
+from hedgerow.topologies.paths import user_path
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire.codec import End, Telemetry
 
@@ -26,18 +26,18 @@ if TYPE_CHECKING:
     from hedgerow.orchestrator.runs.reader import RecordedRun
 
 
-def simulate(network: str | Path, *settings: str, run_dir: str | Path | None = None) -> RecordedRun:
+def simulate(network: Named, *settings: str, run_dir: str | Path | None = None) -> RecordedRun:
     """Run a network in this process, and read back what it left: `simulate("paper7", "steps=300", "law=hinf")`.
 
-    network: a bundled name, a file, or the folder of a run. settings: `path=value`, as for `--set` on the command line.
+    network: as of `topologies.named.text_of`. settings: `path=value`, as for `--set` on the command line.
     run_dir: a new folder for the run, else one in runs/. Raises HedgerowError for a mistake, or if no step was made.
     """
     # `up` comes by here, and has no use for what reads runs.
     from hedgerow.orchestrator.runs.reader import load_run  # noqa: PLC0415
 
-    topology = resolve(load(str(network), settings), find(str(network)).parent)
+    topology = resolved(network, settings)
     law_class(law_of(topology))  # a mistake in it is better known before there is a folder
-    folder = create(topology, None if run_dir is None else Path(run_dir))
+    folder = create(topology, None if run_dir is None else user_path(str(run_dir)))
     verdict = simulate_into(topology, folder, layout(topology, 1), Watching(record=False), Quiet())
     if not verdict.content["steps_done"]:
         raise HedgerowError(verdict.line())
@@ -53,7 +53,7 @@ def simulate_into(
     folder.event("start", engine=ending.engine)
     run.tell_faults()
     began = time.monotonic()
-    telemetry = in_process.run(truth_of(topology, shards), views_of(topology, shards))
+    telemetry = reference.run(truth_of(topology, shards), views_of(topology, shards))
     with Interrupts() as interrupts:
         try:
             for rows in _batches(telemetry, run.rows_at_once):

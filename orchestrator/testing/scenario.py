@@ -13,13 +13,14 @@ from hedgerow.orchestrator.ground.assignment import layout, truth_of, views_of
 from hedgerow.orchestrator.launch.live import FaultVerbs, checked
 from hedgerow.orchestrator.launch.recording import Run, Watching
 from hedgerow.orchestrator.metrics.verdict import Ending
-from hedgerow.orchestrator.runs import reference as in_process
+from hedgerow.orchestrator.runs import reference
 from hedgerow.orchestrator.runs.folder import create
 from hedgerow.orchestrator.testing.result import Result
 from hedgerow.orchestrator.testing.running import Running, run_to_the_end
 from hedgerow.topologies.errors import UserError
 from hedgerow.topologies.faults import Fault
-from hedgerow.topologies.load import Named, parse, text_of
+from hedgerow.topologies.load import parse
+from hedgerow.topologies.named import Named, text_of
 from hedgerow.topologies.resolve import resolve
 from hedgerow.topologies.schema import Record, Topology
 from hedgerow.wire.codec import End, Telemetry
@@ -124,7 +125,7 @@ def _run_here(topology: Topology, path: Path) -> Result:
     folder.event("start", engine=ending.engine)
     run.tell_faults()
     shards = layout(topology, topology.processes if isinstance(topology.processes, int) else 1)
-    rows = in_process.run(truth_of(topology, shards), views_of(topology, shards))
+    rows = reference.run(truth_of(topology, shards), views_of(topology, shards))
     for batch in _batches(rows, run.rows_at_once):
         if steps := [row for row in batch if isinstance(row, Telemetry)]:
             run.take(steps)
