@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-from hedgerow.wire import standalone as anywhere  # before Zenoh and numpy are loaded
+from hedgerow.wire import standalone  # before Zenoh and numpy are loaded
 
 import zenoh  # isort: skip
 
@@ -32,7 +32,7 @@ TRIES = 2
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run one agent of a network where it is started, until the plant says END."""
-    parser = anywhere.options("agent", main.__doc__ or "")
+    parser = standalone.options("agent", main.__doc__ or "")
     parser.add_argument("--name", help="the node's id; its config is then agent-NAME.toml, if --config says nothing")
     known = parser.parse_args(arguments)
 
@@ -47,12 +47,12 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     def body(config: Config, endpoint: str, credentials: Path | None) -> None:
         take_part(config, endpoint, known.wait, credentials)
 
-    anywhere.main(find, known, body)
+    standalone.main(find, known, body)
 
 
 def take_part(config: Config, endpoint: str, wait_s: float, credentials: Credentials | Path | None = None) -> None:
     """Be one agent until the plant says END, and wait at most so long for the others; HedgerowError if in vain."""
-    view = anywhere.told(config, View.from_dict)
+    view = standalone.told(config, View.from_dict)
     place = PlaceRequest(config, view.shard, wait_s)
     LOG.info("%s of %s: looking for %s", config.process, config.namespace, endpoint)
     agent = Agent(view, config.namespace, endpoint, Begin(place.take, wait_s), credentials)
@@ -80,14 +80,14 @@ class PlaceRequest:
         who, by, unanswered = self._config.process, time.monotonic() + self._within_s, 0
         while True:
             # Whoever waits for its place may see one plant leave and another come.
-            anywhere.wait_for(session, keys.PLANT, max(anywhere.PAUSE_S, by - time.monotonic()))
+            standalone.wait_for(session, keys.PLANT, max(standalone.PAUSE_S, by - time.monotonic()))
             answer = self._ask(session)
             if answer is None:
                 unanswered += 1
                 if unanswered == TRIES:
                     raise WireError(
-                        f"the plant is there and did not answer {who} within {anywhere.ASK_S:g} s; where the network is"
-                        f" secure, are those the keys of {who}?"
+                        f"the plant is there and did not answer {who} within {standalone.ASK_S:g} s; where the network"
+                        f" is secure, are those the keys of {who}?"
                     )
             elif "life" in answer:
                 return Joined(int(answer["life"]), int(answer["plant"]))
@@ -98,11 +98,11 @@ class PlaceRequest:
             else:
                 unanswered = 0
                 LOG.warning("%s; waiting", answer["error"])
-            threading.Event().wait(anywhere.PAUSE_S)
+            threading.Event().wait(standalone.PAUSE_S)
 
     def _ask(self, session: zenoh.Session) -> dict[str, Any] | None:
         request = {"process": self._config.process, "number": self._number, **introduction(self._config.network)}
-        for reply in session.get(keys.join(self._shard), payload=json.dumps(request), timeout=anywhere.ASK_S):
+        for reply in session.get(keys.join(self._shard), payload=json.dumps(request), timeout=standalone.ASK_S):
             if reply.ok is not None:
                 with contextlib.suppress(ValueError):  # no plant answers so: ask again
                     answer = bounded_json.decode(reply.ok.payload.to_bytes())

@@ -25,7 +25,7 @@ import scipy.sparse
 from benchmarks.table import show
 from hedgerow.agents.view import View
 from hedgerow.orchestrator.ground.assignment import HISTORY_BYTES
-from hedgerow.orchestrator.runs import reference as in_process
+from hedgerow.orchestrator.runs import reference
 from hedgerow.plant.truth import Truth
 from hedgerow.topologies.fast import LARGE, kernels_for
 from hedgerow.topologies.graph import Array, Graph
@@ -122,7 +122,7 @@ def plain(network: Ring, sparse: bool) -> tuple[float, Array]:
 def ours(network: Ring) -> tuple[float, Array]:
     """The same of the in-process engine."""
     began, x = 0.0, network.truth.x0
-    for row in in_process.run(network.truth, [network.view]):
+    for row in reference.run(network.truth, [network.view]):
         if row.t == WARM_UP - 1 and isinstance(row, Telemetry):
             began = time.process_time()
         x = row.x
@@ -142,10 +142,10 @@ def _peak() -> int:
 
 
 def _memory(n: int) -> None:
-    for _ in in_process.run(*_run_of(LARGE)):  # load all that is loaded once
+    for _ in reference.run(*_run_of(LARGE)):  # load all that is loaded once
         pass
     before = _peak()
-    for _ in in_process.run(*_run_of(n)):
+    for _ in reference.run(*_run_of(n)):
         pass
     print((_peak() - before) / n)
 

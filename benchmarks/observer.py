@@ -21,7 +21,7 @@ from hedgerow.orchestrator.ground.assignment import layout, truth_of, views_of
 from hedgerow.orchestrator.metrics.certificate import Certificate
 from hedgerow.orchestrator.metrics.observer import Observer
 from hedgerow.orchestrator.metrics.twins import Twins
-from hedgerow.orchestrator.runs import reference as in_process
+from hedgerow.orchestrator.runs import reference
 from hedgerow.orchestrator.runs.writer import Recorder
 from hedgerow.orchestrator.views.rerun.stream import RerunStream
 from hedgerow.topologies.load import parse
@@ -68,7 +68,7 @@ def measure(kind: str, nodes: int, steps: int) -> dict[str, Any]:
     clock.wrap(Twins, "run", "twins")
     clock.wrap(Certificate, "take", "certificate")
     observer, shards = Observer(topology), layout(topology, 1)
-    rows = in_process.run(truth_of(topology, shards), views_of(topology, shards))
+    rows = reference.run(truth_of(topology, shards), views_of(topology, shards))
     with tempfile.TemporaryDirectory(prefix="hedgerow-") as folder:
         recorder = Recorder(topology, Path(folder))
         stream = RerunStream(topology, observer, "measured", Path(folder) / "run.rrd", None)

@@ -29,7 +29,7 @@ import psutil
 from benchmarks.table import show
 from hedgerow.agents.view import View
 from hedgerow.orchestrator.ground.assignment import truth_of, views_of
-from hedgerow.orchestrator.runs import reference as in_process
+from hedgerow.orchestrator.runs import reference
 from hedgerow.plant.truth import Truth
 from hedgerow.topologies.graph import Array
 from hedgerow.topologies.load import load
@@ -63,7 +63,7 @@ def ring(nodes: int, steps: int, folder: Path) -> Topology:
 def engine(truth: Truth, views: Sequence[View]) -> tuple[float, Array]:
     """Steps per second of the in-process engine, and the last state."""
     began, x = 0.0, truth.x0
-    for row in in_process.run(truth, views):
+    for row in reference.run(truth, views):
         if row.t == WARM_UP - 1 and isinstance(row, Telemetry):
             began = time.monotonic()
         x = row.x

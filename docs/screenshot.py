@@ -17,7 +17,7 @@ from rerun.experimental import ViewerClient
 
 from hedgerow.orchestrator.ground.assignment import layout, truth_of, views_of
 from hedgerow.orchestrator.metrics.observer import Observer
-from hedgerow.orchestrator.runs import reference as in_process
+from hedgerow.orchestrator.runs import reference
 from hedgerow.orchestrator.views.rerun.stream import RerunStream
 from hedgerow.orchestrator.views.rerun.viewer import native
 from hedgerow.topologies.load import load
@@ -36,7 +36,7 @@ QUIET_S = 8.0
 def stream(rerun: RerunStream, observer: Observer, steps: int) -> None:
     """Run the network in this process, and show its first steps."""
     shards = layout(observer.topology, None)
-    ran = list(in_process.run(truth_of(observer.topology, shards), views_of(observer.topology, shards)))
+    ran = list(reference.run(truth_of(observer.topology, shards), views_of(observer.topology, shards)))
     rerun.log(observer.take([row for row in ran if isinstance(row, Telemetry)][:steps]))
     if steps < STEPS:
         return

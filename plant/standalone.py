@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
 
-from hedgerow.wire import standalone as anywhere  # before Zenoh and numpy are loaded
+from hedgerow.wire import standalone  # before Zenoh and numpy are loaded
 
 from hedgerow.plant.process import LOG, Plant  # isort: skip
 from hedgerow.plant.truth import Truth
@@ -22,7 +22,7 @@ from hedgerow.wire.session import close, open_client, open_router
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the world of a network where it is started, to its last step, a SIGTERM or a Ctrl-C."""
-    parser = anywhere.options("plant", main.__doc__ or "")
+    parser = standalone.options("plant", main.__doc__ or "")
     parser.add_argument("--listen", metavar="ENDPOINT", help="be the router too, e.g. on tcp/0.0.0.0:7447")
     parser.add_argument(
         "--rate", type=float, default=0.0, metavar="R", help="steps per second, 0 for as fast as possible"
@@ -38,7 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         return config
 
     def body(config: Config, endpoint: str, credentials: Path | None) -> None:
-        truth = anywhere.told(config, Truth.from_dict)
+        truth = standalone.told(config, Truth.from_dict)
         with contextlib.ExitStack() as stack:
             if known.listen:
                 session = open_router(known.listen, config.namespace, credentials)
@@ -52,4 +52,4 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
             stack.enter_context(stopped_by(plant.stop))  # the others are told; they may be far away
             plant.run()
 
-    anywhere.main(find, known, body)
+    standalone.main(find, known, body)

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from hedgerow.orchestrator.launch import certificates as authority
+from hedgerow.orchestrator.launch import certificates
 from hedgerow.orchestrator.runs import registry
 from hedgerow.orchestrator.runs.folder import RunFolder
 from hedgerow.topologies.errors import UserError
@@ -66,7 +66,7 @@ class Connection:
                 self.socket_folder.mkdir(mode=0o700)  # raises if it exists: it is never shared
                 stack.callback(shutil.rmtree, self.socket_folder, ignore_errors=True)
             if self.credentials is not None and self.made_for:
-                stack.enter_context(authority.for_this_run(self.credentials, places, self.namespace, self.made_for))
+                stack.enter_context(certificates.for_this_run(self.credentials, places, self.namespace, self.made_for))
             yield
 
 
@@ -79,9 +79,9 @@ def wire(folder: RunFolder, secure: bool, router: str | None, keys: Path | None,
         own = socket_folder()
         return Connection(locator(socket_in(own)), namespace, listens=True, socket_folder=own)
     if keys is None:
-        open_one = Connection(f"tls/{authority.HERE[0]}:{free_port()}", namespace, listens=True)
-        return open_one.with_keys_of_its_own(folder, authority.HERE[0])
-    endpoint, namespace = authority.carried(keys, places)
+        open_one = Connection(f"tls/{certificates.HERE[0]}:{free_port()}", namespace, listens=True)
+        return open_one.with_keys_of_its_own(folder, certificates.HERE[0])
+    endpoint, namespace = certificates.carried(keys, places)
     return Connection(router or endpoint, namespace, listens=False, credentials=keys.resolve())
 
 
@@ -110,14 +110,14 @@ def check(
     if not secure:
         return
     if listen is not None:
-        authority.host_of(listen, "--listen")
+        certificates.host_of(listen, "--listen")
     if external and keys is None:
         raise UserError(
             "--external: who is started elsewhere needs its keys there: `orchestrator bundle FILE --secure --router"
             " tls/THIS-MACHINE:7447 --out DIR` makes them, and --keys DIR uses them here"
         )
     if router is not None:
-        authority.host_of(router)
+        certificates.host_of(router)
         if keys is None:
             made = command(["orchestrator", "keys", "FILE", "--router", router, "--out", "DIR"])
             raise UserError(
@@ -125,17 +125,17 @@ def check(
                 " makes its configuration and everybody's keys, and --keys DIR uses them"
             )
     if keys is None:
-        authority.Authority()
+        certificates.Authority()
         free_port()  # the plant listens on loopback
     else:
-        authority.carried(keys, places)
+        certificates.carried(keys, places)
 
 
 def meeting_place(
     keys: Path, places: Sequence[Place], router: str | None, listen: str | None, namespace: str | None
 ) -> tuple[str | None, str]:
     """The router (None where that is our plant) and the namespace that keys are for; UserError if asked for another."""
-    endpoint, made_for = authority.carried(keys, places)
+    endpoint, made_for = certificates.carried(keys, places)
     if namespace is not None and namespace != made_for:
         raise UserError(f"--namespace {namespace}: the keys in {keys} were made for {made_for}; leave the option out")
     return router if listen else router or endpoint, made_for

@@ -263,8 +263,7 @@ def chosen(
     wait_s: float | None,
 ) -> Iterator[OnRay]:
     """What `--on ON` means, while we are joined to that cluster; UserError where it cannot be."""
-    from hedgerow.orchestrator.launch import endpoints as connection  # noqa: PLC0415
-    from hedgerow.orchestrator.launch import external_agents as external  # noqa: PLC0415
+    from hedgerow.orchestrator.launch import endpoints, external_agents  # noqa: PLC0415
     from hedgerow.orchestrator.launch.ray_cluster import joined  # noqa: PLC0415
     from hedgerow.wire.ports import LOOPBACK, free_port  # noqa: PLC0415
 
@@ -272,7 +271,7 @@ def chosen(
         # Nobody else is let in where there is nobody else.
         here = LOOPBACK if cluster.machines <= {cluster.here} else cluster.here
         listens = None if router else listen or f"{'tls' if topology.secure else 'tcp'}/{here}:{free_port(here)}"
-        meet = namespace or connection.namespace_of(topology.name)
+        meet = namespace or endpoints.namespace_of(topology.name)
         share = share_of(len(shards), cluster.free_cpus, len(cluster.machines))
-        everybody = external.chosen("all", topology, shards, router, listens, meet, wait_s or WAIT_S)
-        yield OnRay(cluster, everybody, router or external.local(listens or "", here), share)
+        everybody = external_agents.chosen("all", topology, shards, router, listens, meet, wait_s or WAIT_S)
+        yield OnRay(cluster, everybody, router or external_agents.local(listens or "", here), share)

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from hedgerow.agents.law import Array, Minimax
 from hedgerow.agents.view import View
 from hedgerow.orchestrator.ground.assignment import layout, truth_of, views_of
-from hedgerow.orchestrator.runs import reference as in_process
+from hedgerow.orchestrator.runs import reference
 from hedgerow.plant.truth import Truth
 from hedgerow.topologies.errors import UserError
 from hedgerow.topologies.network import padded
@@ -214,8 +214,8 @@ def test_what_a_process_is_told_goes_through_its_file(
         assert arrays == {"ids", "candidates", "row", "column", "peers", "say", "heard"}
     back = [View.read(folder / f"{view.shard}.npz") for view in views]
     assert [view.to_json() for view in back] == [view.to_json() for view in views]
-    again = gathered(in_process.run(Truth.read(folder / "plant.npz"), back))
-    assert again.same_bits(gathered(in_process.run(truth, views)))
+    again = gathered(reference.run(Truth.read(folder / "plant.npz"), back))
+    assert again.same_bits(gathered(reference.run(truth, views)))
 
 
 def test_ids_of_both_kinds_go_through_a_file(tmp_path: Path) -> None:

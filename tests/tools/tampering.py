@@ -22,7 +22,7 @@ from hedgerow.orchestrator.ground.assignment import layout, truth_of, views_of
 from hedgerow.orchestrator.metrics.observer import Observer
 from hedgerow.orchestrator.metrics.replay import Replay
 from hedgerow.orchestrator.metrics.verdict import Ending, Verdict, judge
-from hedgerow.orchestrator.runs import reference as in_process
+from hedgerow.orchestrator.runs import reference
 from hedgerow.plant.disturbance import Disturbance
 from hedgerow.plant.faults import ActiveFaults, Faults
 from hedgerow.plant.truth import Truth
@@ -99,8 +99,8 @@ class Tampering:
         def shard(view: View) -> Shard:
             return (changed if view.ids[0] == NODE else Shard)(view)
 
-        with mock.patch.multiple(in_process, World=self.world or World, Shard=shard), np.errstate(all="ignore"):
-            return gathered(in_process.run(truth_of(topology, shards), views))
+        with mock.patch.multiple(reference, World=self.world or World, Shard=shard), np.errstate(all="ignore"):
+            return gathered(reference.run(truth_of(topology, shards), views))
 
     def verdict(self) -> Verdict:
         """What is said of such a run."""

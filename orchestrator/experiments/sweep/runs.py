@@ -15,7 +15,7 @@ from hedgerow.orchestrator.experiments.sweep.plan import Chunk, Plan
 from hedgerow.orchestrator.ground.assignment import layout, truth_of, views_of
 from hedgerow.orchestrator.metrics.observer import Observer, rows_at_once
 from hedgerow.orchestrator.metrics.verdict import Ending, judge
-from hedgerow.orchestrator.runs import reference as in_process
+from hedgerow.orchestrator.runs import reference
 from hedgerow.topologies.errors import Code, HedgerowError, TopologyError, UserError
 from hedgerow.topologies.resolve import resolve
 from hedgerow.topologies.schema import Topology
@@ -76,7 +76,7 @@ def run_here(topology: Topology) -> dict[str, Any]:
     """A run in this process that leaves nothing on disk."""
     shards, observer = layout(topology, 1), Observer(topology)
     ending = Ending(run=topology.name, engine="in-process", processes=0)
-    telemetry = in_process.run(truth_of(topology, shards), views_of(topology, shards))
+    telemetry = reference.run(truth_of(topology, shards), views_of(topology, shards))
     try:
         while rows := list(itertools.islice(telemetry, rows_at_once(observer.graph.n))):
             if steps := [row for row in rows if isinstance(row, Telemetry)]:
