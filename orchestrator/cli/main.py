@@ -179,8 +179,7 @@ def up(
         elsewhere = chosen(external, topology, shards, router, listen, meet, wait or 600.0)
     elif listen or namespace:
         raise UserError("--listen and --namespace are for processes that are started elsewhere: name them, --external")
-    viewer = _viewer(viewer)
-    _check_keep(keep, viewer)
+    viewer = _viewer(viewer, keep)
     if detach:
         return _start_detached()
     stack = contextlib.ExitStack()
@@ -193,8 +192,7 @@ def up(
     folder = folders.create(topology, run_dir)
     display = stack.enter_context(contextlib.closing(screen(topology, as_json, plain, watched=viewer != "none")))
     _introduce(topology, len(shards), folder, display)
-    keep = keep if keep is not None else display.interactive or _is_terminal(sys.stdin)
-    watching = Watching(record, viewer, split_recording, keep)
+    watching = Watching(record, viewer, split_recording, _keeps(keep, display))
     options = Options(rate, deadline, router, keys, elsewhere, on_ray, watching, verify)
 
     def on_first_step(after_s: float) -> None:
@@ -209,10 +207,9 @@ def up(
         return code_of_run(folders.begun_or_withdrawn(folder, begin).run(on_first_step, stack), display)
 
 
-def _check_keep(keep: bool | None, viewer: str) -> None:
-    """Raise UserError if a page is to be kept and no page is asked for."""
-    if keep and not viewer.startswith(("web", "http:")):
-        raise UserError(f"--keep: there is no page to keep with --viewer {viewer}. Add --viewer web.", code=Code.OPTION)
+def _keeps(keep: bool | None, display: Screen) -> bool:
+    """Return True if a page stays after the run: as asked, else if a terminal can send Ctrl-C."""
+    return keep if keep is not None else display.interactive or _is_terminal(sys.stdin)
 
 
 def _is_terminal(stream: TextIO | None) -> bool:
@@ -315,12 +312,16 @@ def _let_go_of_terminal(log: Path) -> None:
     os.dup2(descriptor, 2)
 
 
-def _viewer(asked: str) -> str:
-    if asked == "none":
-        return asked
-    from hedgerow.orchestrator.views.rerun.viewer import choose  # noqa: PLC0415
+def _viewer(asked: str, keep: bool | None = None) -> str:
+    """Return the viewer that `asked` names here; UserError if a page is to be kept and no page is asked for."""
+    choice = asked
+    if asked != "none":
+        from hedgerow.orchestrator.views.rerun.viewer import choose  # noqa: PLC0415
 
-    return choose(asked)
+        choice = choose(asked)
+    if keep and not choice.startswith(("web", "http:")):
+        raise UserError(f"--keep: there is no page to keep with --viewer {asked}. Add --viewer web.", code=Code.OPTION)
+    return choice
 
 
 @app.command()
