@@ -313,11 +313,11 @@ def steady_state(topology: Topology) -> float:
 def peak_of(kind: str, values: Mapping[str, NDArray[Any]]) -> Matrix:
     """Return how large |w_i| of a group of disturbances gets: of noise, in all but a few of a thousand steps."""
     if kind == "white":
-        return 3 * np.abs(values["std"])
+        return np.asarray(3 * np.abs(values["std"]))
     if kind == "samples":
         return np.asarray(np.abs(values["values"]).max(axis=1, initial=0.0))
     name = {"sinusoid": "amplitude", "constant": "value"}.get(kind)
-    return np.abs(values[name]) if name is not None else np.zeros(len(next(iter(values.values()), ())))
+    return np.asarray(np.abs(values[name])) if name is not None else np.zeros(len(next(iter(values.values()), ())))
 
 
 def _totals(gamma_star: float) -> list[rrb.Tabs | rrb.TimeSeriesView]:
