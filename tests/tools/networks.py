@@ -42,8 +42,14 @@ def vector_file(path: Path) -> tuple[str, dict[str, Any]]:
         }
         for i in range(vector["N"])
     }
-    text = {"name": vector["name"], "b": vector["b"], "steps": vector["T"]}
-    return json.dumps(text | {"nodes": nodes, "edges": vector["edges"]}), vector["expected"]
+    for i, b in enumerate(vector.get("b_nodes", ())):
+        nodes[i]["b"] = b
+    edges = [
+        ends if weight == 1 else {"ends": ends, "weight": weight}
+        for ends, weight in zip(vector["edges"], vector.get("weights", [1] * len(vector["edges"])), strict=True)
+    ]
+    text = {"name": vector["name"], "b": vector.get("b", 0.1), "steps": vector["T"]}
+    return json.dumps(text | {"nodes": nodes, "edges": edges}), vector["expected"]
 
 
 def from_vector(path: Path) -> tuple[Topology, dict[str, Any]]:
