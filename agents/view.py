@@ -41,7 +41,7 @@ class View:
     shard: int
     b: float
     law: str
-    """`minimax`, or `package.module:Class` for another; hinf and nominal are minimax with one candidate"""
+    """the text of a LawChoice; hinf and nominal are minimax with one candidate"""
     ids: Ids
     """of its own nodes, (k,)"""
     candidates: Array
@@ -55,6 +55,8 @@ class View:
     """ids of the neighbours in other shards, peer by peer"""
     history: int
     """number of past steps kept for back-filling; with 0, missed samples are never learned"""
+    seed: int = 0
+    """for laws that draw numbers; a function of the seed of the run"""
 
     @property
     def k(self) -> int:
@@ -63,7 +65,7 @@ class View:
 
     def write(self, path: Path) -> None:
         """Write the view as the .npz file that `read` reads."""
-        settings = {"shard": self.shard, "b": self.b, "law": self.law, "history": self.history}
+        settings = {"shard": self.shard, "b": self.b, "law": self.law, "history": self.history, "seed": self.seed}
         peers = [(peer.shard, len(peer.say), peer.hear) for peer in self.peers]
         say = [peer.say for peer in self.peers]
         arrays = {
@@ -108,7 +110,7 @@ class View:
             for peer, end in zip(self.peers, ends.tolist(), strict=True)
         ]
         told = {"shard": self.shard, "b": self.b, "law": self.law, "nodes": nodes, "peers": peers}
-        return {**told, "history": self.history}
+        return {**told, "history": self.history, "seed": self.seed}
 
     @classmethod
     def from_dict(cls, told: Mapping[str, Any]) -> View:
@@ -140,4 +142,5 @@ class View:
             peers=peers,
             heard=archive.id_array(heard),
             history=told["history"],
+            seed=told.get("seed", 0),
         )

@@ -184,7 +184,7 @@ def test_an_agent_is_told_of_its_own_nodes_and_neighbours_alone(topology: Topolo
     assert [nodes.tolist() for nodes in truth_of(topology, shards).shards] == shards
     for view, nodes in zip(views, shards, strict=True):
         told = json.loads(view.to_json())
-        assert set(told) == {"shard", "b", "law", "nodes", "peers", "history"}
+        assert set(told) == {"shard", "b", "law", "nodes", "peers", "history", "seed"}
         assert [set(node) for node in told["nodes"]] == [{"id", "candidates", "neighbours"}] * len(nodes)
         own = {topology.ids[k] for k in nodes}
         beside = {end for edge in topology.edges if own & set(edge) for end in edge} - own
@@ -210,7 +210,7 @@ def test_what_a_process_is_told_goes_through_its_file(
         view.write(folder / f"{view.shard}.npz")
         with np.load(folder / f"{view.shard}.npz") as file:
             settings_of, arrays = json.loads(file["settings"].tobytes()), {*file.files} - {"settings"}
-        assert settings_of.keys() == {"shard", "b", "law", "history", "ids"}
+        assert settings_of.keys() == {"shard", "b", "law", "history", "seed", "ids"}
         assert arrays == {"ids", "candidates", "row", "column", "peers", "say", "heard"}
     back = [View.read(folder / f"{view.shard}.npz") for view in views]
     assert [view.to_json() for view in back] == [view.to_json() for view in views]
