@@ -68,8 +68,8 @@ class Heard(NamedTuple):
     """The step of a call, the nodes that it is for, and what the links brought from their neighbours.
 
     `act(x, now)` at step t gets the newest values that have arrived by then, each with its step. `learn(x, flow,
-    x_next, sample)` of the sample of step t gets the values of step t alone. A value that is missing is NaN, and its
-    step is -1.
+    x_next, sample)` of the sample of step t gets the values of step t alone, over the edges that carried flow at t. A
+    value that is missing is NaN, and its step is -1.
     """
 
     t: int

@@ -275,10 +275,14 @@ class Samples:
         return flow
 
     def _heard(self, t: int, nodes: Mask, states: Array, u: Array, bits: Flags) -> Heard | None:
-        """Return the neighbours' values of step t, by incidence, for a law that asks; else None."""
+        """Return the neighbours' values of step t, by incidence, for a law that asks; else None.
+
+        A sample does not wait for the message over a closed edge. So it never has that message: else its values would
+        depend on whether the message was there when the sample was learned, or learned again.
+        """
         if not self.asks:
             return None
-        got = bits & _HEAR != 0
+        got = bits & TAKEN == TAKEN
         x, inputs = (np.where(got, values[self._other], np.nan) for values in (states, u))
         return Heard(t, nodes.copy(), x, inputs, np.where(got, t, -1))
 

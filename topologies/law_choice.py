@@ -10,6 +10,7 @@ A choice is text wherever it is carried: in the file, in a view, in the verdict.
 from __future__ import annotations
 
 import ast
+import keyword
 import math
 import re
 from collections.abc import Mapping
@@ -17,7 +18,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 _NAME = re.compile(r"[A-Za-z][\w-]*|[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*")
-_KEY = re.compile(r"[A-Za-z_]\w*")
+_KEY = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 NAMES = ("minimax", "hinf", "nominal")
 """the laws of the project"""
 MOST_PARAMETERS = 64
@@ -42,7 +43,9 @@ class LawChoice:
         if bracket:
             try:
                 call = ast.parse(f"f({rest}", mode="eval").body
-                if not isinstance(call, ast.Call) or call.args or not all(word.arg for word in call.keywords):
+                if not isinstance(call, ast.Call) or not isinstance(call.func, ast.Name) or call.args:
+                    raise ValueError
+                if not all(word.arg for word in call.keywords):
                     raise ValueError
                 for word in call.keywords:
                     parameters[str(word.arg)] = ast.literal_eval(word.value)
@@ -58,7 +61,7 @@ class LawChoice:
         if len(parameters) > MOST_PARAMETERS:
             raise ValueError(f"has more than {MOST_PARAMETERS} parameters")
         for key, value in parameters.items():
-            if not isinstance(key, str) or not _KEY.fullmatch(key):
+            if not isinstance(key, str) or not _KEY.fullmatch(key) or keyword.iskeyword(key):
                 raise ValueError(f"has a parameter {key!r}, which is not a name")
             if not _is_plain(value):
                 raise ValueError(f"has a parameter {key} that is not a finite number, a text, true, false or a list")

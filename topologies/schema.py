@@ -407,7 +407,7 @@ class Topology(Model):
 
     @cached_property
     def origin_of_law(self) -> str:
-        """Return the place of the law as the start of a message, `topo.yaml:7: `; empty if no file or option names it."""
+        """Return the place of the law, as the start of a message: `topo.yaml:7: `; empty if it is written nowhere."""
         return ""
 
     @cached_property

@@ -78,7 +78,7 @@ def candidates_of(topology: Topology) -> Array:
 
 
 def law_seed(topology: Topology) -> int:
-    """Return the seed of the laws: a function of the seed of the run, which it does not reveal: that draws the truth."""
+    """Return the seed of the laws: a function of the seed of the run, from which the truth cannot be found."""
     return int(lots.keys(topology.seed, "law", lots.words_of(["seed"]))[0] >> np.uint64(1))
 
 
