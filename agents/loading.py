@@ -102,7 +102,7 @@ def local_of(view: View, parameters: Mapping[str, Any]) -> Local:
         candidates=view.candidates,
         node=view.row,
         neighbour=known[view.column],
-        weight=np.ones(len(view.row)),
+        weight=np.ones(len(view.row)) if view.weights is None else view.weights,
         parameters=parameters,
         seed=view.seed,
     )

@@ -69,7 +69,7 @@ class Shard:
         """By incidence: the peer that it leads to."""
         self._everybody: Sequence[int] = range(len(view.peers))
         self._up = bytes([ALL_UP]) * self.m
-        self._samples = Samples(self._law, view.history, self._row, ends, stops[-1])
+        self._samples = Samples(self._law, view.history, self._row, ends, stops[-1], view.weights)
         self._asks = asks(self._law.act, "now")
         """the law acts on the newest values of its neighbours"""
         self._now = Heard(

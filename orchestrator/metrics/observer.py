@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from hedgerow.agents.law import control
 from hedgerow.orchestrator.ground.assignment import candidates_of
 from hedgerow.orchestrator.metrics.certificate import Certificate, running
-from hedgerow.orchestrator.metrics.checks import DynamicsCheck, Worst
+from hedgerow.orchestrator.metrics.checks import DynamicsCheck, Worst, norms
 from hedgerow.orchestrator.metrics.fault_accounts import Accounts, Told
 from hedgerow.orchestrator.metrics.fault_schedule import Schedule
 from hedgerow.orchestrator.metrics.twins import Twins
@@ -68,7 +68,7 @@ class Batch:
     nominal_regret_sum: Array
     """the same of the nominal twin, (B,)"""
     cost: Array
-    """c = |x|^2 + |u_e|^2, (B,)"""
+    """c = |x|^2 + sum_e k_e u_e^2, (B,)"""
     cost_oracle: Array
     cost_sum: Array
     cost_oracle_sum: Array
@@ -132,7 +132,7 @@ class Observer:
         self._twins = Twins(self.b, self.graph, self.x0, self._a0, self.nominal)
         self._certificate = Certificate(self._a0, self.b, self.graph, self.x0)
         self.v0 = self._certificate.v0
-        self._dynamics = DynamicsCheck()
+        self._dynamics = DynamicsCheck(self.b)
         self._estimates = Worst()
         self._sums = np.zeros(5)
         self._sxx, self._sxd = np.zeros(self.graph.n), np.zeros(self.graph.n)
@@ -188,8 +188,8 @@ class Observer:
         u_edge = self.graph.edge_input(u, closed)
         regret, gap = np.abs(x - x_oracle), np.abs(x_oracle - x_nominal)
         cost, cost_oracle = (
-            _energy(x) + _energy(u_edge),
-            _energy(x_oracle) + _energy(self.graph.edge_input(u_oracle, closed)),
+            _energy(x) + self.graph.edge_cost(u_edge),
+            _energy(x_oracle) + self.graph.edge_cost(self.graph.edge_input(u_oracle, closed)),
         )
         sums = running(self._sums, np.stack([_energy(regret), _energy(gap), cost, cost_oracle, _energy(w)], axis=1))
         self._sums = sums[-1].copy()
@@ -200,7 +200,7 @@ class Observer:
 
         rho = self._contraction(a) if turns else self._contraction(self._a)
         self.rho = max(self.rho, float(rho.max()))
-        bound = rho * np.abs(x).sum(axis=1) + np.abs(w).sum(axis=1)
+        bound = rho * norms(x, self.b) + norms(w, self.b)
         self._dynamics.take(t, x, dynamics(a, self.b, self.graph, x, u, w, closed), bound)
         index = self._named(ahat)
         self._check_estimates(t, x, u, ahat, index)
