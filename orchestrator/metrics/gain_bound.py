@@ -103,6 +103,8 @@ class Bound:
     """the storage sum p_i x_i^2, (n,); of a full P x'Px, (n, n)"""
     margin: float
     """the form is at most -margin |(x, z, w, phi, v)|^2"""
+    magnitude: float
+    """of the largest coefficients of the form: a relative error r of its numbers changes it by r times this at most"""
     seconds: float
 
     @property
@@ -157,11 +159,11 @@ def bound(plant: Plant, premise: Premise, method: Method | None = None, time_lim
     for _ in range(ATTEMPTS):
         y = program.solve(margin, time_limit_s - (time.monotonic() - began))
         # Half the margin is left to the solver, and half is proved.
-        if program.proves(y, margin / 2):
+        if (magnitude := program.proof(y, margin / 2)) is not None:
             storage = y[p]
             if method == Method.FULL:
                 storage = _symmetric(storage, plant.n)
-            return Bound(premise, method, float(y[0]), storage, margin / 2, time.monotonic() - began)
+            return Bound(premise, method, float(y[0]), storage, margin / 2, magnitude, time.monotonic() - began)
         # The solver's residual is relative to its largest unknown.
         margin = max(10 * margin, 1e-9 * float(np.abs(y).max()))
     raise NoBoundError("the solver's answer is not proved, even with a larger margin")

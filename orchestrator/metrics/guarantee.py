@@ -22,6 +22,9 @@ SAYS = {
     Premise.JUMPS: "any estimates, any closed edges, and any a within its list at any step (jump)",
 }
 TIME_LIMIT_S = 600.0
+RUN_LIMIT_S = 10.0
+"""of the bounds that certify a run, all three together: the end of the run waits for them"""
+REMEMBERED = 64
 
 
 @dataclass(frozen=True)
@@ -110,6 +113,20 @@ def guarantee(
         except HedgerowError as error:
             reasons[premise] = str(error)
     return Guarantee(gamma_star, bounds, reasons)
+
+
+_CERTIFIED: dict[str, Guarantee] = {}
+"""the guarantees of the last networks that ran in this process, by fingerprint"""
+
+
+def certified(plant: Plant, gamma_star: float) -> Guarantee:
+    """Return the guarantee that certifies a run; the second run of a network in a process does not solve again."""
+    key = fingerprint(plant)
+    if key not in _CERTIFIED:
+        if len(_CERTIFIED) >= REMEMBERED:
+            _CERTIFIED.clear()
+        _CERTIFIED[key] = guarantee(plant, gamma_star, time_limit_s=RUN_LIMIT_S)
+    return _CERTIFIED[key]
 
 
 def _figure(value: float) -> str:

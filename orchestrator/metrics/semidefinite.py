@@ -5,16 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hedgerow.topologies.errors import HedgerowError
 from hedgerow.topologies.graph import Array, Index
-
-if TYPE_CHECKING:
-    import scipy.sparse
 
 UNIT = float(np.finfo(float).eps) / 2
 """The largest relative error of one operation in floating point."""
@@ -82,17 +79,13 @@ class Program:
 
     def solve(self, margin: float, time_limit_s: float) -> Array:
         """Return the unknowns; raises NoBoundError."""
-        import clarabel  # noqa: PLC0415 (a tenth of a second, and only a bound needs it)
-        import scipy.sparse  # noqa: PLC0415
+        import clarabel  # noqa: PLC0415 (only a bound needs it)
 
         signed = np.setdiff1d(np.arange(self.unknowns), self.free)
-        parts: list[scipy.sparse.csc_array] = [
-            scipy.sparse.csc_array(
-                (np.full(len(signed), -1.0), (np.arange(len(signed)), signed)), shape=(len(signed), self.unknowns)
-            )
-        ]
+        parts = [(np.arange(len(signed)), signed, np.full(len(signed), -1.0))]
         rights = [np.zeros(len(signed))]
         cones: list[Any] = [clarabel.NonnegativeConeT(len(signed))]
+        rows = len(signed)
         for blocks in self.blocks:
             m, size = blocks.m, blocks.m * (blocks.m + 1) // 2
             block, i, j, unknown, value = blocks.arrays()
@@ -104,12 +97,9 @@ class Program:
             diagonal = np.arange(m)
             right.reshape(blocks.count, size)[:, diagonal * (diagonal + 1) // 2 + diagonal] = -margin
             right -= np.bincount(row[known], scaled[known], len(right))
-            parts.append(
-                scipy.sparse.csc_array(
-                    (scaled[~known], (row[~known], unknown[~known])), shape=(len(right), self.unknowns)
-                )
-            )
+            parts.append((rows + row[~known], unknown[~known], scaled[~known]))
             rights.append(right)
+            rows += len(right)
             cones += [clarabel.PSDTriangleConeT(m)] * blocks.count
         cost = np.zeros(self.unknowns)
         cost[0] = 1.0
@@ -119,10 +109,9 @@ class Program:
         settings.max_threads = 1
         settings.tol_gap_abs = settings.tol_gap_rel = 1e-7
         settings.tol_feas = 1e-10
-        matrix = scipy.sparse.vstack(parts, format="csc")
-        nothing = scipy.sparse.csc_array((self.unknowns, self.unknowns))
-        solver = clarabel.DefaultSolver(nothing, cost, matrix, np.concatenate(rights), cones, settings)
-        solution = solver.solve()
+        matrix = _Columns.of(*(np.concatenate(each) for each in zip(*parts, strict=True)), (rows, self.unknowns))
+        nothing = _Columns.of(*np.empty((3, 0)), (self.unknowns, self.unknowns))
+        solution = clarabel.DefaultSolver(nothing, cost, matrix, np.concatenate(rights), cones, settings).solve()
         y = np.array(solution.x)
         status = str(solution.status)
         if "Infeasible" in status:
@@ -132,12 +121,14 @@ class Program:
         y[signed] = np.maximum(y[signed], 0.0)
         return y
 
-    def proves(self, y: Array, margin: float) -> bool:
-        """Return True if every block at y is at most -margin I, rounding included, by Cholesky factorisations.
+    def proof(self, y: Array, margin: float) -> float | None:
+        """Return the largest magnitude in a block if every block at y is at most -margin I, else None.
 
-        Assembling an entry of k terms errs by at most k u sum |terms|. A Cholesky factorisation of an m by m matrix A
-        that succeeds in floating point is exact for A + E with |E| <= (m + 1) u trace(A) / (1 - (m + 1) u).
+        A Cholesky factorisation proves each, rounding included. Assembling an entry of k terms errs by at most
+        k u sum |terms|. A factorisation of an m by m matrix A that succeeds in floating point is exact for A + E with
+        |E| <= (m + 1) u trace(A) / (1 - (m + 1) u). The magnitude is a sum of |terms| over a row.
         """
+        largest = 0.0
         for blocks in self.blocks:
             matrix, magnitude = blocks.matrices(y)
             m = blocks.m
@@ -148,8 +139,28 @@ class Program:
             try:
                 np.linalg.cholesky(-matrix - taken[:, None, None] * np.eye(m))
             except np.linalg.LinAlgError:
-                return False
-        return True
+                return None
+            largest = max(largest, float(assembly.max()))
+        return largest
+
+
+@dataclass(frozen=True)
+class _Columns:
+    """A sparse matrix by columns, as the solver reads it; loading scipy.sparse takes longer than most programs."""
+
+    data: Array
+    indices: Index
+    indptr: Index
+    shape: tuple[int, int]
+    has_canonical_format = has_sorted_indices = True
+
+    @classmethod
+    def of(cls, row: Index, column: Index, value: Array, shape: tuple[int, int]) -> _Columns:
+        """Return the matrix of some entries; those of one place are added up."""
+        place = column.astype(np.int64) * shape[0] + row.astype(np.int64)
+        places, which = np.unique(place, return_inverse=True)
+        starts = np.searchsorted(places, shape[0] * np.arange(shape[1] + 1))
+        return cls(np.bincount(which, value, len(places)), places % max(1, shape[0]), starts, shape)
 
 
 class Unknowns:

@@ -11,6 +11,9 @@ from hedgerow.orchestrator.ground.versions import versions
 from hedgerow.orchestrator.metrics.checks import Worst
 from hedgerow.orchestrator.metrics.deaths import CLAIM as DEATHS
 from hedgerow.orchestrator.metrics.deaths import Survivor
+from hedgerow.orchestrator.metrics.gain_bound import Bound, Premise
+from hedgerow.orchestrator.metrics.gain_certificate import CLAIMS as GAIN_CLAIMS
+from hedgerow.orchestrator.metrics.gain_certificate import Track
 from hedgerow.orchestrator.metrics.message_audit import CLAIM, Audit
 from hedgerow.orchestrator.metrics.observer import Observer
 from hedgerow.orchestrator.metrics.replay import CLAIMS as REPLAYED
@@ -162,6 +165,11 @@ def judge(topology: Topology, observer: Observer, ending: Ending) -> Verdict:
         checks |= {name: _replayed(name, ending.replay) for name in REPLAYED}
     if ending.survivors is not None:
         checks["deaths"] = _deaths(ending.survivors)
+    adaptive = observer.adaptive
+    if adaptive is not None and adaptive.known is not None:
+        for premise, bound in adaptive.known.bounds.items():
+            if (track := adaptive.tracks[premise]).check.steps:
+                checks[f"gain_{premise}"] = _gain(premise, track, bound)
     if ending.audit is not None:
         checks["information"] = {"ok": not ending.audit.wrong, "claim": CLAIM, "why": ending.audit.wrong}
     comparison = ending.comparison
@@ -229,6 +237,7 @@ def judge(topology: Topology, observer: Observer, ending: Ending) -> Verdict:
         "faults": faults,
         "checks": checks,
         "information": ending.audit.to_dict() if ending.audit is not None else None,
+        "gain_bounds": {"not_computed": observer.not_certified} if adaptive is None else adaptive.to_dict(done),
         "metrics": {name: _finite(value) for name, value in observer.summary().items()} if done else {},
         "versions": versions(),
     }
@@ -302,6 +311,19 @@ def _doubts_of(ending: Ending, observer: Observer) -> list[str]:
     if replay.doubt:
         return [replay.doubt]
     return [f"replayed up to step {replay.steps} only"] if replay.steps < observer.next_step else []
+
+
+def _gain(premise: Premise, track: Track, bound: Bound) -> dict[str, Any]:
+    """The check of one certificate of the adaptive law, at the steps that its premise covers."""
+    worst = track.check
+    return {
+        "ok": bool(worst.excess <= 0),
+        "claim": GAIN_CLAIMS[premise],
+        "steps": worst.steps,
+        "step": worst.step,
+        "excess": _finite(worst.excess),
+        "gain": bound.gain,
+    }
 
 
 def _check(name: str, worst: Worst, topology: Topology) -> dict[str, Any]:

@@ -140,9 +140,9 @@ def test_a_ring_of_96_is_bounded_below_17_in_the_split_program() -> None:
 def test_an_answer_of_the_solver_that_is_a_little_too_small_is_not_proved() -> None:
     program, _ = gain_bound._split(UNEQUAL, Premise.EDGES)
     y = program.solve(gain_bound.MARGIN, 60)
-    assert program.proves(y, gain_bound.MARGIN / 2)
+    assert program.proof(y, gain_bound.MARGIN / 2) is not None
     y[0] *= 1 - 1e-4
-    assert not program.proves(y, 0.0)
+    assert program.proof(y, 0.0) is None
 
 
 def test_bounds_that_do_not_exist_name_a_reason() -> None:
@@ -159,7 +159,7 @@ def test_bounds_that_do_not_exist_name_a_reason() -> None:
 def test_storage_is_that_of_p() -> None:
     x = np.array([[1.0, 2.0], [0.0, -1.0]])
     for p in (np.array([2.0, 3.0]), np.array([[2.0, 0.5], [0.5, 3.0]])):
-        one = Bound(Premise.EDGES, Method.WHOLE, 4.0, p, 1e-8, 0.0)
+        one = Bound(Premise.EDGES, Method.WHOLE, 4.0, p, 1e-8, 1.0, 0.0)
         full: Array = np.diag(p) if p.ndim == 1 else p
         assert one.gain == 2.0
         np.testing.assert_allclose(one.storage(x), np.einsum("bi,ij,bj->b", x, full, x))
