@@ -114,8 +114,9 @@ class GainCertificate:
     def _premises(self, t: Index, x: Array, u: Array, is_open: Mask, a: Mapping[int, Array]) -> dict[Premise, int]:
         """Return how many of the rows each premise covers, from the first on."""
         count = len(t)
-        if int(t[0]) != self._next or (t[1:] != t[:-1] + 1).any():
-            self._end(Premise, self._next, "telemetry is lost")
+        lost = t != self._next + np.arange(count)
+        if lost.any():
+            self._end(Premise, self._next + int(lost.argmax()), "telemetry is lost")
         self._next = int(t[-1]) + 1
         if all(track.ended is not None for track in self.tracks.values()):
             return dict.fromkeys(Premise, 0)

@@ -66,7 +66,7 @@ class Guarantee:
         for premise in Premise:
             if (found := self.bounds.get(premise)) is not None:
                 how = {Method.FULL: ", full P", Method.SPLIT: "", Method.WHOLE: ""}[found.method]
-                lines.append(f"at most     {_up(found.gain):>8}  under {SAYS[premise]}{how}")
+                lines.append(f"at most     {rounded_up(found.gain):>8}  under {SAYS[premise]}{how}")
             elif premise in self.not_computed:
                 lines.append(f"not computed          under {SAYS[premise]}: {self.not_computed[premise]}")
         lines.append(
@@ -133,7 +133,7 @@ def _figure(value: float) -> str:
     return f"{value:.4g}" if math.isfinite(value) else "unknown"
 
 
-def _up(value: float) -> str:
-    """Return an upper bound in five digits, rounded up."""
-    digits = 4 - math.floor(math.log10(value)) if value > 0 else 0
-    return f"{math.ceil(value * 10**digits) / 10**digits:.{max(0, digits)}f}"
+def rounded_up(value: float, digits: int = 5) -> str:
+    """Return an upper bound in some digits, rounded up."""
+    places = digits - 1 - math.floor(math.log10(value)) if value > 0 else 0
+    return f"{math.ceil(value * 10**places) / 10**places:.{max(0, places)}f}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from hedgerow.orchestrator.metrics.deaths import Survivor
 from hedgerow.orchestrator.metrics.gain_bound import Bound, Premise
 from hedgerow.orchestrator.metrics.gain_certificate import CLAIMS as GAIN_CLAIMS
 from hedgerow.orchestrator.metrics.gain_certificate import Track
+from hedgerow.orchestrator.metrics.guarantee import rounded_up
 from hedgerow.orchestrator.metrics.message_audit import CLAIM, Audit
 from hedgerow.orchestrator.metrics.observer import Observer
 from hedgerow.orchestrator.metrics.replay import CLAIMS as REPLAYED
@@ -130,7 +132,13 @@ class Verdict:
             numbers += [
                 f"regret D {_number(m['regret'])} (nominal {_number(m['regret_nominal'])})",
                 f"cost regret {_number(m['cost_regret'], '+')}",
-                gain_text(gain, less, m["gamma_star"], c["checks"]["oracle_certificate"]["steps"] == c["steps_done"]),
+                gain_text(
+                    gain,
+                    less,
+                    m["gamma_star"],
+                    c["checks"]["oracle_certificate"]["steps"] == c["steps_done"],
+                    ceiling(c),
+                ),
                 f"{m['nodes_right']} of {c['nodes']} estimates right",
             ]
         if "law" in c["checks"] and (replayed := c["checks"]["law"]["nodes"]) < c["nodes"]:
@@ -139,14 +147,22 @@ class Verdict:
         return f"{self.verdict}{why}: {', '.join(numbers)}"
 
 
-def gain_text(gain: float, less: float, gamma_star: float, faultless: bool) -> str:
+def ceiling(content: Mapping[str, Any]) -> float:
+    """Return the least bound on the gain whose premise held in the whole run; NaN if there is none."""
+    bounds = content["gain_bounds"].get("bounds", {})
+    return min((told["gain"] for told in bounds.values() if told.get("held") and "gain" in told), default=math.nan)
+
+
+def gain_text(gain: float, less: float, gamma_star: float, faultless: bool, at_most: float = math.nan) -> str:
     """Return the gain in words, with the gain `less` V(x(0)) where it differs, and gamma*, which holds without faults.
 
-    Arguments are NaN where they are undefined or not known yet.
+    `at_most` is the bound on the law's own gain. Arguments are NaN where they are undefined or not known yet.
     """
     beside = [] if less == gain or math.isnan(gain) else [f"less V(x(0)): {less:.4g}"]
     if not math.isnan(gamma_star):
         beside.append(f"gamma* {gamma_star:.4g} is the oracle's{'' if faultless else ' without faults'}")
+    if not math.isnan(at_most):
+        beside.append(f"the law's is at most {rounded_up(at_most, 4)} from x(0) = 0")
     said = "undefined" if math.isnan(gain) else f"{gain:.4g}"
     return f"gain {said}" + (f" ({'; '.join(beside)})" if beside else "")
 
