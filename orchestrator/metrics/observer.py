@@ -214,9 +214,9 @@ class Observer:
         self._dynamics.take(t, x, x_next, bound)
         index = self._named(ahat)
         self._check_estimates(t, x, u, ahat, index)
-        is_open = edge_open.all(axis=1)
+        is_open = np.asarray(edge_open.all(axis=1))
         ceiling, ceiling_slack = self._certified(t, x, u, x_next, is_open, turns, sums[:, [2, 4]])
-        changed: NDArray[np.bool_] = np.asarray(~is_open)
+        changed: NDArray[np.bool_] = ~is_open
         changed[list(turns)] = True
         x_oracle_next = np.vstack([x_oracle[1:], self._twins.x[:1]])
         slack = self._certificate.take(t, w, x_oracle_next, sums[:, 3], changed)

@@ -109,8 +109,10 @@ class Program:
         settings.max_threads = 1
         settings.tol_gap_abs = settings.tol_gap_rel = 1e-7
         settings.tol_feas = 1e-10
-        matrix = _Columns.of(*(np.concatenate(each) for each in zip(*parts, strict=True)), (rows, self.unknowns))
-        nothing = _Columns.of(*np.empty((3, 0)), (self.unknowns, self.unknowns))
+        row, column, value = (np.concatenate(each) for each in zip(*parts, strict=True))
+        matrix = _Columns.of(row, column, value, (rows, self.unknowns))
+        none = np.empty(0, dtype=np.int64)
+        nothing = _Columns.of(none, none, np.empty(0), (self.unknowns, self.unknowns))
         solution = clarabel.DefaultSolver(nothing, cost, matrix, np.concatenate(rights), cones, settings).solve()
         y = np.array(solution.x)
         status = str(solution.status)
@@ -160,7 +162,8 @@ class _Columns:
         place = column.astype(np.int64) * shape[0] + row.astype(np.int64)
         places, which = np.unique(place, return_inverse=True)
         starts = np.searchsorted(places, shape[0] * np.arange(shape[1] + 1))
-        return cls(np.bincount(which, value, len(places)), places % max(1, shape[0]), starts, shape)
+        data = np.bincount(which, value, len(places)).astype(np.float64)
+        return cls(data, places % max(1, shape[0]), starts, shape)
 
 
 class Unknowns:

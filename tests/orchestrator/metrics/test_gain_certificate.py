@@ -25,7 +25,9 @@ from hedgerow.orchestrator.metrics.guarantee import Guarantee, guarantee, plant_
 from hedgerow.orchestrator.metrics.observer import Observer
 from hedgerow.orchestrator.metrics.verdict import INVALID, VALID, Ending, judge
 from hedgerow.orchestrator.runs.folder import create
+from hedgerow.orchestrator.runs.reader import load_run
 from hedgerow.orchestrator.views.screen import Quiet
+from hedgerow.topologies.errors import UserError
 from hedgerow.topologies.graph import Array
 from hedgerow.topologies.schema import Topology
 from tests.orchestrator.metrics.test_gain_bound import UNEQUAL
@@ -183,6 +185,22 @@ def test_a_run_leaves_its_bounds_and_their_slack(tmp_path: Path) -> None:
         assert check["steps"] == told["steps"] == 40
         assert told["slack"] > 0 > check["excess"]
         assert len(told["p"]) == 3
+
+
+def test_a_recorded_run_has_the_bound_and_the_slack_of_every_step(tmp_path: Path) -> None:
+    topology = with_faults(read(TEXT), [{"kind": "cut", "edge": [1, 2], "steps": [20, 22]}])
+    content = folder_run(topology, tmp_path / "run")
+    run = load_run(tmp_path / "run")
+    told = content["gain_bounds"]["bounds"]
+    np.testing.assert_array_equal(run.ceiling[:20], told["estimates"]["gain"])
+    np.testing.assert_array_equal(run.ceiling[20:], told["edges"]["gain"])
+    slack = {premise: run.certificate_slack(premise) for premise in Premise}
+    assert np.isnan(slack[Premise.ESTIMATES][20:]).all()
+    assert slack[Premise.ESTIMATES][19] == pytest.approx(told["estimates"]["slack"])
+    assert slack[Premise.EDGES][-1] == pytest.approx(told["edges"]["slack"])
+    assert (slack[Premise.EDGES] > 0).all()
+    with pytest.raises(UserError):
+        run.certificate_slack("hope")
 
 
 def test_a_network_too_large_for_a_bound_in_time_says_so(tmp_path: Path) -> None:
