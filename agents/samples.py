@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hedgerow.agents.law import Array, Law
-from hedgerow.topologies.fast import kernels_for
+from hedgerow.topologies.fast import kernels_for, unequal_kernels_for
 from hedgerow.topologies.graph import all_finite, starts
 from hedgerow.wire.codec import TAKEN, Flag, Flags, Mask, Record
 from hedgerow.wire.history import History
@@ -49,11 +49,12 @@ class _Mark(NamedTuple):
 class Samples:
     """The samples of k nodes. `row` (m,): the node of each incidence; `ends` (2, m): its ends in `width` inputs.
 
-    At most `most` past steps are kept. With 0, no late input is learned.
+    `weights` (m,): the weight of the edge of each incidence, None if all are 1. At most `most` past steps are kept.
+    With 0, no late input is learned.
     """
 
-    def __init__(self, law: Law, most: int, row: Index, ends: Index, width: int) -> None:
-        self._law, self._row, self._most = law, row, most
+    def __init__(self, law: Law, most: int, row: Index, ends: Index, width: int, weights: Array | None) -> None:
+        self._law, self._row, self._most, self._weights = law, row, most, weights
         self._own, self._other = ends
         self._blank = law.memory.copy()
         self.k, m = self._blank.shape[-1], len(row)
@@ -227,9 +228,13 @@ class Samples:
 
     def _whole_flow(self, u: Array) -> Array:
         """Return the flow f of one step, (k,), from inputs (width,); no input is missing and all edges are open."""
-        if (kernels := kernels_for(self.k)) is not None:
-            return kernels.flow(self._first, self._other, u)  # type: ignore[no-any-return]
-        return self._sums(u[self._own] - u[self._other])
+        if self._weights is None:
+            if (kernels := kernels_for(self.k)) is not None:
+                return kernels.flow(self._first, self._other, u)  # type: ignore[no-any-return]
+            return self._sums(u[self._own] - u[self._other])
+        if (kernels := unequal_kernels_for(self.k)) is not None:
+            return kernels.flow(self._first, self._other, self._weights, u)  # type: ignore[no-any-return]
+        return self._sums(self._weights * (u[self._own] - u[self._other]))
 
     @cached_property
     def _first(self) -> Index:
@@ -241,6 +246,8 @@ class Samples:
         NaN where an input is missing.
         """
         difference = u[self._own] - u[self._other]
+        if self._weights is not None:
+            difference *= self._weights
         difference[bits & _HEAR == 0] = np.nan
         difference[bits & _OPEN == 0] = 0.0
         return self._sums(difference).astype(float, copy=False)  # without incidences, bincount returns integers

@@ -112,7 +112,7 @@ class Shard:
         """By incidence: the peer that it leads to."""
         self._everybody: Sequence[int] = range(len(view.peers))
         self._up = bytes([ALL_UP]) * self.m
-        self._samples = Samples(self._law, view.history, self._row, ends, stops[-1])
+        self._samples = Samples(self._law, view.history, self._row, ends, stops[-1], view.weights)
         self._mail: list[dict[int, Link]] = [{} for _ in view.peers]
         """Per peer: link messages by step, for steps not yet used by a sample."""
         self._record: Record | None = None

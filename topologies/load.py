@@ -22,6 +22,7 @@ from pydantic_core import ErrorDetails
 from hedgerow.topologies import budget, table
 from hedgerow.topologies.base import Model, kind_of, node_id
 from hedgerow.topologies.cures import cure_of_number, cure_of_text
+from hedgerow.topologies.edges import Edge
 from hedgerow.topologies.errors import Code, FileRefusedError, Problem, Problems, TopologyError, UserError
 from hedgerow.topologies.faults import KINDS, known_keys
 from hedgerow.topologies.generators import GENERATORS
@@ -439,6 +440,8 @@ def _known_keys(source: Source, path: Path) -> list[str]:
             model = GENERATORS.get(kind)
         case ("record",):
             model = Record
+        case ("edges", _):
+            model = Edge
         case ("faults", _):
             model = KINDS.get(kind)
         case ("defaults",):

@@ -44,6 +44,7 @@ def truth_of(topology: Topology, shards: Layout) -> Truth:
         a=network.a,
         x0=network.x0,
         edges=network.graph.edges,
+        weights=network.graph.weights,
         disturbance=network.disturbance,
         steps=topology.steps,
         seed=topology.seed,
@@ -84,7 +85,7 @@ def law_of(topology: Topology) -> str:
 def views_of(topology: Topology, shards: Layout) -> list[View]:
     """What each agent process is told: its own nodes and who their neighbours are, never the truth or the graph."""
     graph, ids, candidates = topology.network.graph, id_array(topology.ids), candidates_of(topology)
-    law, history = law_of(topology), history_of(topology)
+    b, law, history = topology.network.b, law_of(topology), history_of(topology)
     home = np.empty(graph.n, dtype=np.int64)
     for p, nodes in enumerate(shards):
         home[nodes] = p
@@ -109,12 +110,13 @@ def views_of(topology: Topology, shards: Layout) -> list[View]:
         views.append(
             View(
                 shard=p,
-                b=topology.b,
+                b=b if isinstance(b, float) else b[nodes],
                 law=law,
                 ids=ids[nodes],
                 candidates=_without_padding(candidates[:, nodes]),
                 row=row,
                 column=column,
+                weights=None if graph.weight is None else graph.weight[own],
                 peers=peers,
                 heard=ids[heard % graph.n],
                 history=history,

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from hedgerow.agents.law import control
 from hedgerow.orchestrator.ground.assignment import candidates_of
 from hedgerow.orchestrator.metrics.certificate import Certificate, running
-from hedgerow.orchestrator.metrics.checks import DynamicsCheck, Worst
+from hedgerow.orchestrator.metrics.checks import DynamicsCheck, Worst, norms
 from hedgerow.orchestrator.metrics.fault_accounts import Accounts, Told
 from hedgerow.orchestrator.metrics.fault_schedule import Schedule
 from hedgerow.orchestrator.metrics.gain_certificate import GainCertificate
@@ -69,7 +69,7 @@ class Batch:
     nominal_regret_sum: Array
     """the same of the nominal twin, (B,)"""
     cost: Array
-    """c = |x|^2 + |u_e|^2, (B,)"""
+    """c = |x|^2 + sum_e k_e u_e^2, (B,)"""
     cost_oracle: Array
     cost_sum: Array
     cost_oracle_sum: Array
@@ -141,7 +141,7 @@ class Observer:
         """the certificate of the adaptive law, where the bounds are solved beside the run"""
         self.not_certified = "the bounds are solved beside runs that leave a folder only"
         """why there is none, where there is none"""
-        self._dynamics = DynamicsCheck()
+        self._dynamics = DynamicsCheck(self.b)
         self._estimates = Worst()
         self._sums = np.zeros(5)
         self._sxx, self._sxd = np.zeros(self.graph.n), np.zeros(self.graph.n)
@@ -197,8 +197,8 @@ class Observer:
         u_edge = self.graph.edge_input(u, closed)
         regret, gap = np.abs(x - x_oracle), np.abs(x_oracle - x_nominal)
         cost, cost_oracle = (
-            _energy(x) + _energy(u_edge),
-            _energy(x_oracle) + _energy(self.graph.edge_input(u_oracle, closed)),
+            _energy(x) + self.graph.edge_cost(u_edge),
+            _energy(x_oracle) + self.graph.edge_cost(self.graph.edge_input(u_oracle, closed)),
         )
         sums = running(self._sums, np.stack([_energy(regret), _energy(gap), cost, cost_oracle, _energy(w)], axis=1))
         self._sums = sums[-1].copy()
@@ -209,7 +209,7 @@ class Observer:
 
         rho = self._contraction(a) if turns else self._contraction(self._a)
         self.rho = max(self.rho, float(rho.max()))
-        bound = rho * np.abs(x).sum(axis=1) + np.abs(w).sum(axis=1)
+        bound = rho * norms(x, self.b) + norms(w, self.b)
         x_next = dynamics(a, self.b, self.graph, x, u, w, closed)
         self._dynamics.take(t, x, x_next, bound)
         index = self._named(ahat)
