@@ -13,7 +13,7 @@ from __future__ import annotations
 TYPE_CHECKING = False  # the one of typing takes a while to load
 if TYPE_CHECKING:
     from hedgerow.agents.law import Law, Minimax
-    from hedgerow.orchestrator.facade import load, simulate
+    from hedgerow.orchestrator.facade import bound, load, simulate
     from hedgerow.orchestrator.runs.reader import RecordedRun, load_run
     from hedgerow.topologies.errors import Code, HedgerowError, TopologyError, UserError
     from hedgerow.topologies.schema import Topology
@@ -29,6 +29,7 @@ _HOMES = {
     "Topology": "topologies.schema",
     "TopologyError": "topologies.errors",
     "UserError": "topologies.errors",
+    "bound": "orchestrator.facade",
     "load": "orchestrator.facade",
     "load_run": "orchestrator.runs.reader",
     "simulate": "orchestrator.facade",
@@ -42,6 +43,7 @@ __all__ = [
     "Topology",
     "TopologyError",
     "UserError",
+    "bound",
     "load",
     "load_run",
     "simulate",
