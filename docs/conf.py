@@ -18,11 +18,27 @@ author = "The Hedgerow authors"
 copyright = "2026, The Hedgerow authors"  # noqa: A001
 version = release = __version__
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.mathjax", "sphinx-mathjax-offline", "sphinx_copybutton", "sphinx_design", "reference"]
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.mathjax",
+    "sphinx-mathjax-offline",
+    "sphinx_copybutton",
+    "sphinx_design",
+    "reference",
+]
 exclude_patterns = ["_build", "examples"]
 source_suffix = {".md": "markdown"}
 
-myst_enable_extensions = ["attrs_block", "attrs_inline", "colon_fence", "deflist", "dollarmath", "amsmath", "smartquotes"]
+myst_enable_extensions = [
+    "attrs_block",
+    "attrs_inline",
+    "colon_fence",
+    "deflist",
+    "dollarmath",
+    "amsmath",
+    "smartquotes",
+]
 myst_heading_anchors = 4
 myst_fence_as_directive: list[str] = []
 

@@ -36,7 +36,14 @@ def _walk(path: str, command: Any) -> Iterator[tuple[str, Any]]:
 
 def _section(path: str, command: Any) -> list[str]:
     usage = " ".join(command.collect_usage_pieces(command.make_context(path, [], resilient_parsing=True)))
-    lines = [f"## {path.removeprefix('orchestrator ')}", "", f"```text\n{path} {usage}\n```", "", command.help or "", ""]
+    lines = [
+        f"## {path.removeprefix('orchestrator ')}",
+        "",
+        f"```text\n{path} {usage}\n```",
+        "",
+        command.help or "",
+        "",
+    ]
     rows = [_row(parameter) for parameter in command.params if not getattr(parameter, "hidden", False)]
     rows = [row for row in rows if row]
     return [*lines, *(["| Option | Description |", "|---|---|", *rows, ""] if rows else [])]

@@ -37,7 +37,7 @@ def report(
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] != "matplotlib":
             raise
-        raise UserError("a report needs matplotlib; install it with: pip install 'hedgerow[report]'") from None
+        raise UserError("a report needs matplotlib. Install it with: pip install matplotlib") from None
     kinds = _chosen(known.FIGURES, figures, runs)
     out = out or Path("-".join(run.run for run in runs[:2]) + "-report")
     _refuse(out, force, {PAGE, *(f"{kind.file}{suffix}" for kind in known.FIGURES for suffix in (".pdf", ".png"))})
