@@ -69,8 +69,8 @@ And wherever an agent is to live, with its folder beside it (`--router` if it is
 
 The order does not matter: each waits ten minutes for the others (`--wait`). `--external 3,5` has the operator start
 the others itself. With `--external plant,all --router {quoted_router}` the plant runs elsewhere, too:
-`hedgerow-plant --config plant` beside a Zenoh router (`zenohd -c zenohd.json5`, in the folder `router`); or as the router,
-with that folder:
+`hedgerow-plant --config plant` beside a Zenoh router (`zenohd -c zenohd.json5`, in the folder `router`); or as the
+router, with that folder:
 `hedgerow-plant --config plant --listen tls/0.0.0.0:{port} --credentials router`.
 """
 
