@@ -15,7 +15,7 @@ from hedgerow import __version__
 
 project = "Hedgerow"
 author = "The Hedgerow authors"
-copyright = "2026, The Hedgerow authors"  # noqa: A001
+copyright = "2026, The Hedgerow authors"
 version = release = __version__
 
 extensions = [

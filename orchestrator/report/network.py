@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from hedgerow.orchestrator.report.curves import Entries, called, legend, plain, short
-from hedgerow.orchestrator.report.style import BLACK, GREY, RED, WIDTH_IN, sheet
+from hedgerow.orchestrator.report.style import BLACK, GREY, RED, sheet, width_in
 from hedgerow.orchestrator.runs.reader import RecordedRun
 from hedgerow.orchestrator.views.layout import positions
 from hedgerow.topologies.graph import Array, Mask
@@ -27,7 +27,7 @@ _MARGIN = 0.6
 def network(runs: Sequence[RecordedRun]) -> Figure:
     """The graph of each run, laid out by itself: the same file gives the same places."""
     places = [positions(run.topology.graph) for run in runs]
-    heights = [float(np.clip((WIDTH_IN - 0.2) * _aspect(own), 0.7, 3.3)) for own in places]
+    heights = [float(np.clip((width_in() - 0.2) * _aspect(own), 0.7, 3.3)) for own in places]
     figure = sheet(0.3 + sum(heights) + 0.2 * (len(runs) - 1))
     axes = figure.subplots(len(runs), 1, squeeze=False, height_ratios=heights)[:, 0]
     for k, (axis, run, own) in enumerate(zip(axes, runs, places, strict=True)):

@@ -330,7 +330,7 @@ class Legend:
         stream.log("network/legend/edges", shown, static=True)
 
         words = ["x = 0", "", "wrong model", "no input", "agent dead"]
-        words += ["no flow", "strong flow", "lost one way", "lost both ways", "edge cut"]
+        words += ["no flow", "strong flow", "lost one", "lost both", "edge cut"]
         below = np.array([[x, y + 0.2 * unit] for y in (first, second) for x in self.x])
         kept = [k for k, word in enumerate(words) if word]
         stream.log(
