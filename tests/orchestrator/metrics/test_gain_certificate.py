@@ -151,7 +151,7 @@ def constant_run(plant: Plant, reported: Array, steps: int, scale: float) -> Wor
     B = plant.b[:, None] * incidence
     x, sums = np.zeros(plant.n), np.zeros((1, 2))
     for t in range(steps):
-        u = control(plant.b, x, plant.a)  # type: ignore[arg-type]
+        u = control(plant.b, x, plant.a)
         phi = B.T @ (-u / plant.b)
         after = plant.a * x - B @ phi + scale * reported
         sums = sums + np.array([x @ x + phi @ phi, reported @ reported])
