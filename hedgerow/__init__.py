@@ -49,6 +49,19 @@ __all__ = [
     "simulate",
 ]
 
+NEEDED = frozenset(
+    {"cryptography", "matplotlib", "psutil", "pyarrow", "pydantic", "rerun", "rich", "scipy", "typer", "yaml"}
+)
+"""Packages that every part except a lone agent or plant needs; pyproject.toml lists them with their versions."""
+
+
+def missing(needed_by: str, package: str | None) -> str:
+    """Return the message for a computer that has only the packages of an agent."""
+    return (
+        f"{needed_by} needs {package}, which is not installed: this computer has the packages of an agent."
+        " Install the others with: pip install hedgerow"
+    )
+
 
 def __getattr__(name: str) -> object:
     """Load the module of a public name when it is first used."""
@@ -60,7 +73,12 @@ def __getattr__(name: str) -> object:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module  # noqa: PLC0415
 
-    return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+    try:
+        return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] not in NEEDED:
+            raise
+        raise ModuleNotFoundError(missing(f"hedgerow.{name}", error.name), name=error.name) from None
 
 
 def __dir__() -> list[str]:

@@ -79,12 +79,10 @@ def run_command(began: float, fork_client: ForkClient | None) -> None:
 
 
 def _importable(topology: Topology) -> Topology:
-    """The topology, whose law is code: a module that fails to load is better known before a run begins."""
-    from hedgerow.agents.shard import law_class  # noqa: PLC0415
-    from hedgerow.orchestrator.ground.assignment import law_of  # noqa: PLC0415
+    """Return the topology with a checked law: a law that fails to load is better known before a run begins."""
+    from hedgerow.orchestrator.ground.laws import checked  # noqa: PLC0415
 
-    law_class(law_of(topology))
-    return topology
+    return checked(topology)
 
 
 def read(file: str, sets: list[str] | None, **replace: object) -> Topology:

@@ -612,7 +612,7 @@ def test_without_matplotlib_it_says_what_to_install(
     for name in ("figures", "page", "style"):
         monkeypatch.delattr(reports, name)
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    with pytest.raises(UserError, match=re.escape("pip install 'hedgerow[report]'")):
+    with pytest.raises(UserError, match=re.escape("pip install matplotlib")):
         report([paper], tmp_path / "out")
 
 
