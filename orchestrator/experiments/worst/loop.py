@@ -50,9 +50,7 @@ class Scene:
 
     def over(self, breaks: Breaks, steps: int) -> list[Any]:
         """Return the Laplacian of each step."""
-        return [
-            self.laplacian(frozenset(edge for edge, first in breaks.cuts if first <= t)) for t in range(steps)
-        ]
+        return [self.laplacian(frozenset(edge for edge, first in breaks.cuts if first <= t)) for t in range(steps)]
 
 
 def _laplacian(graph: Graph, cut: frozenset[int]) -> Any:
