@@ -24,7 +24,10 @@ Component = Callable[[int], Array]
 class Disturbance:
     """The sum of all groups, over n nodes; they are ordered, so that a node's are added in the order of its list."""
 
-    def __init__(self, groups: Iterable[Group], ids: Sequence[int | str] | NDArray[Any], seed: int) -> None:
+    def __init__(
+        self, groups: Iterable[Group], ids: Sequence[int | str] | NDArray[Any], seed: int | lots.Words
+    ) -> None:
+        """`seed` is one, or one per node, (n,)."""
         self._n, self._ids = len(ids), ids
         self._groups: list[tuple[Index, Component]] = [(group.nodes, self._component(group, seed)) for group in groups]
 
@@ -39,7 +42,7 @@ class Disturbance:
                 w[nodes] += component(t)
         return np.zeros(self._n) if w is None else w
 
-    def _component(self, group: Group, seed: int) -> Component:
+    def _component(self, group: Group, seed: int | lots.Words) -> Component:
         columns = group.values
         match group.kind:
             case "samples":
@@ -54,7 +57,8 @@ class Disturbance:
                 return lambda t: np.where(columns["at"] == t, columns["value"], 0.0)
             case _:
                 words = lots.words_of(self._ids)[group.nodes]
-                return _White(white_keys(seed, group.number, words), columns["std"]).at
+                own = seed if isinstance(seed, int) else seed[group.nodes]
+                return _White(white_keys(own, group.number, words), columns["std"]).at
 
 
 def _sinusoid(amplitude: Array, omega: Array, phase: Array, t: int) -> Array:

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 from hedgerow.orchestrator.ground import laws
 from hedgerow.orchestrator.ground.versions import versions
+from hedgerow.orchestrator.runs import batch
 from hedgerow.topologies.errors import TopologyError, UserError
 from hedgerow.topologies.load import find, load
 from hedgerow.topologies.override import split_setting
@@ -80,10 +81,19 @@ class Plan:
             "networks": [_digest(to_yaml(resolve(one.topology, self.folder))) for one in self.settings],
         }
 
+    @cached_property
+    def one_by_one(self) -> tuple[str, ...]:
+        """Return, by setting, why its runs are made one by one; empty where they are made in batches."""
+        if self.engine == "zenoh":
+            return ("they run over Zenoh",) * len(self.settings)
+        return tuple(batch.why_not(setting.topology) for setting in self.settings)
+
     def chunks(self, done: Container[tuple[int, int]]) -> Iterator[Chunk]:
         """The runs, less those that are `done`: (place of the setting, seed)."""
         for k, setting in enumerate(self.settings):
             size = 1 if self.engine == "zenoh" else max(1, _STEPS_A_CHUNK // setting.topology.steps)
+            if not self.one_by_one[k]:
+                size = batch.seeds_at_once(setting.topology)
             lacking = (seed for seed in self.seeds if (k, seed) not in done)
             while seeds := tuple(itertools.islice(lacking, size)):
                 yield Chunk(k, seeds)

@@ -14,8 +14,8 @@ from hedgerow.agents.loading import LawError
 from hedgerow.orchestrator.experiments.sweep.plan import Chunk, Plan
 from hedgerow.orchestrator.ground.assignment import layout, truth_of, views_of
 from hedgerow.orchestrator.metrics.observer import Observer, rows_at_once
-from hedgerow.orchestrator.metrics.verdict import Ending, judge
-from hedgerow.orchestrator.runs import reference
+from hedgerow.orchestrator.metrics.verdict import VALID, Ending, judge
+from hedgerow.orchestrator.runs import batch, reference
 from hedgerow.topologies.errors import Code, HedgerowError, TopologyError, UserError
 from hedgerow.topologies.resolve import resolve
 from hedgerow.topologies.schema import Topology
@@ -52,9 +52,11 @@ def answer(plan: Plan, chunk: Chunk) -> Answer:
     """The rows of a chunk; whoever asks may be on another machine, so that an error travels as text."""
     seed = chunk.seeds[0]
     try:
+        there = {} if plan.one_by_one[chunk.setting] or len(chunk.seeds) == 1 else _batch(plan, chunk)
         rows = []
         for seed in chunk.seeds:
-            rows.append({"setting": chunk.setting, "seed": seed, **_row(_content(plan, chunk.setting, seed))})
+            row = there.get(seed) or _row(_content(plan, chunk.setting, seed))
+            rows.append({"setting": chunk.setting, "seed": seed, **row})
         return rows
     except TopologyError as error:
         return Failure(f"seed {seed}, {plan.says(chunk.setting)}: {error.problems[0]}", users=True)
@@ -64,6 +66,22 @@ def answer(plan: Plan, chunk: Chunk) -> Answer:
         reached = limit_reached(error)
         where, code = f"seed {seed}, {plan.says(chunk.setting)}", Code.CRASH if reached is None else reached.code
         return Failure(f"{where}: {reached or crash.report(error)}", users=False, code=code)
+
+
+def _batch(plan: Plan, chunk: Chunk) -> dict[int, Row]:
+    """Return the rows of the runs of a chunk that pass every check; the others are made by themselves, with reasons."""
+    topology = plan.settings[chunk.setting].topology
+    found, n = batch.run(topology, chunk.seeds, plan.folder), len(topology.ids)
+    columns = [found.metrics[name].tolist() for name in METRICS]
+    rows: dict[int, Row] = {}
+    for seed, good, *values in zip(chunk.seeds, found.good.tolist(), *columns, strict=True):
+        if good:
+            metrics = {
+                name: value if math.isfinite(value) else None for name, value in zip(METRICS, values, strict=True)
+            }
+            share = metrics["nodes_right"] / n
+            rows[seed] = {**metrics, "share_right": share, "verdict": VALID, "reasons": ""}
+    return rows
 
 
 def _content(plan: Plan, setting: int, seed: int) -> dict[str, Any]:
