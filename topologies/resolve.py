@@ -101,7 +101,7 @@ def resolve(topology: Topology, folder: Path = Path()) -> Topology:
         network = _worst_case(network, topology.disturbance.energy)
     if len(network.ids) <= SPELLED_OUT:
         network = replace(network, ids=tuple(network.ids))
-        whole: dict[str, Any] = {"nodes": dict(Nodes(network)), "edges": tuple(Edges(network).weighted())}
+        whole: dict[str, Any] = {"nodes": dict(Nodes(network)), "edges": tuple(Edges(network))}
     else:
         whole = {"nodes": Nodes(network), "edges": Edges(network)}
     whole |= {"generator": None, "table": None, "table_nodes": None, "lots": None}

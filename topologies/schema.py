@@ -434,20 +434,19 @@ class Topology(Model):
             return Graph(len(self._table.ids), self._table.edges, self._table.weights)
         pairs = [(self.position(i), self.position(j)) for i, j in self.pairs]
         edges = np.array(pairs, dtype=np.int64).reshape(-1, 2)
-        written = [weight_of(edge) for edge in self.edges] if len(self.pairs) and self._weighted else 1.0
+        written = [weight_of(edge) for edge in self.edges] if self._weighted else 1.0
         return Graph(len(self.ids), edges, weights_of(written, self.seed, self.ids, edges))
 
     @property
     def pairs(self) -> Sequence[Ends]:
         """The ends of every edge that the file writes, in its order."""
-        if not self._weighted:
-            return cast("Sequence[Ends]", self.edges)
-        return [ends_of(edge) for edge in self.edges]
+        if not isinstance(self.edges, tuple):
+            return cast("Sequence[Ends]", self.edges.pairs)  # topologies.nodes.Edges, of a network in columns
+        return [ends_of(edge) for edge in self.edges] if self._weighted else cast("Sequence[Ends]", self.edges)
 
     @property
     def _weighted(self) -> bool:
-        # Those of a large network are pairs in columns: looking at each would make it.
-        return isinstance(self.edges, tuple) and any(isinstance(edge, Edge) for edge in self.edges)
+        return any(isinstance(edge, Edge) for edge in self.edges)
 
     @cached_property
     def _places(self) -> dict[int | str, int]:
