@@ -31,7 +31,8 @@ def simulate(network: Named, *settings: str, run_dir: str | Path | None = None) 
     """Run a network in this process, and read back what it left: `simulate("paper7", "steps=300", "law=hinf")`.
 
     network: as of `topologies.named.text_of`. settings: `path=value`, as for `--set` on the command line.
-    run_dir: a new folder for the run, else one in runs/. Raises HedgerowError for a mistake, or if no step was made.
+    run_dir: a new folder for the run, else one in runs/. Raises HedgerowError for a mistake, or if no step was made,
+    and LawError if the law fails; its `__cause__` is the exception of the law, and the folder has the steps before it.
     """
     # `up` comes by here, and has no use for what reads runs.
     from hedgerow.orchestrator.runs.reader import load_run  # noqa: PLC0415
@@ -39,6 +40,8 @@ def simulate(network: Named, *settings: str, run_dir: str | Path | None = None) 
     topology = checked(resolved(network, settings))  # a mistake in its law is better known before there is a folder
     folder = create(topology, None if run_dir is None else user_path(str(run_dir)))
     verdict = simulate_into(topology, folder, layout(topology, 1), Watching(record=False), Quiet())
+    if verdict.error is not None:
+        raise verdict.error
     if not verdict.content["steps_done"]:
         raise HedgerowError(verdict.line())
     return load_run(folder.path)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+import traceback
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,7 +23,7 @@ from hedgerow.orchestrator.metrics.observer import Observer
 from hedgerow.orchestrator.metrics.replay import CLAIMS as REPLAYED
 from hedgerow.orchestrator.metrics.replay import Replay
 from hedgerow.topologies.describe import describe
-from hedgerow.topologies.errors import Code, Exit, HedgerowError
+from hedgerow.topologies.errors import Code, Exit, HedgerowError, UserError
 from hedgerow.topologies.escape import escape
 from hedgerow.topologies.partition import cut, partition
 from hedgerow.topologies.schema import LAWS, Topology
@@ -88,6 +90,10 @@ class Ending:
     """processes that ended, unplanned, and were not started again, each in words"""
     crashed: bool = False
     """the run ended by a defect of this project"""
+    mistaken: bool = False
+    """the run ended by a mistake of the user, in the law"""
+    error: HedgerowError | None = None
+    """the error of the law that ended a run in this process"""
 
     def end_by(self, error: BaseException, log: Path) -> None:
         """Record that an exception ended the run; the traceback of one that nobody expected goes to `log`."""
@@ -96,6 +102,9 @@ class Ending:
             self.crashed = True
             self.stopped = crash.report(error, log)
         else:
+            if isinstance(error, UserError) and error.code == Code.LAW:
+                self.mistaken, self.error = True, error
+                log_cause(error, log)
             self.crashed |= getattr(error, "code", None) == Code.CRASH
             self.stopped = str(reached or error)
 
@@ -106,6 +115,8 @@ class Verdict:
 
     verdict: str
     content: dict[str, Any]
+    error: HedgerowError | None = None
+    """the error of the law that ended a run in this process"""
 
     @property
     def exit_code(self) -> int:
@@ -226,7 +237,7 @@ def judge(topology: Topology, observer: Observer, ending: Ending) -> Verdict:
     elapsed_s = observer.end.elapsed_s if observer.end is not None else None
     content = {
         "verdict": verdict,
-        "exit_code": Exit.CRASH if ending.crashed else EXIT_CODES[verdict],
+        "exit_code": _exit_code(verdict, ending),
         "reasons": [escape(why) for why in (doubts + failed if ending.crashed else failed + doubts)],
         "run": ending.run,
         "name": topology.name,
@@ -257,7 +268,21 @@ def judge(topology: Topology, observer: Observer, ending: Ending) -> Verdict:
         "metrics": {name: _finite(value) for name, value in observer.summary().items()} if done else {},
         "versions": versions(),
     }
-    return Verdict(verdict, content)
+    return Verdict(verdict, content, ending.error)
+
+
+def _exit_code(verdict: str, ending: Ending) -> int:
+    """Return the exit code of a run; a law that failed is a mistake of its user."""
+    if ending.crashed:
+        return Exit.CRASH
+    return Exit.USER_MISTAKE if ending.mistaken and verdict == UNKNOWN else EXIT_CODES[verdict]
+
+
+def log_cause(error: BaseException, log: Path) -> None:
+    """Append the traceback of the exception that an error came from to a log, if the disk has room."""
+    if error.__cause__ is not None:
+        with contextlib.suppress(OSError), log.open("a", encoding="utf-8", errors="backslashreplace") as file:
+            file.write("".join(traceback.format_exception(error.__cause__)))
 
 
 def _faults(topology: Topology, observer: Observer) -> list[dict[str, Any]]:
