@@ -157,9 +157,10 @@ class _Test:
             more = arguments(self._law, self._parameters)
             if asks(self._law.__init__, "local"):
                 more["local"] = self._local(nodes, b, candidates)
-            return self._law(b, candidates, **more)
+            law: Law = self._law(b, candidates, **more)
         except Exception as error:
             self._raised("__init__", error)
+        return law
 
     def _local(self, nodes: Index, b: Gain, candidates: Array) -> Local:
         incidences = self._of(nodes)

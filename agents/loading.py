@@ -40,7 +40,12 @@ def law_class(name: str) -> type[Law]:
     if (here := str(Path.cwd())) not in sys.path:
         sys.path.append(here)
     try:
-        law: type[Law] = getattr(importlib.import_module(module), attribute)
+        # A stale .pyc file would hide an edit within the second of its writing that keeps the size.
+        before, sys.dont_write_bytecode = sys.dont_write_bytecode, True
+        try:
+            law: type[Law] = getattr(importlib.import_module(module), attribute)
+        finally:
+            sys.dont_write_bytecode = before
     except Exception as error:
         where = place_in_module(error)
         cure = "Correct that line." if where else "Give package.module:Class, importable here (docs/laws.md)."

@@ -18,6 +18,7 @@ from hedgerow.agents.law import Law
 from hedgerow.agents.law_lines import running
 from hedgerow.agents.loading import LawError, declared, law_class
 from hedgerow.orchestrator.ground.assignment import law_of
+from hedgerow.orchestrator.ground.law_source import refresh
 from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.law_choice import LawChoice
 from hedgerow.topologies.schema import LAWS, Topology
@@ -26,10 +27,12 @@ from hedgerow.topologies.schema import LAWS, Topology
 def checked(topology: Topology) -> Topology:
     """Return a topology whose law names all of its parameters, the defaults included.
 
-    Raises UserError if the class cannot be loaded, or a parameter is unknown, missing or of the wrong type. The message
-    names the file and line. Raises LawError if the law breaks its contract (agents/contract.py).
+    If the file of the law changed since it was loaded, it is loaded again. Raises UserError if the class cannot be
+    loaded, or a parameter is unknown, missing or of the wrong type. The message names the file and line. Raises
+    LawError if the law breaks its contract (agents/contract.py).
     """
     choice = LawChoice.parse(law_of(topology))
+    refresh(str(choice))
     law = law_class(choice.name)
     if topology.law in LAWS:
         return topology

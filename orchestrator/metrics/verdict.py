@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from hedgerow.orchestrator.ground.law_source import source_of
 from hedgerow.orchestrator.ground.versions import versions
 from hedgerow.orchestrator.metrics.checks import Worst
 from hedgerow.orchestrator.metrics.deaths import CLAIM as DEATHS
@@ -242,6 +243,7 @@ def judge(topology: Topology, observer: Observer, ending: Ending) -> Verdict:
         "run": ending.run,
         "name": topology.name,
         "law": topology.law,
+        "law_source": source_of(topology.law).digest or None,
         "seed": topology.seed,
         "engine": ending.engine,
         "processes": ending.processes,

@@ -21,9 +21,10 @@ def check_law(law: type[Any] | str, network: Named | None = None, /, **parameter
     before it begins.
     """
     name = law if isinstance(law, str) else f"{law.__module__}:{law.__qualname__}"
-    choice = LawChoice.parse(name) if isinstance(law, str) else None
-    tested = law_class(choice.name) if choice is not None else law
-    given = {**(choice.parameters if choice is not None else {}), **parameters}
+    given, tested = parameters, law
+    if isinstance(tested, str):
+        choice = LawChoice.parse(tested)
+        given, tested = {**choice.parameters, **parameters}, law_class(choice.name)
     trial, seed = None, 0
     if network is not None:
         topology = resolved(network)
