@@ -151,12 +151,19 @@ class Verdict:
                     c["checks"]["oracle_certificate"]["steps"] == c["steps_done"],
                     ceiling(c),
                 ),
-                f"{m['nodes_right']} of {c['nodes']} estimates right",
+                estimates_text(c["real_estimates"], m["nodes_right"], c["nodes"], m["estimate_error"]),
             ]
         if "law" in c["checks"] and (replayed := c["checks"]["law"]["nodes"]) < c["nodes"]:
             numbers.append(f"{replayed} of {c['nodes']} nodes replayed")
         why = f" ({'; '.join(c['reasons'])})" if c["reasons"] else ""
         return f"{self.verdict}{why}: {', '.join(numbers)}"
+
+
+def estimates_text(real: bool, right: int, nodes: int, error: float | None) -> str:
+    """Return how good the estimates are: how many are right, or the mean error of a law that estimates real numbers."""
+    if real and error is not None:
+        return f"mean |ahat - a| {error:.4g}"
+    return f"{right} of {nodes} estimates right"
 
 
 def ceiling(content: Mapping[str, Any]) -> float:
@@ -244,6 +251,7 @@ def judge(topology: Topology, observer: Observer, ending: Ending) -> Verdict:
         "name": topology.name,
         "law": topology.law,
         "law_source": source_of(topology.law).digest or None,
+        "real_estimates": observer.real_estimates,
         "seed": topology.seed,
         "engine": ending.engine,
         "processes": ending.processes,

@@ -127,7 +127,7 @@ class SweepFolder:
         columns["seed"] = pa.array([row["seed"] for row in rows], pa.int64())
         for name in (*METRICS, "share_right"):
             kind = pa.int64() if name == "nodes_right" else pa.float64()
-            columns[name] = pa.array([row[name] for row in rows], kind)
+            columns[name] = pa.array([row.get(name) for row in rows], kind)
         for name in ("verdict", "reasons"):
             columns[name] = pa.array([row[name] for row in rows], pa.string())
         part = self.table.with_name(self.table.name + ".part")

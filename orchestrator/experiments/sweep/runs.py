@@ -27,7 +27,7 @@ from hedgerow.wire.limits import limit_reached
 Row = dict[str, Any]
 METRICS = (
     *("regret", "regret_nominal", "cost", "cost_oracle", "cost_regret", "cost_ratio", "disturbance_energy"),
-    *("gain", "gain_less_x0", "gamma_star", "rho", "nodes_right"),
+    *("gain", "gain_less_x0", "gamma_star", "rho", "nodes_right", "estimate_error"),
 )
 """Of verdict.json."""
 
