@@ -13,6 +13,7 @@ from __future__ import annotations
 TYPE_CHECKING = False  # the one of typing takes a while to load
 if TYPE_CHECKING:
     from hedgerow.agents.law import Law, Minimax
+    from hedgerow.orchestrator import testing
     from hedgerow.orchestrator.facade import bound, load, simulate
     from hedgerow.orchestrator.runs.reader import RecordedRun, load_run
     from hedgerow.topologies.errors import Code, HedgerowError, TopologyError, UserError
@@ -47,6 +48,7 @@ __all__ = [
     "load",
     "load_run",
     "simulate",
+    "testing",
 ]
 
 NEEDED = frozenset(
@@ -69,6 +71,10 @@ def __getattr__(name: str) -> object:
         from hedgerow.wire.release import release  # noqa: PLC0415
 
         return release("hedgerow")
+    if name == "testing":
+        from hedgerow.orchestrator import testing  # noqa: PLC0415
+
+        return testing
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module  # noqa: PLC0415

@@ -78,10 +78,17 @@ def run_command(began: float, fork_client: ForkClient | None) -> None:
     leave(run_to_exit_code(lambda: app(standalone_mode=False) or 0))
 
 
-def _importable(topology: Topology) -> Topology:
-    """Return the topology with a checked law: a law that fails to load is better known before a run begins."""
-    from hedgerow.orchestrator.ground.laws import checked  # noqa: PLC0415
+def _importable(topology: Topology, file: str = "") -> Topology:
+    """Return the topology with a checked law: a law that fails to load is better known before a run begins.
 
+    `file` is the name of the topology. If it is in the folder of a run that kept another source of the law, say so.
+    """
+    from hedgerow.orchestrator.ground.law_source import FOLDER, differs  # noqa: PLC0415
+    from hedgerow.orchestrator.ground.laws import checked  # noqa: PLC0415
+    from hedgerow.topologies.load import find  # noqa: PLC0415
+
+    if file and ":" in topology.law and (said := differs(topology.law, find(file).parent / FOLDER)):
+        echo(said, error=True)
     return checked(topology)
 
 
@@ -162,7 +169,7 @@ def up(
 
     check_options(rate=rate, deadline=deadline, wait=wait)
     count_of: object = int(processes) if processes and processes.lstrip("-").isdecimal() else processes
-    topology = _importable(read(file, sets, steps=steps, seed=seed, law=law, processes=count_of, secure=secure))
+    topology = _importable(read(file, sets, steps=steps, seed=seed, law=law, processes=count_of, secure=secure), file)
     shards = layout(topology, topology.process_count)
     where = places(views_of(topology, shards))
     check_security(topology.secure, router, keys, where, external is not None, listen, namespace)
@@ -345,7 +352,7 @@ def simulate(
     from hedgerow.orchestrator.runs.selection import told  # noqa: PLC0415
     from hedgerow.orchestrator.views.screen import screen  # noqa: PLC0415
 
-    topology = _importable(read(file, sets, steps=steps, seed=seed, law=law))
+    topology = _importable(read(file, sets, steps=steps, seed=seed, law=law), file)
     folder = folders.create(topology, run_dir)
     viewer = _viewer(viewer)
     with contextlib.closing(screen(topology, as_json, plain, watched=viewer != "none")) as display:

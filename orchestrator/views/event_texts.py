@@ -51,7 +51,7 @@ class Now:
     def _text(self, batch: Batch, k: int, gain: float, less: float) -> str:
         x, regret = np.abs(batch.x[k]), batch.regret[k]
         top, worst = int(x.argmax()), int(regret.argmax())
-        missing, wrong = np.isnan(batch.u[k]), batch.ahat[k] != batch.a[k]
+        missing, wrong = np.isnan(batch.u[k]), batch.wrong[k]
         dead = missing & np.isnan(batch.ahat[k])
         down = [
             *_those("edge cut:", self._edge, ~batch.edge_open[k]),

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from hedgerow.orchestrator.ground import laws
+from hedgerow.orchestrator.ground.law_source import LawSource, source_of
 from hedgerow.orchestrator.ground.versions import versions
 from hedgerow.orchestrator.runs import batch
 from hedgerow.topologies.errors import TopologyError, UserError
@@ -72,7 +73,9 @@ class Plan:
     def identity(self) -> dict[str, Any]:
         """What two sweeps have in common whose runs may stand in one table: all but the seeds, which may grow."""
         values = zip(*(setting.values for setting in self.settings), strict=True)
+        sources = {k: source.digest for k, source in enumerate(self.sources) if source.files}
         return {
+            **({"laws": [sources.get(k, "") for k in range(len(self.settings))]} if sources else {}),
             "name": self.name,
             "engine": self.engine,
             "set": {key: list(dict.fromkeys(own)) for key, own in zip(self.keys, values, strict=True)},
@@ -87,6 +90,13 @@ class Plan:
         if self.engine == "zenoh":
             return ("they run over Zenoh",) * len(self.settings)
         return tuple(batch.why_not(setting.topology) for setting in self.settings)
+
+    @cached_property
+    def sources(self) -> list[LawSource]:
+        """Return the source of the law of each setting."""
+        laws = {setting.topology.law for setting in self.settings}
+        known = {law: source_of(law) for law in laws}
+        return [known[setting.topology.law] for setting in self.settings]
 
     def chunks(self, done: Container[tuple[int, int]]) -> Iterator[Chunk]:
         """The runs, less those that are `done`: (place of the setting, seed)."""

@@ -13,6 +13,7 @@ from typing import Any
 from hedgerow.agents.loading import LawError
 from hedgerow.orchestrator.experiments.sweep.plan import Chunk, Plan
 from hedgerow.orchestrator.ground.assignment import layout, truth_of, views_of
+from hedgerow.orchestrator.ground.law_source import need_same
 from hedgerow.orchestrator.metrics.observer import Observer, rows_at_once
 from hedgerow.orchestrator.metrics.verdict import VALID, Ending, judge
 from hedgerow.orchestrator.runs import batch, reference
@@ -26,7 +27,7 @@ from hedgerow.wire.limits import limit_reached
 Row = dict[str, Any]
 METRICS = (
     *("regret", "regret_nominal", "cost", "cost_oracle", "cost_regret", "cost_ratio", "disturbance_energy"),
-    *("gain", "gain_less_x0", "gamma_star", "rho", "nodes_right"),
+    *("gain", "gain_less_x0", "gamma_star", "rho", "nodes_right", "estimate_error"),
 )
 """Of verdict.json."""
 
@@ -91,6 +92,7 @@ def _batch(plan: Plan, chunk: Chunk) -> dict[int, Row]:
 
 def _content(plan: Plan, setting: int, seed: int) -> dict[str, Any]:
     """What verdict.json holds, or would hold."""
+    need_same(plan.settings[setting].topology.law, plan.sources[setting].digest)
     topology = resolve(plan.settings[setting].topology.model_copy(update={"seed": seed}), plan.folder)
     return _over_zenoh(topology) if plan.engine == "zenoh" else run_here(topology)
 
