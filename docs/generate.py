@@ -70,6 +70,8 @@ EXAMPLES: dict[str, Any] = {
     "sinusoid": {"kind": "sinusoid", "amplitude": 0.5, "omega": 0.3, "phase": 1.57},
     "constant": {"kind": "constant", "value": -0.05},
     "white": {"kind": "white", "std": {"random": [0.1, 0.5]}},
+    "ar1": {"kind": "ar1", "phi": 0.9, "std": 0.1},
+    "confuse": {"kind": "confuse", "candidate": 0.9},
     "impulse": {"kind": "impulse", "at": 20, "value": 10},
     "samples": {"kind": "samples", "values": [0.1, 0.0, -0.1]},
     "none": "none",
@@ -277,7 +279,8 @@ def random() -> str:
             places += [_place(owner, name) for name in owner.model_fields if model in _members(hints[name])]
         rows.append(f"| `{{random: {inside}}}` | {', '.join(places)} | {(model.__doc__ or '').strip()} |")
     rows.insert(2, "| `random` | `a` | The truth: one of the node's candidates, each as likely. |")
-    rows.insert(3, "| `random` | `jump.a` | The new truth: a candidate that is not the old truth, if there is one. |")
+    rows.insert(3, "| `random` | `confuse.candidate` | A candidate that is not the truth, if there is one. |")
+    rows.insert(4, "| `random` | `jump.a` | The new truth: a candidate that is not the old truth, if there is one. |")
     return "\n".join(rows)
 
 
