@@ -83,7 +83,7 @@ def plant_of(network: Network) -> Plant:
         network.a,
         network.b,
         network.graph.edges,
-        getattr(network.graph, "weights", None),
+        network.graph.weights,
         np.nanmin(network.candidates, axis=0),
         np.nanmax(network.candidates, axis=0),
     )

@@ -44,6 +44,7 @@ TABLE = [
     (vector("v1_path2"), 6.218, 7.289),
     (vector("v2_tree7"), 6.672, 7.672),
     (UNEQUAL, 5.002, 5.032),
+    (vector("w1_path3"), 5.002, 5.032),
 ]
 
 
