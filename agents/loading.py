@@ -27,7 +27,7 @@ class LawError(UserError):
 
 
 def law_class(name: str) -> type[Law]:
-    """Return the class of a law of the project, or of `package.module:Class` (the working directory is searched too)."""
+    """Return the class of a law of the project, or of `package.module:Class`, also in the working directory."""
     if name in LAWS:
         return law_of_name(name)
     module, _, attribute = name.partition(":")

@@ -41,7 +41,7 @@ WRITTEN = {
     "graph": "[a rule](#graphs-by-a-rule)",
     "table": "[a file](#tables)",
     "processes": "whole number (at least 1), `auto` or `per-node`",
-    "law": "`minimax`, `hinf`, `nominal` or `package.module:Class`",
+    "law": "[a name](zoo.md) or `package.module:Class`, alone or in a mapping",
     "disturbance": "[`worst_case`](#worst_case)",
     "faults": "list of [faults](#faults)",
     "record": "[mapping](#what-is-written-down)",

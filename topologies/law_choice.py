@@ -79,6 +79,11 @@ class LawChoice:
         return f"{self.name}({', '.join(f'{key}={value!r}' for key, value in sorted(self.parameters.items()))})"
 
 
+def is_listed(text: str) -> bool:
+    """Return True if a law acts by equation (6) on an estimate from the node's list, whatever it learns."""
+    return text.partition("(")[0].strip() in LISTED
+
+
 def _is_plain(value: object, depth: int = 0) -> bool:
     if isinstance(value, list | tuple):
         return depth < 3 and len(value) <= 10_000 and all(_is_plain(one, depth + 1) for one in value)

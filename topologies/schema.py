@@ -408,7 +408,8 @@ class Topology(Model):
         ),
     ] = Field(
         "minimax",
-        description="minimax (6)-(7), hinf (8), nominal, or package.module:Class; with parameters as"
+        description="minimax (6)-(7), hinf (8), nominal, another name that `orchestrator laws` lists, or"
+        " package.module:Class; with parameters as"
         " `{name: …, key: value}` or `{class: …, key: value}`",
     )
     defaults: Defaults = Field(Defaults(), description="what holds for every node that does not say otherwise")
@@ -519,6 +520,11 @@ class Topology(Model):
         if self.processes == "per-node" or (self.processes is None and n <= PER_NODE):
             return n
         return min(n, os.cpu_count() or 1)
+
+    @property
+    def is_drawn(self) -> bool:
+        """Return True if all numbers of the network are drawn."""
+        return "network" in self.__dict__
 
     @cached_property
     def network(self) -> Network:

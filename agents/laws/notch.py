@@ -20,7 +20,7 @@ import numpy as np
 from hedgerow.agents.law import Array
 from hedgerow.agents.laws.listed import Listed
 from hedgerow.agents.local import Heard
-from hedgerow.topologies.graph import Gain
+from hedgerow.topologies.graph import Gain, Mask
 
 TINY = 1e-290
 """a square below it is taken for 0, so that no quotient overflows"""
@@ -42,7 +42,7 @@ def notched(memory: Array, candidates: Array, x: Array, y: Array, t: int) -> Non
     run += 1.0
 
 
-def _regress(J: Array, c: Array, S0: Array, v: Array, z: Array, whole: Array) -> None:
+def _regress(J: Array, c: Array, S0: Array, v: Array, z: Array, whole: Mask) -> None:
     """Add v and z to the regression v = c z, in the columns that are `whole`; all else is (M, k)."""
     squared = z * z
     none = squared < TINY

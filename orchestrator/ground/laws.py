@@ -46,6 +46,20 @@ def checked(topology: Topology) -> Topology:
         full = LawChoice.of(choice.name, given)
     except ValueError as error:
         raise UserError(f"{where}: {error}. Declare parameters of these types only.", code=Code.LAW) from None
+    return completed(topology.model_copy(update={"law": str(full)}))
+
+
+def completed(topology: Topology) -> Topology:
+    """Return a topology whose law has the parameters that the operator computes, once all numbers are drawn.
+
+    This is theta of the law `robust`, unless the file gives it.
+    """
+    choice = LawChoice.parse(topology.law)
+    if choice.name != "robust" or choice.parameters.get("theta") is not None or not topology.is_drawn:
+        return topology
+    from hedgerow.orchestrator.ground.robust import theta_of  # noqa: PLC0415 (scipy takes a while to load)
+
+    full = LawChoice.of(choice.name, {**choice.parameters, "theta": theta_of(topology.network)})
     return topology.model_copy(update={"law": str(full)})
 
 

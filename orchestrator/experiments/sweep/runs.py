@@ -13,6 +13,7 @@ from typing import Any
 from hedgerow.agents.loading import LawError
 from hedgerow.orchestrator.experiments.sweep.plan import Chunk, Plan
 from hedgerow.orchestrator.ground.assignment import layout, truth_of, views_of
+from hedgerow.orchestrator.ground.laws import completed
 from hedgerow.orchestrator.metrics.observer import Observer, rows_at_once
 from hedgerow.orchestrator.metrics.verdict import Ending, judge
 from hedgerow.orchestrator.runs import reference
@@ -68,7 +69,7 @@ def answer(plan: Plan, chunk: Chunk) -> Answer:
 
 def _content(plan: Plan, setting: int, seed: int) -> dict[str, Any]:
     """What verdict.json holds, or would hold."""
-    topology = resolve(plan.settings[setting].topology.model_copy(update={"seed": seed}), plan.folder)
+    topology = completed(resolve(plan.settings[setting].topology.model_copy(update={"seed": seed}), plan.folder))
     return _over_zenoh(topology) if plan.engine == "zenoh" else run_here(topology)
 
 
