@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Annotated, TextIO
 
 import typer
 
+from hedgerow.orchestrator.cli import compare as cli_compare
 from hedgerow.orchestrator.cli import files as cli_files
 from hedgerow.orchestrator.cli import gain as cli_gain
 from hedgerow.orchestrator.cli import keys as cli_keys
@@ -461,6 +462,7 @@ def chaos(
     return 1
 
 
+cli_compare.register(app)
 cli_live.register(app)
 cli_machines.register(app)
 cli_files.register(app)
