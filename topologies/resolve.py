@@ -32,6 +32,7 @@ from hedgerow.topologies.schema import (
     PER_NODE,
     SAMPLED,
     WHOLE,
+    Confuse,
     Defaults,
     Disturbance,
     Drawn,
@@ -247,6 +248,8 @@ class _Drawing:
         for number, part in enumerate(parts):
             if isinstance(part, Samples):
                 values = {"values": self._samples(part, nodes)}
+            elif isinstance(part, Confuse) and part.candidate == "random":
+                values = {"candidate": self._wrong(nodes, f"disturbance.{number}.candidate")}
             else:
                 field = f"disturbance.{number}"
                 values = {
@@ -257,6 +260,20 @@ class _Drawing:
                 }
             if not isinstance(part, Nothing):
                 self._add(number, part.kind, nodes, values)
+
+    def _wrong(self, nodes: Index, field: str) -> Array:
+        """Return a candidate of each node that is not its truth, each as likely; the truth if there is no other.
+
+        Call it after `_model` of the same nodes.
+        """
+        of, listed = self._lists[-1]
+        assert of is nodes, "the candidates of these nodes were just drawn"
+        a = self._a[nodes]
+        wrong = ~np.isnan(listed) & (listed != a)
+        count = wrong.sum(axis=0)
+        pick = (self._draws.of(field, nodes)[:, 0] * count).astype(np.int64)
+        place = (wrong & (wrong.cumsum(axis=0) == pick + 1)).argmax(axis=0)
+        return np.where(count > 0, listed[place, np.arange(len(nodes))], a)
 
     def _samples(self, part: Samples, nodes: Index) -> Array:
         steps = self._topology.steps

@@ -139,6 +139,36 @@ class White(Model):
     ] = Field(description="standard deviation")
 
 
+class AR1(Model):
+    """Coloured Gaussian noise, w(t) = phi w(t - 1) + sqrt(1 - phi^2) std e(t) with e(t) white and w(0) = std e(0).
+
+    A function of (seed, node id, step), stationary from t = 0.
+    """
+
+    kind: Literal["ar1"] = "ar1"
+    phi: Annotated[float, Field(gt=-1, lt=1), BeforeValidator(number)] = Field(
+        description="correlation of two steps that follow each other"
+    )
+    std: Annotated[
+        Annotated[NonNegative, Tag("number")] | Annotated[NonNegativeUniform, Tag("random")],
+        _mapping_or("number"),
+    ] = Field(description="standard deviation of w(t)")
+
+
+class Confuse(Model):
+    """w_i(t) = (candidate - a_i) x_i(t): the node moves exactly as if `candidate` were its true a.
+
+    It sees the state, so every law meets its own w. From x(0) = 0 it is 0 forever, unless another disturbance moves x.
+    """
+
+    kind: Literal["confuse"] = "confuse"
+    candidate: Annotated[
+        Annotated[float, Field(gt=0, lt=1), BeforeValidator(number), Tag("number")]
+        | Annotated[Literal["random"], Tag("word")],
+        Discriminator(lambda value: "word" if isinstance(value, str) else "number"),
+    ] = Field(description="the a that looks true; or `random`: a wrong candidate of the node, drawn")
+
+
 class Impulse(Model):
     """w(at) = value, and 0 at every other step."""
 
@@ -184,20 +214,33 @@ Component = Annotated[
     Annotated[Sinusoid, Tag("sinusoid")]
     | Annotated[Constant, Tag("constant")]
     | Annotated[White, Tag("white")]
+    | Annotated[AR1, Tag("ar1")]
+    | Annotated[Confuse, Tag("confuse")]
     | Annotated[Impulse, Tag("impulse")]
     | Annotated[Samples, Tag("samples")]
     | Annotated[Nothing, Tag("none")],
     Discriminator(
         kind_of,
         custom_error_type="kind",
-        custom_error_message="a disturbance has `kind:` sinusoid, constant, white, impulse, samples or none",
+        custom_error_message="a disturbance has `kind:` sinusoid, constant, white, ar1, confuse, impulse, samples"
+        " or none",
     ),
     BeforeValidator(
-        _bare_kind, json_schema_input_type=Sinusoid | Constant | White | Impulse | Samples | Nothing | Literal["none"]
+        _bare_kind,
+        json_schema_input_type=Sinusoid
+        | Constant
+        | White
+        | AR1
+        | Confuse
+        | Impulse
+        | Samples
+        | Nothing
+        | Literal["none"],
     ),
 ]
-COMPONENTS: dict[str, type[Sinusoid | Constant | White | Impulse | Samples | Nothing]] = {
-    model.model_fields["kind"].default: model for model in (Sinusoid, Constant, White, Impulse, Samples, Nothing)
+COMPONENTS: dict[str, type[Sinusoid | Constant | White | AR1 | Confuse | Impulse | Samples | Nothing]] = {
+    model.model_fields["kind"].default: model
+    for model in (Sinusoid, Constant, White, AR1, Confuse, Impulse, Samples, Nothing)
 }
 Disturbance = Annotated[
     Annotated[Component, Tag("one")] | Annotated[tuple[Component, ...], Tag("sum")],
@@ -365,7 +408,8 @@ class Topology(Model):
         ),
     ] = Field(
         "minimax",
-        description="minimax (6)-(7), hinf (8), nominal, or package.module:Class; with parameters as"
+        description="minimax (6)-(7), hinf (8), nominal, another name that `orchestrator laws` lists, or"
+        " package.module:Class; with parameters as"
         " `{name: …, key: value}` or `{class: …, key: value}`",
     )
     defaults: Defaults = Field(Defaults(), description="what holds for every node that does not say otherwise")
@@ -475,6 +519,11 @@ class Topology(Model):
         if self.processes == "per-node" or (self.processes is None and n <= PER_NODE):
             return n
         return min(n, os.cpu_count() or 1)
+
+    @property
+    def is_drawn(self) -> bool:
+        """Return True if all numbers of the network are drawn."""
+        return "network" in self.__dict__
 
     @cached_property
     def network(self) -> Network:

@@ -25,6 +25,7 @@ from hedgerow.plant.disturbance import Disturbance
 from hedgerow.plant.world import dynamics
 from hedgerow.topologies.archive import id_array
 from hedgerow.topologies.graph import Array, Mask
+from hedgerow.topologies.law_choice import LawChoice
 from hedgerow.topologies.network import Network
 from hedgerow.topologies.resolve import copies
 from hedgerow.topologies.schema import LAWS, Topology
@@ -43,6 +44,8 @@ def why_not(topology: Topology) -> str:
         (topology.disturbance is not None, "its worst-case disturbance depends on the numbers that are drawn"),
         (topology.generator is not None, "its graph is made by a rule"),
         (_unequal(topology), "its gains or weights differ"),
+        (_sees_state(topology), "its disturbance sees the state"),
+        (LawChoice.parse(topology.law).name == "robust", "its law has a parameter that is computed for every seed"),
         (_asks(topology), "its law asks for local knowledge"),
     )
     return next((why for holds, why in reasons if holds), "")
@@ -52,6 +55,13 @@ def _unequal(topology: Topology) -> bool:
     given = topology.given
     own = topology.defaults.b is not None or any(node.b is not None for node in topology.nodes.values())
     return own or topology.graph.weights is not None or (given is not None and given.b is not None)
+
+
+def _sees_state(topology: Topology) -> bool:
+    written = [topology.defaults.disturbance, *(node.disturbance for node in topology.nodes.values())]
+    parts = [part for one in written if one is not None for part in (one if isinstance(one, tuple) else (one,))]
+    given = topology.given.disturbance if topology.given is not None else None
+    return any(part.kind == "confuse" for part in (*parts, *(given or ())))
 
 
 def _asks(topology: Topology) -> bool:

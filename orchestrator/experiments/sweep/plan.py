@@ -113,7 +113,7 @@ def plan(file: str, seeds: str, sets: Sequence[str], engine: str) -> Plan:
     """The plan of a command line; raises UserError for a mistake in it, TopologyError for one in the file."""
     if engine not in ENGINES:
         raise UserError(f"--engine {engine}: is neither {' nor '.join(ENGINES)}; choose one of them")
-    asked, values = _seeds(seeds), _values(sets)
+    asked, values = seeds_of(seeds), _values(sets)
     load(file)
     settings = [
         Setting(combination, _with(file, dict(zip(values, combination, strict=True))))
@@ -125,7 +125,8 @@ def plan(file: str, seeds: str, sets: Sequence[str], engine: str) -> Plan:
     return Plan(tuple(values), tuple(settings), asked, engine, find(file).parent)
 
 
-def _seeds(text: str) -> range:
+def seeds_of(text: str) -> range:
+    """Return the seeds of FIRST:STOP; raise UserError for a text that is none."""
     first, _, stop = text.partition(":")
     if not (first.isdecimal() and stop.isdecimal()):
         raise UserError(f"--seeds {text}: is not FIRST:STOP; write for example 0:1000, which ends with 999")

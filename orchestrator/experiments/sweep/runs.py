@@ -14,6 +14,7 @@ from hedgerow.agents.loading import LawError
 from hedgerow.orchestrator.experiments.sweep.plan import Chunk, Plan
 from hedgerow.orchestrator.ground.assignment import layout, truth_of, views_of
 from hedgerow.orchestrator.ground.law_source import need_same
+from hedgerow.orchestrator.ground.laws import completed
 from hedgerow.orchestrator.metrics.observer import Observer, rows_at_once
 from hedgerow.orchestrator.metrics.verdict import VALID, Ending, judge
 from hedgerow.orchestrator.runs import batch, reference
@@ -93,7 +94,7 @@ def _batch(plan: Plan, chunk: Chunk) -> dict[int, Row]:
 def _content(plan: Plan, setting: int, seed: int) -> dict[str, Any]:
     """What verdict.json holds, or would hold."""
     need_same(plan.settings[setting].topology.law, plan.sources[setting].digest)
-    topology = resolve(plan.settings[setting].topology.model_copy(update={"seed": seed}), plan.folder)
+    topology = completed(resolve(plan.settings[setting].topology.model_copy(update={"seed": seed}), plan.folder))
     return _over_zenoh(topology) if plan.engine == "zenoh" else run_here(topology)
 
 
