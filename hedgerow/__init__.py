@@ -13,7 +13,7 @@ from __future__ import annotations
 TYPE_CHECKING = False  # the one of typing takes a while to load
 if TYPE_CHECKING:
     from hedgerow.agents.law import Law, Minimax
-    from hedgerow.orchestrator.facade import bound, load, simulate
+    from hedgerow.orchestrator.facade import bound, load, simulate, worst
     from hedgerow.orchestrator.runs.reader import RecordedRun, load_run
     from hedgerow.topologies.errors import Code, HedgerowError, TopologyError, UserError
     from hedgerow.topologies.schema import Topology
@@ -33,6 +33,7 @@ _HOMES = {
     "load": "orchestrator.facade",
     "load_run": "orchestrator.runs.reader",
     "simulate": "orchestrator.facade",
+    "worst": "orchestrator.facade",
 }
 __all__ = [
     "Code",
@@ -47,6 +48,7 @@ __all__ = [
     "load",
     "load_run",
     "simulate",
+    "worst",
 ]
 
 NEEDED = frozenset(
