@@ -10,7 +10,7 @@ from hedgerow.orchestrator.metrics.gain_bound import Method, Premise, bound, met
 from hedgerow.orchestrator.metrics.guarantee import plant_of
 from hedgerow.topologies.errors import HedgerowError
 
-KINDS = {
+KINDS: dict[str, dict[str, object]] = {
     "tree": {"kind": "random_tree", "max_degree": 3},
     "ring": {"kind": "ring"},
     "regular": {"kind": "random_regular", "degree": 3},
@@ -28,7 +28,7 @@ def main() -> None:
     options = parser.parse_args()
     for kind in options.kinds.split(","):
         for n in map(int, options.sizes.split(",")):
-            graph = KINDS[kind] | {"nodes": n}
+            graph = {**KINDS[kind], "nodes": n}
             lists = {"candidates": [0.2, 0.5, 0.8]}
             network = {"name": kind, "b": 0.1, "steps": 1, "seed": 1, "graph": graph, "defaults": lists}
             plant = plant_of(hg.load(network).network)
