@@ -14,7 +14,7 @@ TYPE_CHECKING = False  # the one of typing takes a while to load
 if TYPE_CHECKING:
     from hedgerow.agents.law import Law, Minimax
     from hedgerow.orchestrator import testing
-    from hedgerow.orchestrator.facade import bound, load, simulate
+    from hedgerow.orchestrator.facade import bound, load, simulate, worst
     from hedgerow.orchestrator.runs.reader import RecordedRun, load_run
     from hedgerow.topologies.errors import Code, HedgerowError, TopologyError, UserError
     from hedgerow.topologies.schema import Topology
@@ -34,6 +34,7 @@ _HOMES = {
     "load": "orchestrator.facade",
     "load_run": "orchestrator.runs.reader",
     "simulate": "orchestrator.facade",
+    "worst": "orchestrator.facade",
 }
 __all__ = [
     "Code",
@@ -49,6 +50,7 @@ __all__ = [
     "load_run",
     "simulate",
     "testing",
+    "worst",
 ]
 
 NEEDED = frozenset(
