@@ -237,7 +237,7 @@ def graphs() -> str:
         example = {"kind": kind, "nodes": 8} | GRAPH_EXAMPLES.get(kind, {})
         network = {"name": "one", "b": 0.1, "steps": 3, "graph": example}
         made = resolve(parse(yaml.safe_dump(network).encode(), kind, DOCS))
-        listed = ", ".join(f"{i}–{j}" for i, j in made.edges)
+        listed = ", ".join(f"{i}–{j}" for i, j in made.pairs)
         rows.append(
             f"### {kind}\n\n{(model.__doc__ or '').strip()}\n\n```yaml\ngraph: {flow(example)}\n```\n\nmakes {listed}."
         )
@@ -252,7 +252,7 @@ def of_faults() -> str:
         raise SystemExit(f"no example of {', '.join(missing)}: add one to FAULT_EXAMPLES in docs/generate.py")
     tree = load("paper7")
     network: dict[str, Any] = {"name": "tree", "b": tree.b, "steps": tree.steps, "nodes": [*tree.ids]}
-    network |= {"edges": [list(edge) for edge in tree.edges], "defaults": {"candidates": [0.3, 0.6]}}
+    network |= {"edges": [list(edge) for edge in tree.pairs], "defaults": {"candidates": [0.3, 0.6]}}
     parts = []
     for kind, model in faults.KINDS.items():
         resolve(parse(yaml.safe_dump(network | {"faults": FAULT_EXAMPLES[kind]}).encode(), kind, DOCS))

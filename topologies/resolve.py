@@ -301,7 +301,7 @@ def to_yaml(topology: Topology) -> str:
         written["table"] = table.NAME
     else:
         nodes = {node: own.model_dump(mode="json", exclude_none=True) for node, own in topology.nodes.items()}
-        edges = [edge.model_dump() if isinstance(edge, Edge) else list(edge) for edge in topology.edges]
+        edges = [_Line(edge.model_dump()) if isinstance(edge, Edge) else list(edge) for edge in topology.edges]
         written |= {"nodes": nodes, "edges": edges}
     whole = {key: written[key] for key in type(topology).model_fields if key in written}
     if topology.faults:

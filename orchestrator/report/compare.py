@@ -13,7 +13,7 @@ from hedgerow.orchestrator.runs.reader import RecordedRun
 
 def other_network(one: RecordedRun, other: RecordedRun) -> list[str]:
     """In what the graphs of two runs differ: nodes, edges, b; nothing where their numbers may be compared."""
-    edges, of_other = ({frozenset(edge) for edge in run.topology.edges} for run in (one, other))
+    edges, of_other = ({frozenset(edge) for edge in run.topology.pairs} for run in (one, other))
     said = []
     if set(one.ids) != set(other.ids):
         said.append(f"nodes ({len(other.ids)}, not {len(one.ids)})" if len(one.ids) != len(other.ids) else "node ids")

@@ -141,7 +141,7 @@ def _nodes(run: RecordedRun) -> list[Markup]:
     topology, of_node = run.topology, np.nansum(run.regret**2, axis=0)
     shown = np.sort(np.argsort(-of_node, kind="stable")[:NODES])
     neighbours: dict[Any, list[str]] = {node: [] for node in run.ids}
-    for i, j in topology.edges:
+    for i, j in topology.pairs:
         neighbours[i].append(str(j))
         neighbours[j].append(str(i))
     rows = []

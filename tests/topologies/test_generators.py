@@ -180,7 +180,7 @@ def test_a_run_of_many_nodes_can_be_repeated_from_its_folder(tmp_path: Path) -> 
         "faults: [{kind: crash, node: 3, at: 2, restart_after: 1}, {kind: jump, node: 9, at: 1, a: random},"
         " {kind: drop, from: 0, to: 1}]"
     )
-    edge = next(j for i, j in read(BIG).edges if i == 0)
+    edge = next(j for i, j in read(BIG).pairs if i == 0)
     topology = read(BIG + faults.replace("to: 1", f"to: {edge}"))
     folder = create(topology, tmp_path / "one")
     assert len(folder.topology.read_text()) < 500
