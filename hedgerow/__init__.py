@@ -14,6 +14,7 @@ TYPE_CHECKING = False  # the one of typing takes a while to load
 if TYPE_CHECKING:
     from hedgerow.agents.law import Law, Minimax
     from hedgerow.orchestrator.facade import load, simulate
+    from hedgerow.orchestrator.network import Network, from_adjacency, from_edges, from_networkx
     from hedgerow.orchestrator.runs.reader import RecordedRun, load_run
     from hedgerow.topologies.errors import Code, HedgerowError, TopologyError, UserError
     from hedgerow.topologies.schema import Topology
@@ -25,10 +26,14 @@ _HOMES = {
     "HedgerowError": "topologies.errors",
     "Law": "agents.law",
     "Minimax": "agents.law",
+    "Network": "orchestrator.network",
     "RecordedRun": "orchestrator.runs.reader",
     "Topology": "topologies.schema",
     "TopologyError": "topologies.errors",
     "UserError": "topologies.errors",
+    "from_adjacency": "orchestrator.network",
+    "from_edges": "orchestrator.network",
+    "from_networkx": "orchestrator.network",
     "load": "orchestrator.facade",
     "load_run": "orchestrator.runs.reader",
     "simulate": "orchestrator.facade",
@@ -38,10 +43,14 @@ __all__ = [
     "HedgerowError",
     "Law",
     "Minimax",
+    "Network",
     "RecordedRun",
     "Topology",
     "TopologyError",
     "UserError",
+    "from_adjacency",
+    "from_edges",
+    "from_networkx",
     "load",
     "load_run",
     "simulate",

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hedgerow.orchestrator.cli import files as cli_files
+from hedgerow.orchestrator.cli import importing as cli_importing
 from hedgerow.orchestrator.cli import keys as cli_keys
 from hedgerow.orchestrator.cli import live as cli_live
 from hedgerow.orchestrator.cli import machines as cli_machines
@@ -442,6 +443,7 @@ def chaos(
 cli_live.register(app)
 cli_machines.register(app)
 cli_files.register(app)
+cli_importing.register(app)
 cli_keys.register(app)
 cli_report.register(app)
 cli_soak.register(app)

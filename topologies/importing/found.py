@@ -83,7 +83,9 @@ def numbers(
         except (TypeError, ValueError):
             shown = "is missing" if value is None else f"{str(value)[:40]!r} is not a number"
             raise refuse(
-                source, f"{named(k)}: {what} attribute `{name}` {shown}", "Name an attribute that all of them have"
+                source,
+                f"{named(k)}: {what} attribute `{name}` {shown}",
+                "Name an attribute that all of them have, or write `--weight 1`",
             ) from None
     return found
 
@@ -111,7 +113,7 @@ def weights_of(
         return numbers(source, "the", asked, [own.get(asked) for own in attributes], named), (
             f"The weights are the attribute `{asked}` of the edges"
         )
-    if attributes and keys.get("weight") == len(attributes):
+    if "weight" in keys:
         return numbers(source, "the", "weight", [own["weight"] for own in attributes], named), (
             "The weights are the attribute `weight` of the edges"
         )
@@ -136,9 +138,7 @@ def storage_of(
     key = str(asked)
     if not any(key in own for own in attributes):
         known = ", ".join(sorted({str(key) for own in attributes for key in own})) or "none"
-        raise refuse(
-            f"--storage {asked}", f"no {noun} has this attribute", f"The attributes are: {known}", Code.OPTION
-        )
+        raise refuse(f"--storage {asked}", f"no {noun} has this attribute", f"The attributes are: {known}", Code.OPTION)
     values = numbers(
         source, "the", key, [own.get(key) for own in attributes], lambda k: f"{noun} number {k + 1}", missing=0.0
     )

@@ -38,7 +38,14 @@ def ids_of(names: Sequence[Hashable], labels: Sequence[str | None] | None) -> tu
         ids.append(node)
         label = labels[k] if labels is not None else None
         kept.append(label or (None if plain is not None and node == plain else _printable(name)))
-    return ids, [None if label is None or label == str(node) else _printable(label) for label, node in zip(kept, ids, strict=True)], made
+    return (
+        ids,
+        [
+            None if label is None or label == str(node) else _printable(label)
+            for label, node in zip(kept, ids, strict=True)
+        ],
+        made,
+    )
 
 
 def _whole(name: Hashable) -> int | str | None:

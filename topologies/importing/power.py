@@ -64,13 +64,12 @@ def read_mat(path: Path, options: Options) -> Found:
     try:
         content = loadmat(io.BytesIO(data))
     except Exception as error:  # damaged files raise many kinds
-        raise refuse(
-            path, f"is no MATLAB file that SciPy can read: {str(error)[:200]}", "Save it with -v7"
-        ) from None
+        raise refuse(path, f"is no MATLAB file that SciPy can read: {str(error)[:200]}", "Save it with -v7") from None
     mpc = content.get("mpc")
     if mpc is None or mpc.dtype.names is None or not {"bus", "branch"} <= set(mpc.dtype.names):
         return matrices.of_mat(content, path, options)
-    return of_case(path, *(np.asarray(mpc[key].item(), dtype=float) for key in ("bus", "branch")), options)
+    bus, branch = (np.asarray(mpc[key].item(), dtype=float) for key in ("bus", "branch"))
+    return of_case(path, bus, branch, options)
 
 
 def of_case(
@@ -143,7 +142,9 @@ def read_pandapower(path: Path, options: Options) -> Found:
             net = pandapower.from_json_string(content.decode())
             case = to_ppc(net, init="flat", calculate_voltage_angles=True, mode="pf")
     except Exception as error:  # the conversion raises what its parts raise
-        raise refuse(path, f"pandapower cannot read it: {str(error)[:200]}", "Open and save it with pandapower") from None
+        raise refuse(
+            path, f"pandapower cannot read it: {str(error)[:200]}", "Open and save it with pandapower"
+        ) from None
     bus, branch = (np.asarray(case[key]).real.astype(float) for key in ("bus", "branch"))
     lookup = net._pd2ppc_lookups["bus"]
     first = {int(number): k for k, number in enumerate(bus[:, BUS_I])}
@@ -152,7 +153,7 @@ def read_pandapower(path: Path, options: Options) -> Found:
         members.setdefault(first[int(lookup[index])], []).append(index)
     labels = [_label(net, members.get(k, []), k) for k in range(len(bus))]
     found = of_case(path, bus, branch, options, None)
-    kept = [first[int(name)] for name in found.names]
+    kept = [first[int(str(name))] for name in found.names]
     found.labels = [labels[k] for k in kept]
     found.names = [members[k][0] if members.get(k) else f"aux_{k}" for k in kept]
     found.positions = places([_place(net, members.get(k, [])) for k in kept])

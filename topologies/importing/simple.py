@@ -73,16 +73,16 @@ def _merged(
         forward = np.bincount(inverse, edges[:, 0] == low, len(key)) > 0
         backward = np.bincount(inverse, edges[:, 0] != low, len(key)) > 0
         ways += forward & backward
-    total = total / ways
+    mean: Array = total / ways
     order = first.argsort()
     both = int((ways == 2).sum())
     parallel = int((count - ways).sum())
-    merged = None if weights is None and (total == 1).all() else total[order]
+    merged = None if weights is None and (mean == 1).all() else mean[order]
     return edges[first[order]], merged, parallel, both
 
 
 def _of_degree(n: int, edges: Index, weights: Array | None, most: int) -> tuple[Index, Array | None, int]:
-    """Return the edges that are among the `most` of largest weight of both their ends, and how many others there are."""
+    """Return the edges that are among the `most` of largest weight of both ends, and how many others there are."""
     ranked = np.arange(len(edges)) if weights is None else (-weights).argsort(kind="stable")
     ends = edges[ranked].ravel()
     order = ends.argsort(kind="stable")
@@ -136,9 +136,7 @@ def only(found: Found, nodes: Index) -> Found:
         storage=some(found.storage),
         samples=some(found.samples),
         weights=None if found.weights is None else found.weights[kept],
-        edge_names=None
-        if found.edge_names is None
-        else [name for name, keep in zip(found.edge_names, kept, strict=True) if keep],
+        edge_names=None if found.edge_names is None else [found.edge_names[k] for k in np.flatnonzero(kept).tolist()],
     )
 
 

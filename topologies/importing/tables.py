@@ -52,7 +52,9 @@ def _rows(path: Path) -> list[tuple[int, list[str]]]:
     try:
         if separator == " ":
             return [(k, line.split()) for k, line in lines]
-        reader = csv.reader(io.StringIO("\n".join(line for _, line in lines)), delimiter=separator, skipinitialspace=True)
+        reader = csv.reader(
+            io.StringIO("\n".join(line for _, line in lines)), delimiter=separator, skipinitialspace=True
+        )
         return [(k, [cell.strip() for cell in row]) for (k, _), row in zip(lines, reader, strict=False)]
     except csv.Error as error:
         raise refuse(path, f"is no table: {error}", "Write an edge per row") from None
@@ -104,7 +106,9 @@ def _edges(path: Path, rows: Sequence[tuple[int, list[str]]], options: Options) 
     first = rows[0][1]
     lower = [cell.lower() for cell in first]
     known = [cell for cell in lower if cell in (*FROM, *TO, "weight")]
-    if len(known) >= 2 or (len(first) > 2 and all(_number(cell) is None for cell in first) and _numeric_column(rows[1:])):
+    if len(known) >= 2 or (
+        len(first) > 2 and all(_number(cell) is None for cell in first) and _numeric_column(rows[1:])
+    ):
         header, rows = first, rows[1:]
     i, j = _columns(header)
     for line, row in rows:
@@ -143,7 +147,9 @@ def _attributes(
         else:
             name = header[column] if column < len(header) else f"column{column + 1}"
         cells = [row[column] if column < len(row) and row[column] else None for _, row in rows]
-        values = [None if cell is None else number if (number := as_number(cell)) is not None else cell for cell in cells]
+        values = [
+            None if cell is None else number if (number := as_number(cell)) is not None else cell for cell in cells
+        ]
         found[name] = values
     return found
 
@@ -165,7 +171,9 @@ def of_pairs(
     ends = [(position(i), position(j)) for i, j in zip(tails, heads, strict=True)]
     edges = np.array(ends, dtype=np.int64).reshape(-1, 2)
     names = list(place)
-    attributes = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)] if columns else []
+    attributes = (
+        [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)] if columns else []
+    )
 
     def named(k: int) -> str:
         return edge_names[k] if edge_names is not None else f"edge {names[edges[k, 0]]} - {names[edges[k, 1]]}"
@@ -256,6 +264,3 @@ def of_frame(frame: Any, options: Options, source: str, tail: str | None, head: 
 def _missing(value: Any) -> Any:
     """Return None for a missing value of pandas, which is NaN."""
     return None if isinstance(value, float) and value != value else value  # noqa: PLR0124
-
-
-

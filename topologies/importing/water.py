@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hedgerow.topologies.errors import Code
-from hedgerow.topologies.graph import Array
+from hedgerow.topologies.graph import Array, Index, weighted_sums
 from hedgerow.topologies.hinf import satisfies_condition
 from hedgerow.topologies.importing.found import Found, pairs, places, refuse
 from hedgerow.topologies.importing.options import Options
@@ -32,6 +32,8 @@ JUNCTION_STORAGE = 100.0
 """c_i of a junction [m^2]: a file has none"""
 SLOWEST = 0.01
 """least velocity [m/s] at which a pipe is linearised: its conductance has no bound where nothing flows"""
+STIFF = 100
+"""nodes are one if the link between them conducts this many times the median"""
 SHARE = 0.5
 """of the bound 8 dt d_i/c_i < 1, that the default time step takes at most"""
 MOST_STEPS = 2000
@@ -98,15 +100,21 @@ class _Reading:
                 f"{len(reservoirs)} reservoir{'s' if len(reservoirs) > 1 else ''} dropped with the links to them: a "
                 "fixed head is a boundary, and its inflow is part of the operating point"
             )
-        storage = self._storage(names)
         ends, conductance, links = self._links(set(names))
         place = {name: k for k, name in enumerate(names)}
         edges = pairs([(place[i], place[j]) for i, j in ends])
+        storage, demand = self._storage(names), self._demands(names)
+        home, kept = self._joined(names, edges, conductance)
+        names = [names[k] for k in kept]
+        storage = weighted_sums(home, storage, len(kept))
+        demand = np.stack([weighted_sums(home, row, len(kept)) for row in demand])
+        apart = np.flatnonzero(home[edges[:, 0]] != home[edges[:, 1]])
+        edges, conductance, links = home[edges[apart]], conductance[apart], [links[k] for k in apart]
         load = np.bincount(edges.ravel(), np.repeat(conductance, 2), len(names)) / storage
         step = self._time_step(names, load)
         a = self._a(names, load, step)
         steps = options.steps or int(min(MOST_STEPS, max(1, math.ceil(self._times[-1] / step))))
-        samples = self._samples(names, storage, step, steps)
+        samples = self._samples(demand, storage, step, steps)
         return Found(
             source=str(self._path),
             names=names,
@@ -170,7 +178,7 @@ class _Reading:
             "start of the file that wntr computes, times the time step [m²]",
         ]
         self._assumptions.append(
-            f"Pipes slower than {SLOWEST:g} m/s are linearised at that velocity: where nothing flows, dq/dh has no bound"
+            f"Pipes slower than {SLOWEST:g} m/s are linearised at that velocity: without flow, dq/dh has no bound"
         )
         return ends, np.array(conductance), links
 
@@ -186,12 +194,12 @@ class _Reading:
             if q >= slow and drop > 0:
                 return q / (power * drop)
             # h = r q^power, by the roughness of the file.
-            return slow / (power * _head_loss(link, slow, power))
+            return float(slow / (power * _head_loss(link, slow, power)))
         if q < 1e-10 or drop <= 0:
             return None
         if link.link_type == "Pump" and link.pump_type == "HEAD":
             _, slope, exponent = link.get_head_curve_coefficients()
-            return 1 / (slope * exponent * q ** (exponent - 1))
+            return float(1 / (slope * exponent * q ** (exponent - 1)))
         # A valve loses head with q^2; a pump of constant power adds it with 1/q.
         return q / drop if link.link_type == "Pump" else q / (2 * drop)
 
@@ -247,17 +255,46 @@ class _Reading:
         self._facts.append(f"a = exp(-leak dt) = {a:.6g}, for a leak of {leak:g} per hour")
         return a
 
-    def _samples(self, names: list[Hashable], storage: Array, step: float, steps: int) -> Array | None:
-        """Return w_i(t) = -(demand above that of the operating point) dt/sqrt(c_i), (n, T); None if it is always 0."""
-        hours = self._times[-1] / 3600
-        at = np.minimum(
-            np.searchsorted(self._times, np.arange(steps) * step, side="right") - 1, len(self._times) - 1
-        )
-        values = np.zeros((len(names), steps))
+    def _demands(self, names: list[Hashable]) -> Array:
+        """Return the demands of all nodes [m^3/s], a row per time of the patterns."""
+        demand = np.zeros((len(self._times), len(names)))
         for k, name in enumerate(names):
             if name in self._demand:
-                demand = np.asarray(self._demand[name], dtype=float)
-                values[k] = -(demand[at] - demand[0]) * step / math.sqrt(storage[k])
+                demand[:, k] = self._demand[name]
+        return demand
+
+    def _joined(self, names: list[Hashable], edges: Index, conductance: Array) -> tuple[Index, Index]:
+        """Return the node that each node becomes, (n,), and the nodes that give those their names.
+
+        Two nodes become one if a link between them conducts so much more than others that they have one head.
+        """
+        from scipy.sparse import coo_array  # noqa: PLC0415 (half a second to load)
+        from scipy.sparse.csgraph import connected_components  # noqa: PLC0415
+
+        n = len(names)
+        bound = STIFF * float(np.median(conductance)) if len(conductance) else math.inf
+        stiff = edges[conductance > bound]
+        matrix = coo_array((np.ones(len(stiff), np.int8), (stiff[:, 0], stiff[:, 1])), shape=(n, n))
+        _, piece = connected_components(matrix, directed=False)
+        # A tank names what it becomes part of; else the first node does. Keep the order of the file.
+        rank = np.lexsort((np.arange(n), [self._model.get_node(str(name)).node_type != "Tank" for name in names]))
+        _, first = np.unique(piece[rank], return_index=True)
+        kept = np.sort(rank[first])
+        number = np.empty(len(kept), dtype=np.int64)
+        number[piece[kept]] = np.arange(len(kept))
+        if len(kept) < n:
+            self._changes.append(
+                f"{n - len(kept)} node{'s' if n - len(kept) > 1 else ''} joined with a neighbour, storage and demand "
+                f"added: the link between them conducts more than {STIFF} times the median, {bound:.3g} m²/s, so that "
+                "both have one head"
+            )
+        return number[piece], kept
+
+    def _samples(self, demand: Array, storage: Array, step: float, steps: int) -> Array | None:
+        """Return w_i(t) = -(demand above that of the operating point) dt/sqrt(c_i), (n, T); None if it is always 0."""
+        hours = self._times[-1] / 3600
+        at = np.minimum(np.searchsorted(self._times, np.arange(steps) * step, side="right") - 1, len(self._times) - 1)
+        values = -((demand[at] - demand[0]) * step / np.sqrt(storage)).T
         self._facts.append(
             "The disturbance of a junction is its demand above that of the start, by the patterns of the file: "
             f"{steps} steps are {steps * step / 3600:.3g} of {hours:.3g} h"
@@ -265,14 +302,14 @@ class _Reading:
         if not values.any():
             self._assumptions.append("No demand changes within these steps: the disturbance is 0")
             return None
-        return values
+        return np.ascontiguousarray(values)
 
 
 def _head_loss(pipe: Any, q: float, power: float) -> float:
-    """Return the head loss [m] of a pipe at a flow [m^3/s], Hazen-Williams or, with power 2, a friction factor of 0.02."""
+    """Return the head loss [m] of a pipe at a flow [m^3/s], by Hazen-Williams, else a friction factor of 0.02."""
     if power == 1.852:
-        return 10.667 * pipe.length * pipe.roughness**-1.852 * pipe.diameter**-4.871 * q**1.852
-    return 0.02 * pipe.length / pipe.diameter * (q / (math.pi * pipe.diameter**2 / 4)) ** 2 / (2 * 9.81)
+        return float(10.667 * pipe.length * pipe.roughness**-1.852 * pipe.diameter**-4.871 * q**1.852)
+    return float(0.02 * pipe.length / pipe.diameter * (q / (math.pi * pipe.diameter**2 / 4)) ** 2 / (2 * 9.81))
 
 
 def _two_digits(value: float) -> float:
