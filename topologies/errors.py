@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
 from functools import cached_property
@@ -214,7 +214,7 @@ class Problems:
             if count <= self.ALONE:
                 lines += [(one, f"{one.where(source)}: {one}", 1) for one in found]
             else:
-                lines.append((found[0], f"{found[0].where(source)}: {_grouped(found[0], count)}", count))
+                lines.append((found[0], f"{found[0].where(source)}: {_grouped(found, count)}", count))
         lines.sort(key=lambda line: _in_order(line[0]))
         shown = lines[: self.SHOWN] if len(lines) <= self.SHOWN else lines[: self.SHOWN - 1]
         if more := len(self) - sum(count for _, _, count in shown):
@@ -226,11 +226,13 @@ def _in_order(problem: Problem) -> tuple[int, int, Problem]:
     return problem.line, problem.column, problem
 
 
-def _grouped(first: Problem, count: int) -> str:
+def _grouped(found: Sequence[Problem], count: int) -> str:
     """Return a line for equal mistakes: how many, what is wrong with the first one, and its line."""
+    first = found[0]
     named, _, inside = first.place.partition(": ")
     noun, _, name = named.partition(" ")
-    if name and noun in ("node", "edge", "fault"):
+    differ = any(one.place.partition(": ")[0] != named for one in found)
+    if name and noun in ("node", "edge", "fault") and differ:
         subject = f"{count} {noun}s: " + (f"{inside}: " if inside else "")
     else:
         subject = f"{count} mistakes: " + (f"{first.place}: " if first.place else "")

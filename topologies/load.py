@@ -12,6 +12,7 @@ from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
 from importlib import resources
+from itertools import chain, islice
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -30,6 +31,7 @@ from hedgerow.topologies.nodes import Edges, Nodes
 from hedgerow.topologies.odd import no_id, odd_numbers
 from hedgerow.topologies.override import next_key, origin_of, split_setting, steps_of
 from hedgerow.topologies.paths import user_path
+from hedgerow.topologies.piecewise import LENGTHS, errors, is_length, trace
 from hedgerow.topologies.regular_file import check_regular, read_regular
 from hedgerow.topologies.rules import broken_rules
 from hedgerow.topologies.schema import COMPONENTS, Defaults, Node, Record, Topology
@@ -275,40 +277,56 @@ def _nodes_as_mapping(source: Source) -> None:
 
 _MANY = 2000
 """mistakes of a schema; of more, those that are alike are only counted, and the rules are left for later"""
+_EACH = 100
+"""mistakes of one kind that are put in words"""
 
 
-def _sampled(source: Source, found: list[ErrorDetails]) -> Problems:
+def _sampled(source: Source, found: Iterable[ErrorDetails]) -> Problems:
     """Return very many mistakes of the schema: the first of each kind in words, the others counted."""
     problems, seen = Problems(), Counter[Any]()
     last: dict[Any, Problem] = {}
     for details in found:
-        loc = details["loc"]
-        # Items of lists and keys of mappings differ from one mistake to the next.
-        like = (details["type"], loc[0] if len(loc) > 1 else None, len(loc), loc[2:3])
+        like = _like(details)
         seen[like] += 1
         if seen[like] <= _EACH:
-            last[like] = (_no_fault if details["type"] == "fault" else _problem)(source, details)
+            last[like] = _in_words(source, details)
             problems.append(last[like])
         else:
             problems.count_more(last[like])
     return problems
 
 
-_EACH = 100
-"""mistakes of one kind that are put in words"""
+def _like(details: ErrorDetails) -> tuple[Any, ...]:
+    """Return what mistakes share that differ only in an index, a node or an unknown key."""
+    loc: list[Any] = ["" if isinstance(step, int) else step for step in details["loc"]]
+    if details["type"] == "extra_forbidden":
+        loc[-1] = ""
+    if "nodes" in loc[:2]:  # `nodes:` and `lots: nodes:` have ids as keys
+        loc[loc.index("nodes") + 1 : loc.index("nodes") + 2] = [""]
+    return details["type"], *loc
+
+
+def _in_words(source: Source, details: ErrorDetails) -> Problem:
+    return (_no_fault if details["type"] == "fault" else _problem)(source, details)
 
 
 def _validate(source: Source) -> tuple[Topology | None, Iterable[Problem]]:
     """The topology and what the schema finds wrong; what is wrong is left out so that the rules can see the rest."""
+    in_pieces = errors(Topology, source.value)
+    if len(first := [*islice(in_pieces, _MANY + 1)]) > _MANY:
+        return None, _sampled(source, chain(first, in_pieces))
     try:
         return Topology.model_validate(source.value), []
     except ValidationError as error:
         found = error.errors(include_url=False, include_input=False)
+    found = [
+        one for one in found if one["type"] not in LENGTHS or not is_length(one, trace(source.value, one["loc"])[1])
+    ]
     if len(found) > _MANY:
         return None, _sampled(source, found)
     if any(problem.place == "nodes" for problem in source.problems):  # those that were left out are not missing
         found = [one for one in found if (one["loc"], one["type"]) != (("nodes",), "too_short")]
-    problems = [(_no_fault if details["type"] == "fault" else _problem)(source, details) for details in found]
+    problems = [_in_words(source, details) for details in found]
     if not isinstance(source.value.get("nodes", {}), dict) or any(
         details["loc"][:1] == ("graph",) for details in found
     ):
@@ -355,7 +373,7 @@ def _without(value: dict[str, Any], found: Iterable[ErrorDetails]) -> dict[str, 
 
 
 def _problem(source: Source, details: ErrorDetails) -> Problem:
-    path, at = _trace(source.value, details["loc"])
+    path, at, _ = trace(source.value, details["loc"])
     kind, last = details["type"], details["loc"][-1]
     if kind == "budget":
         return source.problem(path, details["msg"], code=Code.FILE_TOO_LARGE)
@@ -366,7 +384,7 @@ def _problem(source: Source, details: ErrorDetails) -> Problem:
             path, *(of_pair if isinstance(last, int) else (f"`{last}:` is missing", f"add `{last}: …`"))
         )
     if kind == "invalid_key":
-        path, at = _trace(source.value, details["loc"][:-1])
+        path, at, _ = trace(source.value, details["loc"][:-1])
         key = next((key for key in at if str(key) == str(last)), last)
         names = ", ".join(_known_keys(source, path))
         cure = f"known keys are {names}" if names else "remove it"
@@ -414,34 +432,9 @@ _ABOUT_VALUE = frozenset(
 )
 
 
-def _trace(value: Any, loc: Sequence[int | str]) -> tuple[Path, Any]:
-    """Where pydantic's location leads in the file, less the names of union members that it puts in between."""
-    path: list[Any] = []
-    for k, step in enumerate(loc):
-        key = _key(value, step)
-        if key is not None:
-            path.append(key)
-            value = value[key]
-        elif k == len(loc) - 1 and step == "[key]":
-            value = path[-1]
-    return tuple(path), value
-
-
-def _key(value: Any, step: int | str) -> Any:
-    """The key or the index of `value` that pydantic means by `step`; None when it is neither."""
-    if isinstance(value, list):
-        return step if isinstance(step, int) and step < len(value) else None
-    if not isinstance(value, dict):
-        return None
-    if step in value:
-        return step
-    # A key that is a number with a point comes as text.
-    return next((key for key in value if type(key) is float and str(key) == step), None)
-
-
 def _no_fault(source: Source, details: ErrorDetails) -> Problem:
     """Something that no `kind` makes a fault."""
-    path, written = _trace(source.value, details["loc"])
+    path, written, _ = trace(source.value, details["loc"])
     kinds = f"kinds are {', '.join(KINDS)}"
     if not isinstance(written, dict):
         shown = _shown(written, source.written(path))

@@ -74,6 +74,14 @@ class Network:
         return self.gamma_star if len(self.a) <= QUICK else math.nan
 
 
+def span(values: Gain) -> str:
+    """Return one number, or the range of several, in words."""
+    if isinstance(values, float):
+        return f"{values:g}"
+    low, high = float(values.min()), float(values.max())
+    return f"{low:g}" if low == high else f"{low:.4g} to {high:.4g}"
+
+
 def gains(values: Sequence[float] | Array) -> Gain:
     """Return b of each node, (n,), as one number if all of them are the same."""
     b = np.array(values, dtype=np.float64)

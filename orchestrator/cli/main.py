@@ -14,7 +14,7 @@ import threading
 import time
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TextIO
 
 import typer
 
@@ -31,7 +31,7 @@ from hedgerow.orchestrator.cli.exit_code import code_of_run, leave, run_to_exit_
 from hedgerow.orchestrator.cli.names import Commands
 from hedgerow.orchestrator.cli.options import AsJson, File, Law, RunDir, Seed, Sets, Steps
 from hedgerow.orchestrator.launch.fork_client import ForkClient
-from hedgerow.topologies.errors import DeadlineError, UserError, check_options
+from hedgerow.topologies.errors import Code, DeadlineError, UserError, check_options
 from hedgerow.topologies.escape import command, echo
 from hedgerow.topologies.paths import user_path
 from hedgerow.wire import start
@@ -109,6 +109,12 @@ def up(
     run_dir: RunDir = None,
     sets: Sets = None,
     viewer: Viewer = "auto",
+    keep: Annotated[
+        bool | None,
+        typer.Option(
+            "--keep/--no-keep", help="leave the page of --viewer web open until Ctrl-C [if a terminal can send it]"
+        ),
+    ] = None,
     record: Record = True,
     split_recording: SplitRecording = 256.0,
     router: Annotated[
@@ -174,7 +180,7 @@ def up(
         elsewhere = chosen(external, topology, shards, router, listen, meet, wait or 600.0)
     elif listen or namespace:
         raise UserError("--listen and --namespace are for processes that are started elsewhere: name them, --external")
-    viewer = _viewer(viewer)
+    viewer = _viewer(viewer, keep)
     if detach:
         return _start_detached()
     stack = contextlib.ExitStack()
@@ -187,7 +193,7 @@ def up(
     folder = folders.create(topology, run_dir)
     display = stack.enter_context(contextlib.closing(screen(topology, as_json, plain, watched=viewer != "none")))
     _introduce(topology, len(shards), folder, display)
-    watching = Watching(record, viewer, split_recording)
+    watching = Watching(record, viewer, split_recording, _keeps(keep, display))
     options = Options(rate, deadline, router, keys, elsewhere, on_ray, watching, verify)
 
     def on_first_step(after_s: float) -> None:
@@ -200,6 +206,18 @@ def up(
         fork_client = stack.enter_context(contextlib.closing(_FORK_CLIENT or ForkClient()))
         begin = functools.partial(Network, topology, folder, shards, options, display, fork_client, _BEGAN)
         return code_of_run(folders.begun_or_withdrawn(folder, begin).run(on_first_step, stack), display)
+
+
+def _keeps(keep: bool | None, display: Screen) -> bool:
+    """Return True if a page stays after the run: as asked, else if a terminal can send Ctrl-C."""
+    return keep if keep is not None else display.interactive or _is_terminal(sys.stdin)
+
+
+def _is_terminal(stream: TextIO | None) -> bool:
+    try:
+        return stream is not None and stream.isatty()
+    except ValueError:  # it is closed
+        return False
 
 
 def _check_cluster(on: str, external: str | None) -> None:
@@ -295,12 +313,16 @@ def _let_go_of_terminal(log: Path) -> None:
     os.dup2(descriptor, 2)
 
 
-def _viewer(asked: str) -> str:
-    if asked == "none":
-        return asked
-    from hedgerow.orchestrator.views.rerun.viewer import choose  # noqa: PLC0415
+def _viewer(asked: str, keep: bool | None = None) -> str:
+    """Return the viewer that `asked` names here; UserError if a page is to be kept and no page is asked for."""
+    choice = asked
+    if asked != "none":
+        from hedgerow.orchestrator.views.rerun.viewer import choose  # noqa: PLC0415
 
-    return choose(asked)
+        choice = choose(asked)
+    if keep and not choice.startswith(("web", "http:")):
+        raise UserError(f"--keep: there is no page to keep with --viewer {asked}. Add --viewer web.", code=Code.OPTION)
+    return choice
 
 
 @app.command()

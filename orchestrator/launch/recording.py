@@ -42,6 +42,8 @@ class Watching:
     viewer: str = "none"
     split_mb: float = 256.0
     """past so many MB run.rrd goes on in another file; 0 for never"""
+    keep: bool = False
+    """leave the page of a finished run open until Ctrl-C"""
 
 
 class Run:

@@ -211,8 +211,8 @@ class Network:
         return verdict
 
     def _serve(self, viewer: Viewer, interrupts: Interrupts) -> None:
-        """Keep a web page up until Ctrl-C, where somebody can press that."""
-        stays = self._screen.interactive or viewer.door is not None
+        """Keep a web page until Ctrl-C if the command asks for it; a page that others open stays in any case."""
+        stays = self._options.watching.keep or viewer.door is not None
         if viewer.link is not None and stays and not interrupts.count:
             self._screen.say(f"{viewer.link} stays until Ctrl-C")
             self._wake.clear()

@@ -29,7 +29,7 @@ EXIT_CODES = {VALID: Exit.VALID, INVALID: Exit.INVALID, UNKNOWN: Exit.UNKNOWN}
 CLAIMS = {
     "dynamics": "every x(t+1) is equation (1) of x, u, w and the open edges, to the bit",
     "estimates": "every ahat is one of its candidates, and every u that came is equation (6) of it, to the bit",
-    "contraction": "|x(t+1)|_1 <= rho |x(t)|_1 + |w(t)|_1 at every step",
+    "contraction": "|x(t+1)| <= rho |x(t)| + |w(t)| at every step, |x| = sum abs(x_i) / b_i",
     "oracle_certificate": "sum (|x*|^2 + |u*_e|^2) <= sum w'Q^-1 w + V(x(0)) - V(x*(t+1)) at every step"
     " before the first at which an edge is closed or an a jumps",
     "missing_inputs": "an edge carries flow only where both its ends sent an input",

@@ -14,7 +14,7 @@ METRICS = {
     "nodes_right": "estimates that are the truth at the end",
     "regret": "D = Σ |x − x*|², trajectory regret",
     "regret_nominal": "D of the nominal controller",
-    "cost": "C = Σ |x|² + |u_e|², cost",
+    "cost": "C = Σ |x|² + Σ k_e u_e², cost",
     "cost_oracle": "C*, the oracle's cost",
     "cost_regret": "R = C − C*, cost regret, signed",
     "cost_ratio": "C / C*",

@@ -26,7 +26,7 @@ from hedgerow.orchestrator.runs.table import Table, there_is
 from hedgerow.topologies import budget
 from hedgerow.topologies.errors import Code, HedgerowError, UserError
 from hedgerow.topologies.escape import command
-from hedgerow.topologies.graph import Array, Index, Mask
+from hedgerow.topologies.graph import Array, Gain, Index, Mask
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire.codec import TAKEN, End, Telemetry
 
@@ -154,8 +154,16 @@ class RecordedRun:
         return int(steps[min(len(behind), len(steps) - 1)]) if len(behind) else 0
 
     @property
-    def b(self) -> float:
-        return self.topology.b
+    def b(self) -> Gain:
+        """The gain b of (1): one number, or that of each node, (n,)."""
+        b = self.topology.network.b
+        return b if isinstance(b, float) else _frozen(b[self.kept.nodes])
+
+    @cached_property
+    def weights(self) -> Array:
+        """The weight of each edge, (E,)."""
+        weights = self.topology.graph.weights
+        return _frozen(np.ones(len(self.kept.edges)) if weights is None else weights[self.kept.edges])
 
     @cached_property
     def ids(self) -> tuple[int | str, ...]:
@@ -271,7 +279,7 @@ class RecordedRun:
         return bool(self.open.all() and (self.a == self.a[:1]).all())
 
     cost = _total("cost")
-    """c = |x|^2 + |u_edge|^2, (T,)"""
+    """c = |x|^2 + sum_e k_e u_e^2, (T,)"""
     cost_oracle = _total("cost_oracle")
     """that of the oracle's twin, (T,)"""
     cost_sum = _total("cost_sum")

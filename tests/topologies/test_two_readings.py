@@ -155,7 +155,7 @@ def test_a_file_is_read_in_one_way_or_refused(names: list[str], rows: list[list[
     asked: Any = "ids" if above else "none"
     assert split("w.csv", table, ids, asked) == (named, above)
     whole = all(cell.strip().lstrip("-").isdecimal() for cell in rows[0])
-    if not above and whole and any(name.isdecimal() for name in names) and len(set(rows[0])) > 1:
+    if not above and whole and any(name.isdecimal() for name in names) and len({cell.strip() for cell in rows[0]}) > 1:
         raise AssertionError("a row of whole numbers was taken for samples of a network with whole numbers as ids")
 
 
