@@ -159,7 +159,7 @@ def _nodes(run: RecordedRun) -> list[Markup]:
         ends = "—" if np.isnan(last) else f"{last:.4f}, {'right' if last == run.a[-1, k] else 'wrong'}"
         rows.append(
             [
-                node,
+                topology.network.title(k),
                 ", ".join(neighbours[node]) or "none",
                 *([f"{gains[k]:.4g}"] if unequal else []),
                 _truth(run, k),

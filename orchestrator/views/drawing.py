@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hedgerow.orchestrator.views.layout import positions
+from hedgerow.orchestrator.views.layout import placed
 from hedgerow.topologies.schema import Topology
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ NAMED = 60
 def draw(topology: Topology, ax: Axes | None = None, labels: bool | None = None) -> Axes:
     """Draw a resolved network into the axes, or into new ones, and return them.
 
-    Nodes stand at their positions if all of them have one; the width of an edge grows with its weight.
+    Nodes stand at the positions of the file, or in a layout; the width of an edge grows with its weight.
     """
     from matplotlib import pyplot as plt  # noqa: PLC0415 (a third of a second)
     from matplotlib.collections import LineCollection  # noqa: PLC0415
@@ -28,9 +28,7 @@ def draw(topology: Topology, ax: Axes | None = None, labels: bool | None = None)
         _, ax = plt.subplots(figsize=(8, 6), layout="constrained")
     network = topology.network
     graph = network.graph
-    places = network.positions
-    if places is None or np.isnan(places).any():
-        places = positions(graph) * np.array([1.0, -1.0])  # that y points down
+    places = placed(topology) * np.array([1.0, -1.0])  # that y points down
     # Widths by rank of magnitude: conductances of one network differ by factors of a thousand.
     weights = np.ones(len(graph.edges)) if graph.weights is None else graph.weights
     low, high = (float(weights.min()), float(weights.max())) if len(weights) else (1.0, 1.0)
@@ -40,10 +38,8 @@ def draw(topology: Topology, ax: Axes | None = None, labels: bool | None = None)
     size = float(np.clip(3000 / max(len(places), 1), 6, 120))
     ax.scatter(places[:, 0], places[:, 1], s=size, c="#1f77b4", zorder=2)
     if labels if labels is not None else len(places) <= NAMED:
-        for k, node in enumerate(network.ids):
-            name = str(node) if network.labels is None or not network.labels[k] else network.labels[k]
-            # A `$` would begin a formula.
-            text = name.replace("$", r"\$")
+        for k in range(len(places)):
+            text = network.name(k).replace("$", r"\$")  # a `$` would begin a formula
             ax.annotate(text, places[k], xytext=(4, 4), textcoords="offset points", fontsize=7)
     ax.set_aspect("equal", adjustable="datalim")
     ax.set_axis_off()
