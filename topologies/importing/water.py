@@ -105,8 +105,11 @@ class _Reading:
         edges = pairs([(place[i], place[j]) for i, j in ends])
         storage, demand = self._storage(names), self._demands(names)
         home, kept = self._joined(names, edges, conductance)
+        # The storage of a junction is assumed: beside a tank, the area of the tank is all there is.
+        tank = np.array([self._model.get_node(str(name)).node_type == "Tank" for name in names])
+        tanks = weighted_sums(home, np.where(tank, storage, 0.0), len(kept))
+        storage = np.where(tanks > 0, tanks, weighted_sums(home, storage, len(kept)))
         names = [names[k] for k in kept]
-        storage = weighted_sums(home, storage, len(kept))
         demand = np.stack([weighted_sums(home, row, len(kept)) for row in demand])
         apart = np.flatnonzero(home[edges[:, 0]] != home[edges[:, 1]])
         edges, conductance, links = home[edges[apart]], conductance[apart], [links[k] for k in apart]
@@ -282,11 +285,11 @@ class _Reading:
         kept = np.sort(rank[first])
         number = np.empty(len(kept), dtype=np.int64)
         number[piece[kept]] = np.arange(len(kept))
-        if len(kept) < n:
+        if joined := n - len(kept):
             self._changes.append(
-                f"{n - len(kept)} node{'s' if n - len(kept) > 1 else ''} joined with a neighbour, storage and demand "
-                f"added: the link between them conducts more than {STIFF} times the median, {bound:.3g} m²/s, so that "
-                "both have one head"
+                f"{joined} node{'s' if joined > 1 else ''} joined with a neighbour, the storage of junctions and the "
+                f"demands added: the link between them conducts more than {STIFF} times the median, {bound:.3g} m²/s, "
+                "so that both have one head"
             )
         return number[piece], kept
 
