@@ -42,7 +42,7 @@ class View:
     b: float | Array
     """the gain b of (1), or that of each node, (k,)"""
     law: str
-    """`minimax`, or `package.module:Class` for another; hinf and nominal are minimax with one candidate"""
+    """the text of a LawChoice; hinf and nominal are minimax with one candidate"""
     ids: Ids
     """of its own nodes, (k,)"""
     candidates: Array
@@ -56,6 +56,8 @@ class View:
     """ids of the neighbours in other shards, peer by peer"""
     history: int
     """number of past steps kept for back-filling; with 0, missed samples are never learned"""
+    seed: int = 0
+    """for laws that draw numbers; a function of the seed of the run"""
     weights: Array | None = None
     """per incidence: the weight of its edge, (m,); None if all are 1"""
 
@@ -66,7 +68,12 @@ class View:
 
     def write(self, path: Path) -> None:
         """Write the view as the .npz file that `read` reads."""
-        settings: dict[str, Any] = {"shard": self.shard, "law": self.law, "history": self.history}
+        settings: dict[str, Any] = {
+            "shard": self.shard,
+            "law": self.law,
+            "history": self.history,
+            "seed": self.seed,
+        }
         peers = [(peer.shard, len(peer.say), peer.hear) for peer in self.peers]
         say = [peer.say for peer in self.peers]
         arrays = {
@@ -121,7 +128,7 @@ class View:
         ]
         b = self.b if isinstance(self.b, float) else self.b.tolist()
         told = {"shard": self.shard, "b": b, "law": self.law, "nodes": nodes, "peers": peers}
-        return {**told, "history": self.history}
+        return {**told, "history": self.history, "seed": self.seed}
 
     @classmethod
     def from_dict(cls, told: Mapping[str, Any]) -> View:
@@ -160,4 +167,5 @@ class View:
             peers=peers,
             heard=archive.id_array(heard),
             history=told["history"],
+            seed=told.get("seed", 0),
         )

@@ -13,7 +13,7 @@ from __future__ import annotations
 TYPE_CHECKING = False  # the one of typing takes a while to load
 if TYPE_CHECKING:
     from hedgerow.agents.law import Law, Minimax
-    from hedgerow.orchestrator.facade import load, simulate
+    from hedgerow.orchestrator.facade import bound, load, simulate
     from hedgerow.orchestrator.network import Network, from_adjacency, from_edges, from_networkx
     from hedgerow.orchestrator.runs.reader import RecordedRun, load_run
     from hedgerow.topologies.errors import Code, HedgerowError, TopologyError, UserError
@@ -31,6 +31,7 @@ _HOMES = {
     "Topology": "topologies.schema",
     "TopologyError": "topologies.errors",
     "UserError": "topologies.errors",
+    "bound": "orchestrator.facade",
     "from_adjacency": "orchestrator.network",
     "from_edges": "orchestrator.network",
     "from_networkx": "orchestrator.network",
@@ -48,6 +49,7 @@ __all__ = [
     "Topology",
     "TopologyError",
     "UserError",
+    "bound",
     "from_adjacency",
     "from_edges",
     "from_networkx",
@@ -55,6 +57,19 @@ __all__ = [
     "load_run",
     "simulate",
 ]
+
+NEEDED = frozenset(
+    {"cryptography", "matplotlib", "psutil", "pyarrow", "pydantic", "rerun", "rich", "scipy", "typer", "yaml"}
+)
+"""Packages that every part except a lone agent or plant needs; pyproject.toml lists them with their versions."""
+
+
+def missing(needed_by: str, package: str | None) -> str:
+    """Return the message for a computer that has only the packages of an agent."""
+    return (
+        f"{needed_by} needs {package}, which is not installed: this computer has the packages of an agent."
+        " Install the others with: pip install hedgerow"
+    )
 
 
 def __getattr__(name: str) -> object:
@@ -67,7 +82,12 @@ def __getattr__(name: str) -> object:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module  # noqa: PLC0415
 
-    return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+    try:
+        return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] not in NEEDED:
+            raise
+        raise ModuleNotFoundError(missing(f"hedgerow.{name}", error.name), name=error.name) from None
 
 
 def __dir__() -> list[str]:

@@ -7,15 +7,14 @@ All models are frozen and refuse unknown keys. The JSON Schema and docs/topology
 
 from __future__ import annotations
 
+import difflib
 import os
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from typing import Annotated, Any, ClassVar, Literal, Self, cast
 
 import numpy as np
 from pydantic import (
-    AfterValidator,
     AliasChoices,
     BeforeValidator,
     ConfigDict,
@@ -49,20 +48,40 @@ from hedgerow.topologies.faults import Fault
 from hedgerow.topologies.generators import GraphRule
 from hedgerow.topologies.graph import Gain, Graph
 from hedgerow.topologies.header import Header
+from hedgerow.topologies.law_choice import NAMES, LawChoice
 from hedgerow.topologies.network import Network, gains, groups_of, labels, padded, positions
 from hedgerow.topologies.reading import Reading, Times
 from hedgerow.topologies.table import NodesBy, Table
 
 LAWS = ("minimax", "hinf", "nominal")
-
-
+"""the laws of the paper"""
 _PATH = r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*"
 
 
-def _law(value: str) -> str:
-    if value not in LAWS and not re.fullmatch(_PATH, value):
-        raise PydanticCustomError("law", "a law is minimax, hinf, nominal or package.module:Class")
-    return value
+def _law(value: Any) -> Any:
+    """Return the text of a LawChoice for a text, or for a mapping with `name` or `class` and parameters."""
+    try:
+        if isinstance(value, dict):
+            names = [value[key] for key in ("name", "class") if key in value]
+            if len(names) != 1 or not isinstance(names[0], str):
+                raise ValueError("has either `name:` or `class:`, a text")
+            rest = {key: one for key, one in value.items() if key not in ("name", "class")}
+            choice = LawChoice.of(names[0], rest)
+        elif isinstance(value, str):
+            choice = LawChoice.parse(value)
+        else:
+            raise ValueError("is neither the name of a law nor a mapping with `name:` or `class:`")
+    except ValueError as error:
+        raise PydanticCustomError("law", "{problem}", {"problem": str(error)}) from None
+    if ":" not in choice.name and choice.name not in NAMES:
+        near = difflib.get_close_matches(choice.name, NAMES, 1)
+        hint = f"; did you mean {near[0]}?" if near else ""
+        raise PydanticCustomError(
+            "law", "a law is {names} or package.module:Class{hint}", {"names": ", ".join(NAMES), "hint": hint}
+        )
+    if choice.name in LAWS and choice.parameters:
+        raise PydanticCustomError("law", "{name} has no parameters", {"name": choice.name})
+    return str(choice)
 
 
 Steps = Annotated[StrictInt, Field(ge=1, le=2**40)]
@@ -349,8 +368,26 @@ class Topology(Model):
         None, description="lots that were drawn before, which keep a network as it was when draws change"
     )
     law: Annotated[
-        str, AfterValidator(_law), WithJsonSchema({"type": "string", "pattern": f"^({'|'.join(LAWS)}|{_PATH})$"})
-    ] = Field("minimax", description="minimax (6)-(7), hinf (8), nominal, or package.module:Class")
+        str,
+        BeforeValidator(_law),
+        WithJsonSchema(
+            {
+                "anyOf": [
+                    {"type": "string", "pattern": rf"^({'|'.join(NAMES)}|{_PATH})(\(.*\))?$"},
+                    {"type": "object", "required": ["name"], "properties": {"name": {"enum": [*NAMES]}}},
+                    {
+                        "type": "object",
+                        "required": ["class"],
+                        "properties": {"class": {"type": "string", "pattern": f"^{_PATH}$"}},
+                    },
+                ]
+            }
+        ),
+    ] = Field(
+        "minimax",
+        description="minimax (6)-(7), hinf (8), nominal, or package.module:Class; with parameters as"
+        " `{name: …, key: value}` or `{class: …, key: value}`",
+    )
     defaults: Defaults = Field(Defaults(), description="what holds for every node that does not say otherwise")
     nodes: Annotated[
         dict[NodeId, Node],
@@ -396,6 +433,11 @@ class Topology(Model):
     """what stands in the file of `table:`"""
     _named: frozenset[str] = PrivateAttr(frozenset())
     """files of samples that may lie outside the topology's folder"""
+
+    @cached_property
+    def origin_of_law(self) -> str:
+        """Return the place of the law, as the start of a message: `topo.yaml:7: `; empty if it is written nowhere."""
+        return ""
 
     @cached_property
     def ids(self) -> Sequence[int | str]:
@@ -511,6 +553,11 @@ class Topology(Model):
         copy = self.model_copy(update={"table": self.table})
         copy._table = table
         return copy
+
+    def with_origin_of_law(self, origin: str) -> Self:
+        """Return the same with the place where its law is written."""
+        self.__dict__["origin_of_law"] = origin  # not a private attribute: equal files in two places are equal
+        return self
 
     def of_network(self, network: Network) -> Self:
         """The same, which is known to be this network."""

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Annotated, TextIO
 import typer
 
 from hedgerow.orchestrator.cli import files as cli_files
+from hedgerow.orchestrator.cli import gain as cli_gain
 from hedgerow.orchestrator.cli import importing as cli_importing
 from hedgerow.orchestrator.cli import keys as cli_keys
 from hedgerow.orchestrator.cli import live as cli_live
@@ -79,12 +80,10 @@ def run_command(began: float, fork_client: ForkClient | None) -> None:
 
 
 def _importable(topology: Topology) -> Topology:
-    """The topology, whose law is code: a module that fails to load is better known before a run begins."""
-    from hedgerow.agents.shard import law_class  # noqa: PLC0415
-    from hedgerow.orchestrator.ground.assignment import law_of  # noqa: PLC0415
+    """Return the topology with a checked law: a law that fails to load is better known before a run begins."""
+    from hedgerow.orchestrator.ground.laws import checked  # noqa: PLC0415
 
-    law_class(law_of(topology))
-    return topology
+    return checked(topology)
 
 
 def read(file: str, sets: list[str] | None, **replace: object) -> Topology:
@@ -465,6 +464,7 @@ def chaos(
 cli_live.register(app)
 cli_machines.register(app)
 cli_files.register(app)
+cli_gain.register(app)
 cli_importing.register(app)
 cli_keys.register(app)
 cli_report.register(app)

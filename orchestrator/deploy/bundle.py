@@ -39,7 +39,7 @@ And wherever an agent is to live, with its file beside it (`--router` if it is n
 
 The order does not matter: each waits ten minutes for the others (`--wait`). `--external 3,5` has the operator start
 the others itself; with `--external plant,all --router {quoted_router}` the plant runs elsewhere, too:
-`plant --config plant.toml`, beside a Zenoh router of yours or as one (`--listen tcp/0.0.0.0:{port}`).
+`hedgerow-plant --config plant.toml`, beside a Zenoh router of yours or as one (`--listen tcp/0.0.0.0:{port}`).
 """
 
 
@@ -69,9 +69,9 @@ And wherever an agent is to live, with its folder beside it (`--router` if it is
 
 The order does not matter: each waits ten minutes for the others (`--wait`). `--external 3,5` has the operator start
 the others itself. With `--external plant,all --router {quoted_router}` the plant runs elsewhere, too:
-`plant --config plant` beside a Zenoh router (`zenohd -c zenohd.json5`, in the folder `router`); or as the router,
-with that folder:
-`plant --config plant --listen tls/0.0.0.0:{port} --credentials router`.
+`hedgerow-plant --config plant` beside a Zenoh router (`zenohd -c zenohd.json5`, in the folder `router`); or as the
+router, with that folder:
+`hedgerow-plant --config plant --listen tls/0.0.0.0:{port} --credentials router`.
 """
 
 
@@ -101,7 +101,7 @@ def _write_rest(
 ) -> None:
     (folder / "topology.yaml").write_text(to_yaml(topology), encoding="utf-8")
     told = [f"{config.process}{ending}" for config in configs if config.process != keys.PLANT]
-    agents = [f"$ {command(['agent', '--config', name])}" for name in told]
+    agents = [f"$ {command(['hedgerow-agent', '--config', name])}" for name in told]
     shown = agents[:20] + ([f"... and {len(agents) - 20} more"] if len(agents) > 20 else [])
     text = readme.format(
         name=topology.name,

@@ -318,7 +318,7 @@ def _draw(folder: Path, samples: Sequence[Sample], say: Say) -> None:
     try:
         from hedgerow.orchestrator.report.style import look, save, sheet  # noqa: PLC0415
     except ModuleNotFoundError:
-        say("no picture: matplotlib is not installed; pip install 'hedgerow[report]'")
+        say("no picture: matplotlib is not installed. Install it with: pip install matplotlib")
         return
     with look():
         figure = sheet(4.4)

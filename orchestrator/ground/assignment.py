@@ -8,6 +8,7 @@ import numpy as np
 
 from hedgerow.agents.view import Ids, Peer, View
 from hedgerow.plant.truth import Truth
+from hedgerow.topologies import lots
 from hedgerow.topologies.archive import id_array
 from hedgerow.topologies.errors import UserError
 from hedgerow.topologies.faults import effects
@@ -77,6 +78,11 @@ def candidates_of(topology: Topology) -> Array:
             return network.candidates
 
 
+def law_seed(topology: Topology) -> int:
+    """Return the seed of the laws: a function of the seed of the run, from which the truth cannot be found."""
+    return int(lots.keys(topology.seed, "law", lots.words_of(["seed"]))[0] >> np.uint64(1))
+
+
 def law_of(topology: Topology) -> str:
     """The law that the agents run: hinf and nominal are minimax, with one candidate a node."""
     return "minimax" if topology.law in ("hinf", "nominal") else topology.law
@@ -120,6 +126,7 @@ def views_of(topology: Topology, shards: Layout) -> list[View]:
                 peers=peers,
                 heard=ids[heard % graph.n],
                 history=history,
+                seed=law_seed(topology),
             )
         )
     return views

@@ -41,9 +41,7 @@ class Authority:
         try:
             from cryptography.hazmat.primitives.asymmetric import ec  # noqa: PLC0415
         except ImportError:
-            raise UserError(
-                "--secure: needs the library cryptography; install it with: pip install 'hedgerow[secure]'"
-            ) from None
+            raise UserError("--secure: needs cryptography. Install it with: pip install cryptography") from None
         now = datetime.now(UTC)
         self._from, self.until = now - SLACK, now + timedelta(days=days)
         self._key = ec.generate_private_key(ec.SECP256R1())

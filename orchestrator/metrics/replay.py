@@ -14,7 +14,7 @@ import numpy as np
 
 from hedgerow.agents.shard import Shard
 from hedgerow.agents.view import View
-from hedgerow.orchestrator.ground.assignment import candidates_of, history_of, law_of
+from hedgerow.orchestrator.ground.assignment import candidates_of, history_of, law_of, law_seed
 from hedgerow.plant.disturbance import Disturbance
 from hedgerow.plant.faults import NOTHING, ActiveFaults, Faults
 from hedgerow.plant.truth import Truth
@@ -91,6 +91,7 @@ class Replay:
                 peers=[],
                 heard=id_array([]),
                 history=history,
+                seed=law_seed(topology),
             )
         )
         self.nodes = part.audited

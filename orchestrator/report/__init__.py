@@ -46,7 +46,7 @@ def report(
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] != "matplotlib":
             raise
-        raise UserError("a report needs matplotlib; install it with: pip install 'hedgerow[report]'") from None
+        raise UserError("a report needs matplotlib. Install it with: pip install matplotlib") from None
     asked = Look(width_in, style, tuple(formats))
     kinds = _chosen(known.FIGURES, figures, runs)
     out = out or Path("-".join(run.run for run in runs[:2]) + "-report")

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from hedgerow.orchestrator.metrics.certificate import storage
 from hedgerow.orchestrator.metrics.fault_accounts import at_ends
 from hedgerow.orchestrator.metrics.fault_schedule import Schedule
+from hedgerow.orchestrator.metrics.gain_bound import Premise
 from hedgerow.orchestrator.metrics.observer import Batch, Observer, gain
 from hedgerow.orchestrator.metrics.replay import Finding, Replay
 from hedgerow.orchestrator.runs.files import find_run, load_events, load_resolved, read_verdict
@@ -327,6 +328,41 @@ class RecordedRun:
         """The same less V(x(0)), which is what x(0) may have cost the oracle, and not what it cost this law, (T,)."""
         network = self.topology.network
         return _frozen(gain(self.cost_sum, self.energy_sum, float(storage(network.x0[None], network.a)[0])))
+
+    @cached_property
+    def ceiling(self) -> Array:
+        """The least bound on the law's gain that is claimed at each step, NaN where none is, (T,); docs/guarantee.md.
+
+        It bounds the gain from x(0) = 0. It is NaN too if the verdict has no bounds.
+        """
+        least = np.full(self.T, np.nan)
+        for premise in Premise:
+            told = self._bound(premise)
+            if isinstance(told.get("gain"), float) and isinstance(told.get("steps"), int):
+                covered = least[: max(0, told["steps"])]
+                np.fmin(covered, told["gain"], out=covered)
+        return _frozen(least)
+
+    def _bound(self, premise: str) -> Mapping[str, Any]:
+        """Return what the verdict holds of one bound; empty if it holds none."""
+        found: Any = self.verdict
+        for key in ("gain_bounds", "bounds", premise):
+            found = found.get(key) if isinstance(found, Mapping) else None
+        return found if isinstance(found, Mapping) else {}
+
+    def certificate_slack(self, premise: str) -> Array:
+        """Return the slack of the law's certificate at each step, NaN where `premise` no longer holds, (T,).
+
+        `premise` is "estimates", "edges" or "jumps". Raises UserError if the verdict has no bound for it.
+        """
+        told = self._bound(premise)
+        self.need_all("the slack of a certificate")
+        if not isinstance(told.get("p"), list) or len(told["p"]) != len(self.ids):
+            raise UserError(f"{self.folder}: verdict.json has no bound under the premise {premise!r}")
+        p, steps = np.array(told["p"]), told["steps"]
+        end, start = (self.x[1:] ** 2 * p).sum(axis=1), float((self.x[0] ** 2 * p).sum())
+        slack = told["g"] * self.energy_sum + start - end - self.cost_sum
+        return _frozen(np.where(np.arange(self.T) < steps, slack, np.nan))
 
     @property
     def metrics(self) -> dict[str, float | int | None]:

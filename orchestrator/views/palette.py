@@ -16,6 +16,7 @@ TEXT: Color = (190, 196, 206, 255)
 GREY: Color = (170, 170, 170, 255)
 GREEN: Color = (90, 200, 120, 255)
 ORANGE: Color = (240, 150, 60, 255)
+PURPLE: Color = (190, 130, 255, 255)
 
 RIGHT: Color = (66, 74, 90, 255)
 """the ring of a node whose model is right"""

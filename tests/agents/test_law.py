@@ -184,7 +184,7 @@ def test_an_agent_is_told_of_its_own_nodes_and_neighbours_alone(topology: Topolo
     assert [nodes.tolist() for nodes in truth_of(topology, shards).shards] == shards
     for view, nodes in zip(views, shards, strict=True):
         told = json.loads(view.to_json())
-        assert set(told) == {"shard", "b", "law", "nodes", "peers", "history"}
+        assert set(told) == {"shard", "b", "law", "nodes", "peers", "history", "seed"}
         weights = topology.graph.weights
         weighed = set() if weights is None else {"weights"}
         assert [set(node) for node in told["nodes"]] == [{"id", "candidates", "neighbours"} | weighed] * len(nodes)
@@ -218,7 +218,7 @@ def test_what_a_process_is_told_goes_through_its_file(
         view.write(folder / f"{view.shard}.npz")
         with np.load(folder / f"{view.shard}.npz") as file:
             settings_of, arrays = json.loads(file["settings"].tobytes()), {*file.files} - {"settings"}
-        assert settings_of.keys() - {"b"} == {"shard", "law", "history", "ids"}
+        assert settings_of.keys() - {"b"} == {"shard", "law", "history", "seed", "ids"}
         own = {"ids", "candidates", "row", "column", "peers", "say", "heard"}
         assert arrays - {"b", "weights"} == own
         assert ("b" in settings_of) != ("b" in arrays)

@@ -122,7 +122,12 @@ edges:
         ("steps: 3", "steps: yes", 3, 'steps: "yes" is not a whole number'),
         ("steps: 3", "steps: true", 3, "steps: true is not a whole number"),
         ("seed: 4", "seed: -1", 4, "seed: -1 is below 0"),
-        ("seed: 4", "law: min", 4, "law: a law is minimax, hinf, nominal or package.module:Class"),
+        (
+            "seed: 4",
+            "law: min",
+            4,
+            "law: a law is minimax, hinf, nominal or package.module:Class; did you mean nominal?",
+        ),
         ("seed: 4", "~: 4", 4, "~ is no key; known keys are name, b,"),
         ("x0: 1", "x0: .nan", 5, "defaults: x0: .nan is not a finite number"),
         ("x0: 1", "xo: 1", 5, "defaults: unknown key `xo`; did you mean `x0`?"),

@@ -96,6 +96,6 @@ def _draw(plan: Plan, folder: SweepFolder, rows: list[list[dict[str, object]]]) 
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] != "matplotlib":
             raise
-        return "no box plots: matplotlib is missing; install it with: pip install 'hedgerow[report]'"
+        return "no box plots: matplotlib is not installed. Install it with: pip install matplotlib"
     write(folder.path, plan, rows)
     return "boxes.pdf and boxes.png beside it"
