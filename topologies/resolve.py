@@ -22,10 +22,10 @@ from hedgerow.topologies.edges import Edge
 from hedgerow.topologies.errors import TopologyError
 from hedgerow.topologies.faults import Fault, Jump
 from hedgerow.topologies.graph import Array, Index
-from hedgerow.topologies.header import Header
 from hedgerow.topologies.hinf import allowed_intervals, smallest_eigenpair
 from hedgerow.topologies.network import PARAMETERS, Group, Network, gains, labels
 from hedgerow.topologies.nodes import SPELLED_OUT, Edges, Nodes
+from hedgerow.topologies.reading import Reading
 from hedgerow.topologies.rules import broken_faults
 from hedgerow.topologies.samples import columns
 from hedgerow.topologies.schema import (
@@ -140,7 +140,7 @@ class _Drawing:
         self._lists: list[tuple[Index, Array]] = []
         """(nodes, candidates (M, k)), NaN-padded"""
         self._groups: dict[tuple[int, str], list[Group]] = defaultdict(list)
-        self._files: dict[tuple[str, Header | None], dict[int | str, list[float]]] = {}
+        self._files: dict[Reading, dict[int | str, list[float]]] = {}
 
     def network(self) -> Network:
         """All of it."""
@@ -280,9 +280,9 @@ class _Drawing:
         if part.values is not None:
             return np.repeat(np.array(part.values[:steps])[None], len(nodes), axis=0)
         assert part.file is not None
-        key = part.file, part.header
-        if key not in self._files:
-            self._files[key] = columns(part.file, self._folder, self._topology.ids, part.header)
+        if (key := part.reading) not in self._files:
+            ids, named = self._topology.ids, self._topology.named_files
+            self._files[key] = columns(key.file, self._folder, ids, key.header, key.times, named)
         table = self._files[key]
         return np.array([table[self._topology.ids[k]][:steps] for k in (nodes % self._n).tolist()])
 
@@ -340,12 +340,12 @@ def to_yaml(topology: Topology) -> str:
         written["table"] = table.NAME
     else:
         nodes = {node: own.model_dump(mode="json", exclude_none=True) for node, own in topology.nodes.items()}
-        edges = [_Line(edge.model_dump()) if isinstance(edge, Edge) else list(edge) for edge in topology.edges]
+        edges = [Line(edge.model_dump()) if isinstance(edge, Edge) else list(edge) for edge in topology.edges]
         written |= {"nodes": nodes, "edges": edges}
     whole = {key: written[key] for key in type(topology).model_fields if key in written}
     if topology.faults:
         whole["faults"] = [_lines(fault.written()) for fault in topology.faults]
-    return yaml.dump(whole, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=10**6)
+    return yaml.dump(whole, Dumper=Dumper, sort_keys=False, default_flow_style=None, width=10**6)
 
 
 def save(topology: Topology, path: Path) -> None:
@@ -356,20 +356,20 @@ def save(topology: Topology, path: Path) -> None:
 
 
 @dataclass(frozen=True)
-class _Line:
+class Line:
     """What stands on one line of the file, whatever is in it."""
 
     value: Any
 
 
-def _lines(fault: dict[str, Any]) -> _Line | dict[str, Any]:
+def _lines(fault: dict[str, Any]) -> Line | dict[str, Any]:
     """A line for a fault, or one for each step of its table."""
     if isinstance(table := fault.get("at"), dict):
-        return {**fault, "at": {step: _Line(struck) for step, struck in table.items()}}
-    return _Line(fault)
+        return {**fault, "at": {step: Line(struck) for step, struck in table.items()}}
+    return Line(fault)
 
 
-class _Dumper(yaml.CSafeDumper):
+class Dumper(yaml.CSafeDumper):
     """Without aliases, and with floats that YAML 1.1 readers take for floats too."""
 
     def ignore_aliases(self, data: object) -> bool:  # noqa: ARG002
@@ -383,13 +383,13 @@ def _float(dumper: yaml.CSafeDumper, value: float) -> yaml.ScalarNode:
     return dumper.represent_scalar("tag:yaml.org,2002:float", text)
 
 
-def _line(dumper: yaml.CSafeDumper, line: _Line) -> yaml.Node:
+def _line(dumper: yaml.CSafeDumper, line: Line) -> yaml.Node:
     node = cast("yaml.CollectionNode", dumper.represent_data(line.value))
     node.flow_style = True
     return node
 
 
-_Dumper.add_representer(float, _float)
-_Dumper.add_representer(_Line, _line)
+Dumper.add_representer(float, _float)
+Dumper.add_representer(Line, _line)
 # YAML 1.1 reads `1e5` and `08` as text and leaves them bare; to our reader they are numbers.
-_Dumper.add_implicit_resolver("tag:yaml.org,2002:float", FLOAT, list("-+.0123456789"))
+Dumper.add_implicit_resolver("tag:yaml.org,2002:float", FLOAT, list("-+.0123456789"))
