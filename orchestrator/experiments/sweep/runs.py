@@ -86,7 +86,7 @@ def _batch(plan: Plan, chunk: Chunk) -> dict[int, Row]:
             metrics = {
                 name: value if math.isfinite(value) else None for name, value in zip(METRICS, values, strict=True)
             }
-            share = metrics["nodes_right"] / n
+            share = float(metrics["nodes_right"] or 0) / n
             rows[seed] = {**metrics, "share_right": share, "verdict": VALID, "reasons": ""}
     return rows
 
