@@ -8,8 +8,12 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from hedgerow.topologies.errors import UserError
+from hedgerow.topologies import budget
+from hedgerow.topologies.errors import Code, UserError
+from hedgerow.topologies.json_file import memory
 
+_BYTES_PER_KEY = 300
+"""of memory: a key can be the only one of its table"""
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 
 
@@ -32,10 +36,14 @@ def dumps(settings: Mapping[str, Any]) -> str:
 
 def loads(text: str, source: str) -> dict[str, Any]:
     """The settings in a text; UserError, which names its `source`, where it is not TOML."""
+    budget.require(source, memory(text.encode(errors="replace")) + _BYTES_PER_KEY * text.count("="))
     try:
         return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise UserError(f"{source}: is not TOML: {error}; take the file that `orchestrator bundle` wrote") from None
+    except (ValueError, RecursionError) as error:  # ValueError alone for a whole number of too many digits
+        why = "it is nested too deep" if isinstance(error, RecursionError) else error
+        raise UserError(
+            f"{source}: is not TOML: {why}; take the file that `orchestrator bundle` wrote", code=Code.FILE_FORMAT
+        ) from None
 
 
 def _lines(settings: Mapping[str, Any]) -> list[str]:

@@ -9,6 +9,7 @@ from typing import Any
 
 from hedgerow.topologies import toml
 from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.regular_file import read_regular
 
 FILE = "told.toml"
 """Its name in a folder of the process's own."""
@@ -55,7 +56,7 @@ def find(path: Path | None, otherwise: str) -> Config:
         return Config.parse(text, VARIABLE)
     path = _file(path or Path(otherwise))
     try:
-        config = Config.parse(path.read_text(encoding="utf-8"), str(path))
+        config = Config.parse(read_regular(path).decode(), str(path))
     except (OSError, UnicodeDecodeError) as error:
         why = getattr(error, "strerror", None) or "is not a text"
         raise UserError(f"{path}: {why}; `orchestrator bundle` writes it, --config says where it is") from None

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.regular_file import open_regular
 
 LOG = logging.getLogger("keys")
 PRIVATE_KEY, CERTIFICATE, CA = "key.pem", "cert.pem", "ca.pem"
@@ -35,7 +36,7 @@ class Credentials:
 
         def text(name: str) -> bytes:
             try:
-                with (folder / name).open("rb") as file:
+                with open_regular(folder / name) as file:
                     found = file.read(MOST_BYTES + 1)
                     for_all = os.fstat(file.fileno()).st_mode & stat.S_IROTH
             except OSError as error:

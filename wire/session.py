@@ -18,6 +18,7 @@ import zenoh
 
 from hedgerow.topologies.errors import Code, DeadlineError, HedgerowError, UserError
 from hedgerow.topologies.escape import escape
+from hedgerow.topologies.json_file import read_json
 from hedgerow.wire.codec import MessageError
 from hedgerow.wire.credentials import Credentials, router_tls
 from hedgerow.wire.limits import limit_in
@@ -141,8 +142,8 @@ def _rules_in(credentials: Path) -> Mapping[str, object]:
     """What the router of a secure run keeps; one that kept nothing would let everybody in to everything."""
     whole = "take the folder `router`, whole, with --credentials"
     try:
-        rules: Any = json.loads((credentials / ACCESS).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+        rules: Any = read_json(credentials / ACCESS)
+    except (OSError, UserError) as error:
         why = getattr(error, "strerror", None) or error
         raise WireError(f"{credentials}: no keys of a router: {ACCESS}: {why}; {whole}") from None
     control = rules.get("access_control") if isinstance(rules, dict) else None

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from hedgerow.orchestrator.runs.folder import whole_folder
 from hedgerow.plant.request import BYTES_PER_INCIDENCE, LEAST_BYTES
 from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.json_file import read_json
 from hedgerow.wire import keys
 from hedgerow.wire.access import OBSERVER, ROUTER, Place, rights, rules
 from hedgerow.wire.credentials import CA, CERTIFICATE, PRIVATE_KEY
@@ -185,7 +186,7 @@ def carried(folder: Path, places: Sequence[Place]) -> tuple[str, str]:
     """The endpoint and the namespace that credentials in a folder were made for; UserError if not for this network."""
     again = "`orchestrator keys` and `orchestrator bundle --secure` make one"
     try:
-        settings = json.loads((folder / OBSERVER / SETTINGS).read_text(encoding="utf-8"))
+        settings = read_json(folder / OBSERVER / SETTINGS)
         endpoint, namespace, made_for = settings["endpoint"], settings["namespace"], settings["rules"]
         until = datetime.fromisoformat(settings["until"])
     except (OSError, ValueError, KeyError, TypeError) as error:

@@ -30,6 +30,7 @@ from hedgerow.topologies.base import node_id
 from hedgerow.topologies.describe import describe
 from hedgerow.topologies.errors import Code, DeadlineError, HedgerowError, TopologyError, UserError
 from hedgerow.topologies.faults import Fault, Jump, effects
+from hedgerow.topologies.json_file import loads
 from hedgerow.topologies.load import load, parse
 from hedgerow.topologies.rules import broken_faults
 from hedgerow.topologies.schema import Topology
@@ -387,7 +388,7 @@ class Live:
         from hedgerow.orchestrator.runs.files import read_file  # noqa: PLC0415 (Arrow takes a while to load)
 
         try:
-            verdict: dict[str, Any] = json.loads(read_file(self.folder / "verdict.json"))
+            verdict: dict[str, Any] = loads(self.folder / "verdict.json", read_file(self.folder / "verdict.json"))
         except OSError:
             return None
         return int(verdict["steps_done"])

@@ -17,6 +17,7 @@ from hedgerow.orchestrator.launch.fork_client import ForkClient
 from hedgerow.orchestrator.runs.folder import RunFolder
 from hedgerow.plant.truth import Truth
 from hedgerow.topologies.errors import Exit
+from hedgerow.topologies.regular_file import last_text
 from hedgerow.wire import keys
 from hedgerow.wire.child import ERROR_PREFIX, USER_ERROR
 
@@ -235,7 +236,7 @@ class Processes:
 
     def _last_error(self, name: str) -> str:
         try:
-            lines = self._log(name).read_text(encoding="utf-8", errors="replace").splitlines()
+            lines = last_text(self._log(name)).splitlines()
         except OSError:
             return ""
         errors = [line for line in lines if line.startswith(ERROR_PREFIX)]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -18,6 +17,7 @@ from hedgerow.orchestrator.runs.selection import kept
 from hedgerow.topologies.describe import describe
 from hedgerow.topologies.errors import HedgerowError, UserError
 from hedgerow.topologies.graph import Array, Mask
+from hedgerow.topologies.json_file import loads
 from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import truth
 from hedgerow.topologies.schema import Topology
@@ -75,7 +75,7 @@ class Result:
         folder = Path(folder)
         try:
             with reading(folder / "verdict.json"):
-                content = json.loads(read_file(folder / "verdict.json"))
+                content = loads(folder / "verdict.json", read_file(folder / "verdict.json"))
                 if type(content["steps_done"]) is not int or not isinstance(content["verdict"], str):
                     raise ValueError("it is no verdict")
             for name in ("telemetry", "edges"):
@@ -108,7 +108,7 @@ class Result:
         heard = np.empty((steps, 2 * e), dtype=np.bool_)
         heard[:, at_ends(topology.graph).T.ravel()] = np.hstack([of_edges("i_hears"), of_edges("j_hears")])
         with reading(folder / "events.jsonl"):
-            events = read_events(read_file(folder / "events.jsonl"))
+            events = read_events(read_file(folder / "events.jsonl"), folder / "events.jsonl")
         return cls(
             folder=folder,
             topology=topology,

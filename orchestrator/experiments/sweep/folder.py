@@ -15,7 +15,10 @@ from hedgerow.orchestrator.experiments.sweep.plan import Plan, typed
 from hedgerow.orchestrator.experiments.sweep.runs import METRICS, Row
 from hedgerow.orchestrator.ground.spelling import spelled
 from hedgerow.orchestrator.runs.folder import write_json
-from hedgerow.topologies.errors import UserError
+from hedgerow.topologies import budget
+from hedgerow.topologies.errors import Code, UserError
+from hedgerow.topologies.json_file import read_json
+from hedgerow.topologies.regular_file import check_regular
 
 
 def default_out(plan: Plan) -> Path:
@@ -38,6 +41,8 @@ class SweepFolder:
         try:
             self.path.mkdir(parents=True, exist_ok=True)
             self._refuse_another()
+            if self._lines.is_symlink() or self._lines.exists():
+                budget.require(self._lines, _GROWTH * check_regular(self._lines, self.path).st_size)
             self._file = self._lines.open("a+b")
         except OSError as error:
             raise UserError(f"--out {self.path}: {error.strerror}; name another folder") from None
@@ -69,10 +74,15 @@ class SweepFolder:
             if strange := next((one.name for one in self.path.iterdir() if one != self._lines), None):
                 raise UserError(f"--out {self.path}: holds {strange}, and no sweep; name a new folder")
             return
-        try:
-            there = json.loads(self._about.read_text(encoding="utf-8"))
-        except ValueError:
-            raise UserError(f"--out {self.path}: sweep.json cannot be read; name a new folder") from None
+        there = read_json(self._about, self.path)
+        if not (
+            isinstance(there, dict)
+            and isinstance(there.get("set"), dict)
+            and all(isinstance(there.get(key), type(wanted[key])) for key in ("versions", "networks"))
+        ):
+            raise UserError(
+                f"--out {self.path}: sweep.json is none of a sweep; name a new folder", code=Code.FILE_FORMAT
+            )
         if other := _difference(there, wanted):
             raise UserError(f"--out {self.path}: holds another sweep: {other}; name another folder")
 
@@ -84,10 +94,12 @@ class SweepFolder:
             if not line.endswith(b"\n"):
                 break
             try:
-                row = json.loads(line)
+                row = _row(json.loads(line))
                 self.rows[row["setting"], row["seed"]] = row
-            except (ValueError, LookupError, TypeError):
-                raise UserError(f"{self._lines}: line {len(self.rows) + 1} is no run; name a new folder") from None
+            except (ValueError, LookupError, TypeError, RecursionError):
+                raise UserError(
+                    f"{self._lines}: line {len(self.rows) + 1} is no run; name a new folder", code=Code.FILE_FORMAT
+                ) from None
             whole += len(line)
         self._file.truncate(whole)
 
@@ -134,6 +146,22 @@ class SweepFolder:
         except OSError as error:
             part.unlink(missing_ok=True)
             raise UserError(f"{self.table}: {error.strerror}; make room, then the same command goes on") from None
+
+
+_GROWTH = 4
+"""bytes of memory for a byte of runs.jsonl, whose lines hold the same few keys"""
+_KEYS = {
+    **dict.fromkeys(("setting", "seed"), int),
+    **dict.fromkeys((*METRICS, "share_right"), int | float | None),
+    **dict.fromkeys(("verdict", "reasons"), str),
+}
+
+
+def _row(row: Any) -> Row:
+    """Return a run that a line holds, its known keys; raise an error of a lookup or a type if it is none."""
+    if not all(isinstance(row[key], kind) for key, kind in _KEYS.items()):
+        raise TypeError("a value is of another type")
+    return {key: row[key] for key in _KEYS}
 
 
 def _difference(there: dict[str, Any], wanted: dict[str, Any]) -> str:

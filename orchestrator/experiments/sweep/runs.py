@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import json
 import math
 import tempfile
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from hedgerow.orchestrator.metrics.observer import Observer, rows_at_once
 from hedgerow.orchestrator.metrics.verdict import Ending, judge
 from hedgerow.orchestrator.runs import reference
 from hedgerow.topologies.errors import Code, HedgerowError, TopologyError, UserError
+from hedgerow.topologies.json_file import read_json
 from hedgerow.topologies.resolve import resolve
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire import crash
@@ -95,7 +95,7 @@ def _over_zenoh(topology: Topology) -> dict[str, Any]:
     with tempfile.TemporaryDirectory(prefix="hedgerow-") as scratch:
         folder = Path(scratch) / "run"
         run_to_the_end(topology, folder, math.inf)
-        content: dict[str, Any] = json.loads((folder / "verdict.json").read_text(encoding="utf-8"))
+        content: dict[str, Any] = read_json(folder / "verdict.json", folder)
     return content
 
 

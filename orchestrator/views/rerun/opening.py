@@ -39,6 +39,7 @@ from hedgerow.orchestrator.views.rerun.watch import (
 )
 from hedgerow.topologies.errors import HedgerowError, UserError
 from hedgerow.topologies.escape import markdown
+from hedgerow.topologies.regular_file import open_regular
 from hedgerow.wire.codec import TAKEN, End, Telemetry
 
 Say = Callable[[str], None]
@@ -120,7 +121,7 @@ def _unreadable(files: Sequence[Path]) -> str:
     for file in files:
         try:
             check_file(file)
-            with file.open("rb") as opened:
+            with open_regular(file, file.parent) as opened:
                 head = opened.read(8)
         except (UserError, OSError) as error:
             return str(error) if isinstance(error, UserError) else f"{file.name} cannot be read ({error.strerror})"
