@@ -21,7 +21,19 @@ from hedgerow.agents.samples import LateRows, Samples
 from hedgerow.agents.view import View
 from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.graph import all_finite
-from hedgerow.wire.codec import ALL_UP, REPORT_ROWS, TAKEN, Flag, Link, Mask, Record, State, gather
+from hedgerow.wire.codec import (
+    ALL_UP,
+    LATE,
+    MOST_LATE,
+    REPORT_ROWS,
+    TAKEN,
+    Flag,
+    Link,
+    Mask,
+    Record,
+    State,
+    gather,
+)
 
 Index = NDArray[np.int64]
 
@@ -210,9 +222,12 @@ class Shard:
                 late_rows.append(self._came(c, links, last - count, min(last + 1, past)))
                 if late:
                     took[c] -= Flag.HEAR
-        self.took = bytes(took)
         inputs = gather([self.u, *last_rows])
-        self._samples.take_late(past, self.x, inputs, self.took, state.x, late_rows, back)
+        self._samples.take_late(past, self.x, inputs, bytes(took), state.x, late_rows, back)
+        # A law that does not learn acts alike under every delay: only this count shows which rows arrived when.
+        for c, start, stop, _ in late_rows:
+            took[c] |= min(max(stop - start, 0), MOST_LATE) << LATE
+        self.took = bytes(took)
 
     def _came(self, c: int, links: Sequence[Link | None], start: int, stop: int) -> LateRows:
         """Return the rows of steps start .. stop - 1 that arrived over an incidence."""
