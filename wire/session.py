@@ -60,12 +60,17 @@ def check_endpoint(endpoint: str, option: str = "--router") -> None:
     try:
         zenoh.Config().insert_json5("connect/endpoints", json.dumps([endpoint]))
     except zenoh.ZError:
-        raise UserError(f"{option} {endpoint}: is no endpoint; write tcp/HOST:PORT, or tls/HOST:PORT") from None
+        raise UserError(
+            f"{option} {endpoint}: is no endpoint; write tcp/HOST:PORT, or tls/HOST:PORT", code=Code.OPTION
+        ) from None
     port = endpoint.partition("#")[0].partition("?")[0].rpartition(":")[2]
     if endpoint.startswith(("tcp/", "tls/")) and not (re.fullmatch("[0-9]+", port) and 1 <= int(port) <= MOST_PORT):
-        raise UserError(f"{option} {endpoint}: write a port from 1 to {MOST_PORT} after the host")
+        raise UserError(f"{option} {endpoint}: write a port from 1 to {MOST_PORT} after the host", code=Code.OPTION)
     if option == "--router" and endpoint.startswith("tls/["):  # "invalid dns name", and it would try for ever
-        raise UserError(f"{option} {endpoint}: Zenoh takes no IPv6 address for the name in a certificate; write a name")
+        raise UserError(
+            f"{option} {endpoint}: Zenoh takes no IPv6 address for the name in a certificate; write a name",
+            code=Code.OPTION,
+        )
 
 
 def check_namespace(namespace: str) -> None:
@@ -150,7 +155,10 @@ def _rules_in(credentials: Path) -> Mapping[str, object]:
     if not (
         isinstance(control, dict) and control.get("enabled") is True and control.get("default_permission") == "deny"
     ):
-        raise UserError(f"{credentials / ACCESS}: does not refuse what it does not allow (`access_control`); {whole}")
+        raise UserError(
+            f"{credentials / ACCESS}: does not refuse what it does not allow (`access_control`); {whole}",
+            code=Code.FILE_FORMAT,
+        )
     return cast("Mapping[str, object]", rules)
 
 

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from hedgerow.orchestrator.cli.options import File, Law, Processes, Seed, Sets, Steps
-from hedgerow.topologies.errors import UserError, check_options
+from hedgerow.topologies.errors import Code, UserError, check_options
 from hedgerow.topologies.escape import echo
 from hedgerow.topologies.paths import user_path
 
@@ -68,7 +68,7 @@ def bundle(
             with whole_folder(out, f"--out {out}") as part:
                 write(part, topology, told)
     except OSError as error:
-        raise UserError(f"--out {out}: {error.strerror}; choose another folder") from None
+        raise UserError(f"--out {out}: {error.strerror}; choose another folder", code=Code.OUTPUT) from None
     echo(f"{out}: {len(told)} processes; {out / 'README.md'} says how to start them")
     return 0
 
@@ -143,5 +143,5 @@ def compose(
     try:
         write_private(out, text.encode())
     except OSError as error:
-        raise UserError(f"--out {out}: {error.strerror}; choose another name") from None
+        raise UserError(f"--out {out}: {error.strerror}; choose another name", code=Code.OUTPUT) from None
     return 0

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from hedgerow.orchestrator.runs.folder import whole_folder
 from hedgerow.plant.request import BYTES_PER_INCIDENCE, LEAST_BYTES
-from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.json_file import read_json
 from hedgerow.wire import keys
 from hedgerow.wire.access import OBSERVER, ROUTER, Place, rights, rules
@@ -43,7 +43,8 @@ class Authority:
             from cryptography.hazmat.primitives.asymmetric import ec  # noqa: PLC0415
         except ImportError:
             raise UserError(
-                "--secure: needs the library cryptography; install it with: pip install 'hedgerow[secure]'"
+                "--secure: needs the library cryptography; install it with: pip install 'hedgerow[secure]'",
+                code=Code.DEPENDENCY,
             ) from None
         now = datetime.now(UTC)
         self._from, self.until = now - SLACK, now + timedelta(days=days)
@@ -168,7 +169,7 @@ def to_carry(
             write_private(part / ROUTER / ACCESS, json.dumps(kept).encode())
             more(part)
     except OSError as error:
-        raise UserError(f"{folder}: {error.strerror}; choose another folder") from None
+        raise UserError(f"{folder}: {error.strerror}; choose another folder", code=Code.OUTPUT) from None
     return [*granted, ROUTER]
 
 
@@ -190,7 +191,9 @@ def carried(folder: Path, places: Sequence[Place]) -> tuple[str, str]:
         endpoint, namespace, made_for = settings["endpoint"], settings["namespace"], settings["rules"]
         until = datetime.fromisoformat(settings["until"])
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise UserError(f"--keys {folder}: no folder of keys: {type(error).__name__}: {error}; {again}") from None
+        raise UserError(
+            f"--keys {folder}: no folder of keys: {type(error).__name__}: {error}; {again}", code=Code.FILE_FORMAT
+        ) from None
     if made_for != _digest(rules(places, namespace, plant_is_client=True)):
         raise UserError(f"--keys {folder}: made for another network, other processes, or by another release; {again}")
     if datetime.now(UTC) > until:
@@ -208,7 +211,9 @@ def host_of(endpoint: str, option: str = "--router") -> str:
     protocol, _, address = endpoint.partition("/")
     host, _, port = address.rpartition(":")
     if protocol != "tls" or not host or not port.isdigit():
-        raise UserError(f"{option} {endpoint}: a secure network needs a router that speaks TLS: tls/HOST:PORT")
+        raise UserError(
+            f"{option} {endpoint}: a secure network needs a router that speaks TLS: tls/HOST:PORT", code=Code.OPTION
+        )
     return host.strip("[]")
 
 

@@ -67,7 +67,9 @@ def load_resolved(folder: Path) -> Topology:
     except (TypeError, ValueError, AttributeError):
         network = None
     if network is None:
-        raise UserError(f"{file}: leaves numbers to chance, so it is not the resolved file of this run") from None
+        raise UserError(
+            f"{file}: leaves numbers to chance, so it is not the resolved file of this run", code=Code.FILE_FORMAT
+        ) from None
     return topology
 
 
@@ -147,7 +149,8 @@ def read_verdict(folder: Path) -> dict[str, Any]:
         wrong = error.errors(include_url=False)[0]
         place = ".".join(map(str, wrong["loc"])) or "all of it"
         raise UserError(
-            f"{file}: is no verdict of this version: {place}: {wrong['msg']}; the run can be read without the file"
+            f"{file}: is no verdict of this version: {place}: {wrong['msg']}; the run can be read without the file",
+            code=Code.FILE_FORMAT,
         ) from None
     return content
 

@@ -102,10 +102,11 @@ class RecordedRun:
     def __post_init__(self) -> None:
         if self.topology.steps < self.T:
             raise UserError(
-                f"{self.folder}: {self.T} steps of a run of {self.topology.steps}: the files are of two runs"
+                f"{self.folder}: {self.T} steps of a run of {self.topology.steps}: the files are of two runs",
+                code=Code.FILE_FORMAT,
             )
         if not (self._steps < self.T).any():
-            raise UserError(f"{self.folder}: no whole step of the run is recorded yet")
+            raise UserError(f"{self.folder}: no whole step of the run is recorded yet", code=Code.RUN_MISSING)
 
     @cached_property
     def kept(self) -> Kept:
@@ -123,7 +124,8 @@ class RecordedRun:
             again = command(["orchestrator", "simulate", self.folder, "--set", "record={nodes: all}"])
             raise UserError(
                 f"{self.folder}: {what} needs all rows, and the run kept {self.kept}; it can be run again with all of"
-                f" them, to the same bits: {again}"
+                f" them, to the same bits: {again}",
+                code=Code.NOT_RECORDED,
             )
 
     def __repr__(self) -> str:
@@ -366,7 +368,7 @@ class RecordedRun:
     @property
     def _summary(self) -> Table:
         if "summary" not in self.tables:
-            raise UserError(f"{self.folder}: has no summary, by `record:` of its topology.yaml")
+            raise UserError(f"{self.folder}: has no summary, by `record:` of its topology.yaml", code=Code.NOT_RECORDED)
         return self.tables["summary"]
 
     def _summed(self, name: str, rows: int) -> Array:
@@ -418,7 +420,7 @@ class RecordedRun:
         whole = {one.name: np.concatenate([getattr(batch, one.name) for batch in batches]) for one in fields(Batch)}
         batch = Batch(**whole)
         if not np.array_equal(batch.x_oracle, self.x_oracle[steps], equal_nan=True):
-            raise UserError(f"{self.folder}: topology.yaml is not that of this telemetry")
+            raise UserError(f"{self.folder}: topology.yaml is not that of this telemetry", code=Code.FILE_FORMAT)
         return batch, observer
 
 

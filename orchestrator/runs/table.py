@@ -49,7 +49,9 @@ class Table:
             with reading(self.parquet):
                 self._file = pq.ParquetFile(spelled(self.parquet)) if self._stream is None else None
         except FileNotFoundError:
-            raise UserError(f"{folder}: no step of the run is recorded yet: there is no {name}.parquet") from None
+            raise UserError(
+                f"{folder}: no step of the run is recorded yet: there is no {name}.parquet", code=Code.RUN_MISSING
+            ) from None
 
     @property
     def over(self) -> bool:
@@ -109,7 +111,9 @@ class Table:
     def column(self, name: str, width: int) -> NDArray[Any]:
         """One column, a row a recorded step, (K, width); NaN where a number is null."""
         if name not in self.schema.names:
-            raise UserError(f"{self.path}: has no column {name}: another version of hedgerow wrote it")
+            raise UserError(
+                f"{self.path}: has no column {name}: another version of hedgerow wrote it", code=Code.FILE_FORMAT
+            )
         self._require(name)
         with reading(self.path):
             table = self._stream if self._file is None else self._file.read(columns=[name])
@@ -122,13 +126,16 @@ class Table:
         """The step of each row of `column`, (K,)."""
         rows = self._stream.num_rows if self._file is None else self._file.metadata.num_rows
         if rows % width:
-            raise UserError(f"{self.path}: {rows} rows are no whole steps of {width}; topology.yaml is another's")
+            raise UserError(
+                f"{self.path}: {rows} rows are no whole steps of {width}; topology.yaml is another's",
+                code=Code.FILE_FORMAT,
+            )
         budget.require(self.path, 8 * (rows // width))
         if rows and rows == (self._last_step() + 1) * width:
             return np.arange(rows // width)
         steps: Index = self.column("step", width)[:, 0].astype(np.int64)
         if len(steps) and (steps[0] < 0 or (np.diff(steps) <= 0).any()):
-            raise UserError(f"{self.path}: its steps do not ascend; it is damaged")
+            raise UserError(f"{self.path}: its steps do not ascend; it is damaged", code=Code.FILE_FORMAT)
         return steps
 
     def _last_step(self) -> int:
@@ -145,7 +152,7 @@ class Table:
     def frame(self, kind: str) -> Any:
         """All of it: a pyarrow.Table, or a frame of "pandas" or "polars"."""
         if kind not in FRAMES:
-            raise UserError(f"{kind!r} is no kind of table; there are {', '.join(FRAMES)}")
+            raise UserError(f"{kind!r} is no kind of table; there are {', '.join(FRAMES)}", code=Code.OPTION)
         if kind == "arrow":
             return self.whole()
         try:
@@ -153,7 +160,9 @@ class Table:
         except ModuleNotFoundError as error:
             if error.name != kind:
                 raise
-            raise UserError(f"{kind} is not installed; install it with: pip install {kind}") from None
+            raise UserError(
+                f"{kind} is not installed; install it with: pip install {kind}", code=Code.DEPENDENCY
+            ) from None
         if kind == "polars":
             return library.from_arrow(self.whole())
         # With nulls in it, a column of whole numbers would become one of floats.

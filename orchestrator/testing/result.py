@@ -15,7 +15,7 @@ from hedgerow.orchestrator.metrics.fault_accounts import at_ends
 from hedgerow.orchestrator.metrics.verdict import Verdict
 from hedgerow.orchestrator.runs.selection import kept
 from hedgerow.topologies.describe import describe
-from hedgerow.topologies.errors import HedgerowError, UserError
+from hedgerow.topologies.errors import Code, HedgerowError, UserError
 from hedgerow.topologies.graph import Array, Mask
 from hedgerow.topologies.json_file import loads
 from hedgerow.topologies.load import load
@@ -82,11 +82,14 @@ class Result:
                 check_file(folder / f"{name}.parquet")
             table, edges = (Table(folder, name).whole() for name in ("telemetry", "edges"))
         except FileNotFoundError as error:
-            raise UserError(f"{folder}: holds no run that is over: there is no {Path(error.filename).name}") from None
+            raise UserError(
+                f"{folder}: holds no run that is over: there is no {Path(error.filename).name}", code=Code.RUN_MISSING
+            ) from None
         topology = load(str(folder))
         if not (what := kept(topology)).whole:
             raise UserError(
-                f"{folder}: kept {what}, and a Result has all; `hedgerow.orchestrator.load_run` reads what is there"
+                f"{folder}: kept {what}, and a Result has all; `hedgerow.orchestrator.load_run` reads what is there",
+                code=Code.NOT_RECORDED,
             )
         steps, n, e = content["steps_done"], len(topology.ids), len(topology.edges)
         ended = len(table) != steps * n
@@ -144,12 +147,14 @@ class Result:
         try:
             return self.ids.index(node)
         except ValueError:
-            raise UserError(f"{node!r} is no node; the nodes are {', '.join(map(str, self.ids[:12]))}") from None
+            raise UserError(
+                f"{node!r} is no node; the nodes are {', '.join(map(str, self.ids[:12]))}", code=Code.OPTION
+            ) from None
 
     def estimates_at(self, t: int) -> Estimates:
         """What each node takes its a for at step t, from what it knows of steps before; a dict by node."""
         if not 0 <= t < self.steps:
-            raise UserError(f"estimates_at({t}): the run has steps 0 to {self.steps - 1}")
+            raise UserError(f"estimates_at({t}): the run has steps 0 to {self.steps - 1}", code=Code.OPTION)
         return Estimates(self, t)
 
     def missing(self, link: Pair) -> list[int]:
@@ -158,7 +163,7 @@ class Result:
         graph = self.topology.graph
         incidence = np.flatnonzero((graph.node == to) & (graph.neighbour == sender))
         if not len(incidence):
-            raise UserError(f"missing({link}): {link[0]} and {link[1]} are not neighbours")
+            raise UserError(f"missing({link}): {link[0]} and {link[1]} are not neighbours", code=Code.OPTION)
         return [int(t) for t in np.flatnonzero(~self.heard[:, incidence[0]])]
 
     def open(self, edge: Pair) -> list[int]:
@@ -166,7 +171,7 @@ class Result:
         ends = {*map(self.column, edge)}
         found = [k for k, pair in enumerate(self.topology.graph.edges) if {*pair.tolist()} == ends]
         if not found:
-            raise UserError(f"open({edge}): {edge[0]} and {edge[1]} are not neighbours")
+            raise UserError(f"open({edge}): {edge[0]} and {edge[1]} are not neighbours", code=Code.OPTION)
         return [int(t) for t in np.flatnonzero(self.edge_open[:, found[0]])]
 
     def summary(self) -> str:

@@ -21,7 +21,7 @@ import psutil
 from hedgerow.orchestrator.launch.live import FaultVerbs, Healed, Injected, Live
 from hedgerow.orchestrator.runs.registry import Entry
 from hedgerow.orchestrator.testing.result import Result
-from hedgerow.topologies.errors import DeadlineError, HedgerowError, UserError
+from hedgerow.topologies.errors import Code, DeadlineError, HedgerowError, UserError
 from hedgerow.topologies.faults import Fault
 from hedgerow.topologies.regular_file import last_text
 from hedgerow.topologies.resolve import to_yaml
@@ -245,7 +245,9 @@ class Running:
     def _pid(self, name: str) -> int:
         processes = self.processes
         if name not in processes:
-            raise UserError(f"{name}: no such process; there are {', '.join(sorted(processes)) or 'none'}")
+            raise UserError(
+                f"{name}: no such process; there are {', '.join(sorted(processes)) or 'none'}", code=Code.OPTION
+            )
         return processes[name]
 
     def stop(self) -> Result:

@@ -45,12 +45,14 @@ class SweepFolder:
                 budget.require(self._lines, _GROWTH * check_regular(self._lines, self.path).st_size)
             self._file = self._lines.open("a+b")
         except OSError as error:
-            raise UserError(f"--out {self.path}: {error.strerror}; name another folder") from None
+            raise UserError(f"--out {self.path}: {error.strerror}; name another folder", code=Code.OUTPUT) from None
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
             self._file.close()
-            raise UserError(f"--out {self.path}: a sweep is writing there; wait for it, or name another") from None
+            raise UserError(
+                f"--out {self.path}: a sweep is writing there; wait for it, or name another", code=Code.OUTPUT
+            ) from None
         try:
             if not self._about.exists():
                 write_json(self._about, self.plan.identity)
@@ -58,7 +60,9 @@ class SweepFolder:
         except BaseException as error:
             self._file.close()
             if isinstance(error, OSError):
-                raise UserError(f"--out {self.path}: {error.strerror}; make room, or name another folder") from None
+                raise UserError(
+                    f"--out {self.path}: {error.strerror}; make room, or name another folder", code=Code.OUTPUT
+                ) from None
             raise
         return self
 
@@ -72,7 +76,9 @@ class SweepFolder:
         wanted = self.plan.identity
         if not self._about.exists():
             if strange := next((one.name for one in self.path.iterdir() if one != self._lines), None):
-                raise UserError(f"--out {self.path}: holds {strange}, and no sweep; name a new folder")
+                raise UserError(
+                    f"--out {self.path}: holds {strange}, and no sweep; name a new folder", code=Code.OUTPUT
+                )
             return
         there = read_json(self._about, self.path)
         if not (
@@ -84,7 +90,7 @@ class SweepFolder:
                 f"--out {self.path}: sweep.json is none of a sweep; name a new folder", code=Code.FILE_FORMAT
             )
         if other := _difference(there, wanted):
-            raise UserError(f"--out {self.path}: holds another sweep: {other}; name another folder")
+            raise UserError(f"--out {self.path}: holds another sweep: {other}; name another folder", code=Code.OUTPUT)
 
     def _read(self) -> None:
         """Take in the runs that are there; a line that was cut short is taken away."""
@@ -111,7 +117,9 @@ class SweepFolder:
             self._file.write("".join(json.dumps(row) + "\n" for row in rows).encode())
             self._file.flush()
         except OSError as error:
-            raise UserError(f"{self._lines}: {error.strerror}; make room, then the same command goes on") from None
+            raise UserError(
+                f"{self._lines}: {error.strerror}; make room, then the same command goes on", code=Code.OUTPUT
+            ) from None
 
     @property
     def there(self) -> int:
@@ -145,7 +153,9 @@ class SweepFolder:
             part.replace(self.table)
         except OSError as error:
             part.unlink(missing_ok=True)
-            raise UserError(f"{self.table}: {error.strerror}; make room, then the same command goes on") from None
+            raise UserError(
+                f"{self.table}: {error.strerror}; make room, then the same command goes on", code=Code.OUTPUT
+            ) from None
 
 
 _GROWTH = 4

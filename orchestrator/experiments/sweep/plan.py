@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from hedgerow.agents.shard import law_class
 from hedgerow.orchestrator.ground.assignment import law_of
 from hedgerow.orchestrator.ground.versions import versions
-from hedgerow.topologies.errors import TopologyError, UserError
+from hedgerow.topologies.errors import Code, TopologyError, UserError
 from hedgerow.topologies.load import find, load
 from hedgerow.topologies.override import split_setting
 from hedgerow.topologies.resolve import resolve, to_yaml
@@ -101,7 +101,10 @@ def plan(file: str, seeds: str, sets: Sequence[str], engine: str) -> Plan:
         for combination in itertools.product(*values.values())
     ]
     if len(settings) * len(asked) > MAX_RUNS:
-        raise UserError(f"{len(settings)} settings with {len(asked)} seeds: at most {MAX_RUNS} runs; ask for fewer")
+        raise UserError(
+            f"{len(settings)} settings with {len(asked)} seeds: at most {MAX_RUNS} runs; ask for fewer",
+            code=Code.OPTION,
+        )
     for setting in settings:
         law_class(law_of(setting.topology))
     return Plan(tuple(values), tuple(settings), asked, engine, find(file).parent)
@@ -161,7 +164,7 @@ def _with(file: str, values: dict[str, str]) -> Topology:
         resolve(topology, find(file).parent)
     except TopologyError as error:
         given = " ".join(f"--set {key}={value}" for key, value in values.items())
-        raise UserError(f"{given}: {error.problems[0]}") from None
+        raise UserError(f"{given}: {error.problems[0]}", code=Code.TOPOLOGY) from None
     return topology
 
 

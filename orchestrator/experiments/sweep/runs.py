@@ -42,7 +42,7 @@ class Failure:
 
     def error(self) -> HedgerowError:
         """The same, to be raised."""
-        return UserError(self.text) if self.users else HedgerowError(self.text, code=self.code)
+        return UserError(self.text, code=self.code) if self.users else HedgerowError(self.text, code=self.code)
 
 
 Answer = list[Row] | Failure

@@ -37,7 +37,7 @@ from hedgerow.orchestrator.views.rerun.watch import (
     keep_page,
     told,
 )
-from hedgerow.topologies.errors import HedgerowError, UserError
+from hedgerow.topologies.errors import Code, HedgerowError, UserError
 from hedgerow.topologies.escape import markdown
 from hedgerow.topologies.regular_file import open_regular
 from hedgerow.wire.codec import TAKEN, End, Telemetry
@@ -110,7 +110,9 @@ def _chunks(file: Path) -> Iterator[Any]:
             if not isinstance(error, RuntimeError | ValueError | OSError) and type(error).__name__ != "PanicException":
                 raise
             why = str(error).splitlines()[0]
-            raise UserError(f"{file}: is damaged ({why}); move it away, and the run is shown from its tables") from None
+            raise UserError(
+                f"{file}: is damaged ({why}); move it away, and the run is shown from its tables", code=Code.FILE_FORMAT
+            ) from None
         yield chunk
 
 
@@ -194,7 +196,9 @@ def common_nodes(runs: Sequence[RecordedRun]) -> list[int | str]:
     found = [node for node in runs[0].ids if all(node in run.ids for run in runs)]
     if not found:
         networks = ", ".join(f"{run.run} has {_some(run.ids)}" for run in runs)
-        raise UserError(f"these runs have no node in common, so no axes: {networks}; open them one by one")
+        raise UserError(
+            f"these runs have no node in common, so no axes: {networks}; open them one by one", code=Code.OPTION
+        )
     return found
 
 

@@ -34,7 +34,7 @@ from hedgerow.orchestrator.runs.selection import kept
 from hedgerow.orchestrator.views.rerun.stream import RerunStream
 from hedgerow.orchestrator.views.rerun.viewer import Viewer, start
 from hedgerow.orchestrator.views.rerun.viewer_version import VERSION_DEADLINE_S, compare
-from hedgerow.topologies.errors import HedgerowError, UserError
+from hedgerow.topologies.errors import Code, HedgerowError, UserError
 from hedgerow.topologies.escape import command
 from hedgerow.topologies.graph import Graph
 from hedgerow.topologies.schema import Topology
@@ -257,7 +257,8 @@ def watch(entry: Entry, choice: str, say: Say) -> None:
         if not (what := kept(topology)).whole:
             raise UserError(
                 f"{entry.run}: keeps {what}, and can only be watched where all is kept; start it with --viewer, or see"
-                f" what it has so far with `{command(['orchestrator', 'open', entry.folder])}`"
+                f" what it has so far with `{command(['orchestrator', 'open', entry.folder])}`",
+                code=Code.NOT_RECORDED,
             )
         if (trail := _attached(entry, topology, wake, interrupts)) is None:
             return
@@ -291,7 +292,8 @@ def _attached(entry: Entry, topology: Topology, wake: threading.Event, interrupt
             over = any((Path(entry.folder) / name).exists() for name in ("telemetry.parquet", "verdict.json"))
             if over or entry not in registry.running():
                 raise UserError(
-                    f"{entry.run}: has just ended; `{command(['orchestrator', 'open', entry.folder])}` shows it"
+                    f"{entry.run}: has just ended; `{command(['orchestrator', 'open', entry.folder])}` shows it",
+                    code=Code.NETWORK_MISSING,
                 ) from None
         wake.wait(POLL_S)
     return None
