@@ -100,7 +100,7 @@ class SweepFolder:
             if not line.endswith(b"\n"):
                 break
             try:
-                row = _row(json.loads(line))
+                row = _row(json.loads(line), len(self.plan.settings))
                 self.rows[row["setting"], row["seed"]] = row
             except (ValueError, LookupError, TypeError, RecursionError):
                 raise UserError(
@@ -163,14 +163,17 @@ _GROWTH = 4
 _KEYS = {
     **dict.fromkeys(("setting", "seed"), int),
     **dict.fromkeys((*METRICS, "share_right"), int | float | None),
+    "nodes_right": int | None,
     **dict.fromkeys(("verdict", "reasons"), str),
 }
 
 
-def _row(row: Any) -> Row:
-    """Return a run that a line holds, its known keys; raise an error of a lookup or a type if it is none."""
-    if not all(isinstance(row[key], kind) for key, kind in _KEYS.items()):
+def _row(row: Any, settings: int) -> Row:
+    """Return a run that a line holds, its known keys; raise an error of a lookup, a type or a value if it is none."""
+    if not all(isinstance(row[key], kind) and not isinstance(row[key], bool) for key, kind in _KEYS.items()):
         raise TypeError("a value is of another type")
+    if row["setting"] not in range(settings) or any(abs(row[key] or 0) >= 2**63 for key in ("seed", "nodes_right")):
+        raise ValueError("a number is out of range")
     return {key: row[key] for key in _KEYS}
 
 

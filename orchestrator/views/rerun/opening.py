@@ -16,6 +16,7 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 from rerun.chunk import RrdReader
 
+from hedgerow.orchestrator.ground.foreign_stderr import foreign_stderr
 from hedgerow.orchestrator.ground.signals import Interrupts
 from hedgerow.orchestrator.ground.spelling import spelled
 from hedgerow.orchestrator.metrics.fault_accounts import at_ends
@@ -99,10 +100,12 @@ def _open(folder: Path, viewer: Viewer, say: Say, go_on: Callable[[], bool]) -> 
 
 def _chunks(file: Path) -> Iterator[Any]:
     """What a recording holds, to where it can be read."""
-    chunks = iter(RrdReader(spelled(file)).stream())
+    with foreign_stderr():
+        chunks = iter(RrdReader(spelled(file)).stream())
     while True:
         try:
-            chunk = next(chunks)
+            with foreign_stderr():
+                chunk = next(chunks)
         except StopIteration:
             return
         except BaseException as error:
@@ -133,7 +136,8 @@ def _unreadable(files: Sequence[Path]) -> str:
         if written > ours:
             return f"{file.name} was written by Rerun {head[4]}.{head[5]}, newer than {rr.__version__} here"
         try:
-            with warnings.catch_warnings(action="ignore"):  # a killed run left no footer, which only costs time
+            # A killed run left no footer, which only costs time.
+            with warnings.catch_warnings(action="ignore"), foreign_stderr():
                 if not RrdReader(spelled(file)).recordings():
                     raise ValueError("it holds no recording")
         except (RuntimeError, ValueError, OSError) as error:
