@@ -309,7 +309,7 @@ class Sweeps(Inputs):
         file = self._scratch / "pair.yaml"
         file.write_text(PAIR)
         self._plan = plan(str(file), "0:3", ["defaults.x0=1,2"], "in-process")
-        row = {**dict.fromkeys((*METRICS, "share_right"), 0.5), "verdict": "valid", "reasons": ""}
+        row = {**dict.fromkeys((*METRICS, "share_right"), 0.5), "nodes_right": 2, "verdict": "valid", "reasons": ""}
         self._rows = b"".join(
             json.dumps({"setting": k, "seed": seed, **row}).encode() + b"\n" for k in range(2) for seed in range(3)
         )

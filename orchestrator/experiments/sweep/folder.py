@@ -172,7 +172,9 @@ def _row(row: Any, settings: int) -> Row:
     """Return a run that a line holds, its known keys; raise an error of a lookup, a type or a value if it is none."""
     if not all(isinstance(row[key], kind) and not isinstance(row[key], bool) for key, kind in _KEYS.items()):
         raise TypeError("a value is of another type")
-    if row["setting"] not in range(settings) or any(abs(row[key] or 0) >= 2**63 for key in ("seed", "nodes_right")):
+    if row["setting"] not in range(settings) or any(
+        isinstance(row[key], int) and abs(row[key]) >= 2**63 for key in _KEYS
+    ):
         raise ValueError("a number is out of range")
     return {key: row[key] for key in _KEYS}
 
