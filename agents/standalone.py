@@ -26,6 +26,7 @@ from hedgerow.wire.credentials import Credentials
 from hedgerow.wire.handshake import introduction
 from hedgerow.wire.session import WireError
 
+MOST_ANSWER_BYTES = 2**16
 TRIES = 2
 """How often a plant whose token is there may leave us without an answer: one that leaves does so once."""
 
@@ -107,7 +108,7 @@ class PlaceRequest:
         for reply in session.get(keys.join(self._shard), payload=json.dumps(request), timeout=standalone.ASK_S):
             if reply.ok is not None:
                 with contextlib.suppress(ValueError):  # no plant answers so: ask again
-                    answer = bounded_json.decode(reply.ok.payload.to_bytes())
+                    answer = bounded_json.decode(reply.ok.payload.to_bytes(), MOST_ANSWER_BYTES)
                     if isinstance(answer, dict):
                         return answer
         return None

@@ -190,6 +190,8 @@ def carried(folder: Path, places: Sequence[Place]) -> tuple[str, str]:
         settings = read_json(folder / OBSERVER / SETTINGS)
         endpoint, namespace, made_for = settings["endpoint"], settings["namespace"], settings["rules"]
         until = datetime.fromisoformat(settings["until"])
+        if not isinstance(endpoint, str) or not isinstance(namespace, str) or until.tzinfo is None:
+            raise TypeError("settings of another form")
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise UserError(
             f"--keys {folder}: no folder of keys: {type(error).__name__}: {error}; {again}", code=Code.FILE_FORMAT

@@ -402,10 +402,11 @@ class Planted:
         return "good"
 
 
-KINDS: dict[str, Callable[[int, Path], Files | Payloads | Planted | fuzz_inputs.Inputs]] = {
+KINDS: dict[str, Callable[[int, Path], Files | Payloads | Planted | fuzz_inputs.Inputs | fuzz_inputs.Everything]] = {
     "files": Files,
     "payloads": Payloads,
     "planted": Planted,
+    "inputs": fuzz_inputs.Everything,
     **fuzz_inputs.KINDS,
 }
 

@@ -124,8 +124,8 @@ class Inputs:
 
     def __init__(self, seed: int, scratch: Path) -> None:
         os.environ[budget.VARIABLE] = str(CAP_MB)
+        scratch.mkdir(exist_ok=True)
         self._seed, self._scratch, self._case = seed, scratch, scratch / "case"
-        os.environ["XDG_RUNTIME_DIR"] = str(scratch)
         self.prepare()
 
     def prepare(self) -> None:
@@ -229,6 +229,9 @@ class Tables(Inputs):
             table = pq.read_table(file)
             if rng.random() < 0.7:
                 table = self._changed(table, rng)
+            elif rng.random() < 0.3:  # few bytes, many rows
+                rows = rng.choice((10**5, 5 * 10**5))
+                table = pa.table({name: pa.repeat(table[name][0], rows) for name in table.column_names})
             if rng.random() < 0.5:
                 file.unlink()
                 file = folder / f"{name}.arrows"
@@ -285,9 +288,6 @@ class Tables(Inputs):
 
     @staticmethod
     def _parquet(file: Path, table: Any, rng: Random) -> None:
-        if len(table) and rng.random() < 0.05:  # few bytes, many rows
-            rows = rng.choice((10**5, 10**6))
-            table = pa.table({name: pa.repeat(table[name][0], rows) for name in table.column_names})
         kinds = rng.choice(("none", "zstd", "snappy", "gzip"))
         with contextlib.suppress(pa.ArrowException, NotImplementedError):
             pq.write_table(table, file, compression=kinds, store_schema=rng.random() < 0.5)
@@ -295,11 +295,9 @@ class Tables(Inputs):
     @staticmethod
     def _stream(file: Path, table: Any, rng: Random) -> None:
         compression = rng.choice((None, None, "zstd", "lz4"))
-        if compression and len(table) and rng.random() < 0.1:
-            table = pa.table({name: pa.repeat(table[name][0], 10**6) for name in table.column_names})
         options = pa.ipc.IpcWriteOptions(compression=compression)
         with pa.ipc.new_stream(str(file), table.schema, options=options) as stream:
-            stream.write_table(table, max_chunksize=rng.choice((4, 20, 10**7)))
+            stream.write_table(table, max_chunksize=rng.choice((20, 10**7)))
 
 
 class Sweeps(Inputs):
@@ -363,6 +361,7 @@ class Registry(Inputs):
     """The list of running networks."""
 
     def prepare(self) -> None:
+        os.environ["XDG_RUNTIME_DIR"] = str(self._scratch)
         (self._scratch / f"hedgerow-{os.getuid()}").mkdir(mode=0o700, exist_ok=True)
 
     def make(self, rng: Random) -> Callable[[], object]:
@@ -457,6 +456,18 @@ class Words(Inputs):
             shutil.copy(self._run / name, self._case)
         spoiled(self._case / rng.choice(names), rng, [(self._run / name).read_bytes() for name in names])
         return lambda: (read_verdict(self._case), load_events(self._case))
+
+
+class Everything:
+    """All kinds in turn, in one process."""
+
+    def __init__(self, seed: int, scratch: Path) -> None:
+        self._kinds = [kind(seed, scratch / name) for name, kind in KINDS.items()]
+
+    def try_one(self, number: int) -> str:
+        """Return what became of a case."""
+        kind = self._kinds[number % len(self._kinds)]
+        return f"{type(kind).__name__}: {kind.try_one(number)}"
 
 
 KINDS: dict[str, type[Inputs]] = {

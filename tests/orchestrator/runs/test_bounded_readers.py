@@ -105,6 +105,18 @@ def test_other_content_is_refused(name: str, text: bytes, here: Path) -> None:
         read(here / "folder")
 
 
+@pytest.mark.parametrize(
+    "odd",
+    [{"until": "2999-01-01"}, {"until": "2999-01-01T00:00"}, {"namespace": 3}, {"endpoint": []}, {"rules": {}}],
+)
+def test_odd_settings_of_keys_are_refused(odd: dict[str, object], here: Path) -> None:
+    good = {"endpoint": "tls/h:1", "namespace": "a", "rules": "x", "until": "2999-01-01T00:00:00+00:00"}
+    (here / "observer").mkdir()
+    (here / "observer/settings.json").write_text(json.dumps({**good, **odd}))
+    with pytest.raises(UserError):
+        carried(here, [])
+
+
 def test_a_strange_list_of_running_networks_is_passed_over(here: Path) -> None:
     with registry.announced("mine", here, "tcp/127.0.0.1:1", "mine") as listed:
         good = json.loads(listed.read_text())
