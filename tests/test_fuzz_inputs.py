@@ -10,7 +10,7 @@ from tests.tools.fuzz import fuzz
 from tests.tools.fuzz_inputs import KINDS
 
 SEED = 1
-CASES = int(os.environ.get("HEDGEROW_FUZZ_CASES", "20"))
+CASES = int(os.environ.get("HEDGEROW_FUZZ_CASES", "6"))
 """of each kind"""
 
 

@@ -166,7 +166,9 @@ def remove_trace(path: Path | str) -> None:
     """Remove what must not outlive a run, a file or a whole folder, if it is there: its socket, its private keys."""
     with contextlib.suppress(OSError):
         Path(path).unlink()
-    shutil.rmtree(path, ignore_errors=True)
+    # What is no folder was unlinked above. If that failed, rmtree would open it, and wait for a FIFO's writer.
+    if Path(path).is_dir() and not Path(path).is_symlink():
+        shutil.rmtree(path, ignore_errors=True)
 
 
 def open_client(

@@ -367,8 +367,10 @@ class Registry(Inputs):
     def make(self, rng: Random) -> Callable[[], object]:
         folder = self._scratch / f"hedgerow-{os.getuid()}"
         for path in folder.iterdir():
-            shutil.rmtree(path, ignore_errors=True)
-            path.unlink(missing_ok=True)
+            if path.is_dir() and not path.is_symlink():
+                shutil.rmtree(path)
+            else:  # rmtree would open a FIFO, and wait
+                path.unlink()
         with registry.announced("mine", self._case, "tcp/127.0.0.1:1", "mine") as listed:
             content = listed.read_bytes()
         for k in range(3):
