@@ -51,7 +51,7 @@ def _parsed(text: str) -> int:
     A key can be the only one of its table. The parser keeps three collections for each table and each part of a dotted
     key, and a tuple of all parts before it.
     """
-    dots = [head.count(".") for head in _HEAD.findall(text)]
+    dots: list[int] = [head.count(".") for head in _HEAD.findall(text)]
     tables = sum(dots) + text.count("\n[")
     return 300 * text.count("=") + 1300 * tables + 8 * sum(parts * parts for parts in dots)
 

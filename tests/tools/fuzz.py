@@ -518,7 +518,7 @@ def main() -> None:
     parser.add_argument("--files", type=int, default=10_000)
     parser.add_argument("--payloads", type=int, default=10_000)
     for kind in fuzz_inputs.KINDS:
-        parser.add_argument(f"--{kind}", type=int, default=10_000)
+        parser.add_argument(f"--{kind}", type=int, default=0)
     parser.add_argument("--first", type=int, default=0, help="the number of the first case")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", type=int, help="this case of the kinds that are not 0")
