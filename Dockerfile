@@ -18,15 +18,15 @@ COPY orchestrator orchestrator
 RUN pip wheel --no-cache-dir --no-deps --wheel-dir /wheels .
 # Without pip in them: what runs has nothing that installs or builds.
 RUN python -m venv --without-pip /opt/agent && python -m venv --without-pip /opt/orchestrator
-RUN pip --python /opt/agent/bin/python install --no-cache-dir -c constraints.txt "$(echo /wheels/hedgerow-*.whl)[agent]"
-RUN pip --python /opt/orchestrator/bin/python install --no-cache-dir -c constraints.txt "$(echo /wheels/hedgerow-*.whl)[orchestrator]"
+RUN pip --python /opt/agent/bin/python install --no-cache-dir -c constraints.txt numpy eclipse-zenoh && pip --python /opt/agent/bin/python install --no-cache-dir --no-deps /wheels/hedgerow-*.whl
+RUN pip --python /opt/orchestrator/bin/python install --no-cache-dir -c constraints.txt /wheels/hedgerow-*.whl
 
 FROM base AS agent
 COPY --from=build /opt/agent /opt/agent
 ENV PATH=/opt/agent/bin:$PATH
 USER hedgerow
 WORKDIR /home/hedgerow
-CMD ["agent"]
+CMD ["hedgerow-agent"]
 
 FROM base AS orchestrator
 COPY --from=build /opt/orchestrator /opt/orchestrator

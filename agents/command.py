@@ -1,4 +1,4 @@
-"""The entry point of the command `agent`, before slow modules are loaded."""
+"""The entry point of the command `hedgerow-agent`, before slow modules are loaded."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from hedgerow.wire import start
 
 
 def main() -> NoReturn:
-    """Run the command `agent`; Ctrl-C during loading ends it without a traceback."""
+    """Run the command `hedgerow-agent`; Ctrl-C during loading ends it without a traceback."""
     start.begin()
     from hedgerow.agents.standalone import main as run  # noqa: PLC0415
 

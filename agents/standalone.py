@@ -1,4 +1,4 @@
-"""`agent`, the command: an agent on a machine of its own, which joins a run that is prepared elsewhere."""
+"""`hedgerow-agent`, the command: an agent on a machine of its own, which joins a run that is prepared elsewhere."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ TRIES = 2
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run one agent of a network where it is started, until the plant says END."""
-    parser = standalone.options("agent", main.__doc__ or "")
+    parser = standalone.options("hedgerow-agent", main.__doc__ or "")
     parser.add_argument("--name", help="the node's id; its config is then agent-NAME.toml, if --config says nothing")
     known = parser.parse_args(arguments)
 
@@ -41,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         config = configs.find(known.config, f"{_process(known.name)}.toml" if known.name else "agent.toml")
         if config.process == keys.PLANT:
             raise UserError(
-                f"{known.config or configs.VARIABLE}: is the plant's; start it with `plant`", code=Code.OPTION
+                f"{known.config or configs.VARIABLE}: is the plant's; start it with `hedgerow-plant`", code=Code.OPTION
             )
         if known.name and config.process not in (known.name, _process(known.name)):
             raise UserError(f"--name {known.name}: that config is of {config.process}; choose one of the two")

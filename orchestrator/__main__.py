@@ -7,12 +7,11 @@ import os
 import sys
 import time
 
+import hedgerow
 from hedgerow.topologies.escape import echo
 from hedgerow.wire import start
 
 BEGAN = time.monotonic()
-MORE_THAN_AN_AGENT_NEEDS = {"typer", "pydantic", "yaml", "rich", "rerun", "pyarrow", "scipy", "psutil"}
-"""Modules of the extra `orchestrator` (pyproject.toml)."""
 
 
 def main() -> None:
@@ -30,8 +29,8 @@ def main() -> None:
     except KeyboardInterrupt:  # before there was a run to end
         os._exit(start.INTERRUPTED)
     except BaseException as error:
-        if isinstance(error, ModuleNotFoundError) and error.name in MORE_THAN_AN_AGENT_NEEDS:
-            echo(f"error: there is no {error.name} here: pip install 'hedgerow[orchestrator]'", error=True)
+        if isinstance(error, ModuleNotFoundError) and (error.name or "").partition(".")[0] in hedgerow.NEEDED:
+            echo(f"error: {hedgerow.missing('this command', error.name)}", error=True)
             os._exit(2)
         os._exit(_failed(error))
 

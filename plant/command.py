@@ -1,4 +1,4 @@
-"""`plant`, the command, before it loads what is slow."""
+"""The entry point of the command `hedgerow-plant`, before slow modules are loaded."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from hedgerow.wire import start
 
 
 def main() -> NoReturn:
-    """Run the command `plant`; a Ctrl-C while it loads ends it without a traceback."""
+    """Run the command `hedgerow-plant`; Ctrl-C during loading ends it without a traceback."""
     start.begin()
     from hedgerow.plant.standalone import main as run  # noqa: PLC0415
 

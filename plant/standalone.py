@@ -1,4 +1,4 @@
-"""`plant`, the command: the world on a machine of its own."""
+"""`hedgerow-plant`, the command: the world on a machine of its own."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from hedgerow.wire.session import close, open_client, open_router
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the world of a network where it is started, to its last step, a SIGTERM or a Ctrl-C."""
-    parser = standalone.options("plant", main.__doc__ or "")
+    parser = standalone.options("hedgerow-plant", main.__doc__ or "")
     parser.add_argument("--listen", metavar="ENDPOINT", help="be the router too, e.g. on tcp/0.0.0.0:7447")
     parser.add_argument(
         "--rate", type=float, default=0.0, metavar="R", help="steps per second, 0 for as fast as possible"
@@ -35,7 +35,8 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         config = configs.find(known.config, f"{keys.PLANT}.toml")
         if config.process != keys.PLANT:
             raise UserError(
-                f"{known.config or configs.VARIABLE}: is of {config.process}; start it with `agent`", code=Code.OPTION
+                f"{known.config or configs.VARIABLE}: is of {config.process}; start it with `hedgerow-agent`",
+                code=Code.OPTION,
             )
         return config
 

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
+import tomllib
 import zipfile
+from importlib import metadata
 from pathlib import Path
 
 import pytest
 
+import hedgerow
 from tests.tools.processes import COMMAND
 
 ROOT = Path(__file__).parents[1]
@@ -35,7 +39,7 @@ def project(here: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def run(*command: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=100)
+    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
 
 
 @pytest.mark.parametrize("verb", [("simulate", "paper7", "--no-record", "--steps", "5"), ("up", "paper7", *UP)])
@@ -79,3 +83,36 @@ def test_a_wheel_holds_one_package(tmp_path: Path) -> None:
         names = archive.namelist()
     assert {name.split("/")[0].partition("-")[0] for name in names} == {"hedgerow"}
     assert {"hedgerow/topologies/paper7.yaml", "hedgerow/orchestrator/report/report.css"} <= set(names)
+
+
+def test_an_installation_adds_no_command_with_a_general_name() -> None:
+    scripts = metadata.distribution("hedgerow").entry_points.select(group="console_scripts")
+    assert {script.name for script in scripts} == {"orchestrator", "hedgerow", "hedgerow-agent", "hedgerow-plant"}
+
+
+def test_the_message_for_a_missing_package_covers_all_that_an_agent_does_without() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    imported = {"rerun-sdk": "rerun", "pyyaml": "yaml", "eclipse-zenoh": "zenoh"}
+    names = {re.split("[<>=]", one)[0] for one in project["dependencies"]}
+    assert {imported.get(name, name) for name in names} - {"numpy", "zenoh"} == hedgerow.NEEDED
+
+
+def test_a_missing_package_is_named_in_python(tmp_path: Path) -> None:
+    program = "import sys; sys.modules['pydantic'] = None; import hedgerow; hedgerow.load"
+    done = run(sys.executable, "-c", program)
+    assert done.returncode == 1
+    assert done.stderr.splitlines()[-1].startswith("ModuleNotFoundError: hedgerow.load needs pydantic")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif("HEDGEROW_NETWORK_TESTS" not in os.environ, reason="downloads packages; set HEDGEROW_NETWORK_TESTS")
+@pytest.mark.parametrize("order", [("openai-agents", str(ROOT)), (str(ROOT), "openai-agents")])
+def test_it_works_beside_the_openai_agents_sdk_in_either_order(tmp_path: Path, order: tuple[str, str]) -> None:
+    python = str(tmp_path / "bin/python")
+    assert run(sys.executable, "-m", "venv", str(tmp_path)).returncode == 0
+    for package in order:
+        done = run(python, "-m", "pip", "install", "-q", package)
+        assert done.returncode == 0, done.stderr
+    program = "import agents, hedgerow; agents.Agent, hedgerow.load('paper7')"
+    done = run(python, "-P", "-c", program)
+    assert done.returncode == 0, done.stderr

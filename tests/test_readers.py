@@ -17,6 +17,9 @@ READERS = {
     "orchestrator/views/rerun/watch.py": "a stream that grows, after `check_file`",
     "orchestrator/views/rerun/opening.py": "Rerun's reader, after `check_file`",
     "orchestrator/experiments/sweep/folder.py": "its own lines, to append, after `check_regular`",
+    "topologies/frames.py": "Parquet in memory",
+    "orchestrator/network.py": "YAML in memory, no file",
+    "orchestrator/experiments/worst/hunt.py": "numpy reads what `open_regular` opened; and YAML in memory",
     "wire/start.py": "/dev/null, in place of a closed standard stream",
     "orchestrator/report/page.py": "a style sheet of the package",
 }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import difflib
 import functools
@@ -9,7 +10,7 @@ import json
 import operator
 import re
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
 from importlib import resources
 from itertools import chain, islice
@@ -22,10 +23,12 @@ from pydantic_core import ErrorDetails
 from hedgerow.topologies import budget, table
 from hedgerow.topologies.base import Model, kind_of, node_id
 from hedgerow.topologies.cures import cure_of_number, cure_of_text
+from hedgerow.topologies.edges import Edge
 from hedgerow.topologies.errors import Code, FileRefusedError, Problem, Problems, TopologyError, UserError
 from hedgerow.topologies.faults import KINDS, known_keys
 from hedgerow.topologies.generators import GENERATORS
 from hedgerow.topologies.graph import LARGEST
+from hedgerow.topologies.law_choice import LawChoice
 from hedgerow.topologies.nodes import Edges, Nodes
 from hedgerow.topologies.odd import no_id, odd_numbers
 from hedgerow.topologies.override import next_key, origin_of, split_setting, steps_of
@@ -105,9 +108,15 @@ def content(path: FilePath) -> bytes:
         ) from None
 
 
-def parse(text: bytes, name: str, folder: FilePath, overrides: Sequence[str] = ()) -> Topology:
-    """A topology from YAML text; `name` stands in messages, `folder` is where its CSV files lie."""
+def parse(
+    text: bytes, name: str, folder: FilePath, overrides: Sequence[str] = (), named: Collection[str] = ()
+) -> Topology:
+    """A topology from YAML text; `name` stands in messages, `folder` is where its CSV files lie.
+
+    named: files of samples that may lie elsewhere, because the user named them and not the text.
+    """
     source = read_source(name, text)
+    source.named.update(named)
     found = _read(source, name, folder, overrides)
     if isinstance(found, Topology):
         return found
@@ -144,6 +153,8 @@ def _read(source: Source, name: str, folder: FilePath, overrides: Sequence[str])
     source.problems.extend(odd_numbers(source))
     topology, problems = _validate(source)
     source.problems.extend(problems)
+    if topology is not None and source.named:
+        topology = topology.naming(source.named)
     if topology is not None and topology.table is not None:
         try:
             topology = _with_table(topology, topology.table, folder)
@@ -153,6 +164,7 @@ def _read(source: Source, name: str, folder: FilePath, overrides: Sequence[str])
             topology = None
     if topology is not None:
         source.problems.extend(broken_rules(topology, source, folder))
+        topology.with_origin_of_law(_origin_of_law(source))
     return source.problems if topology is None or len(source.problems) else topology
 
 
@@ -174,6 +186,23 @@ def _with_table(topology: Topology, file: str, folder: FilePath) -> Topology:
     return topology.model_copy(update={"nodes": Nodes(whole), "edges": Edges(whole)}).of_network(whole)
 
 
+def _origin_of_law(source: Source) -> str:
+    """Return the place of `law:` as the start of a message."""
+    mark = source.mark(("law",))
+    if mark.origin:
+        return f"{mark.origin}: "
+    return f"{source.name}:{mark.line}: " if mark.line else ""
+
+
+def _law_as_mapping(source: Source) -> None:
+    """Give `law:` the form that has a place for each parameter, for an override of one of them."""
+    text = source.value.get("law", "minimax")
+    if isinstance(text, str):
+        with contextlib.suppress(ValueError):  # the schema reports what is wrong with it
+            choice = LawChoice.parse(text)
+            source.value["law"] = {"class" if ":" in choice.name else "name": choice.name, **choice.parameters}
+
+
 def _override(source: Source, override: str) -> None:
     where, text = split_setting(override)
     if not where:
@@ -189,8 +218,13 @@ def _override(source: Source, override: str) -> None:
         found = [replace(problem, line=0, column=0, origin=origin) for problem in error.problems]
         raise TopologyError(source.name, found) from None
     source.problems.extend(replace(problem, line=0, column=0, origin=origin) for problem in given.problems)
-    value = given.value
+    # What an option names lies where the user is, not where the topology is.
+    value = _with_named(given.value, source.named)
+    if isinstance(value, str) and steps_of(where)[-1].text == "file":
+        value = _named(value, source.named)
     rest = steps_of(where)
+    if len(rest) > 1 and rest[0].text == "law":
+        _law_as_mapping(source)
     keys: list[Any] = []
     at = source.value
     while rest:
@@ -214,6 +248,27 @@ def _override(source: Source, override: str) -> None:
     for inside, mark in given.marks.items():
         source.marks[*path, *inside] = mark._replace(line=0, column=0, origin=origin)
     source.odd |= {(*path, *inside): text for inside, text in given.odd.items()}
+
+
+def _with_named(value: Any, named: set[str]) -> Any:
+    """Return a value whose files of samples have whole paths, which are added to `named`."""
+    if isinstance(value, list):
+        return [_with_named(one, named) for one in value]
+    if not isinstance(value, dict):
+        return value
+    own = {key: _with_named(one, named) for key, one in value.items()}
+    if own.get("kind") == "samples" and isinstance(own.get("file"), str):
+        own["file"] = _named(own["file"], named)
+    return own
+
+
+def _named(file: str, named: set[str]) -> str:
+    path = user_path(file)
+    whole = str(FilePath.cwd() / path)
+    if not path.is_absolute() and not FilePath(whole).exists():
+        return file  # it may lie beside the topology
+    named.add(whole)
+    return whole
 
 
 def _nodes_as_mapping(source: Source) -> None:
@@ -450,6 +505,8 @@ def _known_keys(source: Source, path: Path) -> list[str]:
             model = GENERATORS.get(kind)
         case ("record",):
             model = Record
+        case ("edges", _):
+            model = Edge
         case ("faults", _):
             model = KINDS.get(kind)
         case ("defaults",):

@@ -7,6 +7,7 @@ from typing import Any, overload
 
 import numpy as np
 
+from hedgerow.topologies.edges import Edge, Ends
 from hedgerow.topologies.network import Group, Network
 from hedgerow.topologies.schema import COMPONENTS, Component, Node, Nothing
 
@@ -47,12 +48,21 @@ class Nodes(Mapping[NodeId, Node]):
             if row < len(group.nodes) and group.nodes[row] == k:
                 parts[group.number] = _component(group, row)
         return Node(
+            b=None if isinstance(network.b, float) else float(network.b[k]),
             a=float(network.a[k]),
             candidates=tuple(listed[~np.isnan(listed)].tolist()),
             x0=float(network.x0[k]),
             nominal=float(network.nominal[k]),
             disturbance=parts[0] if len(parts) == 1 else tuple(parts),
+            label=(network.labels[k] or None) if network.labels is not None else None,
+            position=self._place(k),
         )
+
+    def _place(self, k: int) -> tuple[float, float] | None:
+        positions = self._network.positions
+        if positions is None or np.isnan(positions[k, 0]):
+            return None
+        return float(positions[k, 0]), float(positions[k, 1])
 
 
 def _component(group: Group, row: int) -> Component:
@@ -60,7 +70,7 @@ def _component(group: Group, row: int) -> Component:
     return COMPONENTS[group.kind](**values)
 
 
-class Edges(Sequence[tuple[NodeId, NodeId]]):
+class Pairs(Sequence[Ends]):
     """Pairs of ids, in the order of `Graph.edges`."""
 
     def __init__(self, network: Network) -> None:
@@ -70,17 +80,17 @@ class Edges(Sequence[tuple[NodeId, NodeId]]):
         return len(self._network.graph.edges)
 
     @overload
-    def __getitem__(self, k: int) -> tuple[NodeId, NodeId]: ...
+    def __getitem__(self, k: int) -> Ends: ...
 
     @overload
-    def __getitem__(self, k: slice) -> list[tuple[NodeId, NodeId]]: ...
+    def __getitem__(self, k: slice) -> list[Ends]: ...
 
-    def __getitem__(self, k: int | slice) -> tuple[NodeId, NodeId] | list[tuple[NodeId, NodeId]]:
+    def __getitem__(self, k: int | slice) -> Ends | list[Ends]:
         ids = self._network.ids
         pairs = self._network.graph.edges[k].tolist()
         return [(ids[i], ids[j]) for i, j in pairs] if isinstance(k, slice) else (ids[pairs[0]], ids[pairs[1]])
 
-    def __iter__(self) -> Iterator[tuple[NodeId, NodeId]]:
+    def __iter__(self) -> Iterator[Ends]:
         ids = self._network.ids
         return ((ids[i], ids[j]) for i, j in self._network.graph.edges.tolist())
 
@@ -88,3 +98,40 @@ class Edges(Sequence[tuple[NodeId, NodeId]]):
         return isinstance(other, Sequence) and tuple(self) == tuple(other)
 
     __hash__ = None  # type: ignore[assignment]  # as of a list
+
+
+class Edges(Sequence[Ends | Edge]):
+    """The edges as a file writes them, in the order of `Graph.edges`: a pair, or an `Edge` if its weight is not 1."""
+
+    def __init__(self, network: Network) -> None:
+        self.pairs = Pairs(network)
+        """the ends alone"""
+        self._weights = network.graph.weights
+
+    def __len__(self) -> int:
+        return len(self.pairs)
+
+    @overload
+    def __getitem__(self, k: int) -> Ends | Edge: ...
+
+    @overload
+    def __getitem__(self, k: slice) -> list[Ends | Edge]: ...
+
+    def __getitem__(self, k: int | slice) -> Ends | Edge | list[Ends | Edge]:
+        if isinstance(k, slice):
+            return [self[place] for place in range(*k.indices(len(self)))]
+        return _written(self.pairs[k], 1.0 if self._weights is None else float(self._weights[k]))
+
+    def __iter__(self) -> Iterator[Ends | Edge]:
+        if self._weights is None:
+            return iter(self.pairs)
+        return map(_written, self.pairs, self._weights.tolist())
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Sequence) and tuple(self) == tuple(other)
+
+    __hash__ = None  # type: ignore[assignment]  # as of a list
+
+
+def _written(ends: Ends, weight: float) -> Ends | Edge:
+    return ends if weight == 1 else Edge(ends=ends, weight=weight)

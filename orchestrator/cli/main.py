@@ -14,12 +14,16 @@ import threading
 import time
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TextIO
 
 import typer
 
+from hedgerow.orchestrator.cli import compare as cli_compare
 from hedgerow.orchestrator.cli import files as cli_files
+from hedgerow.orchestrator.cli import gain as cli_gain
+from hedgerow.orchestrator.cli import importing as cli_importing
 from hedgerow.orchestrator.cli import keys as cli_keys
+from hedgerow.orchestrator.cli import laws as cli_laws
 from hedgerow.orchestrator.cli import live as cli_live
 from hedgerow.orchestrator.cli import machines as cli_machines
 from hedgerow.orchestrator.cli import report as cli_report
@@ -30,7 +34,7 @@ from hedgerow.orchestrator.cli.exit_code import code_of_run, leave, run_to_exit_
 from hedgerow.orchestrator.cli.names import Commands
 from hedgerow.orchestrator.cli.options import AsJson, File, Law, RunDir, Seed, Sets, Steps
 from hedgerow.orchestrator.launch.fork_client import ForkClient
-from hedgerow.topologies.errors import DeadlineError, UserError, check_options
+from hedgerow.topologies.errors import Code, DeadlineError, UserError, check_options
 from hedgerow.topologies.escape import command, echo
 from hedgerow.topologies.paths import user_path
 from hedgerow.wire import start
@@ -77,13 +81,18 @@ def run_command(began: float, fork_client: ForkClient | None) -> None:
     leave(run_to_exit_code(lambda: app(standalone_mode=False) or 0))
 
 
-def _importable(topology: Topology) -> Topology:
-    """The topology, whose law is code: a module that fails to load is better known before a run begins."""
-    from hedgerow.agents.shard import law_class  # noqa: PLC0415
-    from hedgerow.orchestrator.ground.assignment import law_of  # noqa: PLC0415
+def _importable(topology: Topology, file: str = "") -> Topology:
+    """Return the topology with a checked law: a law that fails to load is better known before a run begins.
 
-    law_class(law_of(topology))
-    return topology
+    `file` is the name of the topology. If it is in the folder of a run that kept another source of the law, say so.
+    """
+    from hedgerow.orchestrator.ground.law_source import FOLDER, differs  # noqa: PLC0415
+    from hedgerow.orchestrator.ground.laws import checked  # noqa: PLC0415
+    from hedgerow.topologies.load import find  # noqa: PLC0415
+
+    if file and ":" in topology.law and (said := differs(topology.law, find(file).parent / FOLDER)):
+        echo(said, error=True)
+    return checked(topology)
 
 
 def read(file: str, sets: list[str] | None, **replace: object) -> Topology:
@@ -108,6 +117,12 @@ def up(
     run_dir: RunDir = None,
     sets: Sets = None,
     viewer: Viewer = "auto",
+    keep: Annotated[
+        bool | None,
+        typer.Option(
+            "--keep/--no-keep", help="leave the page of --viewer web open until Ctrl-C [if a terminal can send it]"
+        ),
+    ] = None,
     record: Record = True,
     split_recording: SplitRecording = 256.0,
     router: Annotated[
@@ -157,7 +172,7 @@ def up(
 
     check_options(rate=rate, deadline=deadline, wait=wait)
     count_of: object = int(processes) if processes and processes.lstrip("-").isdecimal() else processes
-    topology = _importable(read(file, sets, steps=steps, seed=seed, law=law, processes=count_of, secure=secure))
+    topology = _importable(read(file, sets, steps=steps, seed=seed, law=law, processes=count_of, secure=secure), file)
     shards = layout(topology, topology.process_count)
     where = places(views_of(topology, shards))
     check_security(topology.secure, router, keys, where, external is not None, listen, namespace)
@@ -173,7 +188,7 @@ def up(
         elsewhere = chosen(external, topology, shards, router, listen, meet, wait or 600.0)
     elif listen or namespace:
         raise UserError("--listen and --namespace are for processes that are started elsewhere: name them, --external")
-    viewer = _viewer(viewer)
+    viewer = _viewer(viewer, keep)
     if detach:
         return _start_detached()
     stack = contextlib.ExitStack()
@@ -186,7 +201,7 @@ def up(
     folder = folders.create(topology, run_dir)
     display = stack.enter_context(contextlib.closing(screen(topology, as_json, plain, watched=viewer != "none")))
     _introduce(topology, len(shards), folder, display)
-    watching = Watching(record, viewer, split_recording)
+    watching = Watching(record, viewer, split_recording, _keeps(keep, display))
     options = Options(rate, deadline, router, keys, elsewhere, on_ray, watching, verify)
 
     def on_first_step(after_s: float) -> None:
@@ -199,6 +214,18 @@ def up(
         fork_client = stack.enter_context(contextlib.closing(_FORK_CLIENT or ForkClient()))
         begin = functools.partial(Network, topology, folder, shards, options, display, fork_client, _BEGAN)
         return code_of_run(folders.begun_or_withdrawn(folder, begin).run(on_first_step, stack), display)
+
+
+def _keeps(keep: bool | None, display: Screen) -> bool:
+    """Return True if a page stays after the run: as asked, else if a terminal can send Ctrl-C."""
+    return keep if keep is not None else display.interactive or _is_terminal(sys.stdin)
+
+
+def _is_terminal(stream: TextIO | None) -> bool:
+    try:
+        return stream is not None and stream.isatty()
+    except ValueError:  # it is closed
+        return False
 
 
 def _check_cluster(on: str, external: str | None) -> None:
@@ -294,12 +321,16 @@ def _let_go_of_terminal(log: Path) -> None:
     os.dup2(descriptor, 2)
 
 
-def _viewer(asked: str) -> str:
-    if asked == "none":
-        return asked
-    from hedgerow.orchestrator.views.rerun.viewer import choose  # noqa: PLC0415
+def _viewer(asked: str, keep: bool | None = None) -> str:
+    """Return the viewer that `asked` names here; UserError if a page is to be kept and no page is asked for."""
+    choice = asked
+    if asked != "none":
+        from hedgerow.orchestrator.views.rerun.viewer import choose  # noqa: PLC0415
 
-    return choose(asked)
+        choice = choose(asked)
+    if keep and not choice.startswith(("web", "http:")):
+        raise UserError(f"--keep: there is no page to keep with --viewer {asked}. Add --viewer web.", code=Code.OPTION)
+    return choice
 
 
 @app.command()
@@ -324,7 +355,7 @@ def simulate(
     from hedgerow.orchestrator.runs.selection import told  # noqa: PLC0415
     from hedgerow.orchestrator.views.screen import screen  # noqa: PLC0415
 
-    topology = _importable(read(file, sets, steps=steps, seed=seed, law=law))
+    topology = _importable(read(file, sets, steps=steps, seed=seed, law=law), file)
     folder = folders.create(topology, run_dir)
     viewer = _viewer(viewer)
     with contextlib.closing(screen(topology, as_json, plain, watched=viewer != "none")) as display:
@@ -439,10 +470,14 @@ def chaos(
     return 1
 
 
+cli_compare.register(app)
 cli_live.register(app)
 cli_machines.register(app)
 cli_files.register(app)
+cli_gain.register(app)
+cli_importing.register(app)
 cli_keys.register(app)
+cli_laws.register(app)
 cli_report.register(app)
 cli_soak.register(app)
 cli_sweep.register(app)

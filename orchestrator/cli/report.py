@@ -15,6 +15,9 @@ Runs = Annotated[
 ]
 Out = Annotated[Path | None, typer.Option(parser=user_path, metavar="DIR", help="the folder to write [RUN-report]")]
 Figures = Annotated[str | None, typer.Option(metavar="2,4,...", help="only these figures [all]")]
+Width = Annotated[float | None, typer.Option(metavar="IN", help="width of a figure in inches [3.5, one column]")]
+Style = Annotated[str | None, typer.Option(metavar="FILE", help="a .mplstyle file, or a style of matplotlib, on top")]
+Formats = Annotated[str, typer.Option("--format", metavar="pdf,...", help="formats of the figures: pdf, png, svg, pgf")]
 Force = Annotated[bool, typer.Option("--force", help="replace a report that is there")]
 
 
@@ -23,13 +26,22 @@ def register(app: typer.Typer) -> None:
     app.command()(report)
 
 
-def report(runs: Runs = None, out: Out = None, figures: Figures = None, force: Force = False) -> int:
-    """Draw a run's figures as PDF and PNG, and a page with all of it; of several runs, beside each other."""
+def report(
+    runs: Runs = None,
+    out: Out = None,
+    figures: Figures = None,
+    force: Force = False,
+    width: Width = None,
+    style: Style = None,
+    formats: Formats = "pdf,png",
+) -> int:
+    """Draw the figures of a run, and a page with all of it; of several runs, beside each other."""
     from hedgerow.orchestrator.report import report as write  # noqa: PLC0415
     from hedgerow.orchestrator.runs.reader import load_run  # noqa: PLC0415
 
     recorded = [load_run(run) for run in runs or ["runs/latest"]]
-    page, *drawn = write(recorded, out, figures, force)
-    kinds = len(drawn) // 2
-    echo(f"{page}, and {kinds} figure{'s' * (kinds != 1)} as PDF and PNG beside it")
+    names = [name.strip().lower() for name in formats.split(",")]
+    page, *drawn = write(recorded, out, figures, force, width_in=width, style=style, formats=names)
+    kinds = len(drawn) // len(names)
+    echo(f"{page}, and {kinds} figure{'s' * (kinds != 1)} as {' and '.join(map(str.upper, names))} beside it")
     return 0

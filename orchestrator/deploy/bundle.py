@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from hedgerow.orchestrator.ground.law_source import source_of
 from hedgerow.orchestrator.launch.certificates import host_of, to_carry, write_private
 from hedgerow.topologies.escape import command, escape
 from hedgerow.topologies.resolve import to_yaml
@@ -39,7 +40,7 @@ And wherever an agent is to live, with its file beside it (`--router` if it is n
 
 The order does not matter: each waits ten minutes for the others (`--wait`). `--external 3,5` has the operator start
 the others itself; with `--external plant,all --router {quoted_router}` the plant runs elsewhere, too:
-`plant --config plant.toml`, beside a Zenoh router of yours or as one (`--listen tcp/0.0.0.0:{port}`).
+`hedgerow-plant --config plant.toml`, beside a Zenoh router of yours or as one (`--listen tcp/0.0.0.0:{port}`).
 """
 
 
@@ -69,9 +70,15 @@ And wherever an agent is to live, with its folder beside it (`--router` if it is
 
 The order does not matter: each waits ten minutes for the others (`--wait`). `--external 3,5` has the operator start
 the others itself. With `--external plant,all --router {quoted_router}` the plant runs elsewhere, too:
-`plant --config plant` beside a Zenoh router (`zenohd -c zenohd.json5`, in the folder `router`); or as the router,
-with that folder:
-`plant --config plant --listen tls/0.0.0.0:{port} --credentials router`.
+`hedgerow-plant --config plant` beside a Zenoh router (`zenohd -c zenohd.json5`, in the folder `router`); or as the
+router, with that folder:
+`hedgerow-plant --config plant --listen tls/0.0.0.0:{port} --credentials router`.
+"""
+
+
+LAW = """
+The law is {name}. Carry its source ({files}) to every machine as well, and start each process in the folder that holds
+it. An agent imports it from there.
 """
 
 
@@ -99,9 +106,11 @@ def write_secure(
 def _write_rest(
     folder: Path, topology: Topology, configs: Sequence[Config], readme: str, ending: str, **words: object
 ) -> None:
+    source = source_of(topology.law)
+    source.write(folder)
     (folder / "topology.yaml").write_text(to_yaml(topology), encoding="utf-8")
     told = [f"{config.process}{ending}" for config in configs if config.process != keys.PLANT]
-    agents = [f"$ {command(['agent', '--config', name])}" for name in told]
+    agents = [f"$ {command(['hedgerow-agent', '--config', name])}" for name in told]
     shown = agents[:20] + ([f"... and {len(agents) - 20} more"] if len(agents) > 20 else [])
     text = readme.format(
         name=topology.name,
@@ -113,6 +122,8 @@ def _write_rest(
         commands="\n".join(shown),
         **words,
     )
+    if source.files:
+        text += LAW.format(name=escape(topology.law, keep=""), files=", ".join(f"`{one}`" for one in source.files))
     (folder / "README.md").write_text(text, encoding="utf-8")
 
 

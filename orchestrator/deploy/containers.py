@@ -94,8 +94,8 @@ class Containers:
     def command(self, config: Config) -> list[str]:
         """What the container of a plant or an agent runs."""
         if config.process == keys.PLANT:
-            return ["plant", "--rate", f"{self.rate:g}", "--wait", str(WAIT_S)]
-        return ["agent", "--wait", str(WAIT_S)]
+            return ["hedgerow-plant", "--rate", f"{self.rate:g}", "--wait", str(WAIT_S)]
+        return ["hedgerow-agent", "--wait", str(WAIT_S)]
 
     def check(self, config: Config) -> list[str]:
         """How that container asks its process whether it takes part."""

@@ -109,7 +109,7 @@ class Trend:
 
 def with_faults(topology: Topology) -> Topology:
     """The resolved network with faults that strike by chance for as long as it runs; its own go on as they are."""
-    edges, nodes = topology.edges, topology.ids
+    edges, nodes = topology.pairs, topology.ids
     added: list[dict[str, Any]] = [
         {"kind": "sensor", "node": nodes[0], "probability": 0.02},
         {"kind": "actuator", "node": nodes[len(nodes) // 2], "probability": 0.02},
@@ -318,7 +318,7 @@ def _draw(folder: Path, samples: Sequence[Sample], say: Say) -> None:
     try:
         from hedgerow.orchestrator.report.style import look, save, sheet  # noqa: PLC0415
     except ModuleNotFoundError:
-        say("no picture: matplotlib is not installed; pip install 'hedgerow[report]'")
+        say("no picture: matplotlib is not installed. Install it with: pip install matplotlib")
         return
     with look():
         figure = sheet(4.4)

@@ -43,8 +43,7 @@ class Authority:
             from cryptography.hazmat.primitives.asymmetric import ec  # noqa: PLC0415
         except ImportError:
             raise UserError(
-                "--secure: needs the library cryptography; install it with: pip install 'hedgerow[secure]'",
-                code=Code.DEPENDENCY,
+                "--secure: needs cryptography. Install it with: pip install cryptography", code=Code.DEPENDENCY
             ) from None
         now = datetime.now(UTC)
         self._from, self.until = now - SLACK, now + timedelta(days=days)

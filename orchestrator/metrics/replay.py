@@ -14,7 +14,7 @@ import numpy as np
 
 from hedgerow.agents.shard import Shard
 from hedgerow.agents.view import View
-from hedgerow.orchestrator.ground.assignment import candidates_of, history_of, law_of
+from hedgerow.orchestrator.ground.assignment import candidates_of, history_of, law_of, law_seed
 from hedgerow.plant.disturbance import Disturbance
 from hedgerow.plant.faults import NOTHING, ActiveFaults, Faults
 from hedgerow.plant.truth import Truth
@@ -58,15 +58,18 @@ class Replay:
         self._receipts = receipts
         network = topology.network
         self._topology, self._graph = topology, network.graph
+        self._a = network.a.copy()
+        """the truth at the step replayed, of all nodes: a disturbance that sees the state sees it too"""
         self._part = part = _Part(network.graph, topology.seed, audited)
         self._x0, self._disturbance = network.x0, Disturbance(network.disturbance, network.ids, topology.seed)
         history = history_of(topology)
         truth = Truth(
             ids=id_array(network.ids)[part.nodes],
-            b=network.b,
+            b=network.b if isinstance(network.b, float) else network.b[part.nodes],
             a=network.a[part.nodes],
             x0=network.x0[part.nodes],
             edges=part.graph.edges,
+            weights=part.graph.weights,
             disturbance=[],
             steps=topology.steps,
             seed=topology.seed,
@@ -80,15 +83,17 @@ class Replay:
         self._shard = Shard(
             View(
                 shard=0,
-                b=network.b,
+                b=truth.b,
                 law=law_of(topology),
                 ids=truth.ids,
                 candidates=np.ascontiguousarray(candidates[~np.isnan(candidates).all(axis=1)]),
                 row=part.graph.node,
                 column=part.graph.neighbour,
+                weights=part.graph.weight,
                 peers=[],
                 heard=id_array([]),
                 history=history,
+                seed=law_seed(topology),
             )
         )
         self.nodes = part.audited
@@ -104,7 +109,7 @@ class Replay:
         """Go by the faults of this topology from the next step on."""
         self._topology = topology
         faults = Faults(effects(topology.faults, topology), self._graph, topology.network.ids, topology.seed)
-        self._world.faults = self._part.of(faults)
+        self._faults, self._world.faults = faults, self._part.of(faults)
 
     def take(self, rows: Sequence[Telemetry]) -> None:
         """Replay some rows, which follow those taken before."""
@@ -157,7 +162,7 @@ class Replay:
         part, t = self._part, row.t
         if t == 0 and row.x.tobytes() != self._x0.tobytes():
             self._find_numbers(PLAN, t, "x(0)", row.x, self._x0)
-        w = self._disturbance.at(t)
+        w = self._w(row)
         if row.w.tobytes() != w.tobytes():
             self._find_numbers(PLAN, t, "w", row.w, w)
         if not part.whole:
@@ -191,6 +196,14 @@ class Replay:
             ("u", row.u, expected.u),
         ):
             self._find_numbers(LAW, t, name, np.where(own, seen, 0.0), np.where(own, right, 0.0), part.nodes)
+
+    def _w(self, row: Telemetry) -> Array:
+        """Return w(t), (n,), on the recorded x(t)."""
+        if not self._disturbance.sees_state:
+            return self._disturbance.at(row.t)
+        for node, a in self._faults.jumps(row.t):
+            self._a[node] = a
+        return self._disturbance.at(row.t, row.x, self._a)
 
     def _find_numbers(
         self, check: str, t: int, name: str, seen: Array, right: Array, nodes: Index | None = None
@@ -287,7 +300,8 @@ class _Part:
         self.nodes, self.own = np.flatnonzero(near), chosen[near]
         self._near = near
         self._incidences: Mask = self._edges[graph.edge]
-        self.graph = Graph(len(self.nodes), np.searchsorted(self.nodes, edges))
+        weights = None if graph.weights is None else graph.weights[self._edges]
+        self.graph = Graph(len(self.nodes), np.searchsorted(self.nodes, edges), weights)
 
     def of_nodes(self, values: Array) -> Array:
         """Values of the network's nodes, (..., n), as those of the part, (..., k)."""

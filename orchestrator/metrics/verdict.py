@@ -2,24 +2,33 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+import traceback
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from hedgerow.orchestrator.ground.law_source import source_of
 from hedgerow.orchestrator.ground.versions import versions
 from hedgerow.orchestrator.metrics.checks import Worst
 from hedgerow.orchestrator.metrics.deaths import CLAIM as DEATHS
 from hedgerow.orchestrator.metrics.deaths import Survivor
+from hedgerow.orchestrator.metrics.gain_bound import Bound, Premise
+from hedgerow.orchestrator.metrics.gain_certificate import CLAIMS as GAIN_CLAIMS
+from hedgerow.orchestrator.metrics.gain_certificate import Track
+from hedgerow.orchestrator.metrics.guarantee import rounded_up
 from hedgerow.orchestrator.metrics.message_audit import CLAIM, Audit
 from hedgerow.orchestrator.metrics.observer import Observer
 from hedgerow.orchestrator.metrics.replay import CLAIMS as REPLAYED
 from hedgerow.orchestrator.metrics.replay import Replay
 from hedgerow.topologies.describe import describe
-from hedgerow.topologies.errors import Code, Exit, HedgerowError
+from hedgerow.topologies.errors import Code, Exit, HedgerowError, UserError
 from hedgerow.topologies.escape import escape
+from hedgerow.topologies.law_choice import is_listed
 from hedgerow.topologies.partition import cut, partition
-from hedgerow.topologies.schema import LAWS, Topology
+from hedgerow.topologies.schema import Topology
 from hedgerow.wire import crash
 from hedgerow.wire.limits import limit_reached
 
@@ -29,7 +38,7 @@ EXIT_CODES = {VALID: Exit.VALID, INVALID: Exit.INVALID, UNKNOWN: Exit.UNKNOWN}
 CLAIMS = {
     "dynamics": "every x(t+1) is equation (1) of x, u, w and the open edges, to the bit",
     "estimates": "every ahat is one of its candidates, and every u that came is equation (6) of it, to the bit",
-    "contraction": "|x(t+1)|_1 <= rho |x(t)|_1 + |w(t)|_1 at every step",
+    "contraction": "|x(t+1)| <= rho |x(t)| + |w(t)| at every step, |x| = sum abs(x_i) / b_i",
     "oracle_certificate": "sum (|x*|^2 + |u*_e|^2) <= sum w'Q^-1 w + V(x(0)) - V(x*(t+1)) at every step"
     " before the first at which an edge is closed or an a jumps",
     "missing_inputs": "an edge carries flow only where both its ends sent an input",
@@ -37,7 +46,7 @@ CLAIMS = {
     "faults": "every fault fired as scheduled, was seen where it struck, and nothing else went wrong",
 }
 _OF_THE_LAW = {"estimates", "contraction"}
-"""Checks that hold for the paper's law and not for any other."""
+"""Checks that hold for the laws that act by (6) on an estimate from the list, and not for any other."""
 
 
 @dataclass(frozen=True)
@@ -83,6 +92,10 @@ class Ending:
     """processes that ended, unplanned, and were not started again, each in words"""
     crashed: bool = False
     """the run ended by a defect of this project"""
+    mistaken: bool = False
+    """the run ended by a mistake of the user, in the law"""
+    error: HedgerowError | None = None
+    """the error of the law that ended a run in this process"""
 
     def end_by(self, error: BaseException, log: Path) -> None:
         """Record that an exception ended the run; the traceback of one that nobody expected goes to `log`."""
@@ -91,6 +104,9 @@ class Ending:
             self.crashed = True
             self.stopped = crash.report(error, log)
         else:
+            if isinstance(error, UserError) and error.code == Code.LAW:
+                self.mistaken, self.error = True, error
+                log_cause(error, log)
             self.crashed |= getattr(error, "code", None) == Code.CRASH
             self.stopped = str(reached or error)
 
@@ -101,6 +117,8 @@ class Verdict:
 
     verdict: str
     content: dict[str, Any]
+    error: HedgerowError | None = None
+    """the error of the law that ended a run in this process"""
 
     @property
     def exit_code(self) -> int:
@@ -127,8 +145,14 @@ class Verdict:
             numbers += [
                 f"regret D {_number(m['regret'])} (nominal {_number(m['regret_nominal'])})",
                 f"cost regret {_number(m['cost_regret'], '+')}",
-                gain_text(gain, less, m["gamma_star"], c["checks"]["oracle_certificate"]["steps"] == c["steps_done"]),
-                f"{m['nodes_right']} of {c['nodes']} estimates right",
+                gain_text(
+                    gain,
+                    less,
+                    m["gamma_star"],
+                    c["checks"]["oracle_certificate"]["steps"] == c["steps_done"],
+                    ceiling(c),
+                ),
+                estimates_text(c["real_estimates"], m["nodes_right"], c["nodes"], m["estimate_error"]),
             ]
         if "law" in c["checks"] and (replayed := c["checks"]["law"]["nodes"]) < c["nodes"]:
             numbers.append(f"{replayed} of {c['nodes']} nodes replayed")
@@ -136,14 +160,29 @@ class Verdict:
         return f"{self.verdict}{why}: {', '.join(numbers)}"
 
 
-def gain_text(gain: float, less: float, gamma_star: float, faultless: bool) -> str:
+def estimates_text(real: bool, right: int, nodes: int, error: float | None) -> str:
+    """Return how good the estimates are: how many are right, or the mean error of a law that estimates real numbers."""
+    if real and error is not None:
+        return f"mean |ahat - a| {error:.4g}"
+    return f"{right} of {nodes} estimates right"
+
+
+def ceiling(content: Mapping[str, Any]) -> float:
+    """Return the least bound on the gain whose premise held in the whole run; NaN if there is none."""
+    bounds = content["gain_bounds"].get("bounds", {})
+    return min((told["gain"] for told in bounds.values() if told.get("held") and "gain" in told), default=math.nan)
+
+
+def gain_text(gain: float, less: float, gamma_star: float, faultless: bool, at_most: float = math.nan) -> str:
     """Return the gain in words, with the gain `less` V(x(0)) where it differs, and gamma*, which holds without faults.
 
-    Arguments are NaN where they are undefined or not known yet.
+    `at_most` is the bound on the law's own gain. Arguments are NaN where they are undefined or not known yet.
     """
     beside = [] if less == gain or math.isnan(gain) else [f"less V(x(0)): {less:.4g}"]
     if not math.isnan(gamma_star):
         beside.append(f"gamma* {gamma_star:.4g} is the oracle's{'' if faultless else ' without faults'}")
+    if not math.isnan(at_most):
+        beside.append(f"the law's is at most {rounded_up(at_most, 4)} from x(0) = 0")
     said = "undefined" if math.isnan(gain) else f"{gain:.4g}"
     return f"gain {said}" + (f" ({'; '.join(beside)})" if beside else "")
 
@@ -155,13 +194,18 @@ def _number(value: float | None, sign: str = "") -> str:
 def judge(topology: Topology, observer: Observer, ending: Ending) -> Verdict:
     """The verdict of a run: INVALID if any check failed, unknown if it ended early or lost rows, else valid."""
     claimed = {
-        name: worst for name, worst in observer.checks.items() if topology.law in LAWS or name not in _OF_THE_LAW
+        name: worst for name, worst in observer.checks.items() if is_listed(topology.law) or name not in _OF_THE_LAW
     }
     checks = {name: _check(name, worst, topology) for name, worst in claimed.items()}
     if ending.replay is not None:
         checks |= {name: _replayed(name, ending.replay) for name in REPLAYED}
     if ending.survivors is not None:
         checks["deaths"] = _deaths(ending.survivors)
+    adaptive = observer.adaptive
+    if adaptive is not None and adaptive.known is not None:
+        for premise, bound in adaptive.known.bounds.items():
+            if (track := adaptive.tracks[premise]).check.steps:
+                checks[f"gain_{premise}"] = _gain(premise, track, bound)
     if ending.audit is not None:
         checks["information"] = {"ok": not ending.audit.wrong, "claim": CLAIM, "why": ending.audit.wrong}
     comparison = ending.comparison
@@ -202,11 +246,13 @@ def judge(topology: Topology, observer: Observer, ending: Ending) -> Verdict:
     elapsed_s = observer.end.elapsed_s if observer.end is not None else None
     content = {
         "verdict": verdict,
-        "exit_code": Exit.CRASH if ending.crashed else EXIT_CODES[verdict],
+        "exit_code": _exit_code(verdict, ending),
         "reasons": [escape(why) for why in (doubts + failed if ending.crashed else failed + doubts)],
         "run": ending.run,
         "name": topology.name,
         "law": topology.law,
+        "law_source": source_of(topology.law).digest or None,
+        "real_estimates": observer.real_estimates,
         "seed": topology.seed,
         "engine": ending.engine,
         "processes": ending.processes,
@@ -229,10 +275,25 @@ def judge(topology: Topology, observer: Observer, ending: Ending) -> Verdict:
         "faults": faults,
         "checks": checks,
         "information": ending.audit.to_dict() if ending.audit is not None else None,
+        "gain_bounds": {"not_computed": observer.not_certified} if adaptive is None else adaptive.to_dict(done),
         "metrics": {name: _finite(value) for name, value in observer.summary().items()} if done else {},
         "versions": versions(),
     }
-    return Verdict(verdict, content)
+    return Verdict(verdict, content, ending.error)
+
+
+def _exit_code(verdict: str, ending: Ending) -> int:
+    """Return the exit code of a run; a law that failed is a mistake of its user."""
+    if ending.crashed:
+        return Exit.CRASH
+    return Exit.USER_MISTAKE if ending.mistaken and verdict == UNKNOWN else EXIT_CODES[verdict]
+
+
+def log_cause(error: BaseException, log: Path) -> None:
+    """Append the traceback of the exception that an error came from to a log, if the disk has room."""
+    if error.__cause__ is not None:
+        with contextlib.suppress(OSError), log.open("a", encoding="utf-8", errors="backslashreplace") as file:
+            file.write("".join(traceback.format_exception(error.__cause__)))
 
 
 def _faults(topology: Topology, observer: Observer) -> list[dict[str, Any]]:
@@ -302,6 +363,19 @@ def _doubts_of(ending: Ending, observer: Observer) -> list[str]:
     if replay.doubt:
         return [replay.doubt]
     return [f"replayed up to step {replay.steps} only"] if replay.steps < observer.next_step else []
+
+
+def _gain(premise: Premise, track: Track, bound: Bound) -> dict[str, Any]:
+    """The check of one certificate of the adaptive law, at the steps that its premise covers."""
+    worst = track.check
+    return {
+        "ok": bool(worst.excess <= 0),
+        "claim": GAIN_CLAIMS[premise],
+        "steps": worst.steps,
+        "step": worst.step,
+        "excess": _finite(worst.excess),
+        "gain": bound.gain,
+    }
 
 
 def _check(name: str, worst: Worst, topology: Topology) -> dict[str, Any]:

@@ -19,11 +19,20 @@ RUNS = 7
 
 
 def report(
-    runs: Sequence[RecordedRun], out: Path | None = None, figures: str | None = None, force: bool = False
+    runs: Sequence[RecordedRun],
+    out: Path | None = None,
+    figures: str | None = None,
+    force: bool = False,
+    *,
+    width_in: float | None = None,
+    style: str | None = None,
+    formats: Sequence[str] = ("pdf", "png"),
 ) -> list[Path]:
-    """Write report.html and each figure as PDF and PNG into the folder `out`, and return the files.
+    """Write report.html and each figure into the folder `out`, and return the files.
 
-    `figures` picks some, as in "2,4,gain". The folder is there whole or not at all; the same runs give the same bytes.
+    `figures` picks some, as in "2,4,gain". `width_in` is the width of a figure [in], by default one column. `style` is
+    a .mplstyle file, or the name of a style of matplotlib, on top of ours. `formats` are of pdf, png, svg and pgf. The
+    folder is there whole or not at all, and the same runs give the same bytes.
     Raises UserError for a mistake, where matplotlib is missing, and where nothing can be written.
     """
     if not 1 <= len(runs) <= RUNS:
@@ -33,23 +42,24 @@ def report(
     try:
         from hedgerow.orchestrator.report import figures as known  # noqa: PLC0415
         from hedgerow.orchestrator.report.page import page  # noqa: PLC0415
-        from hedgerow.orchestrator.report.style import look, save  # noqa: PLC0415
+        from hedgerow.orchestrator.report.style import FORMATS, Look, look, save  # noqa: PLC0415
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] != "matplotlib":
             raise
         raise UserError(
-            "a report needs matplotlib; install it with: pip install 'hedgerow[report]'", code=Code.DEPENDENCY
+            "a report needs matplotlib. Install it with: pip install matplotlib", code=Code.DEPENDENCY
         ) from None
+    asked = Look(width_in, style, tuple(formats))
     kinds = _chosen(known.FIGURES, figures, runs)
     out = out or Path("-".join(run.run for run in runs[:2]) + "-report")
-    _refuse(out, force, {PAGE, *(f"{kind.file}{suffix}" for kind in known.FIGURES for suffix in (".pdf", ".png"))})
+    _refuse(out, force, {PAGE, *(f"{kind.file}.{suffix}" for kind in known.FIGURES for suffix in FORMATS)})
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=".report-", dir=out.parent) as scratch:
             whole = Path(scratch) / "report"
             whole.mkdir()
-            with look():
-                drawn = {kind: save(kind.draw(runs), whole, kind.file, kind.title) for kind in kinds}
+            with look(asked):
+                drawn = {kind: save(kind.draw(runs), whole, kind.file, kind.title, asked.formats) for kind in kinds}
             (whole / PAGE).write_text(page(runs, drawn), encoding="utf-8", errors="backslashreplace")
             if out.is_dir():
                 out.rename(Path(scratch) / "old")
@@ -58,7 +68,7 @@ def report(
         raise UserError(
             f"{out}: cannot be written: {error.strerror}; --out names another folder", code=Code.OUTPUT
         ) from None
-    return [out / PAGE, *(out / f"{kind.file}{suffix}" for kind in kinds for suffix in (".pdf", ".png"))]
+    return [out / PAGE, *(out / f"{kind.file}.{suffix}" for kind in kinds for suffix in asked.formats)]
 
 
 def _chosen(known: Sequence[Kind], figures: str | None, runs: Sequence[RecordedRun]) -> list[Kind]:

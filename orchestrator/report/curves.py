@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import StepPatch
 from matplotlib.ticker import MaxNLocator
 
-from hedgerow.orchestrator.report.style import BLACK, SKY
+from hedgerow.orchestrator.report.style import BLACK, GREY, SKY
 from hedgerow.orchestrator.runs.reader import RecordedRun
 from hedgerow.topologies.graph import Array, Index
 
@@ -97,6 +97,35 @@ def draw_nodes(axis: Axes, run: RecordedRun, values: Array) -> Entries:
         axis.fill_between(t, least, most, color=SKY, lw=0, alpha=0.3, zorder=0.5),
     ]
     return Entries(bands, ["median", "10 to 90 %", f"least to largest of {len(run.ids)} nodes"])
+
+
+def draw_behind(axis: Axes, run: RecordedRun, values: Array) -> Artist | None:
+    """Draw the curves of all nodes, (S, n), in grey behind the others; None if there are too many for a line each."""
+    if as_quantiles(run, values):
+        return None
+    lines = [axis.plot(*highest(of_node), color=GREY, ls="-", lw=0.6, alpha=0.6, zorder=1.5)[0] for of_node in values.T]
+    return lines[0] if lines else None
+
+
+DWARFED = 5.0
+"""an inset shows the later values if the first ones are larger by this ratio"""
+
+
+def zoom(axis: Axes, run: RecordedRun, values: Array) -> None:
+    """Add an inset with the last three quarters of the steps if the first values, (S, n), dwarf them."""
+    start = len(values) // 4
+    low, high = extremes(values[start:])
+    if start < 2 or as_quantiles(run, values) or not 0 < DWARFED * max(-low, high) < np.nanmax(np.abs(values)):
+        return
+    inset = axis.inset_axes((0.42, 0.42, 0.56, 0.52))
+    for of_node in values.T:
+        t, shown = highest(of_node)
+        inset.plot(t, shown, lw=0.8)
+    room = 0.06 * (high - low)
+    inset.set_xlim(start, len(values) - 1)
+    inset.set_ylim(0.0 if low >= 0 else low - room, high + room)
+    inset.tick_params(labelsize=6)
+    inset.grid(visible=False)
 
 
 def as_quantiles(run: RecordedRun, values: Array) -> bool:

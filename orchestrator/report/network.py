@@ -11,9 +11,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from hedgerow.orchestrator.report.curves import Entries, called, legend, plain, short
-from hedgerow.orchestrator.report.style import BLACK, GREY, RED, WIDTH_IN, sheet
+from hedgerow.orchestrator.report.style import BLACK, GREY, RED, sheet, width_in
 from hedgerow.orchestrator.runs.reader import RecordedRun
-from hedgerow.orchestrator.views.layout import positions
+from hedgerow.orchestrator.views.layout import placed
+from hedgerow.orchestrator.views.palette import thickness
 from hedgerow.topologies.graph import Array, Mask
 
 NAMED = 40
@@ -26,8 +27,8 @@ _MARGIN = 0.6
 
 def network(runs: Sequence[RecordedRun]) -> Figure:
     """The graph of each run, laid out by itself: the same file gives the same places."""
-    places = [positions(run.topology.graph) for run in runs]
-    heights = [float(np.clip((WIDTH_IN - 0.2) * _aspect(own), 0.7, 3.3)) for own in places]
+    places = [placed(run.topology) for run in runs]
+    heights = [float(np.clip((width_in() - 0.2) * _aspect(own), 0.7, 3.3)) for own in places]
     figure = sheet(0.3 + sum(heights) + 0.2 * (len(runs) - 1))
     axes = figure.subplots(len(runs), 1, squeeze=False, height_ratios=heights)[:, 0]
     for k, (axis, run, own) in enumerate(zip(axes, runs, places, strict=True)):
@@ -59,9 +60,10 @@ def _aspect(places: Array) -> float:
 
 def _draw(axis: Axes, run: RecordedRun, places: Array) -> None:
     n = len(run.ids)
-    axis.add_collection(
-        LineCollection([*places[run.edges]], colors=GREY, linewidths=0.8 if n <= NAMED else 0.4, zorder=1)
-    )
+    weights = run.topology.graph.weights
+    wide = 0.8 if n <= NAMED else 0.4
+    widths: Array | float = wide if weights is None else 3 * wide * thickness(weights, len(weights))
+    axis.add_collection(LineCollection([*places[run.edges]], colors=GREY, linewidths=widths, zorder=1))
     size = 170 if n <= NAMED // 2 else 90 if n <= NAMED else max(2.0, 6000 / n)
     faces = np.where(wrong(run), RED, "#FFFFFF")
     axis.scatter(
@@ -73,8 +75,8 @@ def _draw(axis: Axes, run: RecordedRun, places: Array) -> None:
         linewidths=0.6 if n <= NAMED else 0.2,
         zorder=2,
     )
-    for node, (x, y), own in zip(run.ids, places.tolist(), wrong(run), strict=True):
-        name = plain(short(str(node)))
+    for k, ((x, y), own) in enumerate(zip(places.tolist(), wrong(run), strict=True)):
+        name = plain(short(run.topology.network.name(k)))
         if n <= NAMED and len(name) <= _INSIDE:
             ink = "#FFFFFF" if own else BLACK
             axis.text(x, y, name, ha="center", va="center_baseline", color=ink, fontsize="x-small", zorder=3)

@@ -7,7 +7,17 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from hedgerow.orchestrator.report.curves import called, draw_nodes, extremes, legend, letter, steps_axis
+from hedgerow.orchestrator.report.curves import (
+    Entries,
+    called,
+    draw_behind,
+    draw_nodes,
+    extremes,
+    legend,
+    letter,
+    steps_axis,
+    zoom,
+)
 from hedgerow.orchestrator.report.style import sheet
 from hedgerow.orchestrator.runs.reader import RecordedRun
 
@@ -16,7 +26,7 @@ Runs = Sequence[RecordedRun]
 
 def states(runs: Runs) -> Figure:
     """Figure 2: x, on the axes of figure 3."""
-    return _panels(runs, "x", "$x_i(t)$ [units of $x$]", _limits(runs, "x", "x_oracle"))
+    return _panels(runs, "x", "$x_i(t)$ [units of $x$]", _limits(runs, "x", "x_oracle"), behind="x_oracle")
 
 
 def oracle(runs: Runs) -> Figure:
@@ -36,10 +46,17 @@ def nominal(runs: Runs) -> Figure:
     return _panels(runs, "nominal_gap", label, _limits(runs, "regret", "nominal_gap"))
 
 
-def _panels(runs: Runs, name: str, label: str, limits: tuple[float, float]) -> Figure:
+def _panels(runs: Runs, name: str, label: str, limits: tuple[float, float], behind: str = "") -> Figure:
+    """Return a panel per run with an array of every node, before the array `behind` in grey."""
     figure = sheet(0.55 + 1.6 * len(runs))
     axes = figure.subplots(len(runs), 1, sharex=True, squeeze=False)[:, 0]
-    shown = [draw_nodes(axis, run, getattr(run, name)) for axis, run in zip(axes, runs, strict=True)]
+    shown = []
+    for axis, run in zip(axes, runs, strict=True):
+        entries = draw_nodes(axis, run, getattr(run, name))
+        if behind and (grey := draw_behind(axis, run, getattr(run, behind))) is not None:
+            entries = Entries([*entries.handles, grey], [*entries.names, "oracle"])
+        zoom(axis, run, getattr(run, name))
+        shown.append(entries)
     alike = all(one.names == shown[0].names for one in shown)
     for k, (axis, run, entries) in enumerate(zip(axes, runs, shown, strict=True)):
         axis.set_ylim(*limits)

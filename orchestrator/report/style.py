@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
+import shutil
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -16,13 +19,16 @@ from matplotlib.backends.backend_pdf import FigureCanvasPdf
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
+from hedgerow.topologies.errors import Code, UserError
+from hedgerow.topologies.paths import user_path
+from hedgerow.topologies.regular_file import check_regular
+
 BLUE, ORANGE, GREEN, RED, SKY, PINK, BLACK = COLOURS = (
     *("#0072B2", "#E69F00", "#009E73", "#D55E00", "#56B4E9", "#CC79A7"),
     "#000000",
 )
 """Okabe and Ito's, in the order of hedgerow.mplstyle"""
 GREY = "#777777"
-WIDTH_IN = 3.5
 
 
 def colour(place: int) -> str:
@@ -30,35 +36,104 @@ def colour(place: int) -> str:
     return COLOURS[place % len(COLOURS)]
 
 
+FORMATS = ("pdf", "png", "svg", "pgf")
+NARROWEST_IN, WIDEST_IN = 2.0, 20.0
+
+
+@dataclass(frozen=True)
+class Look:
+    """The width of all figures, the user's style on top of ours, and the formats of the files."""
+
+    width_in: float | None = None
+    """None for the width of the style, one column of a journal"""
+    style: str | None = None
+    """a .mplstyle file, or the name of a style of matplotlib"""
+    formats: tuple[str, ...] = ("pdf", "png")
+
+    def __post_init__(self) -> None:
+        if self.width_in is not None and not NARROWEST_IN <= self.width_in <= WIDEST_IN:
+            raise UserError(
+                f"--width {self.width_in:g}: is not between {NARROWEST_IN:g} and {WIDEST_IN:g} in. Give inches, 3.5 for"
+                " a column or 7.16 for a page.",
+                code=Code.OPTION,
+            )
+        strange = [name for name in self.formats if name not in FORMATS]
+        if strange or not self.formats:
+            raise UserError(
+                f"--format {','.join(strange)}: is not a format. Choose of {', '.join(FORMATS)}.",
+                code=Code.OPTION,
+            )
+        if "pgf" in self.formats and shutil.which(tex := str(matplotlib.rcParams["pgf.texsystem"])) is None:
+            raise UserError(
+                f"--format pgf: there is no {tex} here, which measures the text. Install LaTeX, or choose pdf.",
+                code=Code.OPTION,
+            )
+
+
 @contextmanager
-def look() -> Iterator[None]:
-    """Draw by hedgerow.mplstyle alone, whatever the user's own settings are; a sign without a glyph is no matter."""
-    sheet = resources.files("hedgerow.orchestrator.report") / "hedgerow.mplstyle"
-    with (
-        resources.as_file(sheet) as path,
-        matplotlib.style.context(str(path), after_reset=True),
-        warnings.catch_warnings(),
-    ):
+def look(asked: Look = Look()) -> Iterator[None]:
+    """Draw by hedgerow.mplstyle and what is asked for, whatever the user's own settings are.
+
+    Raises UserError if the user's style cannot be read. A sign without a glyph is left out.
+    """
+    ours = resources.files("hedgerow.orchestrator.report") / "hedgerow.mplstyle"
+    with contextlib.ExitStack() as stack:
+        path = stack.enter_context(resources.as_file(ours))
+        stack.enter_context(matplotlib.style.context(str(path), after_reset=True))
+        stack.enter_context(warnings.catch_warnings())
         warnings.filterwarnings("ignore", message="Glyph .* missing")
+        if asked.style is not None:
+            _use(asked.style)
+        if asked.width_in is not None:
+            matplotlib.rcParams["figure.figsize"] = (asked.width_in, matplotlib.rcParams["figure.figsize"][1])
         yield
 
 
+def _use(style: str) -> None:
+    """Apply a user's style on top of ours."""
+    try:
+        if (path := user_path(style)).exists():
+            check_regular(path)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # matplotlib only warns of a key that it does not know
+            matplotlib.style.use(str(path) if path.exists() else style)
+    except (OSError, UserWarning, ValueError, SyntaxError, KeyError) as error:
+        raise UserError(
+            f"--style {style}: cannot be used: {error}. Give a .mplstyle file or the name of a style of matplotlib.",
+            code=Code.OPTION,
+        ) from None
+
+
+def width_in() -> float:
+    """Return the width of the figures [in]."""
+    return float(matplotlib.rcParams["figure.figsize"][0])
+
+
 def sheet(height_in: float) -> Figure:
-    """An empty figure, as wide as a column."""
-    return Figure(figsize=(WIDTH_IN, height_in))
+    """Return an empty figure of the width of the look."""
+    return Figure(figsize=(width_in(), height_in))
 
 
-def save(figure: Figure, folder: Path, name: str, title: str) -> bytes:
-    """Write NAME.pdf and NAME.png, and return the same as SVG; no file says when it was made."""
+def save(figure: Figure, folder: Path, name: str, title: str, formats: Sequence[str] = ("pdf", "png")) -> bytes:
+    """Write NAME in each format, and return the figure as SVG; no file contains the time at which it was made."""
     figure.draw_without_rendering()
-    figure.set_layout_engine("none")  # what has been laid out stays, in all three
-    # Not by savefig, which draws everything once more each time, to see how large it is.
-    pdf: Any = FigureCanvasPdf(figure)
-    pdf.print_pdf(folder / f"{name}.pdf", metadata={"Title": title, "CreationDate": None, "Producer": None})
+    figure.set_layout_engine("none")  # all formats keep this layout
+    # Not by savefig, which draws everything once more each time to measure it.
+    if "pdf" in formats:
+        pdf: Any = FigureCanvasPdf(figure)
+        pdf.print_pdf(folder / f"{name}.pdf", metadata={"Title": title, "CreationDate": None, "Producer": None})
+    if "pgf" in formats:
+        from matplotlib.backends.backend_pgf import FigureCanvasPgf  # noqa: PLC0415 (it looks for LaTeX)
+
+        pgf: Any = FigureCanvasPgf(figure)
+        pgf.print_pgf(str(folder / f"{name}.pgf"))
     drawn = io.BytesIO()
     svg: Any = FigureCanvasSVG(figure)
     svg.print_svg(drawn, metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
-    figure.dpi = matplotlib.rcParams["savefig.dpi"]
-    png: Any = FigureCanvasAgg(figure)
-    png.print_png(folder / f"{name}.png", metadata={"Title": title, "Software": None})
+    if "svg" in formats:
+        (folder / f"{name}.svg").write_bytes(drawn.getvalue())
+    if "png" in formats:
+        figure.dpi = matplotlib.rcParams["savefig.dpi"]
+        png: Any = FigureCanvasAgg(figure)
+        png.print_png(folder / f"{name}.png", metadata={"Title": title, "Software": None})
     return drawn.getvalue()

@@ -24,7 +24,8 @@ from hedgerow.topologies.errors import Code, UserError
 
 FORMS = ("csv", "parquet", "npz", "mat")
 NAMES = (
-    *("run", "law", "verdict", "T", "b", "gamma_star", "ids", "edges", "candidates", "nominal", "lost", "steps"),
+    *("run", "law", "verdict", "T", "b", "gamma_star", "ids", "edges", "weights"),
+    *("candidates", "nominal", "lost", "steps"),
     *("x", "x_oracle", "x_nominal", "regret", "nominal_gap", "regret_sum", "nominal_regret_sum"),
     *("a", "u", "w", "ahat", "index", "margin", "a_ls", "beta", "identifiable", "right"),
     *("cost", "cost_oracle", "cost_regret", "energy_sum", "gain", "gain_less_x0"),

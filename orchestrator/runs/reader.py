@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from hedgerow.orchestrator.metrics.certificate import storage
 from hedgerow.orchestrator.metrics.fault_accounts import at_ends
 from hedgerow.orchestrator.metrics.fault_schedule import Schedule
+from hedgerow.orchestrator.metrics.gain_bound import Premise
 from hedgerow.orchestrator.metrics.observer import Batch, Observer, gain
 from hedgerow.orchestrator.metrics.replay import Finding, Replay
 from hedgerow.orchestrator.runs.files import find_run, load_events, load_resolved, read_verdict
@@ -26,7 +27,7 @@ from hedgerow.orchestrator.runs.table import Table, there_is
 from hedgerow.topologies import budget
 from hedgerow.topologies.errors import Code, HedgerowError, UserError
 from hedgerow.topologies.escape import command
-from hedgerow.topologies.graph import Array, Index, Mask
+from hedgerow.topologies.graph import Array, Gain, Index, Mask
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire.codec import TAKEN, End, Telemetry
 
@@ -156,8 +157,16 @@ class RecordedRun:
         return int(steps[min(len(behind), len(steps) - 1)]) if len(behind) else 0
 
     @property
-    def b(self) -> float:
-        return self.topology.b
+    def b(self) -> Gain:
+        """The gain b of (1): one number, or that of each node, (n,)."""
+        b = self.topology.network.b
+        return b if isinstance(b, float) else _frozen(b[self.kept.nodes])
+
+    @cached_property
+    def weights(self) -> Array:
+        """The weight of each edge, (E,)."""
+        weights = self.topology.graph.weights
+        return _frozen(np.ones(len(self.kept.edges)) if weights is None else weights[self.kept.edges])
 
     @cached_property
     def ids(self) -> tuple[int | str, ...]:
@@ -222,6 +231,16 @@ class RecordedRun:
         return _frozen(np.nan_to_num(self._of_nodes("index", self.T, np.nan), nan=-1.0).astype(np.int32))
 
     @cached_property
+    def wrong(self) -> NDArray[np.bool_]:
+        """True where ahat is a candidate other than the truth, (T, n)."""
+        return _frozen((self.index >= 0) & np.isfinite(self.ahat) & (self.ahat != self.a[: self.T]))
+
+    @property
+    def real_estimates(self) -> bool:
+        """Return True if some estimate is no candidate: the law estimates real numbers."""
+        return bool((np.isfinite(self.ahat) & (self.index < 0)).any())
+
+    @cached_property
     def u_edge(self) -> Array:
         """u_j - u_i of each edge (i, j), 0 where it was closed, (T, E)."""
         return self._of_edges("u_edge", np.nan)
@@ -273,7 +292,7 @@ class RecordedRun:
         return bool(self.open.all() and (self.a == self.a[:1]).all())
 
     cost = _total("cost")
-    """c = |x|^2 + |u_edge|^2, (T,)"""
+    """c = |x|^2 + sum_e k_e u_e^2, (T,)"""
     cost_oracle = _total("cost_oracle")
     """that of the oracle's twin, (T,)"""
     cost_sum = _total("cost_sum")
@@ -321,6 +340,43 @@ class RecordedRun:
         """The same less V(x(0)), which is what x(0) may have cost the oracle, and not what it cost this law, (T,)."""
         network = self.topology.network
         return _frozen(gain(self.cost_sum, self.energy_sum, float(storage(network.x0[None], network.a)[0])))
+
+    @cached_property
+    def ceiling(self) -> Array:
+        """The least bound on the law's gain that is claimed at each step, NaN where none is, (T,); docs/guarantee.md.
+
+        It bounds the gain from x(0) = 0. It is NaN too if the verdict has no bounds.
+        """
+        least = np.full(self.T, np.nan)
+        for premise in Premise:
+            told = self._bound(premise)
+            if isinstance(told.get("gain"), float) and isinstance(told.get("steps"), int):
+                covered = least[: max(0, told["steps"])]
+                np.fmin(covered, told["gain"], out=covered)
+        return _frozen(least)
+
+    def _bound(self, premise: str) -> Mapping[str, Any]:
+        """Return what the verdict holds of one bound; empty if it holds none."""
+        found: Any = self.verdict
+        for key in ("gain_bounds", "bounds", premise):
+            found = found.get(key) if isinstance(found, Mapping) else None
+        return found if isinstance(found, Mapping) else {}
+
+    def certificate_slack(self, premise: str) -> Array:
+        """Return the slack of the law's certificate at each step, NaN where `premise` no longer holds, (T,).
+
+        `premise` is "estimates", "edges" or "jumps". Raises UserError if the verdict has no bound for it.
+        """
+        told = self._bound(premise)
+        self.need_all("the slack of a certificate")
+        if not isinstance(told.get("p"), list) or len(told["p"]) != len(self.ids):
+            raise UserError(
+                f"{self.folder}: verdict.json has no bound under the premise {premise!r}", code=Code.FILE_FORMAT
+            )
+        p, steps = np.array(told["p"]), told["steps"]
+        end, start = (self.x[1:] ** 2 * p).sum(axis=1), float((self.x[0] ** 2 * p).sum())
+        slack = told["g"] * self.energy_sum + start - end - self.cost_sum
+        return _frozen(np.where(np.arange(self.T) < steps, slack, np.nan))
 
     @property
     def metrics(self) -> dict[str, float | int | None]:

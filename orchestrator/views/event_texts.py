@@ -11,7 +11,9 @@ from hedgerow.orchestrator.metrics.observer import Batch, Observer
 from hedgerow.orchestrator.runs.selection import kept
 from hedgerow.topologies.escape import markdown
 from hedgerow.topologies.graph import Index, Mask
-from hedgerow.topologies.schema import LAWS, Topology
+from hedgerow.topologies.law_choice import is_listed
+from hedgerow.topologies.network import span
+from hedgerow.topologies.schema import Topology
 
 _AGENTS = {
     "minimax": "Its agent does not know a_i and acts on an\nestimate â_i.",
@@ -51,7 +53,7 @@ class Now:
     def _text(self, batch: Batch, k: int, gain: float, less: float) -> str:
         x, regret = np.abs(batch.x[k]), batch.regret[k]
         top, worst = int(x.argmax()), int(regret.argmax())
-        missing, wrong = np.isnan(batch.u[k]), batch.ahat[k] != batch.a[k]
+        missing, wrong = np.isnan(batch.u[k]), batch.wrong[k]
         dead = missing & np.isnan(batch.ahat[k])
         down = [
             *_those("edge cut:", self._edge, ~batch.edge_open[k]),
@@ -116,29 +118,39 @@ and nodes with a fault; the counts beside it have all.
         if large
         else ""
     )
-    bound = "Whatever the estimates: |x(t+1)|₁ ≤ ρ |x(t)|₁ + |w(t)|₁.\n\n" if topology.law in LAWS else ""
+    b, edge_weights = topology.network.b, topology.graph.weights
+    weights = "" if edge_weights is None else f"weights {span(edge_weights)}, "
+    k, edge_cost = ("", "|u_e|²") if edge_weights is None else ("k_ij ", "Σ k_e u_e²")
+    gain, norm = ("b", "Σ |x_i|") if isinstance(b, float) else ("b_i", "Σ |x_i| / b_i")
+    flow = f"{gain} Σ {k}(u_i − u_j)"
+    bound = (
+        f"Whatever the estimates: |x(t+1)| ≤ ρ |x(t)| + |w(t)|, |x| = {norm}.\n\n" if is_listed(topology.law) else ""
+    )
     return f"""\
 # {markdown(topology.name)}
 
-law **{markdown(topology.law)}**, {len(topology.ids)} nodes, {len(topology.edges)} edges, T = {topology.steps},
-b = {topology.b:g}, γ\\* = {_gamma_star(topology, ".4g")}, ρ = {observer.rho:.4g}, seed {topology.seed}
+law **{markdown(str(topology.law))}**, {len(topology.ids)} nodes, {len(topology.edges)} edges, T = {topology.steps},
+b = {span(b)}, {weights}γ\\* = {_gamma_star(topology, ".4g")}, ρ = {observer.rho:.4g}, seed {topology.seed}
 
-Each node is a reservoir: x_i(t+1) = a_i x_i(t) + b Σ (u_i − u_j) + w_i(t). {_AGENTS.get(topology.law, _OTHERS)}
+Each node is a reservoir: x_i(t+1) = a_i x_i(t) + {flow} + w_i(t). {_AGENTS.get(topology.law, _OTHERS)}
 The *oracle* is the same network, with the same disturbances, x(0) and closed edges, whose nodes know
 their true a; *nominal* is the same again with a fixed guess of a.
 {many}
-- **Network**: the fill of a node is its |x|, from blue to yellow, against the largest of late; a pink ring is a
-  wrong model. An edge is the thicker and the brighter, the more flows. Picture and *Now* show up to {pictures_hz:g}
-  steps a second; the plots and the faults have every step.
-- **States** x, and paler the oracle's x\\*. A node has one colour in all plots: that of its name in the picture.
-- **Inputs** u; edge (i, j) carries u_j − u_i.
-- **Estimates** â, and paler the truth a.
-- **Regret** |x − x\\*| of each node. **Cumulative regret** D: its squares, summed over nodes and steps; beside it the
-  same of the nominal law. *Cost regret* R is the cost less the oracle's, and may be negative.
-- **Gain** √(Σ cost / Σ |w|²) of the disturbance so far; the cost of a step is |x|² + |u_e|². *Less x(0)* leaves out
-  what x(0) may have cost the oracle; what it cost another law may be more.
-- **Faults**: what telemetry says was lost, cut or dead, whatever was planned.
-- **Round trips**: how long each process took to answer a step's states, by the plant's clock [ms]; over Zenoh only.
+- **Network**: the fill of a node is its |x|, from blue to yellow, relative to the largest of late. A pink ring is a
+  wrong model. The thickness and brightness of an edge show its flow. The picture and *Now* show up to {pictures_hz:g}
+  steps per second. The plots and the faults show every step.
+- **States** x [x], and paler the oracle's x\\*. A node has one colour in all plots, the colour of its name in the
+  picture. *Steady* shows the same without the start, where a large x(0) dwarfs the rest.
+- **Inputs** u [u]. *Flows*: edge (i, j) shows u_j − u_i [u].
+- **Estimates** â [1], and paler the truth a. *Error* is |â − a|, *a_LS* the least-squares estimate, *Margin* J₂ − J₁
+  [x²], *Right* the number of right estimates.
+- **Regret** |x − x\\*| [x] of each node; *Nominal gap* |x\\* − x_nom| [x]. **Regret D** [x²] is the sum of its squares
+  over nodes and steps, beside D of the nominal law. *Cost R* [x²] is the cost less the oracle's cost, and may be
+  negative. *Ratio* is the cost divided by the oracle's cost.
+- **Gain** √(Σ cost / Σ |w|²) of the disturbance so far; the cost of a step is |x|² + {edge_cost}. *Less x(0)* subtracts
+  the most that x(0) can cost the oracle. x(0) may cost another law more. The axis ends at 4 γ\\*.
+- **Faults**: what telemetry shows as lost, cut or dead.
+- **Round trips**: the time of each process to answer a step, by the plant's clock [ms]; over Zenoh only.
 
 What may **not** be concluded:
 - **γ\\* is the oracle's number**, the least gain that can be promised when every a is known. It is no guarantee of the

@@ -23,6 +23,7 @@ class Scene(NamedTuple):
     x: NDArray[np.float64]
     u: NDArray[np.float64]
     ahat: NDArray[np.float64]
+    wrong: Mask
     u_edge: NDArray[np.float64]
     edge_open: Mask
     link_up: Mask
@@ -37,6 +38,7 @@ class Groups:
 
     def __init__(self, graph: Graph) -> None:
         parts = partition(graph, GROUPS)
+        self._weights = graph.weights
         self.size = max(map(len, parts))
         """nodes of a group, about"""
         self._nodes = np.concatenate(parts)
@@ -67,17 +69,23 @@ class Groups:
         missing = np.isnan(u)
         silent, dead = of(missing, np.logical_or), of(missing & np.isnan(ahat), np.logical_or)
         size = np.diff(np.append(self._starts, len(self._nodes)))
-        wrong = of((ahat != batch.a[rows]).astype(np.int64), np.add) > size / 2
+        wrong = of(batch.wrong[rows].astype(np.int64), np.add) > size / 2
         return Scene(
             t=batch.t[rows],
             a=np.zeros(wrong.shape),
+            wrong=wrong,
             x=of(x),
             u=np.where(silent, np.nan, 0.0),
             ahat=np.where(dead, np.nan, wrong),
-            u_edge=self._edges.most(np.abs(batch.u_edge[rows])),
+            u_edge=self._edges.most(self._flow(batch.u_edge[rows])),
             edge_open=self._edges.all(batch.edge_open[rows]),
             link_up=self._links.all(batch.link_up[rows]),
         )
+
+    def _flow(self, u_edge: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The size k_e |u_e| of what flows through each edge."""
+        size = np.abs(u_edge)
+        return size if self._weights is None else size * self._weights
 
 
 class _Gathered:

@@ -549,7 +549,7 @@ def test_what_cannot_work_is_said_at_once(here: Path, arguments: tuple[str, ...]
         ("", "lab.toml: does not say process, namespace, router, network"),
         ("a = ", "lab.toml: is not TOML"),
         ('process = "agent-3"\nnamespace = "h"\nrouter = "tcp/x:1"\nnetwork = "0"\n', "config of agent-3: KeyError"),
-        ('process = "plant"\nnamespace = "h"\nrouter = "tcp/x:1"\nnetwork = "0"\n', "start it with `plant`"),
+        ('process = "plant"\nnamespace = "h"\nrouter = "tcp/x:1"\nnetwork = "0"\n', "start it with `hedgerow-plant`"),
         (None, "lab.toml: No such file or directory; `orchestrator bundle` writes it"),
     ],
 )

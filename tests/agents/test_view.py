@@ -172,8 +172,8 @@ def test_the_lanes_are_the_schedule(tmp_path: Path) -> None:
         codes[row, edge] += 1 if graph.node[incidence] == graph.edges[edge, 0] else 2
     codes[cuts.row, cuts.target] += 4
     begun = set()
-    for k, (i, j) in enumerate(topology.edges):
-        says = column(path, f"faults/link_{i}-{j}", "StateChange:state")
+    for k, (i, j) in enumerate(topology.pairs):
+        says = column(path, f"link/{i}-{j}", "StateChange:state")
         now, shown = ["ok"], []
         for t in range(topology.steps):
             now = says.get(t, now)
@@ -277,7 +277,7 @@ def test_a_large_network_is_aggregated_and_loses_no_number(tmp_path: Path) -> No
     np.testing.assert_array_equal(median, np.sort(x, axis=1)[:, 49])
     down = scalars(path, "quantiles/down")[1]
     assert down[:, DOWN.index("edges cut")].tolist() == [0] * 4 + [2 * LANES] * 5 + [0] * 11
-    assert sum(entity.startswith("/faults/") for entity in entities(path)) == LANES
+    assert sum(entity.startswith(("/link/", "/node/")) for entity in entities(path)) == LANES
     names = column(path, "network/worst", "Points2D:labels")
     assert names[19] == [str(i) for i in np.argsort(-x[19], kind="stable")[:5]]
 
@@ -336,7 +336,7 @@ class Seen:
     def at(self, color: palette.Color, place: NDArray[np.float64], reach: int = 8) -> bool:
         """Whether a colour stands near a place of the picture, whose legend says where that is."""
         legend = self._picture.legend
-        ring = np.argwhere(self.of(palette.NO_INPUT))  # in the legend only, and above "lost both ways"
+        ring = np.argwhere(self.of(palette.NO_INPUT))  # in the legend only, and above "lost both"
         if not len(ring):
             return False
         top, left = (ring.min(axis=0) + ring.max(axis=0)) / 2
@@ -378,5 +378,5 @@ def test_a_link_is_seen_broken_while_it_is_and_whole_afterwards(
         until(broken, 40.0)
         until(whole, 60.0)
         state = ViewerClient.connect(watched.url).get_state()
-        assert {"Now", "Events", "Inputs u [u]", "Cumulative regret D [x²]"} <= {view.name for view in state.views}
+        assert {"Now", "Events", "Inputs u", "Regret D"} <= {view.name for view in state.views}
         assert not [view.reports for view in state.views if view.reports]

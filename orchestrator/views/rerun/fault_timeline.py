@@ -21,6 +21,8 @@ from hedgerow.topologies.schema import Topology
 
 LANES = 24
 """more links and nodes than that have no lane of their own"""
+RUN = -1
+"""the number of the lane of the whole run"""
 FINE: Color = (38, 44, 54, 255)
 HEARD, NOT_I, NOT_J, CLOSED = 0, 1, 2, 4
 """of an edge (i, j); they add up"""
@@ -91,9 +93,13 @@ class Changes:
         return Changes(found, [lane for part in parts for lane in part.begun])
 
 
-def _entity(name: str) -> str:
-    """The path of a lane, which is its title too: with no escapes for blanks in it."""
-    return "faults/" + rr.escape_entity_path_part(name.replace(" ", "_"))
+LANE_ENTITIES = ("/run", "/link/**", "/node/**")
+"""the lanes; Rerun shows the path of an entity as its title"""
+
+
+def _entity(kind: str, name: str) -> str:
+    """Return the path of a lane, without the escapes that blanks would need in its title."""
+    return f"{kind}/{rr.escape_entity_path_part(name.replace(' ', '_'))}"
 
 
 class Lanes:
@@ -110,9 +116,9 @@ class Lanes:
 
     def _lane(self, k: int) -> Lane:
         if k >= len(self._edges):
-            return Lane(_entity(f"node {self._ids[k - len(self._edges)]}"), OF_NODE)
+            return Lane(_entity("node", str(self._ids[k - len(self._edges)])), OF_NODE)
         i, j = (str(self._ids[end]) for end in self._edges[k].tolist())
-        return Lane(_entity(f"link {i}-{j}"), of_edge(i, j))
+        return Lane(_entity("link", f"{i}-{j}"), of_edge(i, j))
 
     def codes(self, batch: Batch) -> NDArray[np.uint8]:
         """What each lane says at each step, (B, E + n)."""
@@ -126,7 +132,7 @@ class Lanes:
         self._a = batch.a[-1].copy()
         missing, nobody = np.isnan(batch.u), np.isnan(batch.ahat)
         # At step 0 an estimate is the first of a list: nobody has learned anything.
-        nodes = np.where((batch.ahat != batch.a) & self._models & (batch.t > 0)[:, None], MISTAKEN, THERE)
+        nodes = np.where(batch.wrong & self._models & (batch.t > 0)[:, None], MISTAKEN, THERE)
         nodes = np.where(turned, TURNED, nodes)
         nodes = np.where(missing, np.where(nobody, GONE, NO_INPUT), nodes)
         return np.concatenate([links, nodes], axis=1).astype(np.uint8)
@@ -137,9 +143,13 @@ class Lanes:
         changed = codes != np.concatenate([self._before[None], codes[:-1]])
         self._before = codes[-1].copy()
         new, found = [], {}
+        if RUN not in self.begun:  # a timeline without a lane would show Rerun's advice to add one
+            self.begun[RUN] = Lane("run", (("running", FINE),))
+            new.append(self.begun[RUN])
+            found["run"] = batch.t[:1], wall[:1], ["running"]
         for k in changed.any(axis=0).nonzero()[0].tolist():
             if k not in self.begun:
-                if len(self.begun) >= LANES:
+                if len(self.begun) > LANES:
                     continue
                 self.begun[k] = self._lane(k)
                 new.append(self.begun[k])

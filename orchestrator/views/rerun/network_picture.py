@@ -2,7 +2,7 @@
 
 Positions never change and are sent once; a drawn step is some colours. What is broken is drawn over the edges:
 
-    i ========== j    open, heard at both ends: grey and thin to white and thick, by |u_j - u_i|
+    i ========== j    open, heard at both ends: grey and thin to white and thick, by the flow k_ij |u_j - u_i|
     i - - -===== j    i did not hear j: dashes at i's end
     i ==|    |== j    cut: a gap, and stumps
 """
@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from hedgerow.orchestrator.metrics.observer import Batch
 from hedgerow.orchestrator.views import palette
 from hedgerow.orchestrator.views.groups import Groups, Scene
-from hedgerow.orchestrator.views.layout import Places, positions
-from hedgerow.orchestrator.views.palette import Packed, flow_colors, packed, state_colors
+from hedgerow.orchestrator.views.layout import Places, placed, positions
+from hedgerow.orchestrator.views.palette import Packed, flow_colors, packed, state_colors, thickness
 from hedgerow.topologies.graph import Graph, Index, Mask
 from hedgerow.topologies.schema import WHOLE, Topology
 
@@ -115,15 +115,17 @@ class Picture:
     """Draws the steps of a network's run."""
 
     def __init__(self, topology: Topology) -> None:
-        self._ids = topology.ids
+        self._topology, self._ids = topology, topology.ids
         self.groups = Groups(topology.graph) if len(topology.ids) > WHOLE else None
         """of so many nodes that they cannot be told apart"""
         self._graph: Graph = topology.graph if self.groups is None else self.groups.graph
-        self.places = positions(self._graph)
+        self.places = placed(topology) if self.groups is None else positions(self._graph)
         self._large = self._graph.n > NAMED
         self._radius = _radius(self.places)
         self._width = 1.2 if self._large else 2.5
         """of an edge [points], with the most flow"""
+        self._thickness = thickness(self._graph.weights, len(self._graph.edges))[self._graph.edge]
+        """of each half: an edge of less weight is thinner"""
         self._x_peak = self._flow_peak = 0.0
         self._starts, self._middles = self._halves()
         self._nowhere = np.repeat(self.places[:1, None], 2, axis=1).astype(np.float32)
@@ -174,7 +176,7 @@ class Picture:
         self.legend.log_static(stream)
 
     def _name(self, k: int) -> str:
-        return str(self._ids[k]) if self.groups is None else self.groups.name(k, self._ids)
+        return self._topology.network.name(k) if self.groups is None else self.groups.name(k, self._ids)
 
     def frames(self, whole: Batch, rows: Index, wall: NDArray[np.float64]) -> Frames:
         """Draw some rows of a batch; all of it counts for the scales, but where nodes are drawn in groups."""
@@ -183,6 +185,8 @@ class Picture:
         if self.groups is not None:
             batch, rows = self.groups.scene(whole, rows), np.arange(len(rows))
         x, flow = np.abs(batch.x), np.abs(np.nan_to_num(batch.u_edge))
+        if self._graph.weights is not None:
+            flow *= self._graph.weights
         x_peak = decaying_peak(x.max(axis=1), self._x_peak)
         flow_peak = decaying_peak(flow.max(axis=1, initial=0.0), self._flow_peak)
         self._x_peak, self._flow_peak = float(x_peak[-1]), float(flow_peak[-1])
@@ -191,7 +195,7 @@ class Picture:
         dead = missing & np.isnan(ahat)
         rings = np.full(x.shape, packed(palette.RIGHT))
         rings[missing] = packed(palette.NO_INPUT)
-        rings[ahat != batch.a[rows]] = packed(palette.WRONG)
+        rings[batch.wrong[rows]] = packed(palette.WRONG)
         rings[dead] = packed(palette.DEAD)
         part = (flow / np.maximum(flow_peak, 1e-300))[:, self._graph.edge]
         cut, lost = ~batch.edge_open[rows][:, self._graph.edge], ~batch.link_up[rows]
@@ -206,7 +210,7 @@ class Picture:
             nodes=state_colors(x / np.maximum(x_peak, 1e-300)),
             rings=rings,
             edges=edges,
-            widths=(-self._width * (0.4 + part)).astype(np.float32),
+            widths=(-self._width * (0.4 + part) * self._thickness).astype(np.float32),
             broken=broken,
             broken_color=broken_color,
             broken_count=broken_count,
@@ -330,7 +334,7 @@ class Legend:
         stream.log("network/legend/edges", shown, static=True)
 
         words = ["x = 0", "", "wrong model", "no input", "agent dead"]
-        words += ["no flow", "strong flow", "lost one way", "lost both ways", "edge cut"]
+        words += ["no flow", "strong flow", "lost one", "lost both", "edge cut"]
         below = np.array([[x, y + 0.2 * unit] for y in (first, second) for x in self.x])
         kept = [k for k, word in enumerate(words) if word]
         stream.log(

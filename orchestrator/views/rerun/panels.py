@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from hedgerow.orchestrator.metrics.observer import Batch, Observer
 from hedgerow.orchestrator.runs.selection import evenly, kept
-from hedgerow.orchestrator.views.palette import BACKGROUND, GREEN, GREY, ORANGE, Color, hues
+from hedgerow.orchestrator.views.palette import BACKGROUND, GREEN, GREY, ORANGE, PURPLE, Color, hues
 from hedgerow.orchestrator.views.palette import CUT as RED
 from hedgerow.orchestrator.views.palette import LOST as AMBER
 from hedgerow.orchestrator.views.palette import NO_INPUT as BLUE
-from hedgerow.orchestrator.views.rerun.fault_timeline import LANES
+from hedgerow.orchestrator.views.rerun.fault_timeline import LANE_ENTITIES, LANES
 from hedgerow.orchestrator.views.rerun.network_picture import Legend
 from hedgerow.topologies.graph import Index
 from hedgerow.topologies.schema import Topology
@@ -90,6 +90,9 @@ def lines(topology: Topology) -> list[Quantity]:
             "index", lambda batch: _named(_some(batch.ahat, nodes), _some(batch.index, nodes)), ids, node, steps=True
         ),
         Quantity("truth", each("a"), _each(ids, "truth"), pale, 1.0, steps=True),
+        Quantity(
+            "error", lambda batch: np.abs(_some(batch.ahat, nodes) - _some(batch.a, nodes)), ids, node, steps=True
+        ),
         Quantity("a_ls", each("a_ls"), ids, node),
         Quantity("margin", each("margin"), ids, node),
         Quantity("regret", each("regret"), ids, node),
@@ -109,7 +112,7 @@ def totals(topology: Topology, observer: Observer) -> list[Quantity]:
 
     def gains(batch: Batch) -> Matrix:
         gamma_star = np.full(len(batch.t), limit)
-        return np.stack([batch.gain(), batch.gain(float(observer.v0)), gamma_star], axis=1)
+        return np.stack([batch.gain(), batch.gain(float(observer.v0)), gamma_star, batch.ceiling], axis=1)
 
     def sums(batch: Batch) -> Matrix:
         return np.stack([batch.regret_sum, batch.nominal_regret_sum], axis=1)
@@ -119,7 +122,10 @@ def totals(topology: Topology, observer: Observer) -> list[Quantity]:
         Quantity("regret_sum", sums, [topology.law, "nominal"], [GREEN, ORANGE], 2.0),
         Quantity("cost_regret", lambda batch: batch.cost_regret, ["R"], [GREEN], 2.0),
         Quantity("cost_ratio", lambda batch: batch.ratio, ["cost / oracle's cost"], [GREEN], 2.0),
-        Quantity("gain", gains, ["gain", "gain less x(0)", "γ* (oracle's)"], [ORANGE, GREEN, GREY], 2.0),
+        Quantity(
+            "gain", gains, ["gain", "gain less x(0)", "γ* (oracle's)", "at most"], [ORANGE, GREEN, GREY, PURPLE], 2.0
+        ),
+        Quantity("ceiling_slack", lambda batch: batch.ceiling_slack, ["slack"], [PURPLE], 2.0),
     ]
 
 
@@ -194,7 +200,7 @@ def blueprint(topology: Topology, gamma_star: float, legend: Legend, wired: bool
     large = nodes > LARGE
     network = rrb.Spatial2DView(
         origin="/network",
-        name=f"Network: {topology.name}, fill by |x| [x], edges by |u_j − u_i|",
+        name=f"Network {topology.name}",
         background=list(BACKGROUND),
         visual_bounds=rrb.VisualBounds2D(x_range=legend.x_range, y_range=legend.y_range),
     )
@@ -209,11 +215,11 @@ def blueprint(topology: Topology, gamma_star: float, legend: Legend, wired: bool
         name="Events",
         columns=rrb.TextLogColumns(timeline_columns=["step"], text_log_columns=["loglevel", "body"]),
     )
-    title = f"Faults (the first {LANES} links and nodes with any)" if large else "Faults and wrong models by link, node"
-    lanes = rrb.StateTimelineView(origin="/faults", name=title, time_view=_whole())
-    trips = [_plot("Round trips [ms]", ROUND_TRIPS, legend="LeftTop" if nodes <= LEGEND_NODES else None)]
+    title = f"Faults (first {LANES} links and nodes)" if large else "Faults"
+    lanes = rrb.StateTimelineView(origin="/", contents=LANE_ENTITIES, name=title, time_view=_whole())
+    trips = [_plot("Round trips, ms", ROUND_TRIPS, legend="LeftTop" if nodes <= LEGEND_NODES else None)]
     if large:
-        down = _plot("Down [count]", "quantiles/down", legend="LeftTop")
+        down = _plot("Down", "quantiles/down", legend="LeftTop")
         first = rrb.Tabs(down, *trips) if wired else down
         happened = rrb.Horizontal(first, lanes, events, column_shares=[2, 3, 2])
     elif wired:
@@ -230,55 +236,59 @@ def blueprint(topology: Topology, gamma_star: float, legend: Legend, wired: bool
 
 
 def _plots(topology: Topology, gamma_star: float) -> rrb.Grid:
-    legend = "RightBottom" if len(topology.ids) <= LEGEND_NODES else None
-    edge_inputs = [_plot("Edge flows u_j − u_i [u]", "u_edge", legend=legend)] if topology.edges else []
+    # Titles fit beside each other in a window of 1280 pixels; About has the units and the pale lines.
+    legend = "RightTop" if len(topology.ids) <= LEGEND_NODES else None
+    flows = [_plot("Flows", "u_edge", legend=legend)] if topology.edges else []
+    bound = steady_state(topology)
+    steady = [_plot("Steady", "x", "x_oracle", axis=rrb.ScalarAxis(range=(-bound, bound)))] if bound > 0 else []
     return rrb.Grid(
-        rrb.Tabs(_plot("States x [x], pale: oracle's", "x", "x_oracle"), _plot("Disturbances w [x]", "w")),
         # One legend of nodes for all panels: the colours are the same, and it covers a part of the plot.
-        rrb.Tabs(_plot("Inputs u [u]", "u", legend=legend), *edge_inputs),
+        rrb.Tabs(_plot("States x", "x", "x_oracle", legend=legend), *steady, _plot("w", "w")),
+        rrb.Tabs(_plot("Inputs u", "u"), *flows),
         rrb.Tabs(
-            _plot("Estimates â [1], pale: truth", "ahat", "truth"),
-            _plot("a_LS [1]", "a_ls"),
-            _plot("Margin J₂ − J₁ [x²]", "margin"),
-            _plot("Nodes right", "nodes_right"),
+            _plot("Estimates", "ahat", "truth"),
+            _plot("Error", "error"),
+            _plot("a_LS", "a_ls"),
+            _plot("Margin", "margin"),
+            _plot("Right", "nodes_right"),
         ),
-        rrb.Tabs(_plot("Regret |x − x*| [x]", "regret"), _plot("Nominal gap |x* − x_nom| [x]", "nominal_gap")),
+        rrb.Tabs(_plot("Regret", "regret"), _plot("Nominal gap", "nominal_gap")),
         *_totals(gamma_star),
         grid_columns=3,
     )
 
 
 def _aggregated(topology: Topology, gamma_star: float) -> rrb.Grid:
-    nodes, lined_up = len(topology.ids), len(lined(kept(topology).nodes))
-    every = "every node" if lined_up == nodes else f"{lined_up} nodes"
+    nodes = len(topology.ids)
     heat = rrb.TensorView(
         origin="/heat",
-        name="Heat map: |x| [x], largest of each patch",
+        name="Heat map of |x|",
         scalar_mapping=rrb.TensorScalarMapping(colormap="Viridis", gamma=0.6, mag_filter="Nearest"),
         view_fit="Fill",
     )
-    edge_inputs = [_plot("Edge flows u_j − u_i [u]", "u_edge")] if topology.edges else []
+    edge_inputs = [_plot("Flows", "u_edge")] if topology.edges else []
     return rrb.Grid(
         rrb.Tabs(
-            _plot("|x| [x]: largest, 90 %, median", "quantiles/x", legend="RightTop"),
-            _plot(f"States x [x], {every}", "x"),
-            _plot("Oracle's x* [x]", "x_oracle"),
-            _plot("w [x]", "w"),
+            _plot("States |x|", "quantiles/x", legend="RightTop"),
+            _plot("x", "x"),
+            _plot("x*", "x_oracle"),
+            _plot("w", "w"),
         ),
         heat,
         rrb.Tabs(
-            _plot(f"Right models [of {nodes}]", "nodes_right"),
-            _plot("Estimates â [1], every node", "ahat"),
-            _plot("Truth a [1]", "truth"),
-            _plot("a_LS [1]", "a_ls"),
-            _plot("Margin [x²]", "margin"),
+            _plot(f"Right, of {nodes}", "nodes_right"),
+            _plot("Estimates", "ahat"),
+            _plot("Error", "error"),
+            _plot("Truth", "truth"),
+            _plot("a_LS", "a_ls"),
+            _plot("Margin", "margin"),
         ),
         rrb.Tabs(
-            _plot("Regret [x]: largest, 90 %, median", "quantiles/regret", legend="RightTop"),
-            _plot(every.capitalize(), "regret"),
-            _plot("Nominal gap [x]", "nominal_gap"),
-            _plot("|u| [u]: largest, 90 %, median", "quantiles/u", legend="RightTop"),
-            _plot(f"Inputs u [u], {every}", "u"),
+            _plot("Regret", "quantiles/regret", legend="RightTop"),
+            _plot("Nodes", "regret"),
+            _plot("Nominal gap", "nominal_gap"),
+            _plot("|u|", "quantiles/u", legend="RightTop"),
+            _plot("u", "u"),
             *edge_inputs,
         ),
         *_totals(gamma_star),
@@ -286,17 +296,47 @@ def _aggregated(topology: Topology, gamma_star: float) -> rrb.Grid:
     )
 
 
+STARTS_HIGH = 4.0
+"""the first states dwarf the later ones from this ratio on"""
+
+
+def steady_state(topology: Topology) -> float:
+    """Return how large a state may be once x(0) is forgotten, or 0 if x(0) is no larger than that by far.
+
+    It is max |w_i| / (1 - a_i) over the nodes, by the disturbances of the file.
+    """
+    network = topology.network
+    peak = np.zeros(len(topology.ids))
+    for group in network.disturbance:
+        np.add.at(peak, group.nodes, peak_of(group.kind, group.values))
+    bound = float((peak / (1 - network.a)).max(initial=0.0))
+    return bound if bound > 0 and float(np.abs(network.x0).max(initial=0.0)) > STARTS_HIGH * bound else 0.0
+
+
+def peak_of(kind: str, values: Mapping[str, NDArray[Any]]) -> Matrix:
+    """Return how large |w_i| of a group of disturbances gets: of noise, in all but a few of a thousand steps."""
+    if kind in ("white", "ar1"):
+        return np.asarray(3 * np.abs(values["std"]))
+    if kind == "samples":
+        return np.asarray(np.abs(values["values"]).max(axis=1, initial=0.0))
+    name = {"sinusoid": "amplitude", "constant": "value"}.get(kind)
+    return np.asarray(np.abs(values[name])) if name is not None else np.zeros(len(next(iter(values.values()), ())))
+
+
 def _totals(gamma_star: float) -> list[rrb.Tabs | rrb.TimeSeriesView]:
     """What it costs."""
     gain = rrb.ScalarAxis(range=(0.0, 4 * gamma_star), zoom_lock=False) if gamma_star > 0 else None
     return [
         rrb.Tabs(
-            _plot("Cumulative regret D [x²]", "regret_sum", legend="RightBottom"),
-            _plot("Cost regret R [x²]", "cost_regret"),
-            _plot("Cost ratio [1]", "cost_ratio"),
+            _plot("Regret D", "regret_sum", legend="RightBottom"),
+            _plot("Cost R", "cost_regret"),
+            _plot("Ratio", "cost_ratio"),
         ),
         # A large x(0) makes the first gains huge: the axis begins where they can be compared.
-        _plot("Gain √(Σcost / Σ|w|²) [1], axis to 4 γ*", "gain", legend="LeftTop", axis=gain),
+        rrb.Tabs(
+            _plot("Gain, axis to 4 γ*", "gain", legend="RightTop", axis=gain),
+            _plot("Slack", "ceiling_slack"),
+        ),
     ]
 
 

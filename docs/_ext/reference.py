@@ -1,0 +1,93 @@
+"""Pages of the site that the program writes: its commands, and the docstrings of its Python interface."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import typer
+from pygments.lexers.special import TextLexer
+from sphinx.application import Sphinx
+
+PAGE = "commands.md"
+_CODE = re.compile(r"(?<![`:\w])`([^`\n]+)`(?![`\w])")
+_SPECIAL = re.compile(r"(?<!\w)([|*])(?=\S)|(?<=\w)_(?=\W|$)")
+
+
+def commands() -> str:
+    """Return the page of the command line: every command with its arguments and options."""
+    from hedgerow.orchestrator.cli.main import app  # noqa: PLC0415
+
+    lines = ["# Commands", "", "This page is written by the program: it is what `--help` prints.", ""]
+    for path, command in _walk("orchestrator", typer.main.get_command(app)):
+        if path != "orchestrator":
+            lines += _section(path, command)
+    return "\n".join(lines) + "\n"
+
+
+def _walk(path: str, command: Any) -> Iterator[tuple[str, Any]]:
+    if not command.hidden:
+        yield path, command
+        for name, inside in getattr(command, "commands", {}).items():
+            yield from _walk(f"{path} {name}", inside)
+
+
+def _section(path: str, command: Any) -> list[str]:
+    usage = " ".join(command.collect_usage_pieces(command.make_context(path, [], resilient_parsing=True)))
+    lines = [
+        f"## {path.removeprefix('orchestrator ')}",
+        "",
+        f"```text\n{path} {usage}\n```",
+        "",
+        command.help or "",
+        "",
+    ]
+    rows = [_row(parameter) for parameter in command.params if not getattr(parameter, "hidden", False)]
+    rows = [row for row in rows if row]
+    return [*lines, *(["| Option | Description |", "|---|---|", *rows, ""] if rows else [])]
+
+
+def _row(parameter: Any) -> str:
+    names = ", ".join(f"`{name}`" for name in (*parameter.opts, *parameter.secondary_opts))
+    if names == "`--help`":
+        return ""
+    if parameter.param_type_name == "argument":
+        names = f"`{(parameter.metavar or parameter.name).upper()}`"
+    described = " ".join((getattr(parameter, "help", None) or "").split()).replace("|", "\\|")
+    default = parameter.default if not callable(parameter.default) else None
+    if default not in (None, False, (), [], "") and "default" not in described:
+        described += f" Default: `{default}`."
+    return f"| {names} | {described} |"
+
+
+def write(_: Sphinx) -> None:
+    """Write the page of the commands; a file that did not change is left alone, so that it is not built again."""
+    page, text = Path(__file__).parents[1] / PAGE, commands()
+    if not page.exists() or page.read_text(encoding="utf-8") != text:
+        page.write_text(text, encoding="utf-8")
+
+
+def plain_to_rst(app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
+    """Rewrite a docstring in place: ours are plain text with `code` in single backticks and indented equations."""
+    del app, what, name, obj, options
+    written: list[str] = []
+    literal = False
+    for k, line in enumerate(lines):
+        indented = line.startswith("    ")
+        if indented and not literal and (k == 0 or not lines[k - 1].strip()):
+            written += ["::", ""]
+            literal = True
+        elif line.strip() and not indented:
+            literal = False
+        written.append(line if literal else _SPECIAL.sub(r"\\\g<0>", _CODE.sub(r"``\1``", line)))
+    lines[:] = written
+
+
+def setup(app: Sphinx) -> dict[str, Any]:
+    """Connect both to a build."""
+    app.add_lexer("csv", TextLexer)  # Pygments has no lexer of that name
+    app.connect("builder-inited", write)
+    app.connect("autodoc-process-docstring", plain_to_rst)
+    return {"parallel_read_safe": True}

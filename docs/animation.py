@@ -1,0 +1,85 @@
+"""Make docs/images/paper7.gif: a run of paper7 over Zenoh, as the viewer shows it while it happens.
+
+    python docs/animation.py
+
+Messages between nodes 2 and 4 are lost at first, and node 2 has a wrong estimate until they arrive late. Then the edge
+between 3 and 5 is cut, and the agent of node 4 is killed and comes back. The run is `orchestrator up`, with seven
+agent processes; a picture of the viewer is taken per step. Needs a graphics driver, no display: on Debian,
+`apt-get install mesa-vulkan-drivers ca-certificates`.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from PIL import Image
+from rerun.experimental import ViewerClient
+
+from hedgerow.orchestrator.views.rerun.viewer import native
+
+STEPS = 64
+RATE = 2.5
+"""steps per second; a picture of the viewer takes about 0.3 s on two cores without a graphics card"""
+FAULTS = [
+    {"kind": "drop", "link": [2, 4], "steps": [0, 18]},
+    {"kind": "cut", "edge": [3, 5], "steps": [24, 36]},
+    {"kind": "crash", "node": 4, "at": 42, "restart_after": 10},
+]
+SIZE = (1280, 720)
+CROP = (0, 36, 1280, 690)
+"""without the bars of the viewer's window"""
+WIDTH = 960
+FRAME_MS = 125
+LAST_MS = 2500
+IMAGE = Path(__file__).parent / "images" / "paper7.gif"
+
+
+def pictures(folder: Path) -> list[Image.Image]:
+    """Run the network and return what the viewer showed, one picture after the other, without repetitions."""
+    viewer = native("--headless", "--window-size", f"{SIZE[0]}x{SIZE[1]}")
+    assert viewer.process is not None
+    try:
+        viewer.wait_until_it_listens()
+        client = ViewerClient.connect(viewer.url)
+        options = [f"--set=faults={json.dumps(FAULTS)}", f"--steps={STEPS}", f"--rate={RATE}", "--no-record"]
+        command = [sys.executable, "-m", "hedgerow.orchestrator", "up", "paper7", "--viewer", viewer.url, *options]
+        found: list[Image.Image] = []
+        with subprocess.Popen(command, cwd=folder) as up:
+            while up.poll() is None:
+                began = time.monotonic()
+                client.save_screenshot(str(folder / "frame.png"))
+                frame = Image.open(folder / "frame.png").convert("RGB").crop(CROP)
+                if not found or frame.tobytes() != found[-1].tobytes():
+                    found.append(frame)
+                time.sleep(max(0.0, 1 / RATE - (time.monotonic() - began)))
+        if up.returncode:
+            raise SystemExit(f"the run ended with {up.returncode}")
+        return found
+    finally:
+        viewer.process.kill()
+
+
+def main() -> None:
+    """Run, and write the animation."""
+    with tempfile.TemporaryDirectory() as folder:
+        frames = pictures(Path(folder))
+    height = round(WIDTH * frames[0].height / frames[0].width)
+    small = [frame.resize((WIDTH, height), Image.Resampling.LANCZOS) for frame in frames]
+    # One palette for all frames: else each frame shifts the colours of what did not change, and the file grows.
+    sheet = Image.new("RGB", (WIDTH, height * 4))
+    for k in range(4):
+        sheet.paste(small[(k + 1) * len(small) // 5], (0, k * height))
+    palette = sheet.quantize(128, kmeans=2)
+    drawn = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in small]
+    times = [FRAME_MS] * (len(drawn) - 1) + [LAST_MS]
+    drawn[0].save(IMAGE, save_all=True, append_images=drawn[1:], duration=times, loop=0, optimize=True)
+    print(f"{IMAGE}: {len(drawn)} frames, {IMAGE.stat().st_size / 2**20:.1f} MB")
+
+
+if __name__ == "__main__":
+    main()

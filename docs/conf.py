@@ -1,0 +1,60 @@
+"""The settings of the site: `sphinx-build -W docs BUILD` writes its pages.
+
+The pages are Markdown. The command line is described by the program itself, and the Python interface by its
+docstrings, so both are read anew at every build. Nothing is fetched: the build works without a network.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent / "_ext"))
+
+from hedgerow import __version__
+
+project = "Hedgerow"
+author = "The Hedgerow authors"
+copyright = "2026, The Hedgerow authors"
+version = release = __version__
+
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.mathjax",
+    "sphinx-mathjax-offline",
+    "sphinx_copybutton",
+    "sphinx_design",
+    "reference",
+]
+exclude_patterns = ["_build", "examples"]
+source_suffix = {".md": "markdown"}
+
+myst_enable_extensions = [
+    "attrs_block",
+    "attrs_inline",
+    "colon_fence",
+    "deflist",
+    "dollarmath",
+    "amsmath",
+    "smartquotes",
+]
+myst_heading_anchors = 4
+myst_fence_as_directive: list[str] = []
+
+autodoc_member_order = "bysource"
+autodoc_typehints = "signature"
+autodoc_preserve_defaults = True
+python_use_unqualified_type_names = True
+
+html_theme = "furo"
+html_title = f"Hedgerow {release}"
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
+html_theme_options = {
+    "source_repository": "",
+    "light_css_variables": {"color-brand-primary": "#1b6e53", "color-brand-content": "#1b6e53"},
+    "dark_css_variables": {"color-brand-primary": "#5fd0a5", "color-brand-content": "#5fd0a5"},
+}
+copybutton_prompt_text = "$ "
+copybutton_only_copy_prompt_lines = True
