@@ -21,7 +21,19 @@ from hedgerow.agents.samples import LateRows, Samples
 from hedgerow.agents.view import View
 from hedgerow.topologies.graph import all_finite
 from hedgerow.wire import crash
-from hedgerow.wire.codec import ALL_UP, REPORT_ROWS, TAKEN, Flag, Link, Mask, Record, State, gather
+from hedgerow.wire.codec import (
+    ALL_UP,
+    LATE,
+    MOST_LATE,
+    REPORT_ROWS,
+    TAKEN,
+    Flag,
+    Link,
+    Mask,
+    Record,
+    State,
+    gather,
+)
 
 Index = NDArray[np.int64]
 
@@ -190,11 +202,15 @@ class Shard:
                 late_rows.append(self._came(c, links, last - count, min(last + 1, past)))
                 if late:
                     took[c] -= Flag.HEAR
+        plain = bytes(took)
+        # A law that does not learn acts alike under every delay: only this count shows which rows arrived when.
+        for c, start, stop, *_ in late_rows:
+            took[c] |= min(max(stop - start, 0), MOST_LATE) << LATE
         self.took = bytes(took)
         inputs, states = gather([self.u, *last_rows]), self._states(links)
         if self._asks and states is not None:
             self._note(past, states, inputs, late_rows)
-        self._samples.take_late(past, self.x, inputs, self.took, state.x, late_rows, back, states)
+        self._samples.take_late(past, self.x, inputs, plain, state.x, late_rows, back, states)
 
     def _states(self, links: Sequence[Link | None]) -> Array | None:
         """Return our own states followed by the peers' states of the same step, for a law that asks; else None."""

@@ -177,7 +177,7 @@ class Control:
         plant, at = self._plant, self._next
         wanted = None if request.get("fault") is None else requests.integer(request, "fault", 1, FOREVER)
         if wanted is not None and wanted > plant.world.fault_count:
-            raise UserError(f"there is no fault {wanted}; there are {plant.world.fault_count}")
+            raise UserError(f"there is no fault {wanted}; there are {plant.world.fault_count}", code=Code.FAULT)
         lost = {shard.fault for shard in plant.shards.all}
         ended = {}
         for one in plant.world.faults.effects:

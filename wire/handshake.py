@@ -10,7 +10,7 @@ from typing import Any
 
 import zenoh
 
-from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.errors import Code, UserError
 from hedgerow.wire import keys
 from hedgerow.wire.codec import VERSION
 from hedgerow.wire.release import release
@@ -66,7 +66,7 @@ def room(
                 shown.undeclare()  # type: ignore[no-untyped-call]
                 shown = None
             if time.monotonic() > by:
-                raise UserError(f"{there}; end that run, or give another --namespace")
+                raise UserError(f"{there}; end that run, or give another --namespace", code=Code.REFUSED)
             if shown is None and not said:
                 say(f"{there}; waiting up to {LEASE_S:g} s for its end")
                 said = True

@@ -68,7 +68,7 @@ def bundle(
             with whole_folder(out, f"--out {out}") as part:
                 write(part, topology, told)
     except OSError as error:
-        raise UserError(f"--out {out}: {error.strerror}; choose another folder") from None
+        raise UserError(f"--out {out}: {error.strerror}; choose another folder", code=Code.OUTPUT) from None
     echo(f"{out}: {len(told)} processes; {out / 'README.md'} says how to start them")
     return 0
 
@@ -149,5 +149,5 @@ def compose(
     try:
         write_private(out, text.encode())
     except OSError as error:
-        raise UserError(f"--out {out}: {error.strerror}; choose another name") from None
+        raise UserError(f"--out {out}: {error.strerror}; choose another name", code=Code.OUTPUT) from None
     return 0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +15,11 @@ from hedgerow.orchestrator.ground.assignment import process_name
 from hedgerow.orchestrator.launch.endpoints import Connection
 from hedgerow.orchestrator.launch.external_agents import OWN_START_S, External
 from hedgerow.orchestrator.launch.fork_client import ForkClient
+from hedgerow.orchestrator.launch.restarts import Restarts
 from hedgerow.orchestrator.runs.folder import RunFolder
 from hedgerow.plant.truth import Truth
 from hedgerow.topologies.errors import Exit
+from hedgerow.topologies.regular_file import last_text
 from hedgerow.wire import keys
 from hedgerow.wire.child import ERROR_PREFIX, USER_ERROR
 
@@ -44,19 +46,6 @@ def cause(dead: Sequence[Dead]) -> str:
     return f"{dead[0]}{others}"
 
 
-RESTARTS = 5
-"""How often an agent that died by itself is started again; then it stays down."""
-BACKOFF_S = 0.1
-"""The wait before the first restart; each next restart of the same kind waits twice as long."""
-MOST_BACKOFF_S = 5.0
-"""The longest wait before a restart."""
-UNREACHED_S = 300.0
-"""The time for which an agent that does not reach the router is restarted; then it stays down.
-
-A router that is busy with 1000 bare connections lets nobody in for 103 s (docs/security.md).
-"""
-
-
 @dataclass
 class _Agent:
     """One agent process over all its lives."""
@@ -74,12 +63,7 @@ class _Agent:
     """another life is to follow"""
     due: float = 0.0
     """not before this time, by time.monotonic()"""
-    deaths: int = 0
-    """unplanned deaths of lives that had reached the router"""
-    unreached: int = 0
-    """unplanned deaths in a row of lives that had not"""
-    unreached_since: float = 0.0
-    """the first of these, by time.monotonic()"""
+    restarts: Restarts = field(default_factory=Restarts)
     dead: Dead | None = None
     """the last unplanned death"""
     undecided: bool = False
@@ -182,29 +166,16 @@ class Processes:
 
     @staticmethod
     def _restarts(agent: _Agent, reached: bool) -> bool:
-        """Decide after an unplanned death whether another life follows, and when; return True if one does.
-
-        A life that never reached the router uses up no restart: an outsider who keeps the router busy would
-        otherwise end an agent for good.
-        """
+        """Decide after an unplanned death whether another life follows, and when; return True if one does."""
         now, agent.undecided = time.monotonic(), False
-        if reached:
-            agent.again, before = agent.deaths < RESTARTS, agent.deaths
-            agent.deaths, agent.unreached = agent.deaths + 1, 0
-        else:
-            if not agent.unreached:
-                agent.unreached_since = now
-            agent.again, before = now - agent.unreached_since < UNREACHED_S, agent.unreached
-            agent.unreached += 1
-        agent.due = now + min(BACKOFF_S * 2 ** min(before, 16), MOST_BACKOFF_S)
+        pause = agent.restarts.after_death(reached, now)
+        agent.again, agent.due = pause is not None, now + (pause or 0.0)
         return agent.again
 
     @property
     def failing(self) -> list[Dead]:
         """Agents that died more than RESTARTS times, in any way; before the first step they end the run."""
-        return [
-            agent.dead for agent in self._agents.values() if agent.dead and agent.deaths + agent.unreached > RESTARTS
-        ]
+        return [agent.dead for agent in self._agents.values() if agent.dead and agent.restarts.failed]
 
     @property
     def next_due(self) -> float | None:
@@ -250,7 +221,7 @@ class Processes:
     def _last_line(self, name: str, wanted: Callable[[str], bool]) -> str:
         """Return the last line of a log that is wanted; empty if there is none."""
         try:
-            lines = self._log(name).read_text(encoding="utf-8", errors="replace").splitlines()
+            lines = last_text(self._log(name)).splitlines()
         except OSError:
             return ""
         return next((line for line in reversed(lines) if wanted(line)), "")

@@ -26,7 +26,7 @@ from hedgerow.orchestrator.metrics.fault_schedule import Instances, Schedule
 from hedgerow.topologies.graph import Graph, Index, Mask
 from hedgerow.wire.codec import TAKEN, Flag, Flags
 
-_OPEN, _HEAR = np.uint8(Flag.OPEN), np.uint8(Flag.HEAR)
+_OPEN, _HEAR, _TAKEN = np.uint8(Flag.OPEN), np.uint8(Flag.HEAR), np.uint8(TAKEN)
 
 
 class Told(NamedTuple):
@@ -153,7 +153,7 @@ class _Judgement:
     def agreed(self) -> Mask:
         """Whether all who tell took in what the plant says was open and crossed, (P,)."""
         expected = self._told.edge_open[:, self._graph.edge] * _OPEN | self._told.link_up * _HEAR
-        return ~_any((expected != self._took) & self._tells)
+        return ~_any((expected != self._took & _TAKEN) & self._tells)
 
     def wrong(self, counts: Index) -> Mask:
         """Whether a fault did not do what it should or something else happened, (P,); `counts` go on."""

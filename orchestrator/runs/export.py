@@ -20,7 +20,7 @@ from hedgerow.orchestrator.ground.spelling import spelled
 from hedgerow.orchestrator.runs.reader import RecordedRun
 from hedgerow.orchestrator.runs.table import Table
 from hedgerow.orchestrator.runs.writer import ROW_GROUP
-from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.errors import Code, UserError
 
 FORMS = ("csv", "parquet", "npz", "mat")
 NAMES = (
@@ -51,15 +51,17 @@ def export(run: RecordedRun, to: str, out: Path | None = None, force: bool = Fal
     `out` is a folder for tables, else a file. Raises UserError for a mistake, and where there is no room.
     """
     if to not in FORMS:
-        raise UserError(f"--to {to}: is no form of a run; there are {', '.join(FORMS)}")
+        raise UserError(f"--to {to}: is no form of a run; there are {', '.join(FORMS)}", code=Code.OPTION)
     files = _files(run, to, out)
     for file in files:
         if file.resolve() in (table.parquet for table in run.tables.values()):
-            raise UserError(f"{file}: is the run's own; --out names another folder")
+            raise UserError(f"{file}: is the run's own; --out names another folder", code=Code.OUTPUT)
         if file.is_dir():
-            raise UserError(f"{file}: is a folder; --out names the file to write")
+            raise UserError(f"{file}: is a folder; --out names the file to write", code=Code.OUTPUT)
         if file.exists() and not force:
-            raise UserError(f"{file}: is there already; --force replaces it, --out names another place")
+            raise UserError(
+                f"{file}: is there already; --force replaces it, --out names another place", code=Code.OUTPUT
+            )
     _write(files)
     return list(files)
 
@@ -117,7 +119,9 @@ def _mat(run: RecordedRun, path: Path) -> None:
     content = {name: _of_matlab(name, values) for name, values in arrays(run).items()}
     for name, values in content.items():
         if values.nbytes > MAT_BYTES:
-            raise UserError(f"--to mat: an array of such a file holds 2 GB at most, and {name} is larger; use npz")
+            raise UserError(
+                f"--to mat: an array of such a file holds 2 GB at most, and {name} is larger; use npz", code=Code.OPTION
+            )
     with path.open("wb") as file:
         savemat(file, content, oned_as="column")
 
@@ -148,9 +152,11 @@ def _write(files: Mapping[Path, Write]) -> None:
         done = True
     except (OSError, pa.ArrowInvalid) as error:
         reason = getattr(error, "strerror", None) or error
-        raise UserError(f"{file}: is not written: {reason}; --out names another place") from None
+        raise UserError(f"{file}: is not written: {reason}; --out names another place", code=Code.OUTPUT) from None
     except MemoryError:
-        raise UserError(f"{file}: is not written: no memory; csv and parquet are written piece by piece") from None
+        raise UserError(
+            f"{file}: is not written: no memory; csv and parquet are written piece by piece", code=Code.LIMIT
+        ) from None
     finally:
         with contextlib.suppress(OSError):
             for part in parts.values():

@@ -103,10 +103,11 @@ class RecordedRun:
     def __post_init__(self) -> None:
         if self.topology.steps < self.T:
             raise UserError(
-                f"{self.folder}: {self.T} steps of a run of {self.topology.steps}: the files are of two runs"
+                f"{self.folder}: {self.T} steps of a run of {self.topology.steps}: the files are of two runs",
+                code=Code.FILE_FORMAT,
             )
         if not (self._steps < self.T).any():
-            raise UserError(f"{self.folder}: no whole step of the run is recorded yet")
+            raise UserError(f"{self.folder}: no whole step of the run is recorded yet", code=Code.RUN_MISSING)
 
     @cached_property
     def kept(self) -> Kept:
@@ -124,7 +125,8 @@ class RecordedRun:
             again = command(["orchestrator", "simulate", self.folder, "--set", "record={nodes: all}"])
             raise UserError(
                 f"{self.folder}: {what} needs all rows, and the run kept {self.kept}; it can be run again with all of"
-                f" them, to the same bits: {again}"
+                f" them, to the same bits: {again}",
+                code=Code.NOT_RECORDED,
             )
 
     def __repr__(self) -> str:
@@ -368,7 +370,9 @@ class RecordedRun:
         told = self._bound(premise)
         self.need_all("the slack of a certificate")
         if not isinstance(told.get("p"), list) or len(told["p"]) != len(self.ids):
-            raise UserError(f"{self.folder}: verdict.json has no bound under the premise {premise!r}")
+            raise UserError(
+                f"{self.folder}: verdict.json has no bound under the premise {premise!r}", code=Code.FILE_FORMAT
+            )
         p, steps = np.array(told["p"]), told["steps"]
         end, start = (self.x[1:] ** 2 * p).sum(axis=1), float((self.x[0] ** 2 * p).sum())
         slack = told["g"] * self.energy_sum + start - end - self.cost_sum
@@ -420,7 +424,7 @@ class RecordedRun:
     @property
     def _summary(self) -> Table:
         if "summary" not in self.tables:
-            raise UserError(f"{self.folder}: has no summary, by `record:` of its topology.yaml")
+            raise UserError(f"{self.folder}: has no summary, by `record:` of its topology.yaml", code=Code.NOT_RECORDED)
         return self.tables["summary"]
 
     def _summed(self, name: str, rows: int) -> Array:
@@ -472,7 +476,7 @@ class RecordedRun:
         whole = {one.name: np.concatenate([getattr(batch, one.name) for batch in batches]) for one in fields(Batch)}
         batch = Batch(**whole)
         if not np.array_equal(batch.x_oracle, self.x_oracle[steps], equal_nan=True):
-            raise UserError(f"{self.folder}: topology.yaml is not that of this telemetry")
+            raise UserError(f"{self.folder}: topology.yaml is not that of this telemetry", code=Code.FILE_FORMAT)
         return batch, observer
 
 

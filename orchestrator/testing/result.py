@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -16,8 +15,9 @@ from hedgerow.orchestrator.metrics.fault_accounts import at_ends
 from hedgerow.orchestrator.metrics.verdict import Verdict
 from hedgerow.orchestrator.runs.selection import kept
 from hedgerow.topologies.describe import describe
-from hedgerow.topologies.errors import HedgerowError, UserError
+from hedgerow.topologies.errors import Code, HedgerowError, UserError
 from hedgerow.topologies.graph import Array, Mask
+from hedgerow.topologies.json_file import loads
 from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import truth
 from hedgerow.topologies.schema import Topology
@@ -75,18 +75,21 @@ class Result:
         folder = Path(folder)
         try:
             with reading(folder / "verdict.json"):
-                content = json.loads(read_file(folder / "verdict.json"))
+                content = loads(folder / "verdict.json", read_file(folder / "verdict.json"))
                 if type(content["steps_done"]) is not int or not isinstance(content["verdict"], str):
                     raise ValueError("it is no verdict")
             for name in ("telemetry", "edges"):
                 check_file(folder / f"{name}.parquet")
             table, edges = (Table(folder, name).whole() for name in ("telemetry", "edges"))
         except FileNotFoundError as error:
-            raise UserError(f"{folder}: holds no run that is over: there is no {Path(error.filename).name}") from None
+            raise UserError(
+                f"{folder}: holds no run that is over: there is no {Path(error.filename).name}", code=Code.RUN_MISSING
+            ) from None
         topology = load(str(folder))
         if not (what := kept(topology)).whole:
             raise UserError(
-                f"{folder}: kept {what}, and a Result has all; `hedgerow.orchestrator.load_run` reads what is there"
+                f"{folder}: kept {what}, and a Result has all; `hedgerow.orchestrator.load_run` reads what is there",
+                code=Code.NOT_RECORDED,
             )
         steps, n, e = content["steps_done"], len(topology.ids), len(topology.edges)
         ended = len(table) != steps * n
@@ -108,7 +111,7 @@ class Result:
         heard = np.empty((steps, 2 * e), dtype=np.bool_)
         heard[:, at_ends(topology.graph).T.ravel()] = np.hstack([of_edges("i_hears"), of_edges("j_hears")])
         with reading(folder / "events.jsonl"):
-            events = read_events(read_file(folder / "events.jsonl"))
+            events = read_events(read_file(folder / "events.jsonl"), folder / "events.jsonl")
         return cls(
             folder=folder,
             topology=topology,
@@ -144,12 +147,14 @@ class Result:
         try:
             return self.ids.index(node)
         except ValueError:
-            raise UserError(f"{node!r} is no node; the nodes are {', '.join(map(str, self.ids[:12]))}") from None
+            raise UserError(
+                f"{node!r} is no node; the nodes are {', '.join(map(str, self.ids[:12]))}", code=Code.OPTION
+            ) from None
 
     def estimates_at(self, t: int) -> Estimates:
         """What each node takes its a for at step t, from what it knows of steps before; a dict by node."""
         if not 0 <= t < self.steps:
-            raise UserError(f"estimates_at({t}): the run has steps 0 to {self.steps - 1}")
+            raise UserError(f"estimates_at({t}): the run has steps 0 to {self.steps - 1}", code=Code.OPTION)
         return Estimates(self, t)
 
     def missing(self, link: Pair) -> list[int]:
@@ -158,7 +163,7 @@ class Result:
         graph = self.topology.graph
         incidence = np.flatnonzero((graph.node == to) & (graph.neighbour == sender))
         if not len(incidence):
-            raise UserError(f"missing({link}): {link[0]} and {link[1]} are not neighbours")
+            raise UserError(f"missing({link}): {link[0]} and {link[1]} are not neighbours", code=Code.OPTION)
         return [int(t) for t in np.flatnonzero(~self.heard[:, incidence[0]])]
 
     def open(self, edge: Pair) -> list[int]:
@@ -166,7 +171,7 @@ class Result:
         ends = {*map(self.column, edge)}
         found = [k for k, pair in enumerate(self.topology.graph.edges) if {*pair.tolist()} == ends]
         if not found:
-            raise UserError(f"open({edge}): {edge[0]} and {edge[1]} are not neighbours")
+            raise UserError(f"open({edge}): {edge[0]} and {edge[1]} are not neighbours", code=Code.OPTION)
         return [int(t) for t in np.flatnonzero(self.edge_open[:, found[0]])]
 
     def summary(self) -> str:

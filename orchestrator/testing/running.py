@@ -6,7 +6,6 @@ Its processes hold on to the test by a pipe that ends with it, however that ends
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import signal
 import subprocess
@@ -22,8 +21,9 @@ import psutil
 from hedgerow.orchestrator.launch.live import FaultVerbs, Healed, Injected, Live
 from hedgerow.orchestrator.runs.registry import Entry
 from hedgerow.orchestrator.testing.result import Result
-from hedgerow.topologies.errors import DeadlineError, HedgerowError, UserError
+from hedgerow.topologies.errors import Code, DeadlineError, HedgerowError, UserError
 from hedgerow.topologies.faults import Fault
+from hedgerow.topologies.regular_file import last_text
 from hedgerow.topologies.resolve import to_yaml
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire.session import WireError
@@ -69,7 +69,7 @@ class _Up:
         return Result.read(self.folder)
 
     def _last_words(self) -> str:
-        lines = self.said.read_text(encoding="utf-8", errors="replace").splitlines()
+        lines = last_text(self.said).splitlines()
         return "".join(f"\n    {line}" for line in lines[-8:])
 
     def entry(self) -> Entry:
@@ -85,10 +85,9 @@ class _Up:
         return Entry(self.folder.name, str(self.folder), self.process.pid, *reach, started=time.time())
 
     def events(self) -> list[dict[str, Any]]:
-        with contextlib.suppress(FileNotFoundError):
-            lines = (self.folder / "events.jsonl").read_text(encoding="utf-8").splitlines(keepends=True)
-            return [json.loads(line) for line in lines if line.endswith("\n")]
-        return []
+        from hedgerow.orchestrator.runs.files import load_events  # noqa: PLC0415 (Arrow takes a while to load)
+
+        return load_events(self.folder)
 
     def processes(self) -> dict[str, int]:
         """Process ids of the plant and the agents that are there, by name: each holds a log of that name."""
@@ -246,7 +245,9 @@ class Running:
     def _pid(self, name: str) -> int:
         processes = self.processes
         if name not in processes:
-            raise UserError(f"{name}: no such process; there are {', '.join(sorted(processes)) or 'none'}")
+            raise UserError(
+                f"{name}: no such process; there are {', '.join(sorted(processes)) or 'none'}", code=Code.OPTION
+            )
         return processes[name]
 
     def stop(self) -> Result:

@@ -18,7 +18,7 @@ from hedgerow.orchestrator.runs import reference
 from hedgerow.orchestrator.runs.folder import create
 from hedgerow.orchestrator.testing.result import Result
 from hedgerow.orchestrator.testing.running import Running, run_to_the_end
-from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.faults import Fault
 from hedgerow.topologies.load import parse
 from hedgerow.topologies.named import Named, text_of
@@ -86,7 +86,7 @@ class Scenario(FaultVerbs["Scenario"]):
             case "zenoh":
                 result = run_to_the_end(scenario.topology, folder, deadline_s)
             case _:
-                raise UserError(f"engine={engine!r}: is neither 'in-process' nor 'zenoh'")
+                raise UserError(f"engine={engine!r}: is neither 'in-process' nor 'zenoh'", code=Code.OPTION)
         self.on_result(result)
         return result
 

@@ -18,7 +18,7 @@ from typing import Any
 import psutil
 
 from hedgerow.orchestrator.launch.live import Live
-from hedgerow.orchestrator.launch.supervisor import RESTARTS
+from hedgerow.orchestrator.launch.restarts import RESTARTS
 
 COMMAND = (sys.executable, "-P", "-m", "hedgerow.orchestrator")
 DEADLINE_S = 60.0

@@ -16,6 +16,7 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 from rerun.chunk import RrdReader
 
+from hedgerow.orchestrator.ground.foreign_stderr import foreign_stderr
 from hedgerow.orchestrator.ground.signals import Interrupts
 from hedgerow.orchestrator.ground.spelling import spelled
 from hedgerow.orchestrator.metrics.fault_accounts import at_ends
@@ -37,8 +38,9 @@ from hedgerow.orchestrator.views.rerun.watch import (
     keep_page,
     told,
 )
-from hedgerow.topologies.errors import HedgerowError, UserError
+from hedgerow.topologies.errors import Code, HedgerowError, UserError
 from hedgerow.topologies.escape import markdown
+from hedgerow.topologies.regular_file import open_regular
 from hedgerow.wire.codec import TAKEN, End, Telemetry
 
 Say = Callable[[str], None]
@@ -98,10 +100,12 @@ def _open(folder: Path, viewer: Viewer, say: Say, go_on: Callable[[], bool]) -> 
 
 def _chunks(file: Path) -> Iterator[Any]:
     """What a recording holds, to where it can be read."""
-    chunks = iter(RrdReader(spelled(file)).stream())
+    with foreign_stderr():
+        chunks = iter(RrdReader(spelled(file)).stream())
     while True:
         try:
-            chunk = next(chunks)
+            with foreign_stderr():
+                chunk = next(chunks)
         except StopIteration:
             return
         except BaseException as error:
@@ -109,7 +113,9 @@ def _chunks(file: Path) -> Iterator[Any]:
             if not isinstance(error, RuntimeError | ValueError | OSError) and type(error).__name__ != "PanicException":
                 raise
             why = str(error).splitlines()[0]
-            raise UserError(f"{file}: is damaged ({why}); move it away, and the run is shown from its tables") from None
+            raise UserError(
+                f"{file}: is damaged ({why}); move it away, and the run is shown from its tables", code=Code.FILE_FORMAT
+            ) from None
         yield chunk
 
 
@@ -120,7 +126,7 @@ def _unreadable(files: Sequence[Path]) -> str:
     for file in files:
         try:
             check_file(file)
-            with file.open("rb") as opened:
+            with open_regular(file, file.parent) as opened:
                 head = opened.read(8)
         except (UserError, OSError) as error:
             return str(error) if isinstance(error, UserError) else f"{file.name} cannot be read ({error.strerror})"
@@ -130,7 +136,8 @@ def _unreadable(files: Sequence[Path]) -> str:
         if written > ours:
             return f"{file.name} was written by Rerun {head[4]}.{head[5]}, newer than {rr.__version__} here"
         try:
-            with warnings.catch_warnings(action="ignore"):  # a killed run left no footer, which only costs time
+            # A killed run left no footer, which only costs time.
+            with warnings.catch_warnings(action="ignore"), foreign_stderr():
                 if not RrdReader(spelled(file)).recordings():
                     raise ValueError("it holds no recording")
         except (RuntimeError, ValueError, OSError) as error:
@@ -193,7 +200,9 @@ def common_nodes(runs: Sequence[RecordedRun]) -> list[int | str]:
     found = [node for node in runs[0].ids if all(node in run.ids for run in runs)]
     if not found:
         networks = ", ".join(f"{run.run} has {_some(run.ids)}" for run in runs)
-        raise UserError(f"these runs have no node in common, so no axes: {networks}; open them one by one")
+        raise UserError(
+            f"these runs have no node in common, so no axes: {networks}; open them one by one", code=Code.OPTION
+        )
     return found
 
 

@@ -227,6 +227,7 @@ def test_whoever_looks_for_networks_removes_the_socket_of_dead_ones(
     deep = here / ("d" * 100)
     deep.mkdir()
     monkeypatch.chdir(deep)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(deep))
     with Orchestrator(*LONG) as network:
         network.wait_for("running")
         assert gone(network.kill_all_who_could_clean_up())
