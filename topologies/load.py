@@ -444,7 +444,7 @@ def _problem(source: Source, details: ErrorDetails) -> Problem:
         "bool_type": ("is neither true nor false", "write one of the two"),
         "window": ("holds no step", "write [from, to): the first step, and the one after the last"),
         "empty": ("is empty", "put the lower bound first"),
-        "number": ("is not a number", cure_of_number(at)),
+        "number": ("is not a number", _cure_of_gain(shown) if path == ("b",) and _random(at) else cure_of_number(at)),
         "literal_error": ("is neither a number nor `random`", "write one of the two"),
         "string_type": ("is not text", cure_of_text(at, source.written(path))),
         "too_short": ("has too few members", f"at least {context.get('min_length')} are needed"),
@@ -463,6 +463,14 @@ _ABOUT_VALUE = frozenset(
         *("tuple_type", "dict_type", "model_type", "bool_type", "window"),
     )
 )
+
+
+def _random(value: Any) -> bool:
+    return isinstance(value, dict) and "random" in value
+
+
+def _cure_of_gain(shown: str) -> str:
+    return f"write a number here, and `defaults: {{b: {shown}}}` for gains that are drawn per node"
 
 
 def _no_fault(source: Source, details: ErrorDetails) -> Problem:
