@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from hedgerow.agents.law import Law, Minimax
+from hedgerow.agents.law import Law
 from hedgerow.agents.law_lines import line_of, place_in_module, place_of
+from hedgerow.agents.laws import LAWS, law_of_name
 from hedgerow.agents.local import Local, asks
 from hedgerow.agents.view import View
 from hedgerow.topologies.errors import Code, UserError
@@ -33,9 +34,9 @@ class LawError(UserError):
 
 
 def law_class(name: str) -> type[Law]:
-    """Return the class of a law: `minimax`, or `package.module:Class` (the working directory is searched too)."""
-    if name == "minimax":
-        return Minimax
+    """Return the class of a law of the project, or of `package.module:Class`, also in the working directory."""
+    if name in LAWS:
+        return law_of_name(name)
     module, _, attribute = name.partition(":")
     if (here := str(Path.cwd())) not in sys.path:
         sys.path.append(here)

@@ -14,7 +14,8 @@ TYPE_CHECKING = False  # the one of typing takes a while to load
 if TYPE_CHECKING:
     from hedgerow.agents.law import Law, Minimax
     from hedgerow.orchestrator import testing
-    from hedgerow.orchestrator.facade import bound, load, simulate
+    from hedgerow.orchestrator.facade import bound, load, simulate, worst
+    from hedgerow.orchestrator.network import Network, from_adjacency, from_edges, from_networkx
     from hedgerow.orchestrator.runs.reader import RecordedRun, load_run
     from hedgerow.topologies.errors import Code, HedgerowError, TopologyError, UserError
     from hedgerow.topologies.schema import Topology
@@ -26,29 +27,39 @@ _HOMES = {
     "HedgerowError": "topologies.errors",
     "Law": "agents.law",
     "Minimax": "agents.law",
+    "Network": "orchestrator.network",
     "RecordedRun": "orchestrator.runs.reader",
     "Topology": "topologies.schema",
     "TopologyError": "topologies.errors",
     "UserError": "topologies.errors",
     "bound": "orchestrator.facade",
+    "from_adjacency": "orchestrator.network",
+    "from_edges": "orchestrator.network",
+    "from_networkx": "orchestrator.network",
     "load": "orchestrator.facade",
     "load_run": "orchestrator.runs.reader",
     "simulate": "orchestrator.facade",
+    "worst": "orchestrator.facade",
 }
 __all__ = [
     "Code",
     "HedgerowError",
     "Law",
     "Minimax",
+    "Network",
     "RecordedRun",
     "Topology",
     "TopologyError",
     "UserError",
     "bound",
+    "from_adjacency",
+    "from_edges",
+    "from_networkx",
     "load",
     "load_run",
     "simulate",
     "testing",
+    "worst",
 ]
 
 NEEDED = frozenset(

@@ -7,13 +7,17 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from hedgerow.orchestrator.experiments import bounds
+from hedgerow.orchestrator.experiments.worst import Found
+from hedgerow.orchestrator.experiments.worst import worst as search
+from hedgerow.orchestrator.ground.laws import checked
 from hedgerow.orchestrator.launch import simulation
 from hedgerow.orchestrator.metrics.guarantee import Guarantee
 from hedgerow.orchestrator.runs.reader import RecordedRun, load_run
 from hedgerow.topologies.named import Named, resolved
+from hedgerow.topologies.paths import user_path
 from hedgerow.topologies.schema import Topology
 
-__all__ = ["bound", "load", "load_run", "simulate"]
+__all__ = ["bound", "load", "load_run", "simulate", "worst"]
 
 
 def load(network: Named, **overrides: object) -> Topology:
@@ -44,6 +48,25 @@ def bound(network: Named, *, full: bool = False, **overrides: object) -> Guarant
     cannot be computed is in `not_computed`, with the reason.
     """
     return bounds.bound(load(network, **overrides), full=full)
+
+
+def worst(
+    network: Named,
+    *,
+    budget: float = 60.0,
+    faults: bool = False,
+    seed: int = 0,
+    out: str | Path | None = None,
+    **overrides: object,
+) -> Found:
+    """Search for `budget` seconds the disturbance with the largest gain, and return it with a network that repeats it.
+
+    `network` and `overrides` are those of `load`; `law="hinf"` attacks another law. `faults` searches cuts and drops
+    too. `out` is the file of the network, beside which the search keeps its state, to go on later; by default nothing
+    is written. Raises HedgerowError if no disturbance was found.
+    """
+    topology = checked(load(network, **overrides))
+    return search(topology, budget, faults, seed, out=None if out is None else user_path(str(out)))
 
 
 def _settings(overrides: Mapping[str, object]) -> list[str]:

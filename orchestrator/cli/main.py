@@ -18,9 +18,12 @@ from typing import TYPE_CHECKING, Annotated, TextIO
 
 import typer
 
+from hedgerow.orchestrator.cli import compare as cli_compare
 from hedgerow.orchestrator.cli import files as cli_files
 from hedgerow.orchestrator.cli import gain as cli_gain
+from hedgerow.orchestrator.cli import importing as cli_importing
 from hedgerow.orchestrator.cli import keys as cli_keys
+from hedgerow.orchestrator.cli import laws as cli_laws
 from hedgerow.orchestrator.cli import live as cli_live
 from hedgerow.orchestrator.cli import machines as cli_machines
 from hedgerow.orchestrator.cli import report as cli_report
@@ -467,11 +470,14 @@ def chaos(
     return 1
 
 
+cli_compare.register(app)
 cli_live.register(app)
 cli_machines.register(app)
 cli_files.register(app)
 cli_gain.register(app)
+cli_importing.register(app)
 cli_keys.register(app)
+cli_laws.register(app)
 cli_report.register(app)
 cli_soak.register(app)
 cli_sweep.register(app)

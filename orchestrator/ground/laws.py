@@ -43,7 +43,7 @@ def checked(topology: Topology) -> Topology:
     except ValueError as error:
         raise UserError(f"{where}: {error}. Declare parameters of these types only.", code=Code.LAW) from None
     _keeps_contract(law, full, topology)
-    return topology.model_copy(update={"law": str(full)})
+    return completed(topology.model_copy(update={"law": str(full)}))
 
 
 def with_defaults(law: type[Any], parameters: Mapping[str, Any], where: str) -> dict[str, Any]:
@@ -82,6 +82,20 @@ def _keeps_contract(law: type[Law], choice: LawChoice, topology: Topology) -> No
         name = str(choice)
         _within_deadline(law, name, lambda called: check_law(law, trial, choice.parameters, name, on_call=called))
         _KEPT[key] = None
+
+
+def completed(topology: Topology) -> Topology:
+    """Return a topology whose law has the parameters that the operator computes, once all numbers are drawn.
+
+    This is theta of the law `robust`, unless the file gives it.
+    """
+    choice = LawChoice.parse(topology.law)
+    if choice.name != "robust" or choice.parameters.get("theta") is not None or not topology.is_drawn:
+        return topology
+    from hedgerow.orchestrator.ground.robust import theta_of  # noqa: PLC0415 (scipy takes a while to load)
+
+    full = LawChoice.of(choice.name, {**choice.parameters, "theta": theta_of(topology.network)})
+    return topology.model_copy(update={"law": str(full)})
 
 
 CALL_DEADLINE_S = 10.0

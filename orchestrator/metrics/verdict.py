@@ -26,8 +26,9 @@ from hedgerow.orchestrator.metrics.replay import Replay
 from hedgerow.topologies.describe import describe
 from hedgerow.topologies.errors import Code, Exit, HedgerowError, UserError
 from hedgerow.topologies.escape import escape
+from hedgerow.topologies.law_choice import is_listed
 from hedgerow.topologies.partition import cut, partition
-from hedgerow.topologies.schema import LAWS, Topology
+from hedgerow.topologies.schema import Topology
 from hedgerow.wire import crash
 from hedgerow.wire.limits import limit_reached
 
@@ -45,7 +46,7 @@ CLAIMS = {
     "faults": "every fault fired as scheduled, was seen where it struck, and nothing else went wrong",
 }
 _OF_THE_LAW = {"estimates", "contraction"}
-"""Checks that hold for the paper's law and not for any other."""
+"""Checks that hold for the laws that act by (6) on an estimate from the list, and not for any other."""
 
 
 @dataclass(frozen=True)
@@ -193,7 +194,7 @@ def _number(value: float | None, sign: str = "") -> str:
 def judge(topology: Topology, observer: Observer, ending: Ending) -> Verdict:
     """The verdict of a run: INVALID if any check failed, unknown if it ended early or lost rows, else valid."""
     claimed = {
-        name: worst for name, worst in observer.checks.items() if topology.law in LAWS or name not in _OF_THE_LAW
+        name: worst for name, worst in observer.checks.items() if is_listed(topology.law) or name not in _OF_THE_LAW
     }
     checks = {name: _check(name, worst, topology) for name, worst in claimed.items()}
     if ending.replay is not None:

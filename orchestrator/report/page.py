@@ -167,7 +167,7 @@ def _nodes(run: RecordedRun) -> list[Markup]:
         ends = _ends(last, run.a[-1, k], run.wrong[-1, k])
         rows.append(
             [
-                node,
+                topology.network.title(k),
                 ", ".join(neighbours[node]) or "none",
                 *([f"{gains[k]:.4g}"] if unequal else []),
                 _truth(run, k),

@@ -139,7 +139,7 @@ class Standing:
             hidden = [Text(f"... {len(rank) - len(shown)} more: |x| <= {most:.4g}, {said}")]
         else:
             shown = np.argsort(rank, kind="stable")
-        names = [escape(str(self._ids[k]), keep="") for k in shown]
+        names = [escape(self._topology.network.title(k), keep="") for k in shown]
         broad = min(max(map(cell_len, [*names, "node"])), max(4, width // 4))
         columns: list[tuple[str, list[Cell]]] = [
             (set_cell_size("node", broad), [(set_cell_size(name, broad), "") for name in names]),

@@ -42,7 +42,7 @@ class LeastSquares:
     @property
     def a(self) -> Array:
         sxx, sxy = self.memory
-        return np.clip(np.divide(sxy, sxx, out=self.low.copy(), where=sxx > 0), self.low, self.high)
+        return np.asarray(np.clip(np.divide(sxy, sxx, out=self.low.copy(), where=sxx > 0), self.low, self.high))
 
     def act(self, x: Array) -> Array:
         return control(self.b, x, self.a)
@@ -63,7 +63,7 @@ class Damped:
         self.memory = np.empty((0, candidates.shape[1]))
 
     def act(self, x: Array) -> Array:
-        return -self.gain * x
+        return np.asarray(-self.gain * x)
 
     def learn(self, x: Array, flow: Array, x_next: Array) -> None:
         pass

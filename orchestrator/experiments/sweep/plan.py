@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 from hedgerow.orchestrator.ground import laws
 from hedgerow.orchestrator.ground.law_source import LawSource, source_of
 from hedgerow.orchestrator.ground.versions import versions
+from hedgerow.orchestrator.runs import batch
 from hedgerow.topologies.errors import TopologyError, UserError
 from hedgerow.topologies.load import find, load
 from hedgerow.topologies.override import split_setting
@@ -84,6 +85,13 @@ class Plan:
         }
 
     @cached_property
+    def one_by_one(self) -> tuple[str, ...]:
+        """Return, by setting, why its runs are made one by one; empty where they are made in batches."""
+        if self.engine == "zenoh":
+            return ("they run over Zenoh",) * len(self.settings)
+        return tuple(batch.why_not(setting.topology) for setting in self.settings)
+
+    @cached_property
     def sources(self) -> list[LawSource]:
         """Return the source of the law of each setting."""
         laws = {setting.topology.law for setting in self.settings}
@@ -94,6 +102,8 @@ class Plan:
         """The runs, less those that are `done`: (place of the setting, seed)."""
         for k, setting in enumerate(self.settings):
             size = 1 if self.engine == "zenoh" else max(1, _STEPS_A_CHUNK // setting.topology.steps)
+            if not self.one_by_one[k]:
+                size = batch.seeds_at_once(setting.topology)
             lacking = (seed for seed in self.seeds if (k, seed) not in done)
             while seeds := tuple(itertools.islice(lacking, size)):
                 yield Chunk(k, seeds)
@@ -103,7 +113,7 @@ def plan(file: str, seeds: str, sets: Sequence[str], engine: str) -> Plan:
     """The plan of a command line; raises UserError for a mistake in it, TopologyError for one in the file."""
     if engine not in ENGINES:
         raise UserError(f"--engine {engine}: is neither {' nor '.join(ENGINES)}; choose one of them")
-    asked, values = _seeds(seeds), _values(sets)
+    asked, values = seeds_of(seeds), _values(sets)
     load(file)
     settings = [
         Setting(combination, _with(file, dict(zip(values, combination, strict=True))))
@@ -115,7 +125,8 @@ def plan(file: str, seeds: str, sets: Sequence[str], engine: str) -> Plan:
     return Plan(tuple(values), tuple(settings), asked, engine, find(file).parent)
 
 
-def _seeds(text: str) -> range:
+def seeds_of(text: str) -> range:
+    """Return the seeds of FIRST:STOP; raise UserError for a text that is none."""
     first, _, stop = text.partition(":")
     if not (first.isdecimal() and stop.isdecimal()):
         raise UserError(f"--seeds {text}: is not FIRST:STOP; write for example 0:1000, which ends with 999")
