@@ -10,7 +10,6 @@ import contextlib
 import hashlib
 import importlib
 import inspect
-import site
 import sys
 import sysconfig
 import time
@@ -188,11 +187,14 @@ def _imported(module: ModuleType, text: bytes) -> Iterator[str]:
 def _is_users(path: Path) -> bool:
     """Return True for a file that is neither Python's, nor an installed package's, nor ours."""
     whole = path.resolve()
-    return path.suffix == ".py" and not any(whole.is_relative_to(folder) for folder in _NOT_USERS)
+    installed = {"site-packages", "dist-packages"} & set(whole.parts)
+    return path.suffix == ".py" and not installed and not any(whole.is_relative_to(folder) for folder in _NOT_USERS)
 
 
 _NOT_USERS = [
-    *(Path(sysconfig.get_path(name)).resolve() for name in ("stdlib", "purelib", "platlib")),
-    *(Path(folder).resolve() for folder in site.getsitepackages()),
-    *(Path(__file__).resolve().parents[2] / name for name in ("topologies", "wire", "agents", "plant", "orchestrator")),
+    *(Path(sysconfig.get_path(name)).resolve() for name in ("stdlib", "platstdlib")),
+    *(
+        Path(__file__).resolve().parents[2] / name
+        for name in ("hedgerow", "topologies", "wire", "agents", "plant", "orchestrator")
+    ),
 ]
