@@ -13,7 +13,7 @@ from __future__ import annotations
 TYPE_CHECKING = False  # the one of typing takes a while to load
 if TYPE_CHECKING:
     from hedgerow.agents.law import Law, Minimax
-    from hedgerow.orchestrator.facade import bound, load, simulate
+    from hedgerow.orchestrator.facade import bound, compare, load, simulate
     from hedgerow.orchestrator.runs.reader import RecordedRun, load_run
     from hedgerow.topologies.errors import Code, HedgerowError, TopologyError, UserError
     from hedgerow.topologies.schema import Topology
@@ -30,6 +30,7 @@ _HOMES = {
     "TopologyError": "topologies.errors",
     "UserError": "topologies.errors",
     "bound": "orchestrator.facade",
+    "compare": "orchestrator.facade",
     "load": "orchestrator.facade",
     "load_run": "orchestrator.runs.reader",
     "simulate": "orchestrator.facade",
@@ -44,6 +45,7 @@ __all__ = [
     "TopologyError",
     "UserError",
     "bound",
+    "compare",
     "load",
     "load_run",
     "simulate",
