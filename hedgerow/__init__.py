@@ -14,7 +14,7 @@ TYPE_CHECKING = False  # the one of typing takes a while to load
 if TYPE_CHECKING:
     from hedgerow.agents.law import Law, Minimax
     from hedgerow.orchestrator import testing
-    from hedgerow.orchestrator.facade import bound, load, simulate, worst
+    from hedgerow.orchestrator.facade import bound, compare, load, simulate, worst
     from hedgerow.orchestrator.network import Network, from_adjacency, from_edges, from_networkx
     from hedgerow.orchestrator.runs.reader import RecordedRun, load_run
     from hedgerow.topologies.errors import Code, HedgerowError, TopologyError, UserError
@@ -33,6 +33,7 @@ _HOMES = {
     "TopologyError": "topologies.errors",
     "UserError": "topologies.errors",
     "bound": "orchestrator.facade",
+    "compare": "orchestrator.facade",
     "from_adjacency": "orchestrator.network",
     "from_edges": "orchestrator.network",
     "from_networkx": "orchestrator.network",
@@ -52,6 +53,7 @@ __all__ = [
     "TopologyError",
     "UserError",
     "bound",
+    "compare",
     "from_adjacency",
     "from_edges",
     "from_networkx",

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from hedgerow.orchestrator.experiments import bounds
+from hedgerow.orchestrator.experiments.compare import Compared
+from hedgerow.orchestrator.experiments.compare import compare as run_comparison
+from hedgerow.orchestrator.experiments.compare.plan import comparison
 from hedgerow.orchestrator.experiments.worst import Found
 from hedgerow.orchestrator.experiments.worst import worst as search
 from hedgerow.orchestrator.ground.laws import checked
@@ -17,7 +20,7 @@ from hedgerow.topologies.named import Named, resolved
 from hedgerow.topologies.paths import user_path
 from hedgerow.topologies.schema import Topology
 
-__all__ = ["bound", "load", "load_run", "simulate", "worst"]
+__all__ = ["bound", "compare", "load", "load_run", "simulate", "worst"]
 
 
 def load(network: Named, **overrides: object) -> Topology:
@@ -67,6 +70,30 @@ def worst(
     """
     topology = checked(load(network, **overrides))
     return search(topology, budget, faults, seed, out=None if out is None else user_path(str(out)))
+
+
+def compare(
+    network: Named,
+    laws: Sequence[str] = ("minimax",),
+    disturbances: Sequence[str | Mapping[str, object]] = ("file",),
+    seeds: range = range(50),
+    *,
+    out: str | Path | None = None,
+    jobs: int = 1,
+    **overrides: object,
+) -> Compared:
+    """Run every law under every disturbance and seed, hinf and nominal too; return their means, tests and findings.
+
+    `laws` are as in a file: `["minimax", "forgetting(decay=0.98)"]`. A disturbance is `file`, the name of a preset
+    (`sinusoid`, `white`, `ar1`, `constant`, `confuse`, `none`), names joined by `+`, or a mapping as in a file. `out`
+    is the folder of the results, which the same call finds again. With `jobs` above 1, processes share the runs; a
+    script then needs `if __name__ == "__main__":`. Raises UserError for a mistake.
+    """
+    plan = comparison(network, laws, disturbances, seeds, _settings(overrides))
+    found = run_comparison(plan, None if out is None else user_path(str(out)), jobs, quiet=True)
+    if found is None:
+        raise KeyboardInterrupt
+    return found
 
 
 def _settings(overrides: Mapping[str, object]) -> list[str]:

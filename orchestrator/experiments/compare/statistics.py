@@ -52,7 +52,7 @@ class Cell:
 
 
 @dataclass(frozen=True)
-class Test:
+class Paired:
     """A paired Wilcoxon signed-rank test of two laws, over the seeds in which both have the number."""
 
     disturbance: str
@@ -81,7 +81,7 @@ def cells(plan: Comparison, rows: Sequence[Sequence[Row]]) -> list[Cell]:
     ]
 
 
-def tests(found: Sequence[Cell]) -> list[Test]:
+def paired(found: Sequence[Cell]) -> list[Paired]:
     """Return a test for every pair of laws but the oracle, under every disturbance, for every metric but `switches`."""
     of: dict[tuple[str, str], list[Cell]] = {}
     for cell in found:
@@ -89,10 +89,10 @@ def tests(found: Sequence[Cell]) -> list[Test]:
             of.setdefault((cell.disturbance, cell.metric), []).append(cell)
     made = [_tested(one, other) for own in of.values() for one, other in itertools.combinations(own, 2)]
     corrected = holm(np.array([test.p for test in made]))
-    return [Test(**{**vars(test), "holm": float(p)}) for test, p in zip(made, corrected, strict=True)]
+    return [Paired(**{**vars(test), "holm": float(p)}) for test, p in zip(made, corrected, strict=True)]
 
 
-def _tested(one: Cell, other: Cell) -> Test:
+def _tested(one: Cell, other: Cell) -> Paired:
     apart = one.values - other.values
     apart = apart[np.isfinite(apart)]
     sign = 1.0 if one.metric in HIGHER_IS_BETTER else -1.0
@@ -103,7 +103,9 @@ def _tested(one: Cell, other: Cell) -> Test:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # it says that few pairs decide little, and p says so too
             p = float(stats.wilcoxon(apart).pvalue)
-    return Test(one.disturbance, one.metric, one.law, other.law, len(apart), better, p if np.isfinite(p) else 1.0, 1.0)
+    return Paired(
+        one.disturbance, one.metric, one.law, other.law, len(apart), better, p if np.isfinite(p) else 1.0, 1.0
+    )
 
 
 def holm(p: Array) -> Array:
