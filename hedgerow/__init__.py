@@ -13,7 +13,9 @@ from __future__ import annotations
 TYPE_CHECKING = False  # the one of typing takes a while to load
 if TYPE_CHECKING:
     from hedgerow.agents.law import Law, Minimax
+    from hedgerow.orchestrator import testing
     from hedgerow.orchestrator.facade import bound, load, simulate, worst
+    from hedgerow.orchestrator.network import Network, from_adjacency, from_edges, from_networkx
     from hedgerow.orchestrator.runs.reader import RecordedRun, load_run
     from hedgerow.topologies.errors import Code, HedgerowError, TopologyError, UserError
     from hedgerow.topologies.schema import Topology
@@ -25,11 +27,15 @@ _HOMES = {
     "HedgerowError": "topologies.errors",
     "Law": "agents.law",
     "Minimax": "agents.law",
+    "Network": "orchestrator.network",
     "RecordedRun": "orchestrator.runs.reader",
     "Topology": "topologies.schema",
     "TopologyError": "topologies.errors",
     "UserError": "topologies.errors",
     "bound": "orchestrator.facade",
+    "from_adjacency": "orchestrator.network",
+    "from_edges": "orchestrator.network",
+    "from_networkx": "orchestrator.network",
     "load": "orchestrator.facade",
     "load_run": "orchestrator.runs.reader",
     "simulate": "orchestrator.facade",
@@ -40,14 +46,19 @@ __all__ = [
     "HedgerowError",
     "Law",
     "Minimax",
+    "Network",
     "RecordedRun",
     "Topology",
     "TopologyError",
     "UserError",
     "bound",
+    "from_adjacency",
+    "from_edges",
+    "from_networkx",
     "load",
     "load_run",
     "simulate",
+    "testing",
     "worst",
 ]
 
@@ -71,6 +82,10 @@ def __getattr__(name: str) -> object:
         from hedgerow.wire.release import release  # noqa: PLC0415
 
         return release("hedgerow")
+    if name == "testing":
+        from hedgerow.orchestrator import testing  # noqa: PLC0415
+
+        return testing
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module  # noqa: PLC0415

@@ -33,8 +33,10 @@ def load(network: Named, **overrides: object) -> Topology:
 def simulate(network: Named, *, run_dir: str | Path | None = None, **overrides: object) -> RecordedRun:
     """Run a network in this process, without Zenoh, and return what it recorded.
 
-    `network` and `overrides` are those of `load`; `law="hinf"` replaces the law. `run_dir` is a new folder for the run,
-    by default one in runs/. Raises UserError for a mistake, and HedgerowError if no step was made.
+    `network` and `overrides` are those of `load`. `law="hinf"` replaces the law, and `law=MyLaw` is a class of yours.
+    If the file of a law changed since it was loaded, it is loaded again. `run_dir` is a new folder for the run, by
+    default one in runs/. Warns if `network` is the folder of a run that kept another source of the law. Raises
+    UserError for a mistake, LawError if the law fails, and HedgerowError if no step was made.
     """
     return simulation.simulate(network, *_settings(overrides), run_dir=run_dir)
 
@@ -68,4 +70,9 @@ def worst(
 
 
 def _settings(overrides: Mapping[str, object]) -> list[str]:
-    return [f"{key}={json.dumps(value)}" for key, value in overrides.items()]
+    return [f"{key}={json.dumps(_named(value))}" for key, value in overrides.items()]
+
+
+def _named(value: object) -> object:
+    """Return a class, which stands for a law, as package.module:Class; any other value as it is."""
+    return f"{value.__module__}:{value.__qualname__}" if isinstance(value, type) else value

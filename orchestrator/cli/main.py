@@ -18,9 +18,12 @@ from typing import TYPE_CHECKING, Annotated, TextIO
 
 import typer
 
+from hedgerow.orchestrator.cli import compare as cli_compare
 from hedgerow.orchestrator.cli import files as cli_files
 from hedgerow.orchestrator.cli import gain as cli_gain
+from hedgerow.orchestrator.cli import importing as cli_importing
 from hedgerow.orchestrator.cli import keys as cli_keys
+from hedgerow.orchestrator.cli import laws as cli_laws
 from hedgerow.orchestrator.cli import live as cli_live
 from hedgerow.orchestrator.cli import machines as cli_machines
 from hedgerow.orchestrator.cli import report as cli_report
@@ -78,10 +81,17 @@ def run_command(began: float, fork_client: ForkClient | None) -> None:
     leave(run_to_exit_code(lambda: app(standalone_mode=False) or 0))
 
 
-def _importable(topology: Topology) -> Topology:
-    """Return the topology with a checked law: a law that fails to load is better known before a run begins."""
-    from hedgerow.orchestrator.ground.laws import checked  # noqa: PLC0415
+def _importable(topology: Topology, file: str = "") -> Topology:
+    """Return the topology with a checked law: a law that fails to load is better known before a run begins.
 
+    `file` is the name of the topology. If it is in the folder of a run that kept another source of the law, say so.
+    """
+    from hedgerow.orchestrator.ground.law_source import FOLDER, differs  # noqa: PLC0415
+    from hedgerow.orchestrator.ground.laws import checked  # noqa: PLC0415
+    from hedgerow.topologies.load import find  # noqa: PLC0415
+
+    if file and ":" in topology.law and (said := differs(topology.law, find(file).parent / FOLDER)):
+        echo(said, error=True)
     return checked(topology)
 
 
@@ -162,7 +172,7 @@ def up(
 
     check_options(rate=rate, deadline=deadline, wait=wait)
     count_of: object = int(processes) if processes and processes.lstrip("-").isdecimal() else processes
-    topology = _importable(read(file, sets, steps=steps, seed=seed, law=law, processes=count_of, secure=secure))
+    topology = _importable(read(file, sets, steps=steps, seed=seed, law=law, processes=count_of, secure=secure), file)
     shards = layout(topology, topology.process_count)
     where = places(views_of(topology, shards))
     check_security(topology.secure, router, keys, where, external is not None, listen, namespace)
@@ -345,7 +355,7 @@ def simulate(
     from hedgerow.orchestrator.runs.selection import told  # noqa: PLC0415
     from hedgerow.orchestrator.views.screen import screen  # noqa: PLC0415
 
-    topology = _importable(read(file, sets, steps=steps, seed=seed, law=law))
+    topology = _importable(read(file, sets, steps=steps, seed=seed, law=law), file)
     folder = folders.create(topology, run_dir)
     viewer = _viewer(viewer)
     with contextlib.closing(screen(topology, as_json, plain, watched=viewer != "none")) as display:
@@ -460,11 +470,14 @@ def chaos(
     return 1
 
 
+cli_compare.register(app)
 cli_live.register(app)
 cli_machines.register(app)
 cli_files.register(app)
 cli_gain.register(app)
+cli_importing.register(app)
 cli_keys.register(app)
+cli_laws.register(app)
 cli_report.register(app)
 cli_soak.register(app)
 cli_sweep.register(app)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 TYPE_CHECKING = False  # the one of typing takes a while to load
 if TYPE_CHECKING:
+    from hedgerow.orchestrator.testing.laws import check_law
     from hedgerow.orchestrator.testing.result import Estimates, Result
     from hedgerow.orchestrator.testing.running import Running
     from hedgerow.orchestrator.testing.scenario import Networks, Scenario
@@ -17,8 +18,9 @@ _HOMES = {
     "Result": "result",
     "Running": "running",
     "Scenario": "scenario",
+    "check_law": "laws",
 }
-__all__ = ["Estimates", "Networks", "Result", "Running", "Scenario"]
+__all__ = ["Estimates", "Networks", "Result", "Running", "Scenario", "check_law"]
 
 
 def __getattr__(name: str) -> object:
