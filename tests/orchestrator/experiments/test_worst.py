@@ -158,3 +158,14 @@ def test_a_budget_is_a_time(text: str, seconds: float) -> None:
 def test_what_is_no_time_is_refused(text: str) -> None:
     with pytest.raises(UserError):
         seconds_of(text)
+
+
+@pytest.mark.parametrize("law", ["tests.tools.laws:Curious", "tests.tools.laws:Curious(weight=0.5)"])
+def test_a_law_that_asks_runs_in_the_search_as_in_the_engine(law: str) -> None:
+    hunt = Hunt(hg.load("line5", law=law))
+    w = np.random.default_rng(3).standard_normal((2, 12, 5))
+    played = play(hunt.scene, w)
+    for k in range(2):
+        content = run_here(hunt.topology_of(Attack(w[k], False, NONE, 0.0, 0.0, 12)))
+        gain = math.sqrt(played.cost[:, k].sum() / np.square(w[k]).sum())
+        assert content["metrics"]["gain"] == pytest.approx(gain, rel=1e-9)
