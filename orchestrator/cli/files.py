@@ -31,5 +31,5 @@ def export(to: To, run: Run = "runs/latest", out: Out = None, force: Force = Fal
 
     recorded = load_run(run)
     files = exports.export(recorded, to, out, force)
-    echo(f"{recorded.T} steps of {recorded.run}: {', '.join(map(str, files))}")
+    echo(f"{recorded.T} steps of {recorded.name}: {', '.join(map(str, files))}")
     return 0

@@ -426,7 +426,7 @@ def stop(
     entry = registry.find(run)
     try:
         with Live(entry) as live:
-            live.stop()
+            live.ask_to_stop()
     except WireError:  # the plant is gone or frozen: then its parent must see to it
         with contextlib.suppress(ProcessLookupError):
             os.kill(entry.pid, signal.SIGTERM)

@@ -46,7 +46,7 @@ class Watching:
     """leave the page of a finished run open until Ctrl-C"""
 
 
-class Run:
+class Recording:
     """Feeds the observer and keeps what it computes."""
 
     def __init__(

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from hedgerow.orchestrator.report.curves import letter
-from hedgerow.orchestrator.runs.reader import RecordedRun
+from hedgerow.orchestrator.runs.run import Run
 
 
-def other_network(one: RecordedRun, other: RecordedRun) -> list[str]:
+def other_network(one: Run, other: Run) -> list[str]:
     """In what the graphs of two runs differ: nodes, edges, b; nothing where their numbers may be compared."""
     edges, of_other = ({frozenset(edge) for edge in run.topology.edges} for run in (one, other))
     said = []
@@ -24,7 +24,7 @@ def other_network(one: RecordedRun, other: RecordedRun) -> list[str]:
     return said
 
 
-def differences(one: RecordedRun, other: RecordedRun) -> list[str]:
+def differences(one: Run, other: Run) -> list[str]:
     """In what else two runs of one network differ, in words."""
     said = []
     if one.law != other.law:
@@ -43,11 +43,11 @@ def differences(one: RecordedRun, other: RecordedRun) -> list[str]:
     return said
 
 
-def _settings(run: RecordedRun, name: str) -> dict[Any, Any]:
+def _settings(run: Run, name: str) -> dict[Any, Any]:
     return {node: getattr(own, name) for node, own in run.topology.nodes.items()}
 
 
-def notices(runs: Sequence[RecordedRun]) -> tuple[bool, list[str]]:
+def notices(runs: Sequence[Run]) -> tuple[bool, list[str]]:
     """Whether all runs are of one network; and a sentence a run on how it differs from the first."""
     comparable, said = True, []
     for place, run in enumerate(runs[1:], 1):

@@ -117,6 +117,20 @@ def create(topology: Topology, directory: Path | None) -> RunFolder:
     return folder
 
 
+def reserve(name: str) -> RunFolder:
+    """Make an empty folder in runs/ for a run of the network `name`, and point runs/latest to it."""
+    try:
+        folder = _new_in(Path("runs"), name)
+    except OSError as error:
+        raise UserError(
+            f"no run folder: runs: {error.strerror}. Give a folder with run_dir.", code=Code.OUTPUT
+        ) from None
+    latest = folder.path.parent / "latest"
+    folder.latest_before = os.readlink(latest) if latest.is_symlink() else None
+    folder.note = _point_latest(folder.path.parent, folder.path)
+    return folder
+
+
 def begun_or_withdrawn(folder: RunFolder, begin: Callable[[], T]) -> T:
     """Return `begin()`; if it raises HedgerowError, undo `create` first."""
     try:

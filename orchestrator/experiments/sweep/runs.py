@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import json
-import math
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -90,11 +89,11 @@ def run_here(topology: Topology) -> dict[str, Any]:
 
 def _over_zenoh(topology: Topology) -> dict[str, Any]:
     """The same by `orchestrator up`: a process an agent."""
-    from hedgerow.orchestrator.testing.running import run_to_the_end  # noqa: PLC0415
+    from hedgerow.orchestrator.launch.running import run_to_the_end  # noqa: PLC0415
 
     with tempfile.TemporaryDirectory(prefix="hedgerow-") as scratch:
         folder = Path(scratch) / "run"
-        run_to_the_end(topology, folder, math.inf)
+        run_to_the_end(topology, folder, "--viewer", "none", "--no-record", listed=False)
         content: dict[str, Any] = json.loads((folder / "verdict.json").read_text(encoding="utf-8"))
     return content
 

@@ -21,12 +21,12 @@ import pyarrow.parquet as pq
 import pytest
 
 from hedgerow.agents.view import View
-from hedgerow.orchestrator import load_run
 from hedgerow.orchestrator.ground.assignment import layout
 from hedgerow.orchestrator.launch.fork_client import ForkClient
 from hedgerow.orchestrator.launch.recording import Watching
 from hedgerow.orchestrator.launch.up import Network, Options
 from hedgerow.orchestrator.runs.folder import create
+from hedgerow.orchestrator.runs.reader import load_run
 from hedgerow.orchestrator.views.screen import Quiet
 from hedgerow.topologies.errors import Exit
 from hedgerow.topologies.load import load
