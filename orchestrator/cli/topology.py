@@ -1,0 +1,28 @@
+"""The topology that the arguments of a command describe."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+# A topology takes most of a second to load: each function imports what it needs itself.
+if TYPE_CHECKING:
+    from hedgerow.topologies.schema import Topology
+
+
+def read(file: str, sets: list[str] | None, **replace: object) -> Topology:
+    """Return the resolved topology of `file` with some values replaced; a value of None replaces nothing."""
+    from hedgerow.topologies.load import find, load  # noqa: PLC0415
+    from hedgerow.topologies.override import Override  # noqa: PLC0415
+    from hedgerow.topologies.resolve import resolve  # noqa: PLC0415
+
+    options = [Override.of_option(key, value) for key, value in replace.items() if value is not None]
+    return resolve(load(file, [*options, *(sets or [])]), find(file).parent)
+
+
+def importable(topology: Topology) -> Topology:
+    """Return the topology after its law was imported: a law that cannot be loaded ends the command before a run."""
+    from hedgerow.agents.shard import law_class  # noqa: PLC0415
+    from hedgerow.orchestrator.ground.assignment import law_of  # noqa: PLC0415
+
+    law_class(law_of(topology))
+    return topology
