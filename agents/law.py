@@ -1,8 +1,8 @@
 """The law: every node estimates its own a and acts on the estimate, equations (6) and (7) of the paper.
 
-    u_i(t)       = b x_i(t) / (ahat_i(t) - 1)                                    (6)
+    u_i(t)       = b_i x_i(t) / (ahat_i(t) - 1)                                  (6)
     ahat_i(t)    = the first candidate that minimises J_i,m(t)                   (7)
-    J_i,m(t + 1) = J_i,m(t) + (a_m x_i(t) + b f_i(t) - x_i(t + 1))^2,  J_i,m(0) = 0
+    J_i,m(t + 1) = J_i,m(t) + (a_m x_i(t) + b_i f_i(t) - x_i(t + 1))^2,  J_i,m(0) = 0
 
 All operations are vectorised over the k nodes of a shard; nodes never mix. The H-infinity controller (8) is this law
 with the true a as its only candidate. The nominal controller has the nominal value as its only candidate.
@@ -10,13 +10,14 @@ with the true a as its only candidate. The nominal controller has the nominal va
 
 from __future__ import annotations
 
+from types import ModuleType
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hedgerow.topologies.fast import kernels_for
-from hedgerow.topologies.graph import FEW, all_finite
+from hedgerow.topologies.fast import kernels_for, unequal_kernels_for
+from hedgerow.topologies.graph import FEW, Gain, all_finite
 
 Array = NDArray[np.float64]
 
@@ -24,11 +25,11 @@ Array = NDArray[np.float64]
 class Law(Protocol):
     """The interface of a control law; a shard constructs it as `Class(b, candidates)`.
 
-    `b` is the gain of (1). `candidates` (M, k) has one column per node with its models in list order. Shorter lists
-    are padded with NaN.
+    `b` is the gain of (1): one number, or that of each node, (k,). `candidates` (M, k) has one column per node with its
+    models in list order. Shorter lists are padded with NaN.
     """
 
-    def __init__(self, b: float, candidates: Array) -> None: ...
+    def __init__(self, b: Gain, candidates: Array) -> None: ...
 
     def act(self, x: Array) -> Array:
         """Return the inputs u(t) for the states x(t), both (k,)."""
@@ -47,11 +48,15 @@ class Law(Protocol):
     The shard does this to learn a late sample, and to reset a node that lost its memory."""
 
 
-def control(b: float, x: Array, ahat: Array) -> Array:
-    """Return the inputs u = b x / (ahat - 1), all (k,); equations (6) and (8)."""
-    if x.ndim == 1 and (kernels := kernels_for(len(x))) is not None:
+def control(b: Gain, x: Array, ahat: Array) -> Array:
+    """Return the inputs u = b x / (ahat - 1), all (k,); equations (6) and (8). `b` is one number or (k,)."""
+    if x.ndim == 1 and (kernels := _kernels_for(b, len(x))) is not None:
         return kernels.control(b, x, ahat)  # type: ignore[no-any-return]
     return b * x / (ahat - 1.0)
+
+
+def _kernels_for(b: Gain, nodes: int) -> ModuleType | None:
+    return kernels_for(nodes) if isinstance(b, float) else unequal_kernels_for(nodes)
 
 
 def two_smallest(rows: Array) -> tuple[Array, Array]:
@@ -70,7 +75,7 @@ def two_smallest(rows: Array) -> tuple[Array, Array]:
 class Minimax:
     """The distributed minimax adaptive controller; it remembers M numbers per node and no history."""
 
-    def __init__(self, b: float, candidates: Array) -> None:
+    def __init__(self, b: Gain, candidates: Array) -> None:
         self.b = b
         none, k = np.isnan(candidates), candidates.shape[1]
         self.candidates = np.where(none, 0.5, candidates)
@@ -105,7 +110,7 @@ class Minimax:
     def learn(self, x: Array, flow: Array, x_next: Array) -> None:
         """Update J by one sample, equation (7); a node whose flow is unknown (NaN) skips the sample."""
         whole = all_finite(flow)
-        if whole and (kernels := kernels_for(len(flow))) is not None:
+        if whole and (kernels := _kernels_for(self.b, len(flow))) is not None:
             kernels.learn(self.J, self.candidates, self.b, x, flow, x_next, self.ahat, self.margin)
             return
         residual = self.candidates * x

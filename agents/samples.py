@@ -3,6 +3,9 @@
 A sample of node i at step t is x_i(t), f_i(t) and x_i(t + 1). The law learns each sample when it is closed. It
 skips a sample that lacks an input. If that input arrives late, the law returns to an earlier memory and learns all
 samples since then again, in the order of the steps. Its memory is then bit for bit the same as without the gap.
+
+A law that asks for its neighbours' states and inputs gets those of the sample's own step. So the states of neighbours
+are kept beside their inputs, for such a law alone, and a sample that is learned again has all of them.
 """
 
 from __future__ import annotations
@@ -15,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hedgerow.agents.law import Array, Law
-from hedgerow.topologies.fast import kernels_for
+from hedgerow.agents.local import Heard, asks
+from hedgerow.topologies.fast import kernels_for, unequal_kernels_for
 from hedgerow.topologies.graph import all_finite, starts
 from hedgerow.wire.codec import TAKEN, Flag, Flags, Mask, Record
 from hedgerow.wire.history import History
@@ -35,6 +39,8 @@ class LateRows(NamedTuple):
     stop: int
     inputs: Array | None = None
     """of the neighbour, (stop - first,); None where it is one of our own nodes"""
+    states: Array | None = None
+    """likewise"""
 
 
 class _Mark(NamedTuple):
@@ -49,15 +55,18 @@ class _Mark(NamedTuple):
 class Samples:
     """The samples of k nodes. `row` (m,): the node of each incidence; `ends` (2, m): its ends in `width` inputs.
 
-    At most `most` past steps are kept. With 0, no late input is learned.
+    `weights` (m,): the weight of the edge of each incidence, None if all are 1. At most `most` past steps are kept.
+    With 0, no late input is learned.
     """
 
-    def __init__(self, law: Law, most: int, row: Index, ends: Index, width: int) -> None:
-        self._law, self._row, self._most = law, row, most
+    def __init__(self, law: Law, most: int, row: Index, ends: Index, width: int, weights: Array | None) -> None:
+        self._law, self._row, self._most, self._weights = law, row, most, weights
         self._own, self._other = ends
         self._blank = law.memory.copy()
         self.k, m = self._blank.shape[-1], len(row)
-        self._history = History(most, self.k, width, m)
+        self.asks = asks(law.learn, "sample")
+        """the law learns from its neighbours' states and inputs, so their states are kept too"""
+        self._history = History(most, width if self.asks else self.k, width, m)
         self._all = np.full(m, TAKEN, dtype=np.uint8)
         self._behind: set[int] = set()
         """incidences with a wanted row that has not arrived"""
@@ -73,10 +82,17 @@ class Samples:
         """Return True if no sample waits for an input."""
         return not self._marks
 
-    def take(self, x: Array, u: Array, x_next: Array) -> None:
-        """Learn the sample of the next step; this and all earlier samples may lack readings of x, but no inputs."""
-        self._history.append(x, u, self._all)
+    def take(self, t: int, x: Array, u: Array, x_next: Array, states: Array | None = None) -> None:
+        """Learn the sample of step t; this and all earlier samples may lack readings of x, but no inputs.
+
+        `states` (width,) are x and the neighbours' states, for a law that asks.
+        """
         flow = self._whole_flow(u)
+        if self.asks and states is not None:
+            self._history.append(states, u, self._all)
+            self._learn(x, flow, x_next, self._heard(t, self._everybody, states, u, self._all))
+            return
+        self._history.append(x, u, self._all)
         before, self._read = self._read, x_next if all_finite(x_next) else None
         if before is x and self._read is x_next:
             self._law.learn(x, flow, x_next)
@@ -92,16 +108,19 @@ class Samples:
         x_next: Array,
         late_rows: Sequence[LateRows],
         back: Mask | None,
+        states: Array | None = None,
     ) -> None:
         """Learn the sample of t under these Flag bits, after the earlier samples that are now complete.
 
         `late_rows` are the rows of earlier steps that arrived; `back` are nodes that learn again from the oldest row.
+        `states` are as in `take`.
         """
+        row = states if self.asks and states is not None else x
         bits = np.frombuffer(took, np.uint8)
         if self._most:
             if (wants := Flag.OPEN in took) and not (self._marks and self._marks[-1].of.all()):
                 self._mark(t)
-            self._append(x, u, bits)
+            self._append(x, row, u, bits)
             since = self._completed(late_rows)
             if back is not None:
                 self._forget(back)
@@ -113,7 +132,7 @@ class Samples:
                 self._behind.update(np.flatnonzero(bits == _OPEN).tolist())
         elif back is not None:
             self._forget(back)
-        self._learn(x, self._flow(u, bits), x_next)
+        self._learn(x, self._flow(u, bits), x_next, self._heard(t, self._everybody, row, u, bits))
         if not self._behind:
             self._marks.clear()
         elif self._history.next % MARK_EVERY == 0:
@@ -148,15 +167,17 @@ class Samples:
 
         Stop - 1, as far as they are kept, (S, k) each.
         """
-        return self._history.x(start, stop), self._history.u(start, stop)[:, : self.k]
+        return self._history.x(start, stop)[:, : self.k], self._history.u(start, stop)[:, : self.k]
 
     def _completed(self, late_rows: Sequence[LateRows]) -> dict[int, int]:
         """Write late rows into the history; return, by node, the first step whose sample waited for one of them."""
         history, since = self._history, dict[int, int]()
-        for c, first, stop, inputs in late_rows:
+        for c, first, stop, inputs, states in late_rows:
             bits = history.bits(first, stop)[:, c]
             if inputs is not None:
                 history.u(first, stop)[:, self._other[c]] = inputs[len(inputs) - len(bits) :]
+            if self.asks and states is not None:
+                history.x(first, stop)[:, self._other[c]] = states[len(states) - len(bits) :]
             waited = np.flatnonzero(bits == _OPEN)
             bits |= _HEAR
             if len(waited):
@@ -164,11 +185,11 @@ class Samples:
                 since[node] = min(step, since.get(node, step))
         return since
 
-    def _append(self, x: Array, u: Array, bits: Flags) -> None:
+    def _append(self, x: Array, row: Array, u: Array, bits: Flags) -> None:
         history = self._history
         if self._marks and history.next - history.first == history.most and self._marks[0].t == history.first:
             self._move_first_mark(x)
-        history.append(x, u, bits)
+        history.append(row, u, bits)
 
     def _move_first_mark(self, newest: Array) -> None:
         """Advance the first mark by one step, because the oldest row is dropped and its sample can no longer change."""
@@ -177,8 +198,9 @@ class Samples:
             return
         history = self._history
         now, self._law.memory = self._law.memory, memory
-        x_next = np.vstack([history.x(t + 1, t + 2), newest])[0]
-        self._learn(history.x(t, t + 1)[0], self._flow(history.u(t, t + 1)[0], history.bits(t, t + 1)[0]), x_next)
+        x_next = np.vstack([history.x(t + 1, t + 2)[:, : self.k], newest])[0]
+        x, u, bits = history.x(t, t + 1)[0], history.u(t, t + 1)[0], history.bits(t, t + 1)[0]
+        self._learn(x[: self.k], self._flow(u, bits), x_next, self._heard(t, self._everybody, x, u, bits))
         self._marks.insert(0, _Mark(t + 1, self._law.memory, of))
         self._law.memory = now
 
@@ -214,6 +236,8 @@ class Samples:
             partly[..., nodes] = memory[..., nodes]
             law.memory = partly
         x, u, bits = (rows(start, until + 1) for rows in (self._history.x, self._history.u, self._history.bits))
+        chosen = np.zeros(self.k, dtype=bool)
+        chosen[nodes] = True
         for step in range(until - start + 1):
             if (mark := later.get(start + step)) is not None:
                 mark[..., nodes] = law.memory[..., nodes]
@@ -223,13 +247,19 @@ class Samples:
                     partly = np.full(self.k, np.nan)
                     partly[nodes] = flow[nodes]
                     flow = partly
-                self._learn(x[step], flow, x[step + 1])
+                row: Array = x[step]
+                sample = self._heard(start + step, chosen, row, u[step], bits[step])
+                self._learn(row[: self.k], flow, x[step + 1][: self.k], sample)
 
     def _whole_flow(self, u: Array) -> Array:
         """Return the flow f of one step, (k,), from inputs (width,); no input is missing and all edges are open."""
-        if (kernels := kernels_for(self.k)) is not None:
-            return kernels.flow(self._first, self._other, u)  # type: ignore[no-any-return]
-        return self._sums(u[self._own] - u[self._other])
+        if self._weights is None:
+            if (kernels := kernels_for(self.k)) is not None:
+                return kernels.flow(self._first, self._other, u)  # type: ignore[no-any-return]
+            return self._sums(u[self._own] - u[self._other])
+        if (kernels := unequal_kernels_for(self.k)) is not None:
+            return kernels.flow(self._first, self._other, self._weights, u)  # type: ignore[no-any-return]
+        return self._sums(self._weights * (u[self._own] - u[self._other]))
 
     @cached_property
     def _first(self) -> Index:
@@ -241,6 +271,8 @@ class Samples:
         NaN where an input is missing.
         """
         difference = u[self._own] - u[self._other]
+        if self._weights is not None:
+            difference *= self._weights
         difference[bits & _HEAR == 0] = np.nan
         difference[bits & _OPEN == 0] = 0.0
         return self._sums(difference).astype(float, copy=False)  # without incidences, bincount returns integers
@@ -249,7 +281,22 @@ class Samples:
         flow: Array = np.bincount(self._row, difference, self.k)  # type: ignore[assignment]  # weighted: floats
         return flow
 
-    def _learn(self, x: Array, flow: Array, x_next: Array) -> None:
+    def _heard(self, t: int, nodes: Mask, states: Array, u: Array, bits: Flags) -> Heard | None:
+        """Return the neighbours' values of step t, by incidence, for a law that asks; else None.
+
+        A sample does not wait for the message over a closed edge. So it never has that message: else its values would
+        depend on whether the message was there when the sample was learned, or learned again.
+        """
+        if not self.asks:
+            return None
+        got = bits & TAKEN == TAKEN
+        x, inputs = (np.where(got, values[self._other], np.nan) for values in (states, u))
+        return Heard(t, nodes.copy(), x, inputs, np.where(got, t, -1))
+
+    def _learn(self, x: Array, flow: Array, x_next: Array, sample: Heard | None = None) -> None:
         if np.isnan(np.add.reduce(x + x_next)):  # without a reading, the samples before and after it are missing
             flow = np.where(np.isnan(x + x_next), np.nan, flow)
-        self._law.learn(x, flow, x_next)
+        if sample is None:
+            self._law.learn(x, flow, x_next)
+        else:
+            self._law.learn(x, flow, x_next, sample)  # type: ignore[call-arg]  # it asks by its signature

@@ -5,21 +5,19 @@ A shard of one is no special case.
 
 from __future__ import annotations
 
-import importlib
 import itertools
 import math
 import struct
-import sys
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hedgerow.agents.law import Array, Law, Minimax
+from hedgerow.agents.law import Array
+from hedgerow.agents.loading import LawError, new_law
+from hedgerow.agents.local import Heard, asks
 from hedgerow.agents.samples import LateRows, Samples
 from hedgerow.agents.view import View
-from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.graph import all_finite
 from hedgerow.wire.codec import ALL_UP, REPORT_ROWS, TAKEN, Flag, Link, Mask, Record, State, gather
 
@@ -29,47 +27,6 @@ _TAKEN_OF = bytes(flags & TAKEN for flags in range(256))
 MAIL = 64
 """number of link messages kept per peer; a correct peer is never this far ahead"""
 _SILENCE = struct.pack("<d", math.nan)
-
-
-class LawError(UserError):
-    """A law that failed while it ran; a restart of its agent would not help."""
-
-    default_code = Code.LAW
-
-
-def new_law(view: View) -> Law:
-    """Return the law of a view, before any sample; UserError if it cannot be loaded, LawError if it cannot begin."""
-    law = law_class(view.law)
-    try:
-        begun = law(view.b, view.candidates)
-        shape = np.shape(begun.memory)
-    except Exception as error:
-        raise LawError(f"law {view.law}: cannot begin: {type(error).__name__}: {error}; mend it") from error
-    if shape[-1:] != (view.k,):
-        raise LawError(f"law {view.law}: its memory has the shape {shape}; its last axis is the {view.k} nodes")
-    return begun
-
-
-def law_class(name: str) -> type[Law]:
-    """Return the class of a law: `minimax`, or `package.module:Class` (the working directory is searched too)."""
-    if name == "minimax":
-        return Minimax
-    module, _, attribute = name.partition(":")
-    if (here := str(Path.cwd())) not in sys.path:
-        sys.path.append(here)
-    try:
-        law: type[Law] = getattr(importlib.import_module(module), attribute)
-    except Exception as error:
-        raise UserError(
-            f"law {name}: cannot be loaded: {type(error).__name__}: {error}; "
-            "give package.module:Class, importable here (docs/laws.md)",
-            code=Code.LAW,
-        ) from error
-    if missing := [method for method in ("act", "learn", "report") if not callable(getattr(law, method, None))]:
-        raise UserError(
-            f"law {name}: has no {', '.join(missing)}(); a law has act, learn and report (docs/laws.md)", code=Code.LAW
-        )
-    return law
 
 
 def _all_or(k: int, nodes: Index) -> Index | None:
@@ -112,7 +69,16 @@ class Shard:
         """By incidence: the peer that it leads to."""
         self._everybody: Sequence[int] = range(len(view.peers))
         self._up = bytes([ALL_UP]) * self.m
-        self._samples = Samples(self._law, view.history, self._row, ends, stops[-1])
+        self._samples = Samples(self._law, view.history, self._row, ends, stops[-1], view.weights)
+        self._asks = asks(self._law.act, "now")
+        """the law acts on the newest values of its neighbours"""
+        self._now = Heard(
+            -1,
+            np.ones(self.k, dtype=bool),
+            np.full(self.m, np.nan),
+            np.full(self.m, np.nan),
+            np.full(self.m, -1, dtype=np.int64),
+        )
         self._mail: list[dict[int, Link]] = [{} for _ in view.peers]
         """Per peer: link messages by step, for steps not yet used by a sample."""
         self._record: Record | None = None
@@ -182,6 +148,12 @@ class Shard:
             self.x, self.u = np.full(self.k, np.nan), np.full(self.k, np.nan)
         self._samples.restore(record, anew)
         self.x, self.u = self.x.copy(), self.u.copy()
+        lost = np.ones(self.m, dtype=bool) if anew else back[self._row]  # a new process has heard of no neighbour yet
+        self._now = self._now._replace(
+            x=np.where(lost, np.nan, self._now.x),
+            u=np.where(lost, np.nan, self._now.u),
+            step=np.where(lost, -1, self._now.step),
+        )
         if len(record.x):
             self.x[back], self.u[back] = record.x[-1], record.u[-1]
         else:
@@ -196,7 +168,13 @@ class Shard:
             # The last row of each message is its newest; here it should be the only one.
             last_rows = [link.u[-8 * n :] for link, n in zip(links, self.hears, strict=True) if link is not None]
             inputs = gather([self.u, *last_rows]) if links else self.u
-            self._samples.take(self.x, inputs, state.x)
+            states = self._states(links)
+            if self._asks and states is not None:
+                column = self._view.column
+                self._now = self._now._replace(
+                    x=states[column], u=inputs[column], step=np.full(self.m, past, dtype=np.int64)
+                )
+            self._samples.take(past, self.x, inputs, state.x, states)
             return
         # The newest row of a link message is that of t - 1, unless the link is late.
         last_rows = [
@@ -211,20 +189,56 @@ class Shard:
                 if late:
                     took[c] -= Flag.HEAR
         self.took = bytes(took)
-        inputs = gather([self.u, *last_rows])
-        self._samples.take_late(past, self.x, inputs, self.took, state.x, late_rows, back)
+        inputs, states = gather([self.u, *last_rows]), self._states(links)
+        if self._asks and states is not None:
+            self._note(past, states, inputs, late_rows)
+        self._samples.take_late(past, self.x, inputs, self.took, state.x, late_rows, back, states)
+
+    def _states(self, links: Sequence[Link | None]) -> Array | None:
+        """Return our own states followed by the peers' states of the same step, for a law that asks; else None."""
+        if not (self._asks or self._samples.asks):
+            return None
+        rows = [_SILENCE * n if link is None else link.x[-8 * n :] for link, n in zip(links, self.hears, strict=True)]
+        return gather([self.x, *rows])
+
+    def _note(self, past: int, states: Array, inputs: Array, late_rows: Sequence[LateRows]) -> None:
+        """Keep the newest values that have arrived over each incidence, late rows included.
+
+        Call it before the sample of `past` is taken: rows of our own nodes are as far back as those in a message.
+        """
+        got, column = np.frombuffer(self.took, np.uint8) & Flag.HEAR != 0, self._view.column
+        x, u = np.where(got, states[column], self._now.x), np.where(got, inputs[column], self._now.u)
+        step = np.where(got, past, self._now.step)
+        for c, _, stop, inputs_then, states_then in late_rows:
+            if stop - 1 <= step[c]:
+                continue
+            if inputs_then is not None and states_then is not None:
+                newest = states_then[-1:], inputs_then[-1:]
+            elif (place := column[c]) < self.k:
+                own_x, own_u = self._samples.said(stop - 1, stop)
+                newest = own_x[:, place], own_u[:, place]
+            else:
+                continue
+            if len(newest[0]):
+                x[c], u[c], step[c] = newest[0][0], newest[1][0], stop - 1
+        self._now = self._now._replace(x=x, u=u, step=step)
 
     def _came(self, c: int, links: Sequence[Link | None], start: int, stop: int) -> LateRows:
         """Return the rows of steps start .. stop - 1 that arrived over an incidence."""
         if (p := self._peer_of.get(c)) is None or (link := links[p]) is None:
             return LateRows(c, start, stop)
-        start = max(start, link.first)
-        rows = gather([link.u]).reshape(-1, self.hears[p])[start - link.first : stop - link.first]
-        return LateRows(c, start, start + len(rows), rows[:, self._view.column[c] - self._columns[p].start])
+        start, place = max(start, link.first), self._view.column[c] - self._columns[p].start
+        inputs, states = (
+            gather([rows]).reshape(-1, self.hears[p])[start - link.first : stop - link.first, place]
+            for rows in (link.u, link.x)
+        )
+        return LateRows(c, start, start + len(inputs), inputs, states)
 
     def _act(self, t: int, x: Array) -> Array:
         try:
-            u = np.array(self._law.act(x), dtype=float)  # copy: the shard keeps it, and the law may reuse its array
+            now = [self._now.at(t)] if self._asks else []
+            given = self._law.act(x, *now)
+            u = np.array(given, dtype=float)  # copy: the shard keeps it, and the law may reuse its array
             self.report = np.asarray(self._law.report(), dtype=float)
         except Exception as error:
             raise self._failed("act", f"raised {type(error).__name__}: {error}") from error

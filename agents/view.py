@@ -32,16 +32,17 @@ class Peer:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """The knowledge of a shard of k >= 1 nodes: the gain b of (1), its law, its own nodes and its neighbours' shards.
+    """The knowledge of a shard of k >= 1 nodes: their gains, their edges' weights, the law and the neighbours' shards.
 
     An incidence is a pair of a node and one of its edges. Incidences are ordered by node, then by neighbour, in network
     order.
     """
 
     shard: int
-    b: float
+    b: float | Array
+    """the gain b of (1), or that of each node, (k,)"""
     law: str
-    """`minimax`, or `package.module:Class` for another; hinf and nominal are minimax with one candidate"""
+    """the text of a LawChoice; hinf and nominal are minimax with one candidate"""
     ids: Ids
     """of its own nodes, (k,)"""
     candidates: Array
@@ -55,6 +56,10 @@ class View:
     """ids of the neighbours in other shards, peer by peer"""
     history: int
     """number of past steps kept for back-filling; with 0, missed samples are never learned"""
+    seed: int = 0
+    """for laws that draw numbers; a function of the seed of the run"""
+    weights: Array | None = None
+    """per incidence: the weight of its edge, (m,); None if all are 1"""
 
     @property
     def k(self) -> int:
@@ -63,7 +68,12 @@ class View:
 
     def write(self, path: Path) -> None:
         """Write the view as the .npz file that `read` reads."""
-        settings = {"shard": self.shard, "b": self.b, "law": self.law, "history": self.history}
+        settings: dict[str, Any] = {
+            "shard": self.shard,
+            "law": self.law,
+            "history": self.history,
+            "seed": self.seed,
+        }
         peers = [(peer.shard, len(peer.say), peer.hear) for peer in self.peers]
         say = [peer.say for peer in self.peers]
         arrays = {
@@ -75,6 +85,12 @@ class View:
             "say": np.concatenate(say) if say else np.empty(0, dtype=np.int64),
             "heard": self.heard,
         }
+        if isinstance(self.b, float):
+            settings["b"] = self.b
+        else:
+            arrays["b"] = self.b
+        if self.weights is not None:
+            arrays["weights"] = self.weights
         archive.write(path, settings, arrays)
 
     @classmethod
@@ -98,17 +114,21 @@ class View:
         neighbours: list[list[Any]] = [[] for _ in own]
         for i, j in zip(self.row.tolist(), self.column.tolist(), strict=True):
             neighbours[i].append(known[j])
-        nodes = [
+        nodes: list[dict[str, Any]] = [
             {"id": node, "candidates": column[~np.isnan(column)].tolist(), "neighbours": beside}
             for node, column, beside in zip(own, self.candidates.T, neighbours, strict=True)
         ]
+        if self.weights is not None:
+            for i, node in enumerate(nodes):
+                node["weights"] = self.weights[self.row == i].tolist()
         ends = np.cumsum([peer.hear for peer in self.peers], dtype=np.int64)
         peers = [
             {"shard": peer.shard, "say": [own[i] for i in peer.say.tolist()], "hear": heard[end - peer.hear : end]}
             for peer, end in zip(self.peers, ends.tolist(), strict=True)
         ]
-        told = {"shard": self.shard, "b": self.b, "law": self.law, "nodes": nodes, "peers": peers}
-        return {**told, "history": self.history}
+        b = self.b if isinstance(self.b, float) else self.b.tolist()
+        told = {"shard": self.shard, "b": b, "law": self.law, "nodes": nodes, "peers": peers}
+        return {**told, "history": self.history, "seed": self.seed}
 
     @classmethod
     def from_dict(cls, told: Mapping[str, Any]) -> View:
@@ -125,19 +145,27 @@ class View:
             column[: len(listed)] = listed
         incidences = [(i, place[j]) for i, node in enumerate(nodes) for j in node["neighbours"]]
         row, column = np.array(incidences, dtype=np.int64).reshape(-1, 2).T.copy()
+        weights = None
+        if any("weights" in node for node in nodes):
+            listed_weights = [weight for node in nodes for weight in node["weights"]]
+            weights = np.array(listed_weights, dtype=np.float64)
+            if len(weights) != len(row):
+                raise ValueError("the weights are not one per neighbour")
         peers = [
             Peer(peer["shard"], np.array([place[i] for i in peer["say"]], dtype=np.int64), len(peer["hear"]))
             for peer in told["peers"]
         ]
         return cls(
             shard=told["shard"],
-            b=told["b"],
+            b=np.array(told["b"], dtype=np.float64) if isinstance(told["b"], list) else told["b"],
             law=told["law"],
             ids=archive.id_array(own),
             candidates=candidates,
             row=row,
             column=column,
+            weights=weights,
             peers=peers,
             heard=archive.id_array(heard),
             history=told["history"],
+            seed=told.get("seed", 0),
         )

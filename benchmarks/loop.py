@@ -34,7 +34,7 @@ from hedgerow.topologies.load import load
 FREEZE_AFTER_S = 1.0
 """from the first step until a viewer is frozen: it has the first steps by then, and its connection"""
 VIEWER_DEADLINE_S = 60.0
-DROPS = [{"kind": "drop", "link": list(edge), "probability": 0.3} for edge in load("paper7").edges]
+DROPS = [{"kind": "drop", "link": list(edge), "probability": 0.3} for edge in load("paper7").pairs]
 """Every message of every link is lost with a probability of 0.3, and made up for later."""
 
 Say = Callable[[str], None]

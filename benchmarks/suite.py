@@ -80,6 +80,7 @@ def network_of(nodes: int, folder: Path) -> Network:
     topology = resolve(load(file))
     own = topology.nodes.values()
     whole = topology.network
+    assert isinstance(whole.b, float)
     return Network(
         file=file,
         b=whole.b,

@@ -36,7 +36,7 @@ TEMPLATE, RESULT = DOCS / "topology.md.in", DOCS / "topology.md"
 WRITTEN = {
     "nodes": "list of node ids, or mapping from node ids to [what they override](#a-node)",
     "defaults": "mapping, [as of a node](#a-node)",
-    "edges": "list of pairs of node ids",
+    "edges": "list of pairs of node ids, or of [`{ends: …, weight: …}`](#gains-and-weights)",
     "lots": "mapping of a `seed` and, under `nodes`, of [lots by field](#left-to-chance)",
     "graph": "[a rule](#graphs-by-a-rule)",
     "table": "[a file](#tables)",
@@ -65,6 +65,7 @@ LIMITS = {
     limits.Lt: ("lt", "below"),
     limits.Le: ("le", "at most"),
     limits.MinLen: ("min_length", "at least"),
+    limits.MaxLen: ("max_length", "at most"),
 }
 EXAMPLES: dict[str, Any] = {
     "sinusoid": {"kind": "sinusoid", "amplitude": 0.5, "omega": 0.3, "phase": 1.57},
@@ -191,14 +192,19 @@ def _default_of_file(field: FieldInfo) -> str:
         return "required"
     return (
         "—"
-        if isinstance(field.default, schema.Node | schema.Record) or field.default in (None, (), {})
+        if isinstance(field.default, schema.Settings | schema.Record) or field.default in (None, (), {})
         else f"`{flow(field.default)}`"
     )
 
 
 def node() -> str:
     """The keys of a node, with what holds where neither the node nor `defaults:` says anything."""
-    return keys(schema.Node, default=lambda name: f"`{flow(getattr(schema.Defaults.FALLBACK, name))}`")
+    return keys(schema.Node, default=_default_of_node)
+
+
+def _default_of_node(name: str) -> str:
+    otherwise = getattr(schema.Defaults.FALLBACK, name, None)
+    return "—" if otherwise is None else f"`{flow(otherwise)}`"
 
 
 def _kinds() -> list[type[Model]]:
@@ -237,7 +243,7 @@ def graphs() -> str:
         example = {"kind": kind, "nodes": 8} | GRAPH_EXAMPLES.get(kind, {})
         network = {"name": "one", "b": 0.1, "steps": 3, "graph": example}
         made = resolve(parse(yaml.safe_dump(network).encode(), kind, DOCS))
-        listed = ", ".join(f"{i}–{j}" for i, j in made.edges)
+        listed = ", ".join(f"{i}–{j}" for i, j in made.pairs)
         rows.append(
             f"### {kind}\n\n{(model.__doc__ or '').strip()}\n\n```yaml\ngraph: {flow(example)}\n```\n\nmakes {listed}."
         )
@@ -252,7 +258,7 @@ def of_faults() -> str:
         raise SystemExit(f"no example of {', '.join(missing)}: add one to FAULT_EXAMPLES in docs/generate.py")
     tree = load("paper7")
     network: dict[str, Any] = {"name": "tree", "b": tree.b, "steps": tree.steps, "nodes": [*tree.ids]}
-    network |= {"edges": [list(edge) for edge in tree.edges], "defaults": {"candidates": [0.3, 0.6]}}
+    network |= {"edges": [list(edge) for edge in tree.pairs], "defaults": {"candidates": [0.3, 0.6]}}
     parts = []
     for kind, model in faults.KINDS.items():
         resolve(parse(yaml.safe_dump(network | {"faults": FAULT_EXAMPLES[kind]}).encode(), kind, DOCS))

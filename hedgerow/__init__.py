@@ -19,7 +19,7 @@ from __future__ import annotations
 TYPE_CHECKING = False  # the constant of `typing` costs an import
 if TYPE_CHECKING:
     from hedgerow.agents.law import Law, Minimax
-    from hedgerow.orchestrator.facade import load, report, run, simulate, start, sweep
+    from hedgerow.orchestrator.facade import bound, load, report, run, simulate, start, sweep
     from hedgerow.orchestrator.launch.live import Live
     from hedgerow.orchestrator.runs.reader import load_run
     from hedgerow.orchestrator.runs.run import Run
@@ -38,6 +38,7 @@ _HOMES = {
     "Topology": "topologies.schema",
     "TopologyError": "topologies.errors",
     "UserError": "topologies.errors",
+    "bound": "orchestrator.facade",
     "load": "orchestrator.facade",
     "load_run": "orchestrator.runs.reader",
     "report": "orchestrator.facade",
@@ -56,6 +57,7 @@ __all__ = [
     "Topology",
     "TopologyError",
     "UserError",
+    "bound",
     "load",
     "load_run",
     "report",

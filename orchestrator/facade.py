@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import inspect
 import io
 import json
@@ -14,8 +15,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hedgerow.agents.law import Minimax
+from hedgerow.orchestrator.experiments import bounds
 from hedgerow.orchestrator.launch import simulation
 from hedgerow.orchestrator.launch.running import Running, run_to_the_end
+from hedgerow.orchestrator.metrics.guarantee import Guarantee
 from hedgerow.orchestrator.runs.folder import RunFolder, new_folder, reserve, withdraw
 from hedgerow.orchestrator.runs.reader import load_run
 from hedgerow.orchestrator.runs.run import Run
@@ -28,7 +31,7 @@ from hedgerow.topologies.schema import Topology
 if TYPE_CHECKING:
     import pyarrow as pa
 
-__all__ = ["load", "load_run", "report", "run", "simulate", "start", "sweep"]
+__all__ = ["bound", "load", "load_run", "report", "run", "simulate", "start", "sweep"]
 
 _PLAIN = re.compile(r"[A-Za-z_][\w.:-]*")
 
@@ -38,7 +41,8 @@ def load(network: Named, *settings: str, **overrides: object) -> Topology:
 
     `network` is a bundled name, the path of a file or run folder, the YAML text of a file, a dictionary of the same
     shape, or a Topology. Each setting is `path=value`, as for `--set` on the command line: `"nodes.2.x0=1"`. Each
-    keyword replaces a top-level key of the file: `load("paper7", steps=300)`. `law` may also be a class.
+    keyword replaces a top-level key of the file: `load("paper7", steps=300)`. `law` may also be a class, or a
+    `functools.partial` of a class with its parameters.
     Raises TopologyError with all mistakes, or UserError if there is no such file.
     """
     return resolved(network, [*settings, *_settings(overrides)])
@@ -190,14 +194,25 @@ def _options(rate: float, record: bool, viewer: str) -> list[str]:
     return ["--rate", str(rate), "--viewer", viewer, "--record" if record else "--no-record"]
 
 
+def bound(network: Named, *, full: bool = False, **overrides: object) -> Guarantee:
+    """Return gamma* of a network, and upper bounds on the gain of the adaptive law.
+
+    `network` and `overrides` are those of `load`. `full` seeks a full storage matrix, for up to 30 nodes. A bound that
+    cannot be computed is in `not_computed`, with the reason.
+    """
+    return bounds.bound(load(network, **overrides), full=full)
+
+
 def _settings(overrides: Mapping[str, object]) -> list[str]:
     return [f"{key}={json.dumps(_plain(value))}" for key, value in overrides.items()]
 
 
 def _plain(value: object) -> object:
-    """Return a class as `package.module:Class`, and another value as it is."""
+    """Return a class, and a class with parameters, as a file names it, and another value as it is."""
     if value is Minimax:
         return "minimax"
+    if isinstance(value, functools.partial) and inspect.isclass(value.func) and not value.args:
+        return {"class": _plain(value.func), **value.keywords}
     return f"{value.__module__}:{value.__qualname__}" if inspect.isclass(value) else value
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hedgerow.topologies import archive
-from hedgerow.topologies.graph import Array, Index
+from hedgerow.topologies.graph import Array, Gain, Index
 from hedgerow.topologies.network import Group
 
 
@@ -20,7 +20,7 @@ class Truth:
     """The true network, in plain numbers; every array is over nodes in network order unless it says otherwise."""
 
     ids: NDArray[Any]
-    b: float
+    b: Gain
     a: Array
     x0: Array
     edges: Index
@@ -36,10 +36,12 @@ class Truth:
     """How many faults there are: that number is the next one's."""
     history: int
     """How many past steps are kept for back-filling, 0 for none."""
+    weights: Array | None = None
+    """Of the edges, (E,); None if all are 1."""
 
     def write(self, path: Path) -> None:
         """Write the truth as the .npz file that `read` reads."""
-        settings = {name: getattr(self, name) for name in ("b", "steps", "seed", "effects", "faults", "history")}
+        settings = {name: getattr(self, name) for name in ("steps", "seed", "effects", "faults", "history")}
         arrays = {
             "ids": self.ids,
             "a": self.a,
@@ -48,6 +50,12 @@ class Truth:
             "nodes": np.concatenate(self.shards),
             "sizes": np.array([len(nodes) for nodes in self.shards]),
         }
+        if isinstance(self.b, float):
+            settings["b"] = self.b
+        else:
+            arrays["b"] = self.b
+        if self.weights is not None:
+            arrays["weights"] = self.weights
         for g, group in enumerate(self.disturbance):
             arrays[f"w{g}"] = group.nodes
             arrays |= {f"w{g} {key}": value for key, value in group.values.items()}
@@ -74,7 +82,7 @@ class Truth:
             for group in self.disturbance
         ]
         return {
-            "b": self.b,
+            "b": self.b if isinstance(self.b, float) else self.b.tolist(),
             "steps": self.steps,
             "seed": self.seed,
             "history": self.history,
@@ -83,6 +91,7 @@ class Truth:
             "a": self.a.tolist(),
             "x0": self.x0.tolist(),
             "edges": self.edges.tolist(),
+            **({} if self.weights is None else {"weights": self.weights.tolist()}),
             "shards": [nodes.tolist() for nodes in self.shards],
             "disturbance": disturbance,
             "effects": list(self.effects),
@@ -102,10 +111,11 @@ class Truth:
         ]
         return cls(
             ids=archive.id_array(told["ids"]),
-            b=told["b"],
+            b=np.array(told["b"], dtype=np.float64) if isinstance(told["b"], list) else told["b"],
             a=np.array(told["a"], dtype=np.float64),
             x0=np.array(told["x0"], dtype=np.float64),
             edges=np.array(told["edges"], dtype=np.int64).reshape(-1, 2),
+            weights=np.array(told["weights"], dtype=np.float64) if "weights" in told else None,
             disturbance=disturbance,
             steps=told["steps"],
             seed=told["seed"],

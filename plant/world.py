@@ -1,4 +1,4 @@
-"""The dynamics (1): x_i(t+1) = a_i x_i(t) + b sum_j (u_i(t) - u_j(t)) + w_i(t), over the edges that are open.
+"""The dynamics (1): x_i(t+1) = a_i x_i(t) + b_i sum_j k_ij (u_i(t) - u_j(t)) + w_i(t), over the edges that are open.
 
 And all that goes wrong with them. A step has two halves: `begin` decides what holds at t, which `states` tells the
 shards; `step` takes their inputs and moves on. An input that is missing, for whatever cause, closes all edges of its
@@ -19,23 +19,33 @@ from hedgerow.plant.faults import NOTHING, Faults
 from hedgerow.plant.links import Deliveries, Links
 from hedgerow.plant.truth import Truth
 from hedgerow.topologies.effects import Effect
-from hedgerow.topologies.fast import kernels_for
-from hedgerow.topologies.graph import Array, Graph, Index, Mask, all_finite
+from hedgerow.topologies.fast import kernels_for, unequal_kernels_for
+from hedgerow.topologies.graph import Array, Gain, Graph, Index, Mask, all_finite
 from hedgerow.wire.codec import ALL_UP, TAKEN, Buffer, Flag, Flags, Record, Span, State, Telemetry, join
 from hedgerow.wire.history import History
 
 
-def dynamics(a: Array, b: float, graph: Graph, x: Array, u: Array, w: Array, edge_open: Mask | None = None) -> Array:
+def dynamics(a: Array, b: Gain, graph: Graph, x: Array, u: Array, w: Array, edge_open: Mask | None = None) -> Array:
     """x(t+1) from x(t), u(t), w(t) and the edges open at t (None: all); equation (1).
 
     Shapes: (n,) and (E,); or (B, n) and (B, E) for B networks at once.
     """
-    if edge_open is None and (kernels := kernels_for(graph.n)) is not None:
+    if edge_open is None and kernels_for(graph.n) is not None:
         if x.ndim == 1:
-            return kernels.dynamics(graph.first, graph.neighbour, a, b, x, u, w)  # type: ignore[no-any-return]
+            return _compiled_dynamics(a, b, graph, x, u, w)
         a, w = np.broadcast_to(a, x.shape), np.broadcast_to(w, x.shape)
         return np.array([dynamics(*one) for one in zip(a, repeat(b), repeat(graph), x, u, w, strict=False)])
     return a * x + b * graph.flow(u, edge_open) + w
+
+
+def _compiled_dynamics(a: Array, b: Gain, graph: Graph, x: Array, u: Array, w: Array) -> Array:
+    """The same for one large network, all of whose edges are open."""
+    if graph.weight is None and isinstance(b, float) and (kernels := kernels_for(graph.n)) is not None:
+        return kernels.dynamics(graph.first, graph.neighbour, a, b, x, u, w)  # type: ignore[no-any-return]
+    if graph.weight is not None and (kernels := unequal_kernels_for(graph.n)) is not None:
+        b = np.full(graph.n, b) if isinstance(b, float) else b
+        return kernels.dynamics(graph.first, graph.neighbour, graph.weight, a, b, x, u, w)  # type: ignore[no-any-return]
+    return a * x + b * graph.flow(u) + w
 
 
 @dataclass(frozen=True)
@@ -68,7 +78,7 @@ class World:
     """The true network in motion: its state x(t), what goes wrong, and the step to the next."""
 
     def __init__(self, truth: Truth) -> None:
-        self.graph = graph = Graph(len(truth.ids), truth.edges)
+        self.graph = graph = Graph(len(truth.ids), truth.edges, truth.weights)
         self.a = truth.a.copy()
         self.b = truth.b
         self.t = 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import inspect
 import re
 import subprocess
@@ -66,7 +67,7 @@ def test_the_public_interface_is_this_and_no_more() -> None:
     """A new name is a promise: add it here, to the tables of docs/python.md, and to CHANGELOG.md."""
     assert hg.__all__ == [
         *("Code", "HedgerowError", "Law", "Live", "Minimax", "Run", "Topology", "TopologyError", "UserError"),
-        *("load", "load_run", "report", "run", "simulate", "start", "sweep"),
+        *("bound", "load", "load_run", "report", "run", "simulate", "start", "sweep"),
     ]
     page = Path(__file__).parents[1].joinpath("docs/python.md").read_text()
     assert set(re.findall(r"auto\w+:: (\w+)", page)) == {*hg.__all__}
@@ -88,17 +89,22 @@ def test_settings_are_those_of_the_command_line(here: Path) -> None:
 
 
 class Still(hg.Minimax):
-    """A law that never acts."""
+    """A law that acts on a share of the state."""
+
+    def __init__(self, b: Any, candidates: Any, *, share: float = 0.0) -> None:
+        super().__init__(b, candidates)
+        self.share = share
 
     def act(self, x: Any) -> Any:
-        return 0.0 * x
+        return self.share * x
 
 
 def test_a_law_is_a_name_or_a_class(here: Path) -> None:
     assert hg.load(PAIR, law=hg.Minimax).law == "minimax"
-    still = hg.simulate(PAIR, law=Still)
+    still = hg.simulate(PAIR, "defaults.x0=1", law=Still)
     assert not still.u.any()
-    assert hg.run(PAIR, law=Still) == still
+    assert hg.run(PAIR, "defaults.x0=1", law=Still) == still
+    assert hg.simulate(PAIR, "defaults.x0=1", law=functools.partial(Still, share=0.5)).u.any()
 
 
 def test_a_law_of_the_main_program_cannot_go_to_another_process(here: Path) -> None:

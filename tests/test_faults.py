@@ -108,9 +108,10 @@ def test_the_contraction_holds_and_no_missing_input_flows(topology: Topology) ->
     ran, graph, models = simulate(topology), topology.graph, candidates_of(topology)
     # Before a jump and after it the truth is one of the candidates: the largest bounds them all.
     rho = contraction(np.nanmax(models, axis=0), models)
+    b = topology.network.b
     for row, x_next in zip(ran.rows, ran.x[1:], strict=True):
-        norm = np.abs(row.x).sum()
-        assert np.abs(x_next).sum() <= rho * norm + np.abs(row.w).sum() + 1e-9 * (1 + norm)
+        norm = np.sum(np.abs(row.x) / b)
+        assert np.sum(np.abs(x_next) / b) <= rho * norm + np.sum(np.abs(row.w) / b) + 1e-9 * (1 + norm)
         missing = np.isnan(row.u)
         assert not row.edge_open[missing[graph.edges].any(axis=1)].any()
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import (
     AfterValidator,
@@ -16,6 +16,7 @@ from pydantic import (
     StrictInt,
     Tag,
     WithJsonSchema,
+    model_validator,
 )
 from pydantic_core import PydanticCustomError
 
@@ -51,9 +52,45 @@ def _one_line_name(value: str) -> str:
 
 Number = Annotated[float, BeforeValidator(number)]
 NonNegative = Annotated[float, Field(ge=0), BeforeValidator(number)]
+Positive = Annotated[float, Field(gt=0, lt=LARGEST), BeforeValidator(number)]
+
+
+def _printable(value: str) -> str:
+    if not value.isprintable():
+        raise PydanticCustomError("label", "a label has printable characters only")
+    return value
+
+
+Label = Annotated[str, Field(min_length=1, max_length=200), AfterValidator(_printable)]
 Name = Annotated[
     str, AfterValidator(_one_line_name), WithJsonSchema({"type": "string", "pattern": f"^{_NAME}$"}, mode="validation")
 ]
+
+
+class Uniform(Model):
+    """A number left to chance: drawn uniformly from [low, high)."""
+
+    random: tuple[Number, Number] = Field(description="[low, high]")
+
+    @model_validator(mode="after")
+    def _not_empty(self) -> Self:
+        if self.low > self.high:
+            raise PydanticCustomError("empty", "is empty")
+        return self
+
+    @property
+    def low(self) -> float:
+        return self.random[0]
+
+    @property
+    def high(self) -> float:
+        return self.random[1]
+
+
+class PositiveUniform(Uniform):
+    """A number above 0 left to chance: drawn uniformly from [low, high)."""
+
+    random: tuple[Positive, Positive] = Field(description="[low, high]")
 
 
 _WHOLE = re.compile(r"0|-?[1-9][0-9]{0,3999}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import importlib
 import logging
 from types import ModuleType
 
@@ -16,12 +17,16 @@ def kernels_for(nodes: int) -> ModuleType | None:
     return _kernels() if nodes >= LARGE else None
 
 
+def unequal_kernels_for(nodes: int) -> ModuleType | None:
+    """`hedgerow.topologies.unequal_kernels`, for gains or weights that differ; else as `kernels_for`."""
+    return _kernels("unequal_kernels") if nodes >= LARGE else None
+
+
 @functools.cache
-def _kernels() -> ModuleType | None:
+def _kernels(name: str = "kernels") -> ModuleType | None:
     try:
-        from hedgerow.topologies import kernels  # noqa: PLC0415  # slow to load
+        return importlib.import_module(f"hedgerow.topologies.{name}")  # slow to load
     except Exception as error:  # no numba, one that fails on this machine, or nowhere to keep what it compiles
         if not (isinstance(error, ModuleNotFoundError) and error.name == "numba"):
             LOG.warning("compiled loops are left out, numpy gives the same bits: %s: %s", type(error).__name__, error)
         return None
-    return kernels

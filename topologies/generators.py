@@ -24,7 +24,8 @@ from pydantic_core import PydanticCustomError
 
 from hedgerow.topologies import budget
 from hedgerow.topologies.base import Model, kind_of, number
-from hedgerow.topologies.graph import Index
+from hedgerow.topologies.edges import PositiveValue, weights_of
+from hedgerow.topologies.graph import Array, Index
 
 # numpy counts in 64 bits, and would raise OverflowError for more.
 Count = Annotated[StrictInt, Field(ge=1, le=10**9)]
@@ -50,6 +51,7 @@ class Generator(Model):
         None, description="what is random in it is drawn from this; from the `seed:` of the file if absent"
     )
     max_degree: Count | None = Field(None, description="the most neighbours that a node may have")
+    weight: PositiveValue = Field(1.0, description="k_e of every edge, above 0; or `{random: [low, high]}`")
 
     @model_validator(mode="after")
     def _possible(self) -> Self:
@@ -89,6 +91,11 @@ class Generator(Model):
         low, high = pairs.min(axis=1), pairs.max(axis=1)
         key = np.unique(low[low < high] * self.nodes + high[low < high])
         return np.stack([key // self.nodes, key % self.nodes], axis=1)
+
+    def weights(self, seed: int, edges: Index) -> Array | None:
+        """The weights of the edges that `edges` returns, (E,), None if all are 1."""
+        own = seed if self.seed is None else self.seed
+        return weights_of(self.weight, own, range(self.nodes), edges)
 
     def _make(self, stream: np.random.Generator) -> Index:
         """Edges in any order, with either end first; of loops and repeated ones nothing is kept."""

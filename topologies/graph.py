@@ -8,11 +8,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from hedgerow.topologies.fast import kernels_for
+from hedgerow.topologies.fast import kernels_for, unequal_kernels_for
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Index = NDArray[np.int64]
+Gain = float | Array
+"""b of (1): one number for all nodes, or b_i of each, (n,)."""
 
 FEW = 32
 """so many numbers are summed faster without numpy"""
@@ -30,17 +32,25 @@ def starts(node: Index, n: int) -> Index:
     return np.concatenate([[0], np.cumsum(np.bincount(node, minlength=n))])
 
 
+def weighted_sums(node: Index, values: Array, n: int) -> Array:
+    """The sum of the values of the incidences of each of n nodes, in their order, (n,)."""
+    return np.bincount(node, values, n).astype(float, copy=False)  # without incidences, bincount counts in integers
+
+
 class Graph:
     """Nodes 0 .. n-1 and undirected edges, each once.
 
     An edge seen from one of its ends is an *incidence*; there are 2E of them, ordered by node and then by
     neighbour. Every sum over neighbours runs in that order, so that it gives the same bits wherever it is
     taken: in the plant, in a shard of one node or in a shard of all.
+
+    `weights` (E,) are k_e > 0 of the edges. None means that all are 1: no step multiplies by them then.
     """
 
-    def __init__(self, n: int, edges: Index) -> None:
+    def __init__(self, n: int, edges: Index, weights: Array | None = None) -> None:
         self.n = n
         self.edges = edges
+        self.weights = weights
         ends = np.concatenate([edges, edges[:, ::-1]])
         order = np.lexsort((ends[:, 1], ends[:, 0]))
         self.node: Index = ends[order, 0]
@@ -54,6 +64,16 @@ class Graph:
     def degree(self) -> Index:
         """d_i, the number of neighbours of each node, (n,)."""
         return np.bincount(self.node, minlength=self.n)
+
+    @cached_property
+    def weight(self) -> Array | None:
+        """Per incidence: the weight of its edge, (2E,); None if all are 1."""
+        return None if self.weights is None else self.weights[self.edge]
+
+    @cached_property
+    def weighted_degree(self) -> Index | Array:
+        """d_i, the sum of the weights of the edges of each node, (n,); the degree, in whole numbers, if all are 1."""
+        return self.degree if self.weight is None else weighted_sums(self.node, self.weight, self.n)
 
     @cached_property
     def first(self) -> Index:
@@ -73,15 +93,20 @@ class Graph:
         return place
 
     def flow(self, u: Array, edge_open: Mask | None = None) -> Array:
-        """f_i = sum over neighbours j of (u_i - u_j), over the edges that are open; equation (1).
+        """f_i = sum over neighbours j of k_ij (u_i - u_j), over the edges that are open; equation (1).
 
         u: (n,), or (B, n) for B networks at once; edge_open: (E,), or (B, E), None where all are open; f: as u.
         """
         if edge_open is None and (kernels := kernels_for(self.n)) is not None:
-            if u.ndim == 1:
+            if u.ndim > 1:
+                return np.array([self.flow(row) for row in u])
+            if self.weight is None:
                 return kernels.flow(self.first, self.neighbour, u)  # type: ignore[no-any-return]
-            return np.array([kernels.flow(self.first, self.neighbour, row) for row in u])
+            if (unequal := unequal_kernels_for(self.n)) is not None:
+                return unequal.flow(self.first, self.neighbour, self.weight, u)  # type: ignore[no-any-return]
         difference = u.take(self.node, axis=-1) - u.take(self.neighbour, axis=-1)
+        if self.weight is not None:
+            difference *= self.weight
         if edge_open is not None:
             difference = np.where(edge_open.take(self.edge, axis=-1), difference, 0.0)
         if u.ndim == 1:
@@ -97,3 +122,10 @@ class Graph:
         """
         difference = u.take(self.edges[:, 1], axis=-1) - u.take(self.edges[:, 0], axis=-1)
         return difference if edge_open is None else np.where(edge_open, difference, 0.0)
+
+    def edge_cost(self, u_edge: Array) -> Array:
+        """The cost sum_e k_e u_e^2 of edge inputs, which are (B, E), (B,)."""
+        squares = u_edge * u_edge
+        if self.weights is not None:
+            squares *= self.weights
+        return np.asarray(squares.sum(axis=-1))

@@ -1,6 +1,9 @@
 """The H-infinity facts of a network whose a is known: condition (3), Q, gamma*, and the contraction rho.
 
-With S = I - A and the graph Laplacian L, Q = S^2 + b^2 L. See docs/theory.md for what each number promises.
+With S = I - A, the gains b_i and the weighted graph Laplacian L, Q = S^2 + diag(b) L diag(b). If all gains are b and
+all weights 1, that is the paper's S^2 + b^2 L. See docs/theory.md for what each number promises.
+
+In all functions `b` is one gain or that of each node, (n,), and a degree is d_i, the sum of the node's edge weights.
 """
 
 from __future__ import annotations
@@ -13,7 +16,7 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 
 from hedgerow.topologies.errors import HedgerowError
-from hedgerow.topologies.graph import Array, Graph, Index, Mask
+from hedgerow.topologies.graph import Array, Gain, Graph, Index, Mask
 
 if TYPE_CHECKING:
     import scipy.sparse
@@ -30,8 +33,8 @@ SUPPLY_PRODUCTS = 1_000
 """Beyond: products with Q at most for that; if they are not enough, it is known less well, and how well is known."""
 
 
-def allowed_interval(b: float, degree: int) -> tuple[float, float] | None:
-    """The open interval of a that satisfies condition (3), a^2 + 2 b^2 d < a; None when there is none."""
+def allowed_interval(b: float, degree: float) -> tuple[float, float] | None:
+    """The open interval of a that satisfies condition (3), a^2 + 2 b_i^2 d_i < a; None when there is none."""
     discriminant = 1 - 8 * b * b * degree
     if discriminant <= 0:
         return None
@@ -39,12 +42,12 @@ def allowed_interval(b: float, degree: int) -> tuple[float, float] | None:
     return (1 - s) / 2, (1 + s) / 2
 
 
-def satisfies_condition(a: float, b: float, degree: int) -> bool:
-    """Condition (3) itself: a^2 + 2 b^2 d_i < a."""
+def satisfies_condition(a: float, b: float, degree: float) -> bool:
+    """Condition (3) itself: a^2 + 2 b_i^2 d_i < a."""
     return 0 < a < 1 and a * a + 2 * b * b * degree < a
 
 
-def allowed_intervals(b: float, degree: Index) -> tuple[Array, Array]:
+def allowed_intervals(b: Gain, degree: Index | Array) -> tuple[Array, Array]:
     """The same of many nodes, low and high ends; NaN where there is none."""
     with np.errstate(invalid="ignore"):
         s = np.sqrt(1 - 8 * b * b * degree)
@@ -52,35 +55,42 @@ def allowed_intervals(b: float, degree: Index) -> tuple[Array, Array]:
     return (1 - s) / 2, (1 + s) / 2
 
 
-def condition_holds(a: Array, b: float, degree: Index) -> Mask:
+def condition_holds(a: Array, b: Gain, degree: Index | Array) -> Mask:
     """Condition (3) of many nodes; a: (n,) or (M, n)."""
     return np.asarray((a > 0) & (a < 1) & (a * a + 2 * b * b * degree < a))
 
 
 def contraction(a: Array, candidates: Array) -> float:
-    """The rho = max_j max(a_j, max_m a_jm - a_j) of |x(t+1)|_1 <= rho |x(t)|_1 + |w(t)|_1, whatever is estimated.
+    """The rho = max_j max(a_j, max_m a_jm - a_j) of |x(t+1)| <= rho |x(t)| + |w(t)|, whatever is estimated.
 
-    a: (n,); candidates: (M, n), NaN where a list has fewer.
+    The norm is |x| = sum |x_i| / b_i. a: (n,); candidates: (M, n), NaN where a list has fewer.
     """
     return float(np.maximum(a, np.nanmax(candidates, axis=0) - a).max())
 
 
-def _q(a: Array, b: float, graph: Graph) -> scipy.sparse.csc_array:
+def _q(a: Array, b: Gain, graph: Graph) -> scipy.sparse.csc_array:
     import scipy.sparse  # noqa: PLC0415 (half a second, and only large networks need it)
 
-    diagonal = (1 - a) ** 2 + b * b * graph.degree
+    diagonal = (1 - a) ** 2 + b * b * graph.weighted_degree
     i, j = graph.node, graph.neighbour
-    off = scipy.sparse.coo_array((np.full(len(i), -b * b), (i, j)), shape=(graph.n, graph.n))
+    beside = np.broadcast_to(_beside(b, graph), len(i))
+    off = scipy.sparse.coo_array((beside, (i, j)), shape=(graph.n, graph.n))
     return cast("scipy.sparse.csc_array", (scipy.sparse.diags_array(diagonal) + off).tocsc())
 
 
-def _q_dense(a: Array, b: float, graph: Graph) -> Array:
-    q = np.diag((1 - a) ** 2 + b * b * graph.degree)
-    q[graph.node, graph.neighbour] -= b * b
+def _q_dense(a: Array, b: Gain, graph: Graph) -> Array:
+    q = np.diag((1 - a) ** 2 + b * b * graph.weighted_degree)
+    q[graph.node, graph.neighbour] += _beside(b, graph)
     return q
 
 
-def smallest_eigenpair(a: Array, b: float, graph: Graph) -> tuple[float, Array]:
+def _beside(b: Gain, graph: Graph) -> Gain:
+    """Q_ij = -b_i k_ij b_j of each incidence, (2E,), or the one number that all are."""
+    beside = -b[graph.node] * b[graph.neighbour] if isinstance(b, np.ndarray) else -b * b
+    return beside if graph.weight is None else beside * graph.weight
+
+
+def smallest_eigenpair(a: Array, b: Gain, graph: Graph) -> tuple[float, Array]:
     """lambda_min(Q) and its unit eigenvector, signed so that its sum is not negative."""
     if graph.n <= _DENSE:
         try:
@@ -98,7 +108,7 @@ def smallest_eigenpair(a: Array, b: float, graph: Graph) -> tuple[float, Array]:
     return value, -vector if vector.sum() < 0 else vector
 
 
-def _lobpcg(a: Array, b: float, graph: Graph) -> tuple[float, Array]:
+def _lobpcg(a: Array, b: Gain, graph: Graph) -> tuple[float, Array]:
     """By products with Q alone, from a positive vector: of a matrix like Q, the one that is sought has one sign."""
     from scipy.sparse.linalg import LinearOperator, lobpcg  # noqa: PLC0415
 
@@ -116,12 +126,12 @@ def _lobpcg(a: Array, b: float, graph: Graph) -> tuple[float, Array]:
     return value, vector
 
 
-def gamma_star(a: Array, b: float, graph: Graph) -> float:
+def gamma_star(a: Array, b: Gain, graph: Graph) -> float:
     """gamma* = lambda_min(Q)^(-1/2), the optimal gain for the edge cost and known a; never the adaptive law's."""
     return 1 / math.sqrt(smallest_eigenpair(a, b, graph)[0])
 
 
-def q_solver(a: Array, b: float, graph: Graph) -> Callable[[Array], Array]:
+def q_solver(a: Array, b: Gain, graph: Graph) -> Callable[[Array], Array]:
     """A function w -> Q^(-1) w, for w of shape (n,) or (n, k), by the factors of Q."""
     if graph.n <= _DENSE:
         inverse = np.linalg.inv(_q_dense(a, b, graph))
@@ -131,7 +141,7 @@ def q_solver(a: Array, b: float, graph: Graph) -> Callable[[Array], Array]:
     return cast("Callable[[Array], Array]", splu(_q(a, b, graph)).solve)
 
 
-def supply_rate(a: Array, b: float, graph: Graph) -> Callable[[Array], tuple[float, float]]:
+def supply_rate(a: Array, b: Gain, graph: Graph) -> Callable[[Array], tuple[float, float]]:
     """A function w -> w'Q^(-1)w, (n,), as two numbers: not less than the first, nor than that by more than the second.
 
     Of up to FACTORED nodes the second is 0; of more it is SUPPLY_RTOL of the first, proved, not estimated.
@@ -149,7 +159,7 @@ class _Supply:
     0 <= r'Q^(-1)r <= sum (r_i / (1 - a_i))^2 <= max_i (D_i / (1 - a_i)^2) r'D^(-1)r, which the method knows anyway.
     """
 
-    def __init__(self, a: Array, b: float, graph: Graph) -> None:
+    def __init__(self, a: Array, b: Gain, graph: Graph) -> None:
         self._q = _q(a, b, graph).tocsr()
         self._over_d = 1 / self._q.diagonal()
         self._loose = float((1 / (self._over_d * (1 - a) ** 2)).max())

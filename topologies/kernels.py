@@ -11,14 +11,14 @@ from numba import float64, int64, njit, types, void
 
 from hedgerow.topologies.graph import Array, Index
 
-_READ = types.Array(float64, 1, "C", readonly=True)
+READ = types.Array(float64, 1, "C", readonly=True)
 """what arrives in a message may not be written to"""
-_READ_ROWS = types.Array(float64, 2, "C", readonly=True)
-_INDEX = types.Array(int64, 1, "C", readonly=True)
-_WRITE, _WRITE_ROWS = float64[::1], float64[:, ::1]
+READ_ROWS = types.Array(float64, 2, "C", readonly=True)
+INDEX = types.Array(int64, 1, "C", readonly=True)
+WRITE, WRITE_ROWS = float64[::1], float64[:, ::1]
 
 
-@njit(_WRITE(_INDEX, _INDEX, _READ), cache=True)
+@njit(WRITE(INDEX, INDEX, READ), cache=True)
 def flow(first: Index, other: Index, u: Array) -> Array:
     """The flow: bincount(node, u[node] - u[other]), where the incidences of node i are first[i] .. first[i + 1] - 1."""
     flows = np.empty(len(first) - 1)
@@ -30,7 +30,7 @@ def flow(first: Index, other: Index, u: Array) -> Array:
     return flows
 
 
-@njit(_WRITE(_INDEX, _INDEX, _READ, float64, _READ, _READ, _READ), cache=True)
+@njit(WRITE(INDEX, INDEX, READ, float64, READ, READ, READ), cache=True)
 def dynamics(first: Index, other: Index, a: Array, b: float, x: Array, u: Array, w: Array) -> Array:
     """The state after x: a * x + b * flow(u) + w; equation (1)."""
     x_next = np.empty(len(x))
@@ -42,7 +42,7 @@ def dynamics(first: Index, other: Index, a: Array, b: float, x: Array, u: Array,
     return x_next
 
 
-@njit(_WRITE(float64, _READ, _READ), cache=True, error_model="numpy")
+@njit(WRITE(float64, READ, READ), cache=True, error_model="numpy")
 def control(b: float, x: Array, ahat: Array) -> Array:
     """The inputs b * x / (ahat - 1); equation (6)."""
     u = np.empty(len(x))
@@ -51,7 +51,7 @@ def control(b: float, x: Array, ahat: Array) -> Array:
     return u
 
 
-@njit(void(_WRITE_ROWS, _READ_ROWS, float64, _READ, _READ, _READ, _WRITE, _WRITE), cache=True)
+@njit(void(WRITE_ROWS, READ_ROWS, float64, READ, READ, READ, WRITE, WRITE), cache=True)
 def learn(
     J: Array, candidates: Array, b: float, x: Array, flow: Array, x_next: Array, ahat: Array, margin: Array
 ) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import difflib
 import functools
@@ -22,10 +23,12 @@ from pydantic_core import ErrorDetails
 from hedgerow.topologies import budget, table
 from hedgerow.topologies.base import Model, kind_of, node_id
 from hedgerow.topologies.cures import cure_of_number, cure_of_text
+from hedgerow.topologies.edges import Edge
 from hedgerow.topologies.errors import Code, FileRefusedError, Problem, Problems, TopologyError, UserError
 from hedgerow.topologies.faults import KINDS, known_keys
 from hedgerow.topologies.generators import GENERATORS
 from hedgerow.topologies.graph import LARGEST
+from hedgerow.topologies.law_choice import LawChoice
 from hedgerow.topologies.nodes import Edges, Nodes
 from hedgerow.topologies.odd import no_id, odd_numbers
 from hedgerow.topologies.override import next_key, origin_of, split_setting, steps_of
@@ -142,6 +145,7 @@ def _read(source: Source, name: str, folder: FilePath, overrides: Sequence[str])
             topology = None
     if topology is not None:
         source.problems.extend(broken_rules(topology, source, folder))
+        topology.with_origin_of_law(_origin_of_law(source))
     return source.problems if topology is None or len(source.problems) else topology
 
 
@@ -163,6 +167,23 @@ def _with_table(topology: Topology, file: str, folder: FilePath) -> Topology:
     return topology.model_copy(update={"nodes": Nodes(whole), "edges": Edges(whole)}).of_network(whole)
 
 
+def _origin_of_law(source: Source) -> str:
+    """Return the place of `law:` as the start of a message."""
+    mark = source.mark(("law",))
+    if mark.origin:
+        return f"{mark.origin}: "
+    return f"{source.name}:{mark.line}: " if mark.line else ""
+
+
+def _law_as_mapping(source: Source) -> None:
+    """Give `law:` the form that has a place for each parameter, for an override of one of them."""
+    text = source.value.get("law", "minimax")
+    if isinstance(text, str):
+        with contextlib.suppress(ValueError):  # the schema reports what is wrong with it
+            choice = LawChoice.parse(text)
+            source.value["law"] = {"class" if ":" in choice.name else "name": choice.name, **choice.parameters}
+
+
 def _override(source: Source, override: str) -> None:
     where, text = split_setting(override)
     if not where:
@@ -180,6 +201,8 @@ def _override(source: Source, override: str) -> None:
     source.problems.extend(replace(problem, line=0, column=0, origin=origin) for problem in given.problems)
     value = given.value
     rest = steps_of(where)
+    if len(rest) > 1 and rest[0].text == "law":
+        _law_as_mapping(source)
     keys: list[Any] = []
     at = source.value
     while rest:
@@ -439,6 +462,8 @@ def _known_keys(source: Source, path: Path) -> list[str]:
             model = GENERATORS.get(kind)
         case ("record",):
             model = Record
+        case ("edges", _):
+            model = Edge
         case ("faults", _):
             model = KINDS.get(kind)
         case ("defaults",):

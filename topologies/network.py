@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hedgerow.topologies import hinf
-from hedgerow.topologies.graph import Array, Graph, Index
+from hedgerow.topologies.graph import Array, Gain, Graph, Index
 
 QUICK = 10_000
 """Of so many nodes gamma* takes 0.1 s."""
@@ -46,7 +46,8 @@ class Network:
 
     ids: Sequence[int | str]
     graph: Graph
-    b: float
+    b: Gain
+    """one number if the gains of all nodes are the same"""
     a: Array
     """the truth at t = 0, (n,)"""
     x0: Array
@@ -57,6 +58,10 @@ class Network:
     """ordered by place and then by kind, the order in which they are added up"""
     parts: Index
     """how many disturbances each node lists, those of the kind `none` among them, (n,)"""
+    labels: Sequence[str] | None = None
+    """a text for each node, empty where it has none; None if no node has one"""
+    positions: Array | None = None
+    """where pictures draw each node, (n, 2), NaN where the file does not say; None if no node has one"""
 
     @cached_property
     def gamma_star(self) -> float:
@@ -67,6 +72,32 @@ class Network:
     def gamma_star_now(self) -> float:
         """The same for who shows a run that goes on; NaN where it takes so long that nobody can wait for it."""
         return self.gamma_star if len(self.a) <= QUICK else math.nan
+
+
+def span(values: Gain) -> str:
+    """Return one number, or the range of several, in words."""
+    if isinstance(values, float):
+        return f"{values:g}"
+    low, high = float(values.min()), float(values.max())
+    return f"{low:g}" if low == high else f"{low:.4g} to {high:.4g}"
+
+
+def gains(values: Sequence[float] | Array) -> Gain:
+    """Return b of each node, (n,), as one number if all of them are the same."""
+    b = np.array(values, dtype=np.float64)
+    return float(b[0]) if (b == b[0]).all() else b
+
+
+def labels(given: Sequence[str | None]) -> Sequence[str] | None:
+    """Return the labels of all nodes; None if no node has one."""
+    return tuple(label or "" for label in given) if any(given) else None
+
+
+def positions(given: Sequence[tuple[float, float] | None]) -> Array | None:
+    """Return the positions of all nodes, (n, 2), NaN where a node has none; None if no node has one."""
+    if all(place is None for place in given):
+        return None
+    return np.array([(np.nan, np.nan) if place is None else place for place in given], dtype=np.float64)
 
 
 def padded(lists: Sequence[Sequence[float]]) -> Array:

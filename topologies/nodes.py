@@ -7,6 +7,7 @@ from typing import Any, overload
 
 import numpy as np
 
+from hedgerow.topologies.edges import Edge
 from hedgerow.topologies.network import Group, Network
 from hedgerow.topologies.schema import COMPONENTS, Component, Node, Nothing
 
@@ -47,12 +48,21 @@ class Nodes(Mapping[NodeId, Node]):
             if row < len(group.nodes) and group.nodes[row] == k:
                 parts[group.number] = _component(group, row)
         return Node(
+            b=None if isinstance(network.b, float) else float(network.b[k]),
             a=float(network.a[k]),
             candidates=tuple(listed[~np.isnan(listed)].tolist()),
             x0=float(network.x0[k]),
             nominal=float(network.nominal[k]),
             disturbance=parts[0] if len(parts) == 1 else tuple(parts),
+            label=(network.labels[k] or None) if network.labels is not None else None,
+            position=self._place(k),
         )
+
+    def _place(self, k: int) -> tuple[float, float] | None:
+        positions = self._network.positions
+        if positions is None or np.isnan(positions[k, 0]):
+            return None
+        return float(positions[k, 0]), float(positions[k, 1])
 
 
 def _component(group: Group, row: int) -> Component:
@@ -83,6 +93,14 @@ class Edges(Sequence[tuple[NodeId, NodeId]]):
     def __iter__(self) -> Iterator[tuple[NodeId, NodeId]]:
         ids = self._network.ids
         return ((ids[i], ids[j]) for i, j in self._network.graph.edges.tolist())
+
+    def weighted(self) -> Iterator[tuple[NodeId, NodeId] | Edge]:
+        """The same as a file writes them: with the weights of those whose weight is not 1."""
+        weights = self._network.graph.weights
+        if weights is None:
+            return iter(self)
+        pairs = zip(self, weights.tolist(), strict=True)
+        return (ends if weight == 1 else Edge(ends=ends, weight=weight) for ends, weight in pairs)
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Sequence) and tuple(self) == tuple(other)

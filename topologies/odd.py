@@ -55,7 +55,7 @@ def no_id(node: Any, text: str | None, shown: str) -> tuple[str, str, Code]:
 
 def _names_node(path: Path) -> bool:
     match path:
-        case ("nodes", _) | ("edges", _, _) | ("record", "nodes", _):
+        case ("nodes", _) | ("edges", _, int()) | ("edges", _, "ends", _) | ("record", "nodes", _):
             return True
         case ("faults", _, "at", _, *rest):
             return bool(rest)

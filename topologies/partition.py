@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hedgerow.topologies.graph import Graph, Index
+from hedgerow.topologies.graph import Graph, Index, Mask
 
 IN_ORDER = 64
 """Networks of up to so many nodes, which people write, are cut in the order of the file."""
@@ -56,7 +56,17 @@ def _blocks(order: Index, processes: int) -> tuple[Index, ...]:
 
 
 def cut(graph: Graph, parts: tuple[Index, ...]) -> int:
-    """How many edges cross from one part to another."""
+    """How many edges cross from one part to another: a message costs the same, whatever the edge weighs."""
+    return int(_crossing(graph, parts).sum())
+
+
+def cut_weight(graph: Graph, parts: tuple[Index, ...]) -> float:
+    """The sum of the weights of the edges that cross from one part to another."""
+    crossing = _crossing(graph, parts)
+    return float(crossing.sum() if graph.weights is None else graph.weights[crossing].sum())
+
+
+def _crossing(graph: Graph, parts: tuple[Index, ...]) -> Mask:
     home = np.empty(graph.n, dtype=np.int64)
     home[np.concatenate(parts)] = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
-    return int((home[graph.edges[:, 0]] != home[graph.edges[:, 1]]).sum())
+    return np.asarray(home[graph.edges[:, 0]] != home[graph.edges[:, 1]])

@@ -17,12 +17,14 @@ import yaml
 from numpy.typing import NDArray
 
 from hedgerow.topologies import lots, table
+from hedgerow.topologies.base import Uniform
+from hedgerow.topologies.edges import Edge
 from hedgerow.topologies.errors import TopologyError
 from hedgerow.topologies.faults import Fault, Jump
 from hedgerow.topologies.graph import Array, Index
 from hedgerow.topologies.header import Header
 from hedgerow.topologies.hinf import allowed_intervals, smallest_eigenpair
-from hedgerow.topologies.network import PARAMETERS, Group, Network
+from hedgerow.topologies.network import PARAMETERS, Group, Network, gains, labels
 from hedgerow.topologies.nodes import SPELLED_OUT, Edges, Nodes
 from hedgerow.topologies.rules import broken_faults
 from hedgerow.topologies.samples import columns
@@ -37,7 +39,6 @@ from hedgerow.topologies.schema import (
     Nothing,
     Samples,
     Topology,
-    Uniform,
 )
 from hedgerow.topologies.source import FLOAT
 from hedgerow.topologies.table import Table
@@ -92,7 +93,7 @@ def resolve(topology: Topology, folder: Path = Path()) -> Topology:
         network = _worst_case(network, topology.disturbance.energy)
     if len(network.ids) <= SPELLED_OUT:
         network = replace(network, ids=tuple(network.ids))
-        whole: dict[str, Any] = {"nodes": dict(Nodes(network)), "edges": tuple(Edges(network))}
+        whole: dict[str, Any] = {"nodes": dict(Nodes(network)), "edges": tuple(Edges(network).weighted())}
     else:
         whole = {"nodes": Nodes(network), "edges": Edges(network)}
     whole |= {"generator": None, "table": None, "table_nodes": None, "lots": None}
@@ -115,7 +116,7 @@ class _Drawing:
     def __init__(self, topology: Topology, draws: _Draws, folder: Path) -> None:
         self._topology, self._draws, self._folder = topology, draws, folder
         n = len(topology.ids)
-        self._a, self._x0, self._nominal = np.empty(n), np.empty(n), np.empty(n)
+        self._b, self._a, self._x0, self._nominal = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
         self._parts = np.empty(n, dtype=np.int64)
         self._lists: list[tuple[Index, Array]] = []
         """(nodes, candidates (M, k)), NaN-padded"""
@@ -138,14 +139,36 @@ class _Drawing:
         return Network(
             ids=topology.ids,
             graph=topology.graph,
-            b=topology.b,
+            b=gains(self._b),
             a=self._a,
             x0=self._x0,
             nominal=self._nominal,
             candidates=candidates,
             disturbance=[_joined(found) for _, found in sorted(self._groups.items(), key=lambda item: item[0])],
             parts=self._parts,
+            labels=self._labels(table),
+            positions=self._positions(table),
         )
+
+    def _labels(self, table: Table | None) -> Sequence[str] | None:
+        topology = self._topology
+        found: list[str | None] = [""] * len(topology.ids)
+        if table is not None and table.labels is not None:
+            found[:] = table.labels
+        for node, own in topology.nodes.items():
+            if own.label is not None:
+                found[topology.position(node)] = own.label
+        return labels(found)
+
+    def _positions(self, table: Table | None) -> Array | None:
+        topology = self._topology
+        found = np.full((len(topology.ids), 2), np.nan)
+        if table is not None and table.positions is not None:
+            found[:] = table.positions
+        for node, own in topology.nodes.items():
+            if own.position is not None:
+                found[topology.position(node)] = own.position
+        return None if np.isnan(found).all() else found
 
     def _fill(self, own: Node, nodes: Index, table: Table | None) -> None:
         """For nodes with these settings of their own; the table comes behind those, and then the defaults."""
@@ -157,7 +180,8 @@ class _Drawing:
             found: Array | None = getattr(table, key) if table is not None and getattr(own, key) is None else None
             return None if found is None else found[..., nodes]
 
-        x0, nominal, listed, a = (column(key) for key in ("x0", "nominal", "candidates", "a"))
+        x0, nominal, listed, a, b = (column(key) for key in ("x0", "nominal", "candidates", "a", "b"))
+        self._b[nodes] = self._draws.value(settings.b, "b", nodes) if b is None else b
         self._x0[nodes] = self._draws.value(settings.x0, "x0", nodes) if x0 is None else x0
         self._nominal[nodes] = settings.nominal if nominal is None else nominal
         if a is None and isinstance(settings.a, float):
@@ -184,7 +208,7 @@ class _Drawing:
             lengths: Any = (~np.isnan(listed)).sum(axis=0)
         elif isinstance(asked, Drawn):
             lengths = asked.random
-            low, high = allowed_intervals(self._topology.b, self._topology.graph.degree[nodes])
+            low, high = allowed_intervals(self._b[nodes], self._topology.graph.weighted_degree[nodes])
             listed = low + (high - low) * self._draws.of("candidates", nodes, lengths).T
             if a is not None:
                 apart = np.flatnonzero(~(listed == a).any(axis=0))
@@ -277,7 +301,8 @@ def to_yaml(topology: Topology) -> str:
         written["table"] = table.NAME
     else:
         nodes = {node: own.model_dump(mode="json", exclude_none=True) for node, own in topology.nodes.items()}
-        written |= {"nodes": nodes, "edges": [list(edge) for edge in topology.edges]}
+        edges = [_Line(edge.model_dump()) if isinstance(edge, Edge) else list(edge) for edge in topology.edges]
+        written |= {"nodes": nodes, "edges": edges}
     whole = {key: written[key] for key in type(topology).model_fields if key in written}
     if topology.faults:
         whole["faults"] = [_lines(fault.written()) for fault in topology.faults]

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
@@ -13,8 +12,10 @@ from typing import Any
 import numpy as np
 
 from hedgerow.topologies.base import node_id
+from hedgerow.topologies.coupling import Couplings, largest_couplings, largest_gains
 from hedgerow.topologies.errors import Code, FileRefusedError, Problem
 from hedgerow.topologies.faults import Crash, Cut, Delay, Drop, Fault, Jump, Partition
+from hedgerow.topologies.graph import Index
 from hedgerow.topologies.header import Header
 from hedgerow.topologies.hinf import allowed_interval, satisfies_condition
 from hedgerow.topologies.nodes import Edges, Nodes
@@ -48,7 +49,7 @@ def _sources(topology: Topology, source: Source) -> Iterator[Problem]:
     if topology.table_nodes is not None and "table" not in source.value:
         yield source.problem(("table_nodes",), "is about a `table:`, which is missing", "remove it, or add the table")
     if topology.given is not None:
-        for what, cure in broken(topology.given, topology.b, topology.steps):
+        for what, cure in broken(topology.given, largest_gains(topology), topology.steps):
             yield source.problem(("table",), what, cure)
         if topology.disturbance is not None and topology.given.disturbance:
             what = "stands beside the disturbances of `table:`, which it replaces"
@@ -65,7 +66,7 @@ def _edges(topology: Topology, source: Source) -> Iterator[Problem]:
     seen: dict[frozenset[int | str], int] = {}
     # Edges that the schema refused are not in the topology: find the others' lines by their ends.
     rows = _rows(topology, source) if topology.edges else []
-    for (i, j), k in zip(topology.edges, rows, strict=True):
+    for (i, j), k in zip(topology.pairs, rows, strict=True):
         at = ("edges", k)
         for end in dict.fromkeys((i, j)):
             if not topology.has(end):
@@ -88,18 +89,14 @@ def _cure_of_end(end: int | str, topology: Topology) -> str:
 def _rows(topology: Topology, source: Source) -> list[int]:
     if len(topology.edges) == len(written := source.value.get("edges") or []):
         return list(range(len(written)))
-    pairs = iter([(k, pair) for k, pair in enumerate(written) if isinstance(pair, list)])
-    return [next(k for k, pair in pairs if [*map(node_id, pair)] == list(edge)) for edge in topology.edges]
+    ends = ((k, edge.get("ends") if isinstance(edge, dict) else edge) for k, edge in enumerate(written))
+    pairs = iter([(k, pair) for k, pair in ends if isinstance(pair, list)])
+    return [next(k for k, pair in pairs if [*map(node_id, pair)] == list(edge)) for edge in topology.pairs]
 
 
 def _made(topology: Topology) -> bool:
     """Whether the edges were made by a rule, or come in columns: they are right then."""
     return topology.generator is not None or topology.given is not None or isinstance(topology.edges, Edges)
-
-
-def _degrees(topology: Topology) -> Counter[int | str]:
-    good = {frozenset(edge) for edge in topology.edges if edge[0] != edge[1]}
-    return Counter(end for edge in good for end in edge)
 
 
 @dataclass(frozen=True)
@@ -118,35 +115,52 @@ class _Named:
 
 
 def _nodes(topology: Topology, source: Source) -> Iterator[Problem]:
-    degrees = _degrees(topology) if not _made(topology) else {}
-    for node in _judged(topology):
-        degree = int(topology.graph.degree[topology.position(node)]) if _made(topology) else degrees.get(node, 0)
-        yield from _condition_3(_Named(node, topology, source), topology.b, degree)
+    if isinstance(topology.nodes, Nodes):
+        return  # complete in columns: topologies.table has looked at them
+    couplings = largest_couplings(topology, made=_made(topology))
+    if len(empty := couplings.empty):
+        yield _no_interval(topology, source, couplings, empty)
+    for node in _judged(topology, couplings):
+        k = topology.position(node)
+        yield from _condition_3(_Named(node, topology, source), float(couplings.b[k]), float(couplings.degree[k]))
         yield from _truth(_Named(node, topology, source))
 
 
-def _judged(topology: Topology) -> Iterator[int | str]:
-    """All nodes but those that are right if others are: condition (3) is hardest on the most neighbours."""
+def _judged(topology: Topology, couplings: Couplings) -> Iterator[int | str]:
+    """All nodes but those that are right if others are: condition (3) is hardest on the largest b_i^2 d_i."""
     if not _made(topology):
         yield from topology.ids
-    elif not isinstance(topology.nodes, Nodes):
-        own = [node for node in topology.nodes if topology.has(node)]
-        yield from own
-        degree = topology.graph.degree.copy()
-        degree[[topology.position(node) for node in own]] = -1
-        if len(own) < len(degree):
-            yield topology.ids[int(degree.argmax())]
+        return
+    own = [node for node in topology.nodes if topology.has(node)]
+    yield from own
+    coupling = couplings.b * couplings.b * couplings.degree
+    coupling[[topology.position(node) for node in own]] = -1
+    if len(own) < len(coupling):
+        yield topology.ids[int(coupling.argmax())]
 
 
-def _condition_3(node: _Named, b: float, degree: int) -> Iterator[Problem]:
+def _no_interval(topology: Topology, source: Source, couplings: Couplings, empty: Index) -> Problem:
+    """Name the nodes for which no a satisfies condition (3), and the b that would do for all."""
+    coupling = couplings.b * couplings.b * couplings.degree
+    order = (-coupling[empty]).argsort(kind="stable")
+    worst = int(empty[order[0]])
+    names = [str(topology.ids[k]) for k in empty[order[:6]].tolist()]
+    b, degree = couplings.b[worst], couplings.degree[worst]
+    load = f"8 b² d = {8 * coupling[worst]:.4g} is not below 1 (b = {b:g}, degree {degree:.6g})"
+    fewer = f"lower the degree below {1 / (8 * b * b):.4g}"
+    cure = f"the largest b that fits all nodes is {couplings.largest_b:.4g}; or {fewer}"
+    if len(empty) == 1:
+        path: Path = ("nodes", topology.ids[worst])
+        return source.problem(path, f"{load}: no a satisfies condition (3)", cure, place=f"node {names[0]}")
+    listed = ", ".join(names) + (", …" if len(empty) > len(names) else "")
+    what = f"no a satisfies condition (3) at {len(empty)} nodes ({listed}); at node {names[0]}, {load}"
+    path = ("b",) if topology.defaults.b is None else ("defaults", "b")
+    return source.problem(path, what, cure)
+
+
+def _condition_3(node: _Named, b: float, degree: float) -> Iterator[Problem]:
     interval = allowed_interval(b, degree)
     if interval is None:
-        room = max(0, math.ceil(1 / (8 * b * b)) - 1)
-        load = f"8 b² d = {8 * b * b * degree:.4g} is not below 1 (b = {b:g}, degree {degree})"
-        cure = f"give it at most {room} neighbours, or b below {1 / math.sqrt(8 * degree):.4g}"
-        yield node.source.problem(
-            ("nodes", node.id), f"{load}: no a satisfies condition (3)", cure, place=f"node {node.id}"
-        )
         return
     settings = node.topology.settings(node.id)
     listed = settings.candidates if isinstance(settings.candidates, tuple) else ()
@@ -154,7 +168,7 @@ def _condition_3(node: _Named, b: float, degree: int) -> Iterator[Problem]:
     values.append(("nominal", settings.nominal, ()))
     if not listed:  # a truth that must be among the candidates is judged with them
         values.append(("a", settings.a, ()))
-    why = f"({interval[0]:.6g}, {interval[1]:.6g}), the interval of condition (3) for b = {b:g} and degree {degree}"
+    why = f"({interval[0]:.6g}, {interval[1]:.6g}), the interval of condition (3) for b = {b:g} and degree {degree:.6g}"
     for key, value, inside in values:
         if isinstance(value, float) and not satisfies_condition(value, b, degree):
             yield node.problem(key, f"{value!r} is outside {why}", "choose a value inside it", *inside)
@@ -273,7 +287,7 @@ class _Struck:
     def _written(self) -> dict[int | str, dict[int | str, None]]:
         """The neighbours of each node, in the order of the edges."""
         beside: dict[int | str, dict[int | str, None]] = defaultdict(dict)
-        for i, j in self.topology.edges:
+        for i, j in self.topology.pairs:
             beside[i][j] = None
             beside[j][i] = None
         return beside

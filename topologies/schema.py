@@ -7,15 +7,14 @@ All models are frozen and refuse unknown keys. The JSON Schema and docs/topology
 
 from __future__ import annotations
 
+import difflib
 import os
-import re
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Annotated, Any, ClassVar, Literal, Self, cast
 
 import numpy as np
 from pydantic import (
-    AfterValidator,
     AliasChoices,
     BeforeValidator,
     ConfigDict,
@@ -30,49 +29,62 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
-from hedgerow.topologies.base import Model, Name, NodeId, NonNegative, Number, TrueA, kind_of, number
+from hedgerow.topologies.base import (
+    Label,
+    Model,
+    Name,
+    NodeId,
+    NonNegative,
+    Number,
+    Positive,
+    TrueA,
+    Uniform,
+    kind_of,
+    number,
+)
+from hedgerow.topologies.edges import Edge, Ends, PositiveValue, WrittenEdge, ends_of, weight_of, weights_of
 from hedgerow.topologies.effects import FOREVER
 from hedgerow.topologies.faults import Fault
 from hedgerow.topologies.generators import GraphRule
-from hedgerow.topologies.graph import LARGEST, Graph
+from hedgerow.topologies.graph import Gain, Graph
 from hedgerow.topologies.header import Header
-from hedgerow.topologies.network import Network, groups_of, padded
+from hedgerow.topologies.law_choice import NAMES, LawChoice
+from hedgerow.topologies.network import Network, gains, groups_of, labels, padded, positions
 from hedgerow.topologies.table import NodesBy, Table
 
 LAWS = ("minimax", "hinf", "nominal")
-
-
+"""the laws of the paper"""
 _PATH = r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*"
 
 
-def _law(value: str) -> str:
-    if value not in LAWS and not re.fullmatch(_PATH, value):
-        raise PydanticCustomError("law", "a law is minimax, hinf, nominal or package.module:Class")
-    return value
+def _law(value: Any) -> Any:
+    """Return the text of a LawChoice for a text, or for a mapping with `name` or `class` and parameters."""
+    try:
+        if isinstance(value, dict):
+            names = [value[key] for key in ("name", "class") if key in value]
+            if len(names) != 1 or not isinstance(names[0], str):
+                raise ValueError("has either `name:` or `class:`, a text")
+            rest = {key: one for key, one in value.items() if key not in ("name", "class")}
+            choice = LawChoice.of(names[0], rest)
+        elif isinstance(value, str):
+            choice = LawChoice.parse(value)
+        else:
+            raise ValueError("is neither the name of a law nor a mapping with `name:` or `class:`")
+    except ValueError as error:
+        raise PydanticCustomError("law", "{problem}", {"problem": str(error)}) from None
+    if ":" not in choice.name and choice.name not in NAMES:
+        near = difflib.get_close_matches(choice.name, NAMES, 1)
+        hint = f"; did you mean {near[0]}?" if near else ""
+        raise PydanticCustomError(
+            "law", "a law is {names} or package.module:Class{hint}", {"names": ", ".join(NAMES), "hint": hint}
+        )
+    if choice.name in LAWS and choice.parameters:
+        raise PydanticCustomError("law", "{name} has no parameters", {"name": choice.name})
+    return str(choice)
 
 
 Steps = Annotated[StrictInt, Field(ge=1, le=2**40)]
 Seed = Annotated[StrictInt, Field(ge=0, lt=2**63)]
-
-
-class Uniform(Model):
-    """A number left to chance: drawn uniformly from [low, high)."""
-
-    random: tuple[Number, Number] = Field(description="[low, high]")
-
-    @model_validator(mode="after")
-    def _not_empty(self) -> Self:
-        if self.low > self.high:
-            raise PydanticCustomError("empty", "is empty")
-        return self
-
-    @property
-    def low(self) -> float:
-        return self.random[0]
-
-    @property
-    def high(self) -> float:
-        return self.random[1]
 
 
 class NonNegativeUniform(Uniform):
@@ -200,9 +212,12 @@ class WorstCase(Model):
     energy: NonNegative = Field(1.0, description="|w(t)|^2, summed over the nodes, at every step")
 
 
-class Node(Model):
-    """What one node overrides of the defaults; in a resolved file, all of it."""
+class Settings(Model):
+    """The numbers of a node."""
 
+    b: PositiveValue | None = Field(
+        None, description="the gain b_i of (1), the network's `b` if absent; or `{random: [low, high]}`"
+    )
     a: TrueA | None = Field(
         None,
         description="the true a_i of (1), one of the candidates; or `random`: one of them, drawn",
@@ -216,10 +231,19 @@ class Node(Model):
     disturbance: Disturbance | None = Field(None, description="w_i; a list is summed")
 
 
-class Defaults(Node):
+class Node(Settings):
+    """What one node overrides of the defaults; in a resolved file, all of it."""
+
+    label: Label | None = Field(None, description="a text for people, shown beside the id")
+    position: tuple[Number, Number] | None = Field(None, description="[x, y]: where pictures draw the node")
+
+
+class Defaults(Settings):
     """What holds for every node that does not say otherwise."""
 
-    FALLBACK: ClassVar[Node] = Node(a="random", candidates=Drawn(random=5), x0=0.0, nominal=0.5, disturbance=Nothing())
+    FALLBACK: ClassVar[Settings] = Settings(
+        a="random", candidates=Drawn(random=5), x0=0.0, nominal=0.5, disturbance=Nothing()
+    )
 
 
 def _nodes(value: Any) -> Any:
@@ -286,7 +310,7 @@ class Record(Model):
     summary: StrictBool = Field(True, description="one row a step of what is true of the whole network")
 
 
-_FIELD = r"a|x0|candidates|disturbance\.[0-9]{1,3}\.[a-z]+"
+_FIELD = r"a|b|x0|candidates|disturbance\.[0-9]{1,3}\.[a-z]+"
 Lot = Annotated[float, Field(ge=0, lt=1), BeforeValidator(number)]
 
 
@@ -317,15 +341,33 @@ class Topology(Model):
     model_config = ConfigDict(json_schema_extra={"anyOf": [{"required": [key]} for key in ("nodes", "graph", "table")]})
 
     name: Name = Field(description="names the run")
-    b: Annotated[float, Field(gt=0, lt=LARGEST), BeforeValidator(number)] = Field(description="the gain b of (1)")
+    b: Positive = Field(description="the gain b of (1), of every node that has no `b` of its own")
     steps: Steps = Field(description="T: inputs act at t = 0 .. T-1, states are recorded at t = 0 .. T")
     seed: Seed = Field(0, description="all that is random is drawn from it")
     lots: GivenLots | None = Field(
         None, description="lots that were drawn before, which keep a network as it was when draws change"
     )
     law: Annotated[
-        str, AfterValidator(_law), WithJsonSchema({"type": "string", "pattern": f"^({'|'.join(LAWS)}|{_PATH})$"})
-    ] = Field("minimax", description="minimax (6)-(7), hinf (8), nominal, or package.module:Class")
+        str,
+        BeforeValidator(_law),
+        WithJsonSchema(
+            {
+                "anyOf": [
+                    {"type": "string", "pattern": rf"^({'|'.join(NAMES)}|{_PATH})(\(.*\))?$"},
+                    {"type": "object", "required": ["name"], "properties": {"name": {"enum": [*NAMES]}}},
+                    {
+                        "type": "object",
+                        "required": ["class"],
+                        "properties": {"class": {"type": "string", "pattern": f"^{_PATH}$"}},
+                    },
+                ]
+            }
+        ),
+    ] = Field(
+        "minimax",
+        description="minimax (6)-(7), hinf (8), nominal, or package.module:Class; with parameters as"
+        " `{name: …, key: value}` or `{class: …, key: value}`",
+    )
     defaults: Defaults = Field(Defaults(), description="what holds for every node that does not say otherwise")
     nodes: Annotated[
         dict[NodeId, Node],
@@ -333,7 +375,9 @@ class Topology(Model):
         # Keys in JSON are text, also those that are whole numbers.
         BeforeValidator(_nodes, json_schema_input_type=list[NodeId] | dict[str, Node | None]),
     ] = Field({}, description="ids, or a mapping from ids to what they override")
-    edges: tuple[tuple[NodeId, NodeId], ...] = Field((), description="undirected pairs of node ids, each once")
+    edges: tuple[WrittenEdge, ...] = Field(
+        (), description="undirected pairs of node ids, each once; or `{ends: [1, 2], weight: 0.5}`"
+    )
     generator: GraphRule | None = Field(
         None,
         validation_alias=AliasChoices("graph", "generator"),
@@ -369,6 +413,11 @@ class Topology(Model):
     """what stands in the file of `table:`"""
 
     @cached_property
+    def origin_of_law(self) -> str:
+        """Return the place of the law, as the start of a message: `topo.yaml:7: `; empty if it is written nowhere."""
+        return ""
+
+    @cached_property
     def ids(self) -> Sequence[int | str]:
         """Node ids in the order of the file, which is the order of every array."""
         if self.generator is not None:
@@ -379,11 +428,26 @@ class Topology(Model):
     def graph(self) -> Graph:
         """The graph over positions in `ids`; an edge that leads nowhere raises KeyError (checked on loading)."""
         if self.generator is not None:
-            return Graph(self.generator.nodes, self.generator.edges(self.seed))
+            edges = self.generator.edges(self.seed)
+            return Graph(self.generator.nodes, edges, self.generator.weights(self.seed, edges))
         if self._table is not None:
-            return Graph(len(self._table.ids), self._table.edges)
-        pairs = [(self.position(i), self.position(j)) for i, j in self.edges]
-        return Graph(len(self.ids), np.array(pairs, dtype=np.int64).reshape(-1, 2))
+            return Graph(len(self._table.ids), self._table.edges, self._table.weights)
+        pairs = [(self.position(i), self.position(j)) for i, j in self.pairs]
+        edges = np.array(pairs, dtype=np.int64).reshape(-1, 2)
+        written = [weight_of(edge) for edge in self.edges] if len(self.pairs) and self._weighted else 1.0
+        return Graph(len(self.ids), edges, weights_of(written, self.seed, self.ids, edges))
+
+    @property
+    def pairs(self) -> Sequence[Ends]:
+        """The ends of every edge that the file writes, in its order."""
+        if not self._weighted:
+            return cast("Sequence[Ends]", self.edges)
+        return [ends_of(edge) for edge in self.edges]
+
+    @property
+    def _weighted(self) -> bool:
+        # Those of a large network are pairs in columns: looking at each would make it.
+        return isinstance(self.edges, tuple) and any(isinstance(edge, Edge) for edge in self.edges)
 
     @cached_property
     def _places(self) -> dict[int | str, int]:
@@ -421,14 +485,22 @@ class Topology(Model):
         return Network(
             ids=self.ids,
             graph=self.graph,
-            b=self.b,
+            b=self._gain,
             a=a,
             x0=x0,
             nominal=nominal,
             candidates=padded([cast("tuple[float, ...]", node.candidates) for node in own]),
             disturbance=groups_of((_components(node.disturbance) for node in own), self.steps),
             parts=np.array([len(_components(node.disturbance)) for node in own], dtype=np.int64),
+            labels=labels([node.label for node in own]),
+            positions=positions([node.position for node in own]),
         )
+
+    @property
+    def _gain(self) -> Gain:
+        """The gains of a resolved topology."""
+        given = [cast("float | None", node.b) for node in self.nodes.values()]
+        return self.b if all(b is None for b in given) else gains([self.b if b is None else b for b in given])
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
         """A copy with other values, which are not validated; what was computed of the old ones is forgotten."""
@@ -449,9 +521,15 @@ class Topology(Model):
         copy._table = table
         return copy
 
+    def with_origin_of_law(self, origin: str) -> Self:
+        """Return the same with the place where its law is written."""
+        self.__dict__["origin_of_law"] = origin  # not a private attribute: equal files in two places are equal
+        return self
+
     def of_network(self, network: Network) -> Self:
         """The same, which is known to be this network."""
-        copy = self.model_copy()
+        # Gains that are alike are the network's: a file that is written of it says so once.
+        copy = self.model_copy(update={"b": network.b} if isinstance(network.b, float) else None)
         copy._table = None
         copy.__dict__.update(ids=network.ids, graph=network.graph, network=network)
         return copy
@@ -464,10 +542,12 @@ class Topology(Model):
         """These settings, and behind them the defaults."""
         layers = (own, self.defaults, Defaults.FALLBACK)
         merged = {
-            key: next(value for layer in layers if (value := getattr(layer, key)) is not None)
-            for key in Node.model_fields
+            key: next((value for layer in layers if (value := getattr(layer, key)) is not None), None)
+            for key in Settings.model_fields
         }
-        return Node.model_construct(**merged)
+        if merged["b"] is None:
+            merged["b"] = self.b
+        return Node.model_construct(**merged, label=own.label, position=own.position)
 
 
 def _components(disturbance: Disturbance | None) -> list[dict[str, Any]]:

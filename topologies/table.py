@@ -2,7 +2,10 @@
 
     edges        (E, 2) pairs of positions of nodes, from 0: the only one that must be there
     ids          (n,) whole numbers or texts; 0 .. n-1 if absent
-    a, x0, nominal    (n,)
+    weights      (E,) numbers above 0; 1 if absent
+    a, x0, nominal, b    (n,)
+    labels       (n,) texts, empty where a node has none
+    positions    (n, 2), NaN where a node has none
     candidates   (n, M), NaN behind the end of a shorter list
     w PLACE KIND PARAMETER    of a disturbance, for the nodes at the positions in `w PLACE KIND nodes`, or for all of
                               them if that is absent: (k,), the values of samples (k, T)
@@ -26,16 +29,17 @@ from numpy.typing import NDArray
 
 from hedgerow.topologies import archive
 from hedgerow.topologies.errors import Code, FileRefusedError, UserError
-from hedgerow.topologies.graph import LARGEST, Array, Graph, Index
+from hedgerow.topologies.graph import LARGEST, Array, Gain, Graph, Index
 from hedgerow.topologies.hinf import condition_holds
-from hedgerow.topologies.network import PARAMETERS, Group, Network
+from hedgerow.topologies.network import PARAMETERS, Group, Network, gains
 from hedgerow.topologies.samples import beside
 
 NAME = "network.npz"
 """how a run's folder calls it"""
 NodesBy = Literal["positions", "ids"]
 _NUMBERS = ("a", "x0", "nominal")
-_GROWTH = {"edges": 12, "ids": 8}
+"""columns that a table must have to say all of a network"""
+_GROWTH = {"edges": 12, "ids": 8, "weights": 4, "labels": 2}
 """bytes of memory for a byte of an array: a graph lists every edge from both ends, and ids become Python objects"""
 _GROUP = re.compile(r"w ([0-9]{1,3}) (\w+) (\w+)")
 
@@ -53,23 +57,31 @@ class Table:
     """(M, n)"""
     disturbance: Sequence[Group] | None
     parts: Index | None
+    b: Array | None = None
+    weights: Array | None = None
+    """(E,); None also if all are 1"""
+    labels: Sequence[str] | None = None
+    positions: Array | None = None
+    """(n, 2)"""
 
     def network(self, b: float) -> Network | None:
-        """The network, if the table says all of it."""
+        """The network, if the table says all of it; `b` is that of the file, for a table without gains."""
         if self.a is None or self.x0 is None or self.nominal is None or self.candidates is None:
             return None
         if self.disturbance is None or self.parts is None:
             return None
         return Network(
             ids=self.ids,
-            graph=Graph(len(self.ids), self.edges),
-            b=b,
+            graph=Graph(len(self.ids), self.edges, self.weights),
+            b=b if self.b is None else gains(self.b),
             a=self.a,
             x0=self.x0,
             nominal=self.nominal,
             candidates=self.candidates,
             disturbance=self.disturbance,
             parts=self.parts,
+            labels=self.labels,
+            positions=self.positions,
         )
 
 
@@ -78,6 +90,14 @@ def write(network: Network, path: Path) -> None:
     arrays: dict[str, Any] = {} if isinstance(network.ids, range) else {"ids": archive.id_array(network.ids)}
     arrays |= {name: getattr(network, name) for name in _NUMBERS}
     arrays |= {"edges": network.graph.edges, "candidates": network.candidates.T, "parts": network.parts}
+    if not isinstance(network.b, float):
+        arrays["b"] = network.b
+    if network.graph.weights is not None:
+        arrays["weights"] = network.graph.weights
+    if network.labels is not None:
+        arrays["labels"] = np.array(network.labels, dtype=np.str_)
+    if network.positions is not None:
+        arrays["positions"] = network.positions
     for group in network.disturbance:
         name = f"w {group.number} {group.kind}"
         arrays |= {f"{name} nodes": group.nodes} | {f"{name} {key}": column for key, column in group.values.items()}
@@ -104,6 +124,10 @@ def _table(arrays: archive.Arrays, named_by: NodesBy | None) -> Table:
     _by_position(arrays, ids, named_by)
     edges = _edges(arrays.pop("edges"), n)
     columns = {name: _floats(name, arrays.pop(name), (n,)) if name in arrays else None for name in _NUMBERS}
+    columns["b"] = _positive("b", arrays.pop("b"), n) if "b" in arrays else None
+    weights = _positive("weights", arrays.pop("weights"), len(edges)) if "weights" in arrays else None
+    labels = _labels(arrays.pop("labels"), n) if "labels" in arrays else None
+    positions = _positions(arrays.pop("positions"), n) if "positions" in arrays else None
     candidates = _candidates(arrays.pop("candidates"), n) if "candidates" in arrays else None
     parts = arrays.pop("parts", None)
     groups = list(_groups(arrays, n))
@@ -119,14 +143,22 @@ def _table(arrays: archive.Arrays, named_by: NodesBy | None) -> Table:
         if (parts < least).any() or parts.max() > 1000:
             raise ValueError("`parts` are fewer than the disturbances of a node; leave it out")
     return Table(
-        ids, edges, **columns, candidates=candidates, disturbance=None if parts is None else groups, parts=parts
+        ids,
+        edges,
+        **columns,
+        candidates=candidates,
+        disturbance=None if parts is None else groups,
+        parts=parts,
+        weights=None if weights is None or (weights == 1).all() else weights,
+        labels=labels,
+        positions=positions,
     )
 
 
 def _size(arrays: archive.Arrays) -> int:
     if "edges" not in arrays:
         raise ValueError("has no `edges`, pairs of nodes of the shape (E, 2)")
-    for name in ("ids", *_NUMBERS, "candidates"):
+    for name in ("ids", *_NUMBERS, "b", "candidates", "labels", "positions"):
         if name in arrays and arrays[name].ndim:
             return len(arrays[name])
     edges = arrays["edges"]
@@ -220,6 +252,38 @@ def _floats(name: str, found: NDArray[Any], shape: tuple[int, ...]) -> Array:
     return numbers
 
 
+def _positive(name: str, found: NDArray[Any], k: int) -> Array:
+    numbers = _floats(name, found, (k,))
+    if not (good := numbers > 0).all():
+        raise ValueError(f"`{name}` holds {numbers[good.argmin()]:g} in row {good.argmin()}, which is not above 0")
+    return numbers
+
+
+def _labels(found: NDArray[Any], n: int) -> Sequence[str] | None:
+    from pydantic import TypeAdapter, ValidationError  # noqa: PLC0415
+
+    from hedgerow.topologies.base import Label  # noqa: PLC0415
+
+    if found.shape != (n,) or found.dtype.kind != "U":
+        raise ValueError(f"`labels` has the shape {found.shape} of {found.dtype}, not {(n,)} of texts")
+    given: list[str] = found.tolist()
+    try:
+        TypeAdapter(list[Label]).validate_python([label for label in given if label])
+    except ValidationError as error:
+        raise ValueError(f"`labels`: {error.errors(include_url=False)[0]['msg']}") from None
+    return tuple(given) if any(given) else None
+
+
+def _positions(found: NDArray[Any], n: int) -> Array | None:
+    if found.shape != (n, 2) or found.dtype.kind not in "fiu":
+        raise ValueError(f"`positions` has the shape {found.shape} of {found.dtype}, not {(n, 2)} of numbers")
+    numbers = found.astype(np.float64)
+    none = np.isnan(numbers)
+    if (none[:, 0] != none[:, 1]).any() or (np.abs(numbers) > LARGEST).any():
+        raise ValueError(f"`positions` holds half a pair, or a number beyond {LARGEST:g}")
+    return None if none.all() else numbers
+
+
 def _candidates(found: NDArray[Any], n: int) -> Array:
     if found.ndim != 2 or len(found) != n or not found.size or found.dtype.kind not in "fiu":
         raise ValueError(f"`candidates` has the shape {found.shape} of {found.dtype}, not ({n}, M) of numbers")
@@ -254,14 +318,17 @@ def _value(name: str, key: str, found: NDArray[Any], k: int) -> NDArray[Any]:
     return _floats(f"{name} {key}", found, (k, *found.shape[1:2]) if key == "values" else (k,))
 
 
-def broken(table: Table, b: float, steps: int) -> Iterator[tuple[str, str]]:
-    """What of a table breaks condition (3) or another rule: what is wrong, and the cure."""
-    degree = Graph(len(table.ids), table.edges).degree
+def broken(table: Table, b: Gain, steps: int) -> Iterator[tuple[str, str]]:
+    """What of a table breaks condition (3) or another rule: what is wrong, and the cure.
+
+    `b` is that of the file, or (n,), the largest of each node if `nodes:` give some their own.
+    """
+    degree = Graph(len(table.ids), table.edges, table.weights).weighted_degree
     for name in ("a", "nominal", "candidates"):
         values = getattr(table, name)
         if values is not None and not (good := condition_holds(values, b, degree) | np.isnan(values)).all():
             k = int((~np.atleast_2d(good)).any(axis=0).argmax())
-            where = f"node {table.ids[k]}, of degree {degree[k]}"
+            where = f"node {table.ids[k]}, of degree {degree[k]:.6g}"
             yield f"`{name}` breaks condition (3) at {where}", "choose values inside its interval, or a smaller b"
     if table.a is not None and table.candidates is not None:
         among = (table.candidates == table.a).any(axis=0)

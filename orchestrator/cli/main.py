@@ -19,6 +19,7 @@ import typer
 
 from hedgerow.orchestrator.cli import detached
 from hedgerow.orchestrator.cli import files as cli_files
+from hedgerow.orchestrator.cli import gain as cli_gain
 from hedgerow.orchestrator.cli import keys as cli_keys
 from hedgerow.orchestrator.cli import live as cli_live
 from hedgerow.orchestrator.cli import machines as cli_machines
@@ -407,6 +408,7 @@ def chaos(
 cli_live.register(app)
 cli_machines.register(app)
 cli_files.register(app)
+cli_gain.register(app)
 cli_keys.register(app)
 cli_report.register(app)
 cli_runs.register(app)

@@ -20,9 +20,7 @@ def read(file: str, sets: list[str] | None, **replace: object) -> Topology:
 
 
 def importable(topology: Topology) -> Topology:
-    """Return the topology after its law was imported: a law that cannot be loaded ends the command before a run."""
-    from hedgerow.agents.shard import law_class  # noqa: PLC0415
-    from hedgerow.orchestrator.ground.assignment import law_of  # noqa: PLC0415
+    """Return the topology with a checked law: a law that cannot be loaded ends the command before a run."""
+    from hedgerow.orchestrator.ground.laws import checked  # noqa: PLC0415
 
-    law_class(law_of(topology))
-    return topology
+    return checked(topology)

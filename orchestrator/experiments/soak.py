@@ -108,7 +108,7 @@ class Trend:
 
 def with_faults(topology: Topology) -> Topology:
     """The resolved network with faults that strike by chance for as long as it runs; its own go on as they are."""
-    edges, nodes = topology.edges, topology.ids
+    edges, nodes = topology.pairs, topology.ids
     added: list[dict[str, Any]] = [
         {"kind": "sensor", "node": nodes[0], "probability": 0.02},
         {"kind": "actuator", "node": nodes[len(nodes) // 2], "probability": 0.02},

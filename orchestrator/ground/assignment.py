@@ -8,6 +8,7 @@ import numpy as np
 
 from hedgerow.agents.view import Ids, Peer, View
 from hedgerow.plant.truth import Truth
+from hedgerow.topologies import lots
 from hedgerow.topologies.archive import id_array
 from hedgerow.topologies.errors import UserError
 from hedgerow.topologies.faults import effects
@@ -44,6 +45,7 @@ def truth_of(topology: Topology, shards: Layout) -> Truth:
         a=network.a,
         x0=network.x0,
         edges=network.graph.edges,
+        weights=network.graph.weights,
         disturbance=network.disturbance,
         steps=topology.steps,
         seed=topology.seed,
@@ -76,6 +78,11 @@ def candidates_of(topology: Topology) -> Array:
             return network.candidates
 
 
+def law_seed(topology: Topology) -> int:
+    """Return the seed of the laws: a function of the seed of the run, from which the truth cannot be found."""
+    return int(lots.keys(topology.seed, "law", lots.words_of(["seed"]))[0] >> np.uint64(1))
+
+
 def law_of(topology: Topology) -> str:
     """The law that the agents run: hinf and nominal are minimax, with one candidate a node."""
     return "minimax" if topology.law in ("hinf", "nominal") else topology.law
@@ -84,7 +91,7 @@ def law_of(topology: Topology) -> str:
 def views_of(topology: Topology, shards: Layout) -> list[View]:
     """What each agent process is told: its own nodes and who their neighbours are, never the truth or the graph."""
     graph, ids, candidates = topology.network.graph, id_array(topology.ids), candidates_of(topology)
-    law, history = law_of(topology), history_of(topology)
+    b, law, history = topology.network.b, law_of(topology), history_of(topology)
     home = np.empty(graph.n, dtype=np.int64)
     for p, nodes in enumerate(shards):
         home[nodes] = p
@@ -109,15 +116,17 @@ def views_of(topology: Topology, shards: Layout) -> list[View]:
         views.append(
             View(
                 shard=p,
-                b=topology.b,
+                b=b if isinstance(b, float) else b[nodes],
                 law=law,
                 ids=ids[nodes],
                 candidates=_without_padding(candidates[:, nodes]),
                 row=row,
                 column=column,
+                weights=None if graph.weight is None else graph.weight[own],
                 peers=peers,
                 heard=ids[heard % graph.n],
                 history=history,
+                seed=law_seed(topology),
             )
         )
     return views

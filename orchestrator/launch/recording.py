@@ -12,6 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hedgerow.orchestrator.ground.background import BackgroundThread
+from hedgerow.orchestrator.metrics.gain_certificate import GainCertificate
+from hedgerow.orchestrator.metrics.guarantee import certified, plant_of
 from hedgerow.orchestrator.metrics.observer import Batch, Observer, rows_at_once
 from hedgerow.orchestrator.metrics.replay import Replay
 from hedgerow.orchestrator.metrics.verdict import Ending, Verdict, judge
@@ -30,6 +32,8 @@ if TYPE_CHECKING:
     from hedgerow.orchestrator.views.rerun.stream import RerunStream
 
 CLOSE_DEADLINE_S = 5.0
+CERTIFIED = 300
+"""Number of nodes up to which the bounds on the gain are solved beside a run, in seconds; its end waits for them."""
 TABLES = ("telemetry", "edges", "summary")
 """of which there is no summary where `record:` says so"""
 
@@ -72,6 +76,14 @@ class Recording:
         """the thread of the replay: a step of it takes as long as one of an agent, and the loop is not to wait"""
         self._replayed = replayed
         self._stream: RerunStream | None = None
+        self._bounding: BackgroundThread | None = None
+        """the thread that solves for the bounds on the gain: it begins after the first step"""
+        if len(topology.ids) <= CERTIFIED:
+            self.observer.adaptive = GainCertificate(plant_of(topology.network), self.observer.x0)
+        else:
+            self.observer.not_certified = (
+                f"{len(topology.ids)} nodes are more than {CERTIFIED}; `orchestrator bound` takes larger networks"
+            )
         self._notes: list[tuple[str, str, int]] = []
         """what was noted before there was a stream"""
         self.viewer: Viewer | None = None
@@ -99,6 +111,7 @@ class Recording:
 
             self._round_trips = RoundTrips(self._processes, self.folder.path)
         self._replay(rows, batch.size)
+        self._bound()
         self._recorder.write(batch)
         if not self._watched:
             self._watched = True
@@ -115,6 +128,25 @@ class Recording:
             first = self.topology  # by the faults at the first step, whatever comes before the thread begins
             self._replaying.do(lambda: self._begin_replay(first))
         self._replaying.do(lambda: self._take_replayed(rows), size)
+
+    def _bound(self) -> None:
+        """Solve for the bounds on the gain beside the run, once it has made its first step."""
+        certificate = self.observer.adaptive
+        if certificate is None or self._bounding is not None:
+            return
+
+        def solve() -> None:
+            certificate.known = certified(plant_of(self.topology.network), self.topology.network.gamma_star)
+
+        self._bounding = BackgroundThread("bounds", self._leave_out_bounds)
+        self._bounding.do(solve)
+
+    def _leave_out_bounds(self, error: BaseException) -> None:
+        """Go on without the certificate, which is only one check of several."""
+        reached = limit_reached(error)
+        expected = isinstance(error, HedgerowError | OSError | ImportError) or reached is not None
+        why = str(reached or error) if expected else crash.report(error, self.folder.logs / "orchestrator.log")
+        self.observer.adaptive, self.observer.not_certified = None, why
 
     def _leave_out_replay(self, error: BaseException) -> None:
         """Go on without the replay after a defect in it; the verdict is unknown, and names the traceback's file."""
@@ -250,6 +282,10 @@ class Recording:
         try:
             if self._replaying is not None:
                 self._replaying.close()
+            if self._bounding is not None:
+                self._bounding.close()
+            if self.observer.adaptive is not None:
+                self.observer.adaptive.finish()
             if self._background is not None:
                 self._background.close()
             self._close_stream()

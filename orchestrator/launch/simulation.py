@@ -8,8 +8,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hedgerow.agents.shard import LawError, law_class
-from hedgerow.orchestrator.ground.assignment import Layout, law_of, layout, truth_of, views_of
+from hedgerow.agents.loading import LawError
+from hedgerow.orchestrator.ground.assignment import Layout, layout, truth_of, views_of
+from hedgerow.orchestrator.ground.laws import checked
 from hedgerow.orchestrator.ground.signals import Interrupts
 from hedgerow.orchestrator.launch.recording import Recording, Watching
 from hedgerow.orchestrator.metrics.verdict import Ending, Verdict
@@ -35,8 +36,7 @@ def simulate(network: Named, *settings: str, run_dir: str | Path | None = None) 
     # `up` comes by here, and has no use for what reads runs.
     from hedgerow.orchestrator.runs.reader import load_run  # noqa: PLC0415
 
-    topology = resolved(network, settings)
-    law_class(law_of(topology))  # a mistake in it is better known before there is a folder
+    topology = checked(resolved(network, settings))  # a mistake in its law is better known before there is a folder
     folder = create(topology, None if run_dir is None else user_path(str(run_dir)))
     verdict = simulate_into(topology, folder, layout(topology, 1), Watching(record=False), Quiet())
     if not verdict.content["steps_done"]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from hedgerow.orchestrator.metrics.checks import ROUNDING, TINY, Worst
-from hedgerow.topologies.graph import Array, Graph, Index, Mask
+from hedgerow.topologies.graph import Array, Gain, Graph, Index, Mask
 from hedgerow.topologies.hinf import supply_rate
 
 
@@ -28,7 +28,7 @@ def storage(x: Array, a: Array) -> Array:
 class Certificate:
     """What is left of the inequality, step by step."""
 
-    def __init__(self, a: Array, b: float, graph: Graph, x0: Array) -> None:
+    def __init__(self, a: Array, b: Gain, graph: Graph, x0: Array) -> None:
         self._a, self._rate = a, supply_rate(a, b, graph)
         self.v0 = float(storage(x0[None, :], a)[0])
         """V(x(0)) = sum x_i(0)^2 / (1 - a_i): what the cost owes to x(0) at most."""

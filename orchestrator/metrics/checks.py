@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hedgerow.topologies.graph import Array, Index, Mask
+from hedgerow.topologies.graph import Array, Gain, Index, Mask
 
 TINY = 1e-300
 """keeps 0 / 0 from being asked"""
@@ -42,7 +42,7 @@ class Worst:
 
 
 class _Due(NamedTuple):
-    """What some rows say of the state after each: the step, x (B, n) by equation (1), and the bound on its 1-norm."""
+    """What some rows say of the state after each: the step, x (B, n) by equation (1), and the bound on its norm."""
 
     t: Index
     x: Array
@@ -55,16 +55,24 @@ class _Due(NamedTuple):
         return _Due(*(np.concatenate([getattr(one, name) for one in (self, later)]) for name in self._fields))
 
 
+def norms(x: Array, b: Gain) -> Array:
+    """The norm |x| = sum |x_i| min(b) / b_i of B vectors, (B,), in which any estimates contract; min(b) scales it."""
+    if isinstance(b, np.ndarray):
+        return np.asarray((np.abs(x) * (b.min() / b)).sum(axis=-1))
+    return np.asarray(np.abs(x).sum(axis=-1))
+
+
 class DynamicsCheck:
     """Equation (1) to the bit, and the contraction: from each row to the state after it, whatever lies between."""
 
-    def __init__(self) -> None:
+    def __init__(self, b: Gain) -> None:
+        self._b = b
         self.dynamics, self.contraction = Worst(), Worst()
         self._due: _Due | None = None
         """of the last row"""
 
     def take(self, t: Index, x: Array, x_next: Array, bound: Array) -> None:
-        """Take in x (B, n) at steps t (B,), what follows each by equation (1), and the bound on the 1-norm of that."""
+        """Take in x (B, n) at steps t (B,), what follows each by equation (1), and the bound on the norm of that."""
         due = _Due(t, x_next, bound)
         if self._due is not None:
             due = self._due.then(due)
@@ -90,4 +98,4 @@ class DynamicsCheck:
             self.dynamics.why = (
                 f"x({due.t[k] + 1}) is {float(x[k, node])!r}, and equation (1) gives {float(due.x[k, node])!r}"
             )
-        self.contraction.see(np.abs(x).sum(axis=1) / (due.bound + TINY) - 1 - ROUNDING, due.t)
+        self.contraction.see(norms(x, self._b) / (due.bound + TINY) - 1 - ROUNDING, due.t)

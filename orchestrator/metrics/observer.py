@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 from hedgerow.agents.law import control
 from hedgerow.orchestrator.ground.assignment import candidates_of
 from hedgerow.orchestrator.metrics.certificate import Certificate, running
-from hedgerow.orchestrator.metrics.checks import DynamicsCheck, Worst
+from hedgerow.orchestrator.metrics.checks import DynamicsCheck, Worst, norms
 from hedgerow.orchestrator.metrics.fault_accounts import Accounts, Told
 from hedgerow.orchestrator.metrics.fault_schedule import Schedule
+from hedgerow.orchestrator.metrics.gain_certificate import GainCertificate
 from hedgerow.orchestrator.metrics.twins import Twins
 from hedgerow.plant.world import dynamics
-from hedgerow.topologies.graph import Array, Graph
+from hedgerow.topologies.graph import Array, Graph, Mask
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire.codec import End, Telemetry
 
@@ -68,7 +69,7 @@ class Batch:
     nominal_regret_sum: Array
     """the same of the nominal twin, (B,)"""
     cost: Array
-    """c = |x|^2 + |u_e|^2, (B,)"""
+    """c = |x|^2 + sum_e k_e u_e^2, (B,)"""
     cost_oracle: Array
     cost_sum: Array
     cost_oracle_sum: Array
@@ -78,6 +79,10 @@ class Batch:
     """how far the oracle's certificate is from being violated, NaN where there is none, (B,)"""
     right: NDArray[np.int64]
     """nodes whose ahat is the truth, (B,)"""
+    ceiling: Array
+    """the bound on the gain of the run that is claimed at the step, NaN where none is or none is known yet, (B,)"""
+    ceiling_slack: Array
+    """how far the certificate of that bound is from being violated, (B,)"""
 
     @property
     def size(self) -> int:
@@ -132,7 +137,11 @@ class Observer:
         self._twins = Twins(self.b, self.graph, self.x0, self._a0, self.nominal)
         self._certificate = Certificate(self._a0, self.b, self.graph, self.x0)
         self.v0 = self._certificate.v0
-        self._dynamics = DynamicsCheck()
+        self.adaptive: GainCertificate | None = None
+        """the certificate of the adaptive law, where the bounds are solved beside the run"""
+        self.not_certified = "the bounds are solved beside runs that leave a folder only"
+        """why there is none, where there is none"""
+        self._dynamics = DynamicsCheck(self.b)
         self._estimates = Worst()
         self._sums = np.zeros(5)
         self._sxx, self._sxd = np.zeros(self.graph.n), np.zeros(self.graph.n)
@@ -188,8 +197,8 @@ class Observer:
         u_edge = self.graph.edge_input(u, closed)
         regret, gap = np.abs(x - x_oracle), np.abs(x_oracle - x_nominal)
         cost, cost_oracle = (
-            _energy(x) + _energy(u_edge),
-            _energy(x_oracle) + _energy(self.graph.edge_input(u_oracle, closed)),
+            _energy(x) + self.graph.edge_cost(u_edge),
+            _energy(x_oracle) + self.graph.edge_cost(self.graph.edge_input(u_oracle, closed)),
         )
         sums = running(self._sums, np.stack([_energy(regret), _energy(gap), cost, cost_oracle, _energy(w)], axis=1))
         self._sums = sums[-1].copy()
@@ -200,11 +209,14 @@ class Observer:
 
         rho = self._contraction(a) if turns else self._contraction(self._a)
         self.rho = max(self.rho, float(rho.max()))
-        bound = rho * np.abs(x).sum(axis=1) + np.abs(w).sum(axis=1)
-        self._dynamics.take(t, x, dynamics(a, self.b, self.graph, x, u, w, closed), bound)
+        bound = rho * norms(x, self.b) + norms(w, self.b)
+        x_next = dynamics(a, self.b, self.graph, x, u, w, closed)
+        self._dynamics.take(t, x, x_next, bound)
         index = self._named(ahat)
         self._check_estimates(t, x, u, ahat, index)
-        changed: NDArray[np.bool_] = np.asarray(~edge_open.all(axis=1))
+        is_open = np.asarray(edge_open.all(axis=1))
+        ceiling, ceiling_slack = self._certified(t, x, u, x_next, is_open, turns, sums[:, [2, 4]])
+        changed: NDArray[np.bool_] = ~is_open
         changed[list(turns)] = True
         x_oracle_next = np.vstack([x_oracle[1:], self._twins.x[:1]])
         slack = self._certificate.take(t, w, x_oracle_next, sums[:, 3], changed)
@@ -217,6 +229,7 @@ class Observer:
             x_oracle=x_oracle, x_nominal=x_nominal, regret=regret, nominal_gap=gap,
             regret_sum=sums[:, 0], nominal_regret_sum=sums[:, 1], cost=cost, cost_oracle=cost_oracle,
             cost_sum=sums[:, 2], cost_oracle_sum=sums[:, 3], energy_sum=sums[:, 4], slack=slack, right=right,
+            ceiling=ceiling, ceiling_slack=ceiling_slack,
         )  # fmt: skip
 
     def finish(self, end: End) -> None:
@@ -228,6 +241,22 @@ class Observer:
         self._sums[1] += np.square(self.x_nominal_end - self.x_oracle_end).sum()
         self._dynamics.finish(end.t, end.x)
         self.accounts.finish()
+
+    def _certified(
+        self,
+        t: NDArray[np.int64],
+        x: Matrix,
+        u: Matrix,
+        x_next: Matrix,
+        is_open: Mask,
+        turns: dict[int, Array],
+        sums: Matrix,
+    ) -> tuple[Array, Array]:
+        """Return the bound on the gain that is claimed at each step, and the slack of its certificate, (B,)."""
+        certificate = self.adaptive  # another thread may set it to None
+        if certificate is None:
+            return np.full(len(t), np.nan), np.full(len(t), np.nan)
+        return certificate.take(t, x, u, x_next, is_open, turns, sums)
 
     def _expect(self, t: int) -> None:
         """The next step to be taken in is t: all before it that were not are lost."""

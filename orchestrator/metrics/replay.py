@@ -14,7 +14,7 @@ import numpy as np
 
 from hedgerow.agents.shard import Shard
 from hedgerow.agents.view import View
-from hedgerow.orchestrator.ground.assignment import candidates_of, history_of, law_of
+from hedgerow.orchestrator.ground.assignment import candidates_of, history_of, law_of, law_seed
 from hedgerow.plant.disturbance import Disturbance
 from hedgerow.plant.faults import NOTHING, ActiveFaults, Faults
 from hedgerow.plant.truth import Truth
@@ -63,10 +63,11 @@ class Replay:
         history = history_of(topology)
         truth = Truth(
             ids=id_array(network.ids)[part.nodes],
-            b=network.b,
+            b=network.b if isinstance(network.b, float) else network.b[part.nodes],
             a=network.a[part.nodes],
             x0=network.x0[part.nodes],
             edges=part.graph.edges,
+            weights=part.graph.weights,
             disturbance=[],
             steps=topology.steps,
             seed=topology.seed,
@@ -80,15 +81,17 @@ class Replay:
         self._shard = Shard(
             View(
                 shard=0,
-                b=network.b,
+                b=truth.b,
                 law=law_of(topology),
                 ids=truth.ids,
                 candidates=np.ascontiguousarray(candidates[~np.isnan(candidates).all(axis=1)]),
                 row=part.graph.node,
                 column=part.graph.neighbour,
+                weights=part.graph.weight,
                 peers=[],
                 heard=id_array([]),
                 history=history,
+                seed=law_seed(topology),
             )
         )
         self.nodes = part.audited
@@ -275,7 +278,8 @@ class _Part:
         self.nodes, self.own = np.flatnonzero(near), chosen[near]
         self._near = near
         self._incidences: Mask = self._edges[graph.edge]
-        self.graph = Graph(len(self.nodes), np.searchsorted(self.nodes, edges))
+        weights = None if graph.weights is None else graph.weights[self._edges]
+        self.graph = Graph(len(self.nodes), np.searchsorted(self.nodes, edges), weights)
 
     def of_nodes(self, values: Array) -> Array:
         """Values of the network's nodes, (..., n), as those of the part, (..., k)."""

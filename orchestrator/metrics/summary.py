@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import itertools
 
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 
 from hedgerow.orchestrator.ground.assignment import candidates_of
 from hedgerow.topologies.hinf import allowed_interval, contraction, gamma_star
-from hedgerow.topologies.partition import cut, partition, pieces
+from hedgerow.topologies.network import span
+from hedgerow.topologies.partition import cut, cut_weight, partition, pieces
 from hedgerow.topologies.resolve import truth
 from hedgerow.topologies.schema import LAWS, Component, Topology
 
@@ -18,16 +20,22 @@ MAX_ROWS = 200
 
 def table(topology: Topology) -> str:
     """A resolved topology as a table, a row a node, with gamma* and rho below."""
-    graph, a = topology.graph, truth(topology)
+    graph, a, b = topology.graph, truth(topology), topology.network.b
+    unequal = graph.weights is not None or not isinstance(b, float)
     rows = Table(box=None, pad_edge=False, header_style="bold")
-    for heading in ("node", "degree", "allowed interval", "candidates", "truth", "x0", "disturbance"):
+    own_numbers = ("gain", "weighted degree") if unequal else ()
+    headings = ("node", "degree", *own_numbers, "allowed interval", "candidates", "truth", "x0", "disturbance")
+    for heading in headings:
         rows.add_column(heading, overflow="fold")
-    for (node, own), degree in itertools.islice(zip(topology.nodes.items(), graph.degree, strict=True), MAX_ROWS):
-        interval = allowed_interval(topology.b, int(degree))
+    gains, degrees = np.broadcast_to(b, graph.n), graph.weighted_degree
+    of_nodes = zip(topology.nodes.items(), gains, graph.degree, degrees, strict=True)
+    for (node, own), gain, degree, weighted in itertools.islice(of_nodes, MAX_ROWS):
+        interval = allowed_interval(float(gain), float(weighted))
         parts = own.disturbance if isinstance(own.disturbance, tuple) else (own.disturbance,)
         rows.add_row(
             str(node),
             str(degree),
+            *((f"{gain:.4g}", f"{weighted:.4g}") if unequal else ()),
             "({:.4f}, {:.4f})".format(*interval) if interval else "none",
             " ".join(f"{value:.4f}" for value in own.candidates or ()),
             f"{own.a:.4f}",
@@ -40,15 +48,20 @@ def table(topology: Topology) -> str:
         if graph.n > MAX_ROWS:
             console.print(f"… and {graph.n - MAX_ROWS} nodes more")
         apart = f" in {islands} pieces" if (islands := len(pieces(graph))) > 1 else ""
-        size = f"{count(graph.n, 'node')}, {count(len(graph.edges), 'edge')}{apart}, b = {topology.b:g}"
-        gamma, rho = gamma_star(a, topology.b, graph), contraction(a, candidates_of(topology))
+        size = f"{count(graph.n, 'node')}, {count(len(graph.edges), 'edge')}{apart}, b = {span(b)}"
+        if graph.weights is not None:
+            size += f", weights {span(graph.weights)}"
+        gamma, rho = gamma_star(a, b, graph), contraction(a, candidates_of(topology))
         held = f"; rho = {rho:.6g}, the contraction whatever is estimated" if topology.law in LAWS else ""
         processes = topology.process_count
-        cut_edges = cut(graph, partition(graph, processes))
+        shards = partition(graph, processes)
+        crossing = f"{cut(graph, shards)} of {count(len(graph.edges), 'edge')} from one to another"
+        if graph.weights is not None:
+            crossing += f", of weight {cut_weight(graph, shards):.4g} of {graph.weights.sum():.4g}"
         console.print(
             f"\n{topology.name}: {size}, {topology.steps} steps, seed {topology.seed}, law {topology.law}\n"
             f"gamma* = {gamma:.6g}, the optimal gain when every a is known{held}\n"
-            f"{count(processes, 'process', 'es')}; {cut_edges} of {count(len(graph.edges), 'edge')} from one to another"
+            f"{count(processes, 'process', 'es')}; {crossing}"
         )
     return capture.get().rstrip()
 

@@ -11,13 +11,13 @@ import numpy as np
 
 from hedgerow.agents.law import control
 from hedgerow.plant.world import dynamics
-from hedgerow.topologies.graph import Array, Graph, Mask
+from hedgerow.topologies.graph import Array, Gain, Graph, Mask
 
 
 class Twins:
     """Both, side by side: first the oracle's, then the nominal one's."""
 
-    def __init__(self, b: float, graph: Graph, x0: Array, a: Array, nominal: Array) -> None:
+    def __init__(self, b: Gain, graph: Graph, x0: Array, a: Array, nominal: Array) -> None:
         self._b, self._graph, self._nominal = b, graph, nominal
         self.x: Array = np.stack([x0, x0])
         """x(t) of both, (2, n)"""

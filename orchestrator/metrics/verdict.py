@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,10 @@ from hedgerow.orchestrator.ground.versions import versions
 from hedgerow.orchestrator.metrics.checks import Worst
 from hedgerow.orchestrator.metrics.deaths import CLAIM as DEATHS
 from hedgerow.orchestrator.metrics.deaths import Survivor
+from hedgerow.orchestrator.metrics.gain_bound import Bound, Premise
+from hedgerow.orchestrator.metrics.gain_certificate import CLAIMS as GAIN_CLAIMS
+from hedgerow.orchestrator.metrics.gain_certificate import Track
+from hedgerow.orchestrator.metrics.guarantee import rounded_up
 from hedgerow.orchestrator.metrics.message_audit import CLAIM, Audit
 from hedgerow.orchestrator.metrics.observer import Observer
 from hedgerow.orchestrator.metrics.replay import CLAIMS as REPLAYED
@@ -29,7 +34,7 @@ EXIT_CODES = {VALID: Exit.VALID, INVALID: Exit.INVALID, UNKNOWN: Exit.UNKNOWN}
 CLAIMS = {
     "dynamics": "every x(t+1) is equation (1) of x, u, w and the open edges, to the bit",
     "estimates": "every ahat is one of its candidates, and every u that came is equation (6) of it, to the bit",
-    "contraction": "|x(t+1)|_1 <= rho |x(t)|_1 + |w(t)|_1 at every step",
+    "contraction": "|x(t+1)| <= rho |x(t)| + |w(t)| at every step, |x| = sum abs(x_i) / b_i",
     "oracle_certificate": "sum (|x*|^2 + |u*_e|^2) <= sum w'Q^-1 w + V(x(0)) - V(x*(t+1)) at every step"
     " before the first at which an edge is closed or an a jumps",
     "missing_inputs": "an edge carries flow only where both its ends sent an input",
@@ -127,7 +132,13 @@ class Verdict:
             numbers += [
                 f"regret D {_number(m['regret'])} (nominal {_number(m['regret_nominal'])})",
                 f"cost regret {_number(m['cost_regret'], '+')}",
-                gain_text(gain, less, m["gamma_star"], c["checks"]["oracle_certificate"]["steps"] == c["steps_done"]),
+                gain_text(
+                    gain,
+                    less,
+                    m["gamma_star"],
+                    c["checks"]["oracle_certificate"]["steps"] == c["steps_done"],
+                    ceiling(c),
+                ),
                 f"{m['nodes_right']} of {c['nodes']} estimates right",
             ]
         if "law" in c["checks"] and (replayed := c["checks"]["law"]["nodes"]) < c["nodes"]:
@@ -136,14 +147,22 @@ class Verdict:
         return f"{self.verdict}{why}: {', '.join(numbers)}"
 
 
-def gain_text(gain: float, less: float, gamma_star: float, faultless: bool) -> str:
+def ceiling(content: Mapping[str, Any]) -> float:
+    """Return the least bound on the gain whose premise held in the whole run; NaN if there is none."""
+    bounds = content["gain_bounds"].get("bounds", {})
+    return min((told["gain"] for told in bounds.values() if told.get("held") and "gain" in told), default=math.nan)
+
+
+def gain_text(gain: float, less: float, gamma_star: float, faultless: bool, at_most: float = math.nan) -> str:
     """Return the gain in words, with the gain `less` V(x(0)) where it differs, and gamma*, which holds without faults.
 
-    Arguments are NaN where they are undefined or not known yet.
+    `at_most` is the bound on the law's own gain. Arguments are NaN where they are undefined or not known yet.
     """
     beside = [] if less == gain or math.isnan(gain) else [f"less V(x(0)): {less:.4g}"]
     if not math.isnan(gamma_star):
         beside.append(f"gamma* {gamma_star:.4g} is the oracle's{'' if faultless else ' without faults'}")
+    if not math.isnan(at_most):
+        beside.append(f"the law's is at most {rounded_up(at_most, 4)} from x(0) = 0")
     said = "undefined" if math.isnan(gain) else f"{gain:.4g}"
     return f"gain {said}" + (f" ({'; '.join(beside)})" if beside else "")
 
@@ -162,6 +181,11 @@ def judge(topology: Topology, observer: Observer, ending: Ending) -> Verdict:
         checks |= {name: _replayed(name, ending.replay) for name in REPLAYED}
     if ending.survivors is not None:
         checks["deaths"] = _deaths(ending.survivors)
+    adaptive = observer.adaptive
+    if adaptive is not None and adaptive.known is not None:
+        for premise, bound in adaptive.known.bounds.items():
+            if (track := adaptive.tracks[premise]).check.steps:
+                checks[f"gain_{premise}"] = _gain(premise, track, bound)
     if ending.audit is not None:
         checks["information"] = {"ok": not ending.audit.wrong, "claim": CLAIM, "why": ending.audit.wrong}
     comparison = ending.comparison
@@ -229,6 +253,7 @@ def judge(topology: Topology, observer: Observer, ending: Ending) -> Verdict:
         "faults": faults,
         "checks": checks,
         "information": ending.audit.to_dict() if ending.audit is not None else None,
+        "gain_bounds": {"not_computed": observer.not_certified} if adaptive is None else adaptive.to_dict(done),
         "metrics": {name: _finite(value) for name, value in observer.summary().items()} if done else {},
         "versions": versions(),
     }
@@ -302,6 +327,19 @@ def _doubts_of(ending: Ending, observer: Observer) -> list[str]:
     if replay.doubt:
         return [replay.doubt]
     return [f"replayed up to step {replay.steps} only"] if replay.steps < observer.next_step else []
+
+
+def _gain(premise: Premise, track: Track, bound: Bound) -> dict[str, Any]:
+    """The check of one certificate of the adaptive law, at the steps that its premise covers."""
+    worst = track.check
+    return {
+        "ok": bool(worst.excess <= 0),
+        "claim": GAIN_CLAIMS[premise],
+        "steps": worst.steps,
+        "step": worst.step,
+        "excess": _finite(worst.excess),
+        "gain": bound.gain,
+    }
 
 
 def _check(name: str, worst: Worst, topology: Topology) -> dict[str, Any]:

@@ -9,19 +9,34 @@ import numpy as np
 
 from hedgerow.orchestrator.report.curves import letter
 from hedgerow.orchestrator.runs.run import Run
+from hedgerow.topologies.network import span
 
 
 def other_network(one: Run, other: Run) -> list[str]:
-    """In what the graphs of two runs differ: nodes, edges, b; nothing where their numbers may be compared."""
-    edges, of_other = ({frozenset(edge) for edge in run.topology.edges} for run in (one, other))
+    """In what the graphs of two runs differ: nodes, edges, weights, b; nothing where their numbers may be compared."""
+    weights, of_other = (_weights(run) for run in (one, other))
     said = []
     if set(one.ids) != set(other.ids):
         said.append(f"nodes ({len(other.ids)}, not {len(one.ids)})" if len(one.ids) != len(other.ids) else "node ids")
-    if edges != of_other:
+    if weights.keys() != of_other.keys():
         said.append("edges")
-    if one.b != other.b:
-        said.append(f"b ({other.b:g}, not {one.b:g})")
+    elif weights != of_other:
+        said.append("weights of edges")
+    if _gains(one) != _gains(other) and not said:
+        said.append(f"b ({span(other.b)}, not {span(one.b)})")
     return said
+
+
+def _weights(run: Run) -> dict[frozenset[int | str], float]:
+    """Return the weight of each edge."""
+    graph = run.topology.graph
+    weights = np.ones(len(graph.edges)) if graph.weights is None else graph.weights
+    return {frozenset(edge): weight for edge, weight in zip(run.topology.pairs, weights.tolist(), strict=True)}
+
+
+def _gains(run: Run) -> dict[int | str, float]:
+    """Return the gain of each node."""
+    return dict(zip(run.ids, np.broadcast_to(run.b, len(run.ids)).tolist(), strict=True))
 
 
 def differences(one: Run, other: Run) -> list[str]:

@@ -119,7 +119,8 @@ FIGURES = (
         title="Gain",
         shows="√(Σ cost / Σ |w|²) so far, as it is and less V(x(0)), what the start may have cost the oracle. γ* is the"
         " oracle's number, the least gain that can be promised when every a is known and no edge is closed; it is no"
-        " guarantee of the adaptive law.",
+        " guarantee of the adaptive law. That law's own gain from x(0) = 0 is at most the line above, as long as the"
+        " line's premise holds (docs/guarantee.md).",
         draw=totals.gain,
         more=totals.beyond,
     ),

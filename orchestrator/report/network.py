@@ -14,6 +14,7 @@ from hedgerow.orchestrator.report.curves import Entries, called, legend, plain, 
 from hedgerow.orchestrator.report.style import BLACK, GREY, RED, sheet, width_in
 from hedgerow.orchestrator.runs.run import Run
 from hedgerow.orchestrator.views.layout import positions
+from hedgerow.orchestrator.views.palette import thickness
 from hedgerow.topologies.graph import Array, Mask
 
 NAMED = 40
@@ -59,9 +60,10 @@ def _aspect(places: Array) -> float:
 
 def _draw(axis: Axes, run: Run, places: Array) -> None:
     n = len(run.ids)
-    axis.add_collection(
-        LineCollection([*places[run.edges]], colors=GREY, linewidths=0.8 if n <= NAMED else 0.4, zorder=1)
-    )
+    weights = run.topology.graph.weights
+    wide = 0.8 if n <= NAMED else 0.4
+    widths: Array | float = wide if weights is None else 3 * wide * thickness(weights, len(weights))
+    axis.add_collection(LineCollection([*places[run.edges]], colors=GREY, linewidths=widths, zorder=1))
     size = 170 if n <= NAMED // 2 else 90 if n <= NAMED else max(2.0, 6000 / n)
     faces = np.where(wrong(run), RED, "#FFFFFF")
     axis.scatter(

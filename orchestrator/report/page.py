@@ -19,6 +19,7 @@ from hedgerow.orchestrator.report.markup import Markup, join, listed, table, tag
 from hedgerow.orchestrator.report.reading import METRICS, growth, metrics, number, sentences
 from hedgerow.orchestrator.runs.run import Run
 from hedgerow.topologies.escape import command
+from hedgerow.topologies.network import span
 from hedgerow.topologies.resolve import to_yaml
 
 Runs = Sequence[Run]
@@ -73,7 +74,9 @@ def _verdict(run: Run) -> Markup:
 
 def _size(run: Run) -> str:
     topology = run.topology
-    said = f"Network {topology.name}, law {run.law}, {len(run.ids)} nodes, {len(run.edges)} edges, b = {run.b:g}, "
+    said = f"Network {topology.name}, law {run.law}, {len(run.ids)} nodes, {len(run.edges)} edges, b = {span(run.b)}, "
+    if topology.graph.weights is not None:
+        said += f"weights {span(run.weights)}, "
     said += f"{run.T} of {topology.steps} steps, seed {topology.seed}."
     return said + (f" The telemetry of {len(run.lost)} steps was lost." if len(run.lost) else "")
 
@@ -141,9 +144,13 @@ def _nodes(run: Run) -> list[Markup]:
     topology, of_node = run.topology, np.nansum(run.regret**2, axis=0)
     shown = np.sort(np.argsort(-of_node, kind="stable")[:NODES])
     neighbours: dict[Any, list[str]] = {node: [] for node in run.ids}
-    for i, j in topology.edges:
-        neighbours[i].append(str(j))
-        neighbours[j].append(str(i))
+    weights = topology.graph.weights
+    unequal = weights is not None or not isinstance(run.b, float)
+    weighed = [""] * len(topology.edges) if weights is None else [f" ({weight:.4g})" for weight in weights.tolist()]
+    for (i, j), weight in zip(topology.pairs, weighed, strict=True):
+        neighbours[i].append(f"{j}{weight}")
+        neighbours[j].append(f"{i}{weight}")
+    gains = np.broadcast_to(run.b, len(run.ids)).tolist()
     rows = []
     for k in shown.tolist():
         node, own = run.ids[k], topology.nodes[run.ids[k]]
@@ -154,6 +161,7 @@ def _nodes(run: Run) -> list[Markup]:
             [
                 node,
                 ", ".join(neighbours[node]) or "none",
+                *([f"{gains[k]:.4g}"] if unequal else []),
                 _truth(run, k),
                 ", ".join(f"{value:.4f}" for value in own.candidates or ()),
                 ends,
@@ -162,7 +170,8 @@ def _nodes(run: Run) -> list[Markup]:
                 " + ".join(_shown(part) for part in parts if part is not None) or "none",
             ]
         )
-    headings = ["node", "neighbours", "true a", "candidates", "estimate at the end", "Σ r²", "x(0)", "disturbance"]
+    own_numbers = ["neighbours (weights)", "gain b"] if unequal else ["neighbours"]
+    headings = ["node", *own_numbers, "true a", "candidates", "estimate at the end", "Σ r²", "x(0)", "disturbance"]
     parts_ = [table(headings, rows)]
     if len(run.ids) > NODES:
         parts_.insert(

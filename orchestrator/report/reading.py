@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 
 from hedgerow.orchestrator.metrics.fault_schedule import Schedule
+from hedgerow.orchestrator.metrics.guarantee import rounded_up
 from hedgerow.orchestrator.runs.run import Run
 
 METRICS = {
     "nodes_right": "estimates that are the truth at the end",
     "regret": "D = Σ |x − x*|², trajectory regret",
     "regret_nominal": "D of the nominal controller",
-    "cost": "C = Σ |x|² + |u_e|², cost",
+    "cost": "C = Σ |x|² + Σ k_e u_e², cost",
     "cost_oracle": "C*, the oracle's cost",
     "cost_regret": "R = C − C*, cost regret, signed",
     "cost_ratio": "C / C*",
@@ -57,6 +58,11 @@ def sentences(run: Run) -> list[str]:
         said.append(f"It cost {abs(m['cost_regret']):.4g} {sign} than the oracle; either sign is possible.")
     if m["gain_less_x0"] is not None:
         said.append(_gain(m["gain_less_x0"], m["gamma_star"], run))
+    if len(run.ceiling) and np.isfinite(run.ceiling[-1]):
+        said.append(
+            f"From x(0) = 0, no disturbance makes the gain of a law that acts within the lists larger than"
+            f" {rounded_up(float(run.ceiling[-1]), 4)}, with what happened to edges and a in this run."
+        )
     return said
 
 
@@ -68,7 +74,7 @@ def _gain(less: float, gamma_star: float, run: Run) -> str:
         return f"{said} γ* is the oracle's while all edges are open and no a jumps: here they were not, or one did."
     if run.law == "hinf":
         return f"{said} No disturbance makes the oracle's larger than γ*."
-    return f"{said} γ* is the oracle's number; nothing bounds the gain of this law by it."
+    return f"{said} γ* is the oracle's number; it does not bound the gain of this law."
 
 
 def _estimates(right: int, n: int, most: int, steps: int) -> str:

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from hedgerow.orchestrator.report.curves import Entries, called, extremes, law, legend, stairs, steps_axis, thin
-from hedgerow.orchestrator.report.style import BLACK, BLUE, GREY, ORANGE, colour, sheet
+from hedgerow.orchestrator.report.style import BLACK, BLUE, GREY, ORANGE, RED, colour, sheet
 from hedgerow.orchestrator.runs.run import Run
 from hedgerow.topologies.graph import Array
 
@@ -95,18 +95,28 @@ GAINS = (
     Series(r"$\gamma^*$ (the oracle's)", lambda run: float(run.gamma_star), GREY, ":"),
 )
 
+CEILING = Series("at most (the law's)", lambda run: run.ceiling, RED, "-.")
+
 
 def gain(runs: Runs) -> Figure:
-    """The empirical gain, with and without what x(0) may have cost, and the number of the oracle."""
-    figure, axis = _one(runs, "gain [1]", GAINS)
+    """The empirical gain, with and without what x(0) may have cost, between the oracle's number and the law's bound."""
+    figure, axis = _one(runs, "gain [1]", [*GAINS[:-1], CEILING, GAINS[-1]] if _bounded(runs) else GAINS)
     axis.set_ylim(0, ceiling(runs))
     return figure
+
+
+def _bounded(runs: Runs) -> list[Run]:
+    """Return the runs that have a bound on the law's gain."""
+    return [run for run in runs if np.isfinite(run.ceiling).any()]
 
 
 def ceiling(runs: Runs) -> float:
     """Room for all but the start of the gain, which an x(0) may make as large as it likes."""
     shown = [(run.gamma_star, run.gain[-1], run.gain_less_x0) for run in runs]
-    return 2 * extremes(*(one for of_run in shown for one in of_run))[1]
+    top = 2 * extremes(*(one for of_run in shown for one in of_run))[1]
+    # A bound that is far above everything else would press the rest together: it stays outside.
+    bounds = [float(np.nanmin(run.ceiling)) for run in _bounded(runs)]
+    return max([top, *(1.1 * bound for bound in bounds if bound < 2 * top)])
 
 
 def beyond(runs: Runs) -> str:

@@ -25,7 +25,8 @@ from hedgerow.topologies.errors import UserError
 
 FORMS = ("csv", "parquet", "npz", "mat")
 NAMES = (
-    *("name", "law", "verdict", "T", "b", "gamma_star", "ids", "edges", "candidates", "nominal", "lost", "rows"),
+    *("name", "law", "verdict", "T", "b", "gamma_star", "ids", "edges", "weights"),
+    *("candidates", "nominal", "lost", "rows"),
     *("x", "x_oracle", "x_nominal", "regret", "nominal_gap", "regret_sum", "nominal_regret_sum"),
     *("a", "u", "w", "ahat", "index", "margin", "a_ls", "beta", "identifiable", "right"),
     *("cost", "cost_oracle", "cost_regret", "energy_sum", "gain", "gain_less_x0"),

@@ -7,7 +7,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from hedgerow.agents.shard import LawError, Shard
+from hedgerow.agents.loading import LawError
+from hedgerow.agents.shard import Shard
 from hedgerow.agents.view import View
 from hedgerow.plant.truth import Truth
 from hedgerow.plant.world import World

@@ -21,7 +21,7 @@ from hedgerow.orchestrator.metrics.fault_schedule import Schedule
 from hedgerow.orchestrator.metrics.observer import Batch, Observer, gain
 from hedgerow.orchestrator.metrics.replay import Finding
 from hedgerow.orchestrator.metrics.verdict import Verdict
-from hedgerow.orchestrator.runs import replayed
+from hedgerow.orchestrator.runs import guaranteed, replayed
 from hedgerow.orchestrator.runs.difference import Estimates, equal, explain_estimates, lost_messages
 from hedgerow.orchestrator.runs.rows import frozen, spread
 from hedgerow.orchestrator.runs.selection import Kept, kept
@@ -29,7 +29,7 @@ from hedgerow.orchestrator.runs.table import Table
 from hedgerow.topologies.describe import describe
 from hedgerow.topologies.errors import UserError
 from hedgerow.topologies.escape import command
-from hedgerow.topologies.graph import Array, Index, Mask
+from hedgerow.topologies.graph import Array, Gain, Index, Mask
 from hedgerow.topologies.schema import Topology
 
 if TYPE_CHECKING:
@@ -153,9 +153,16 @@ class Run:
         return self.T
 
     @property
-    def b(self) -> float:
-        """The gain b of equation (1)."""
-        return self.topology.b
+    def b(self) -> Gain:
+        """The gain b of equation (1): one number, or one per node, (n,)."""
+        b = self.topology.network.b
+        return b if isinstance(b, float) else frozen(b[self.kept.nodes])
+
+    @cached_property
+    def weights(self) -> Array:
+        """The weight of each edge, (E,)."""
+        weights = self.topology.graph.weights
+        return frozen(np.ones(len(self.kept.edges)) if weights is None else weights[self.kept.edges])
 
     @cached_property
     def ids(self) -> tuple[int | str, ...]:
@@ -271,7 +278,7 @@ class Run:
         return bool(self.edge_open.all() and (self.a == self.a[:1]).all())
 
     cost = _total("cost")
-    """The cost c = |x|^2 + |u_edge|^2, (T,)."""
+    """The cost c = |x|^2 + sum_e k_e u_e^2, (T,)."""
     cost_oracle = _total("cost_oracle")
     """The cost c* of the oracle, (T,)."""
     cost_sum = _total("cost_sum")
@@ -319,6 +326,21 @@ class Run:
         """The empirical gain after subtracting V(x(0)), a bound on the oracle's cost of x(0), from C, (T,)."""
         network = self.topology.network
         return frozen(gain(self.cost_sum, self.energy_sum, float(storage(network.x0[None], network.a)[0])))
+
+    @cached_property
+    def ceiling(self) -> Array:
+        """The least bound on the gain of the law that holds at each step, NaN without one, (T,); docs/guarantee.md.
+
+        It bounds the gain from x(0) = 0.
+        """
+        return frozen(guaranteed.ceiling(self))
+
+    def certificate_slack(self, premise: str) -> Array:
+        """Return the slack of the certificate of the law at each step, NaN where `premise` fails, (T,).
+
+        `premise` is "estimates", "edges" or "jumps". Raises UserError if the verdict has no bound for it.
+        """
+        return frozen(guaranteed.slack(self, premise))
 
     @property
     def metrics(self) -> dict[str, float | int | None]:

@@ -9,6 +9,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
+from hedgerow.orchestrator.ground import laws
 from hedgerow.orchestrator.ground.assignment import layout, truth_of, views_of
 from hedgerow.orchestrator.launch.live import FaultVerbs, checked
 from hedgerow.orchestrator.launch.recording import Recording, Watching
@@ -56,7 +57,7 @@ class Scenario(FaultVerbs["Scenario"]):
         """The network, resolved: what will run, all of it recorded, for a test to look at."""
         read = parse(self.text, self.name, self.folder, self.settings)
         drawn = resolve(read.model_copy(update={"record": Record(nodes="all")}), self.folder)
-        return resolve(drawn.model_copy(update={"faults": (*drawn.faults, *self.faults)}))
+        return laws.checked(resolve(drawn.model_copy(update={"faults": (*drawn.faults, *self.faults)})))
 
     def set(self, *settings: str) -> Scenario:
         """With values of the file replaced: `path=value`, as for `--set` on the command line."""

@@ -10,6 +10,7 @@ import numpy as np
 from hedgerow.orchestrator.metrics.observer import Batch, Observer
 from hedgerow.orchestrator.runs.selection import kept
 from hedgerow.topologies.graph import Index, Mask
+from hedgerow.topologies.network import span
 from hedgerow.topologies.schema import LAWS, Topology
 
 _AGENTS = {
@@ -115,14 +116,19 @@ and nodes with a fault; the counts beside it have all.
         if large
         else ""
     )
-    bound = "Whatever the estimates: |x(t+1)|₁ ≤ ρ |x(t)|₁ + |w(t)|₁.\n\n" if topology.law in LAWS else ""
+    b, edge_weights = topology.network.b, topology.graph.weights
+    weights = "" if edge_weights is None else f"weights {span(edge_weights)}, "
+    k, edge_cost = ("", "|u_e|²") if edge_weights is None else ("k_ij ", "Σ k_e u_e²")
+    gain, norm = ("b", "Σ |x_i|") if isinstance(b, float) else ("b_i", "Σ |x_i| / b_i")
+    flow = f"{gain} Σ {k}(u_i − u_j)"
+    bound = f"Whatever the estimates: |x(t+1)| ≤ ρ |x(t)| + |w(t)|, |x| = {norm}.\n\n" if topology.law in LAWS else ""
     return f"""\
 # {topology.name}
 
 law **{topology.law}**, {len(topology.ids)} nodes, {len(topology.edges)} edges, T = {topology.steps},
-b = {topology.b:g}, γ\\* = {_gamma_star(topology, ".4g")}, ρ = {observer.rho:.4g}, seed {topology.seed}
+b = {span(b)}, {weights}γ\\* = {_gamma_star(topology, ".4g")}, ρ = {observer.rho:.4g}, seed {topology.seed}
 
-Each node is a reservoir: x_i(t+1) = a_i x_i(t) + b Σ (u_i − u_j) + w_i(t). {_AGENTS.get(topology.law, _OTHERS)}
+Each node is a reservoir: x_i(t+1) = a_i x_i(t) + {flow} + w_i(t). {_AGENTS.get(topology.law, _OTHERS)}
 The *oracle* is the same network, with the same disturbances, x(0) and closed edges, whose nodes know
 their true a; *nominal* is the same again with a fixed guess of a.
 {many}
@@ -131,13 +137,13 @@ their true a; *nominal* is the same again with a fixed guess of a.
   steps per second. The plots and the faults show every step.
 - **States** x [x], and paler the oracle's x\\*. A node has one colour in all plots, the colour of its name in the
   picture. *Steady* shows the same without the start, where a large x(0) dwarfs the rest.
-- **Inputs** u [u]. *Flows*: edge (i, j) carries u_j − u_i [u].
+- **Inputs** u [u]. *Flows*: edge (i, j) shows u_j − u_i [u].
 - **Estimates** â [1], and paler the truth a. *Error* is |â − a|, *a_LS* the least-squares estimate, *Margin* J₂ − J₁
   [x²], *Right* the number of right estimates.
 - **Regret** |x − x\\*| [x] of each node; *Nominal gap* |x\\* − x_nom| [x]. **Regret D** [x²] is the sum of its squares
   over nodes and steps, beside D of the nominal law. *Cost R* [x²] is the cost less the oracle's cost, and may be
   negative. *Ratio* is the cost divided by the oracle's cost.
-- **Gain** √(Σ cost / Σ |w|²) of the disturbance so far; the cost of a step is |x|² + |u_e|². *Less x(0)* subtracts
+- **Gain** √(Σ cost / Σ |w|²) of the disturbance so far; the cost of a step is |x|² + {edge_cost}. *Less x(0)* subtracts
   the most that x(0) can cost the oracle. x(0) may cost another law more. The axis ends at 4 γ\\*.
 - **Faults**: what telemetry shows as lost, cut or dead.
 - **Round trips**: the time of each process to answer a step, by the plant's clock [ms]; over Zenoh only.

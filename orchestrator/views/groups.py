@@ -37,6 +37,7 @@ class Groups:
 
     def __init__(self, graph: Graph) -> None:
         parts = partition(graph, GROUPS)
+        self._weights = graph.weights
         self.size = max(map(len, parts))
         """nodes of a group, about"""
         self._nodes = np.concatenate(parts)
@@ -74,10 +75,15 @@ class Groups:
             x=of(x),
             u=np.where(silent, np.nan, 0.0),
             ahat=np.where(dead, np.nan, wrong),
-            u_edge=self._edges.most(np.abs(batch.u_edge[rows])),
+            u_edge=self._edges.most(self._flow(batch.u_edge[rows])),
             edge_open=self._edges.all(batch.edge_open[rows]),
             link_up=self._links.all(batch.link_up[rows]),
         )
+
+    def _flow(self, u_edge: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The size k_e |u_e| of what flows through each edge."""
+        size = np.abs(u_edge)
+        return size if self._weights is None else size * self._weights
 
 
 class _Gathered:

@@ -16,6 +16,7 @@ TEXT: Color = (190, 196, 206, 255)
 GREY: Color = (170, 170, 170, 255)
 GREEN: Color = (90, 200, 120, 255)
 ORANGE: Color = (240, 150, 60, 255)
+PURPLE: Color = (190, 130, 255, 255)
 
 RIGHT: Color = (66, 74, 90, 255)
 """the ring of a node whose model is right"""
@@ -48,8 +49,15 @@ def state_colors(part: NDArray[np.float64]) -> Packed:
 
 
 def flow_colors(part: NDArray[np.float64]) -> Packed:
-    """The colour of an edge whose |u_j - u_i| is this part of the largest: from grey to white."""
+    """The colour of an edge whose flow k_ij |u_j - u_i| is this part of the largest: from grey to white."""
     return _between(_FLOWS, part)
+
+
+def thickness(weights: NDArray[np.float64] | None, count: int) -> NDArray[np.float64]:
+    """The width of each of `count` edges by its weight, as a part of the widest: from 0.3 to 1, by the square root."""
+    if weights is None or not count:
+        return np.ones(count)
+    return np.asarray(np.maximum(0.3, np.sqrt(weights / weights.max())))
 
 
 def _between(stops: NDArray[np.float64], part: NDArray[np.float64]) -> Packed:

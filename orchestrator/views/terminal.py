@@ -189,7 +189,13 @@ class Standing:
             *(f"{k} {what}" for k, what in losses if k),
             f"regret D {batch.regret_sum[-1]:.4g} (nominal {batch.nominal_regret_sum[-1]:.4g})",
             f"cost regret {batch.cost_regret[-1]:+.4g}",
-            gain_text(gain, less, self._topology.network.gamma_star_now, not np.isnan(batch.slack[-1])),
+            gain_text(
+                gain,
+                less,
+                self._topology.network.gamma_star_now,
+                not np.isnan(batch.slack[-1]),
+                float(batch.ceiling[-1]),
+            ),
         ]
 
 

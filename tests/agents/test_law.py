@@ -156,7 +156,7 @@ def test_the_fixed_laws_are_minimax_with_one_candidate(law: str, topology: Topol
     model = np.array([own.a if law == "hinf" else own.nominal for own in topology.nodes.values()])
     assert [view.law for view in views_of(fixed, layout(fixed, None))] == ["minimax"] * len(model)
     ran = simulate(fixed)
-    assert (ran.u == topology.b * ran.x[:-1] / (model - 1)).all()
+    assert (ran.u == topology.network.b * ran.x[:-1] / (model - 1)).all()
     assert (ran.report[:, 0] == model).all()
     one = {
         node: own.model_copy(update={"candidates": (float(a),)})
@@ -184,13 +184,21 @@ def test_an_agent_is_told_of_its_own_nodes_and_neighbours_alone(topology: Topolo
     assert [nodes.tolist() for nodes in truth_of(topology, shards).shards] == shards
     for view, nodes in zip(views, shards, strict=True):
         told = json.loads(view.to_json())
-        assert set(told) == {"shard", "b", "law", "nodes", "peers", "history"}
-        assert [set(node) for node in told["nodes"]] == [{"id", "candidates", "neighbours"}] * len(nodes)
+        assert set(told) == {"shard", "b", "law", "nodes", "peers", "history", "seed"}
+        weights = topology.graph.weights
+        weighed = set() if weights is None else {"weights"}
+        assert [set(node) for node in told["nodes"]] == [{"id", "candidates", "neighbours"} | weighed] * len(nodes)
+        gains = np.full(len(topology.ids), topology.network.b)[nodes]
+        assert np.array_equal(np.broadcast_to(told["b"], len(nodes)), gains)
+        for node in told["nodes"] if weights is not None else ():
+            assert weights is not None
+            beside_node = [k for k, edge in enumerate(topology.pairs) if node["id"] in edge]
+            assert sorted(node.get("weights", [])) == sorted(weights[beside_node].tolist())
         own = {topology.ids[k] for k in nodes}
-        beside = {end for edge in topology.edges if own & set(edge) for end in edge} - own
+        beside = {end for edge in topology.pairs if own & set(edge) for end in edge} - own
         assert {node for peer in told["peers"] for node in peer["hear"]} == {*view.heard.tolist()} == beside
         assert all(
-            {*node["neighbours"]} == {e for edge in topology.edges if node["id"] in edge for e in edge} - {node["id"]}
+            {*node["neighbours"]} == {e for edge in topology.pairs if node["id"] in edge for e in edge} - {node["id"]}
             for node in told["nodes"]
         )
         assert [node["candidates"] for node in told["nodes"]] == [listed(topology)[k] for k in nodes]
@@ -210,8 +218,10 @@ def test_what_a_process_is_told_goes_through_its_file(
         view.write(folder / f"{view.shard}.npz")
         with np.load(folder / f"{view.shard}.npz") as file:
             settings_of, arrays = json.loads(file["settings"].tobytes()), {*file.files} - {"settings"}
-        assert settings_of.keys() == {"shard", "b", "law", "history", "ids"}
-        assert arrays == {"ids", "candidates", "row", "column", "peers", "say", "heard"}
+        assert settings_of.keys() - {"b"} == {"shard", "law", "history", "seed", "ids"}
+        own = {"ids", "candidates", "row", "column", "peers", "say", "heard"}
+        assert arrays - {"b", "weights"} == own
+        assert ("b" in settings_of) != ("b" in arrays)
     back = [View.read(folder / f"{view.shard}.npz") for view in views]
     assert [view.to_json() for view in back] == [view.to_json() for view in views]
     again = gathered(reference.run(Truth.read(folder / "plant.npz"), back))

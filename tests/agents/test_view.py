@@ -172,7 +172,7 @@ def test_the_lanes_are_the_schedule(tmp_path: Path) -> None:
         codes[row, edge] += 1 if graph.node[incidence] == graph.edges[edge, 0] else 2
     codes[cuts.row, cuts.target] += 4
     begun = set()
-    for k, (i, j) in enumerate(topology.edges):
+    for k, (i, j) in enumerate(topology.pairs):
         says = column(path, f"link/{i}-{j}", "StateChange:state")
         now, shown = ["ok"], []
         for t in range(topology.steps):

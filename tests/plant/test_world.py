@@ -15,7 +15,7 @@ from hedgerow.agents.law import control
 from hedgerow.orchestrator.ground.assignment import layout, truth_of
 from hedgerow.plant.disturbance import Disturbance
 from hedgerow.plant.world import World, dynamics
-from hedgerow.topologies.graph import Array, Graph
+from hedgerow.topologies.graph import Array, Gain, Graph
 from hedgerow.topologies.hinf import contraction, gamma_star, q_solver
 from hedgerow.topologies.network import groups_of, padded
 from hedgerow.topologies.resolve import truth
@@ -103,19 +103,19 @@ def test_white_noise_has_the_standard_deviation_asked_for() -> None:
 @given(networks())
 @settings(max_examples=60)
 def test_the_world_moves_by_equation_1(topology: Topology) -> None:
-    """Against the matrices of the paper: x(t+1) = A x + b L u + w."""
+    """Against matrices: x(t+1) = A x + diag(b) L u + w with the weighted Laplacian L."""
     world = World(truth_of(topology, layout(topology, None)))
     n, edges = len(topology.ids), topology.graph.edges
     laplacian = np.zeros((n, n))
-    for i, j in edges:
-        laplacian[[i, j], [i, j]] += 1
-        laplacian[[i, j], [j, i]] -= 1
+    for (i, j), weight in zip(edges, weights_of(topology), strict=True):
+        laplacian[[i, j], [i, j]] += weight
+        laplacian[[i, j], [j, i]] -= weight
     report, took = np.zeros((REPORT_ROWS, n)), [b""] * n
     for t in range(topology.steps):
         x, u = world.x, np.cos(np.arange(n) + t)
         world.begin()
         row = world.step(u, report, took)
-        expected = truth(topology) * x + topology.b * laplacian @ u + row.w
+        expected = truth(topology) * x + topology.network.b * (laplacian @ u) + row.w
         np.testing.assert_allclose(world.x, expected, rtol=1e-12, atol=1e-12)
     assert world.t == topology.steps
 
@@ -123,24 +123,25 @@ def test_the_world_moves_by_equation_1(topology: Topology) -> None:
 @given(networks(), st.data())
 @settings(max_examples=60)
 def test_what_flows_out_of_a_node_flows_into_another(topology: Topology, data: st.DataObject) -> None:
-    """An edge that is cut is cut at both ends: the flows of all nodes always sum to zero."""
+    """An edge that is cut is cut at both ends: the flows of all nodes always sum to zero, whatever their weights."""
     edges = len(topology.edges)
     edge_open = np.array(data.draw(st.lists(st.booleans(), min_size=edges, max_size=edges)), bool)
     u = np.sin(np.arange(len(topology.ids)) * 7.0)
     flow, u_edge = topology.graph.flow(u, edge_open), topology.graph.edge_input(u, edge_open)
-    assert abs(flow.sum()) <= 1e-12
+    assert abs(flow.sum()) <= 1e-11
     assert (u_edge[~edge_open] == 0).all()
     by_hand = np.zeros(len(u))
-    for (i, j), on in zip(topology.graph.edges, edge_open, strict=True):
-        by_hand[i] += on * (u[i] - u[j])
-        by_hand[j] += on * (u[j] - u[i])
+    for (i, j), on, weight in zip(topology.graph.edges, edge_open, weights_of(topology), strict=True):
+        by_hand[i] += on * weight * (u[i] - u[j])
+        by_hand[j] += on * weight * (u[j] - u[i])
     np.testing.assert_allclose(flow, by_hand, atol=1e-12)
 
 
 @given(networks(), st.data())
 @settings(max_examples=80)
 def test_stability_never_depends_on_the_estimates(topology: Topology, data: st.DataObject) -> None:
-    """|x(t+1)|_1 <= rho |x(t)|_1 + |w(t)|_1, ANY estimates from the lists, ANY cuts, rho < 1."""
+    """|x(t+1)| <= rho |x(t)| + |w(t)| in the norm sum |x_i| / b_i, ANY estimates from the lists, ANY cuts, rho < 1."""
+    b = topology.network.b
     lists = [own.candidates for own in topology.nodes.values()]
     listed = [np.array(one, dtype=float) for one in lists]
     a, n, edges = truth(topology), len(lists), len(topology.edges)
@@ -153,10 +154,17 @@ def test_stability_never_depends_on_the_estimates(topology: Topology, data: st.D
         ahat = np.array([data.draw(st.sampled_from(list(one))) for one in listed])
         on = np.array(data.draw(st.lists(st.booleans(), min_size=edges, max_size=edges)), bool)
         w = data.draw(vectors)
-        u = control(topology.b, x, ahat)
-        x_next = dynamics(a, topology.b, topology.graph, x, u, w, on)
-        assert np.abs(x_next).sum() <= (rho * np.abs(x).sum() + np.abs(w).sum()) * (1 + 1e-12)
+        u = control(b, x, ahat)
+        x_next = dynamics(a, b, topology.graph, x, u, w, on)
+        bound = rho * np.sum(np.abs(x) / b) + np.sum(np.abs(w) / b)
+        assert np.sum(np.abs(x_next) / b) <= bound * (1 + 1e-12)
         x = x_next
+
+
+def weights_of(topology: Topology) -> Array:
+    """The weight of each edge."""
+    weights = topology.graph.weights
+    return np.ones(len(topology.edges)) if weights is None else weights
 
 
 def test_rho_is_attained() -> None:
@@ -200,16 +208,19 @@ def test_the_certificate_would_notice_a_controller_that_is_not_optimal() -> None
     assert 0 <= batch.slack[-1] < 0.02 * supply
 
 
-def test_a_network_of_500_nodes_has_the_same_mathematics() -> None:
+@pytest.mark.parametrize("unequal", [False, True])
+def test_a_network_of_500_nodes_has_the_same_mathematics(unequal: bool) -> None:
     """Large networks take sparse algebra: gamma* and Q^-1 w are those of the paper's dense matrices."""
-    n, b = 500, 0.1
-    a = 0.3 + 0.4 * np.arange(n) / n
-    graph = Graph(n, np.array([[i, i + 1] for i in range(n - 1)]))
+    n = 500
+    a, edges = 0.3 + 0.4 * np.arange(n) / n, np.array([[i, i + 1] for i in range(n - 1)])
+    b: Gain = 0.05 + 0.1 * np.arange(n) / n if unequal else 0.1
+    graph = Graph(n, edges, 0.5 + np.arange(n - 1) / n if unequal else None)
     laplacian = np.zeros((n, n))
-    for i, j in graph.edges:
-        laplacian[[i, j], [i, j]] += 1
-        laplacian[[i, j], [j, i]] -= 1
-    q = np.diag((1 - a) ** 2) + b * b * laplacian
+    for (i, j), weight in zip(edges, np.ones(n - 1) if graph.weights is None else graph.weights, strict=True):
+        laplacian[[i, j], [i, j]] += weight
+        laplacian[[i, j], [j, i]] -= weight
+    gains = np.diag(np.full(n, b))
+    q = np.diag((1 - a) ** 2) + gains @ laplacian @ gains
     assert gamma_star(a, b, graph) == pytest.approx(np.linalg.eigvalsh(q)[0] ** -0.5, rel=1e-9)
     w = np.sin(np.arange(n))
     np.testing.assert_allclose(q @ q_solver(a, b, graph)(w), w, rtol=0, atol=1e-9)

@@ -42,8 +42,14 @@ def vector_file(path: Path) -> tuple[str, dict[str, Any]]:
         }
         for i in range(vector["N"])
     }
-    text = {"name": vector["name"], "b": vector["b"], "steps": vector["T"]}
-    return json.dumps(text | {"nodes": nodes, "edges": vector["edges"]}), vector["expected"]
+    for i, b in enumerate(vector.get("b_nodes", ())):
+        nodes[i]["b"] = b
+    edges = [
+        ends if weight == 1 else {"ends": ends, "weight": weight}
+        for ends, weight in zip(vector["edges"], vector.get("weights", [1] * len(vector["edges"])), strict=True)
+    ]
+    text = {"name": vector["name"], "b": vector.get("b", 0.1), "steps": vector["T"]}
+    return json.dumps(text | {"nodes": nodes, "edges": edges}), vector["expected"]
 
 
 def from_vector(path: Path) -> tuple[Topology, dict[str, Any]]:
@@ -142,15 +148,21 @@ def disturbances(steps: int) -> st.SearchStrategy[Any]:
 
 @st.composite
 def networks(draw: st.DrawFn, most: int = 6, steps: int = 12, law: str = "minimax") -> Topology:
-    """Any graph of up to `most` nodes, with a, b and candidate lists of any length within (3)."""
+    """Any graph of up to `most` nodes, with a, b and candidate lists of any length within (3).
+
+    In half of them the nodes' gains and the edges' weights differ.
+    """
     n = draw(st.integers(1, most))
     pairs = st.sampled_from([*itertools.permutations(range(n), 2)]) if n > 1 else st.nothing()
     edges = draw(st.lists(pairs, unique_by=frozenset, max_size=2 * n)) if n > 1 else []
-    degree = [sum(i in edge for edge in edges) for i in range(n)]
+    unequal = draw(st.booleans())
+    weights = [draw(floats(0.1, 5)) if unequal else 1 for _ in edges]
+    degree = [sum(weight * (i in edge) for edge, weight in zip(edges, weights, strict=True)) for i in range(n)]
     b = draw(floats(0.1, 0.97)) / (8 * max(1, *degree)) ** 0.5
-    nodes = {}
+    nodes: dict[int, dict[str, Any]] = {}
     for i in draw(st.permutations(range(n))):
-        interval = allowed_interval(b, degree[i])
+        own = draw(floats(0.1, 0.97)) / (8 * max(0.01, degree[i])) ** 0.5 if unequal else b
+        interval = allowed_interval(own, degree[i])
         assert interval is not None
         low, high = interval
         inside = floats(low + 0.02 * (high - low), high - 0.02 * (high - low))
@@ -162,9 +174,14 @@ def networks(draw: st.DrawFn, most: int = 6, steps: int = 12, law: str = "minima
             "x0": draw(floats(-20, 20)),
             "disturbance": draw(disturbances(steps)),
         }
+        if unequal:
+            nodes[i]["b"] = own
     seed = draw(st.integers(0, 2**63 - 1))
     head = {"name": "drawn", "b": b, "steps": steps, "seed": seed, "law": law}
-    return read(json.dumps(head | {"nodes": nodes, "edges": edges}))
+    written = [
+        {"ends": ends, "weight": weight} if unequal else ends for ends, weight in zip(edges, weights, strict=True)
+    ]
+    return read(json.dumps(head | {"nodes": nodes, "edges": written}))
 
 
 @st.composite

@@ -39,7 +39,7 @@ def _fault(draw: st.DrawFn, kind: str, topology: Topology, ids: list[Any], steps
     window = {"steps": draw(windows(steps))}
     lot = draw(st.sampled_from([{}, {"probability": 0.3}, {"probability": 0.7}]))
     node = draw(st.sampled_from(ids))
-    edge = list(draw(st.sampled_from(topology.edges))) if topology.edges else []
+    edge = list(draw(st.sampled_from(topology.pairs))) if topology.edges else []
     if draw(st.booleans()):
         edge.reverse()
     at, models = draw(st.integers(0, steps)), listed(topology)
@@ -141,7 +141,7 @@ class Plain:
 
     def _estimate(self, i: int, t: int, known: list[set[int]], blind: Any, x: Any, since: int) -> float:
         topology, rows = self.topology, self.ran.rows
-        law = Minimax(topology.b, padded([listed(topology)[i]]))
+        law = Minimax(gain_of(topology, i), padded([listed(topology)[i]]))
         incidences = np.flatnonzero(self.graph.node == i)
         for tau in range(since, t):
             if i in blind[tau] or i in blind[tau + 1]:
@@ -150,8 +150,14 @@ class Plain:
             if not all(tau in known[c] for c in open_here):
                 continue
             u = rows[tau].u
-            flow = 0.0
+            flow, weight = 0.0, self.graph.weight
             for c in open_here:
-                flow += u[i] - u[self.graph.neighbour[c]]
+                flow += (1.0 if weight is None else weight[c]) * (u[i] - u[self.graph.neighbour[c]])
             law.learn(x[tau, i : i + 1], np.array([flow]), x[tau + 1, i : i + 1])
         return float(law.ahat[0])
+
+
+def gain_of(topology: Topology, i: int) -> float:
+    """The gain of the node at a position."""
+    b = topology.network.b
+    return b if isinstance(b, float) else float(b[i])

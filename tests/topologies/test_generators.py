@@ -98,7 +98,7 @@ def test_every_rule_makes_a_graph_within_its_bounds(kind: str, nodes: int, seed:
         assert (degree == 3).all()
     if kind in ("line", "star", "tree", "random_tree"):
         assert (len(pairs), pieces(pairs, n)) == (n - 1, 1)
-    if kind == "small_world" and most is None:
+    if kind == "small_world" and most is None and n >= 20:
         assert 2 * len(pairs) / n > 3
 
 
@@ -180,7 +180,7 @@ def test_a_run_of_many_nodes_can_be_repeated_from_its_folder(tmp_path: Path) -> 
         "faults: [{kind: crash, node: 3, at: 2, restart_after: 1}, {kind: jump, node: 9, at: 1, a: random},"
         " {kind: drop, from: 0, to: 1}]"
     )
-    edge = next(j for i, j in read(BIG).edges if i == 0)
+    edge = next(j for i, j in read(BIG).pairs if i == 0)
     topology = read(BIG + faults.replace("to: 1", f"to: {edge}"))
     folder = create(topology, tmp_path / "one")
     assert len(folder.topology.read_text()) < 500
@@ -274,7 +274,7 @@ PAIR = np.array([[0, 1]])
         ({"edges": PAIR, "ids": [1, 2], "a": [0.5]}, "`a` has the shape (1,)"),
         ({"edges": PAIR, "candidates": [[0.5], [np.nan]]}, "a list that is empty"),
         ({"edges": PAIR, "candidates": [[0.5], [0.4]], "a": [0.5, 0.5]}, "the truth of node 1 is not among"),
-        ({"edges": PAIR, "b": [1]}, "a column `b`, which means nothing"),
+        ({"edges": PAIR, "c": [1]}, "a column `c`, which means nothing"),
         ({"edges": PAIR, "w 0 white stdd": [1, 2]}, "which means nothing"),
         ({"edges": PAIR, "w 0 white nodes": [1]}, "has no `w 0 white std`"),
         ({"edges": PAIR, "w 0 samples values": [[1.0], [2.0]]}, "1 samples are too few for 4 steps"),
@@ -333,7 +333,7 @@ def test_a_layout_by_the_graph_gives_the_same_bits() -> None:
     topology = read(
         BIG.replace("40", "90")
         + "faults: [{kind: drop, from: 0, to: 1, probability: 0.5}]".replace(
-            "to: 1", f"to: {read(BIG.replace('40', '90')).edges[0][1]}"
+            "to: 1", f"to: {read(BIG.replace('40', '90')).pairs[0][1]}"
         )
     )
     one = simulate(topology, layout(topology, 1))

@@ -146,10 +146,10 @@ def test_the_worst_case_has_the_energy_asked_for(topology: Topology, energy: flo
     w = np.array([part.value if isinstance(part, Constant) else 0.0 for part in parts])
     assert w @ w == pytest.approx(energy, rel=1e-12)
     observer = Observer(worst)
-    s, b = 1 - truth(worst), worst.b
-    laplacian = np.diag(worst.graph.degree.astype(float))
-    laplacian[worst.graph.node, worst.graph.neighbour] -= 1
-    q_w = s * s * w + b * b * laplacian @ w
+    s, b = 1 - truth(worst), worst.network.b
+    laplacian = np.diag(worst.graph.weighted_degree.astype(float))
+    laplacian[worst.graph.node, worst.graph.neighbour] -= 1 if worst.graph.weight is None else worst.graph.weight
+    q_w = s * s * w + b * (laplacian @ (b * w))
     np.testing.assert_allclose(q_w, w / observer.gamma_star**2, rtol=1e-9, atol=1e-12)
 
 

@@ -121,7 +121,12 @@ edges:
         ("steps: 3", "steps: yes", 3, 'steps: "yes" is not a whole number'),
         ("steps: 3", "steps: true", 3, "steps: true is not a whole number"),
         ("seed: 4", "seed: -1", 4, "seed: -1 is below 0"),
-        ("seed: 4", "law: min", 4, "law: a law is minimax, hinf, nominal or package.module:Class"),
+        (
+            "seed: 4",
+            "law: min",
+            4,
+            "law: a law is minimax, hinf, nominal or package.module:Class; did you mean nominal?",
+        ),
         ("seed: 4", "~: 4", 4, "~ is no key; known keys are name, b,"),
         ("x0: 1", "x0: .nan", 5, "defaults: x0: .nan is not a finite number"),
         ("x0: 1", "xo: 1", 5, "defaults: unknown key `xo`; did you mean `x0`?"),
@@ -151,7 +156,7 @@ edges:
         ("- [1, 2]", "- [1, two]", 10, "leads to 'two', which is no node"),
         ("edges:\n  - [1, 2]", "edges: 5", 9, "edges: 5 is not a list"),
         ("edges:\n  - [1, 2]", "edges: {x: {y: 1, y: 2}}", 9, "edges: x: 'y' stands here twice"),
-        ("b: 0.1", "b: 0.5", 7, "node 1: 8 b² d = 2 is not below 1 (b = 0.5, degree 1)"),
+        ("b: 0.1", "b: 0.5", 2, "8 b² d = 2 is not below 1 (b = 0.5, degree 1)"),
     ],
 )
 def test_a_mistake_is_told_where_it_stands(old: str, new: str, line: int, said: str) -> None:
@@ -162,10 +167,21 @@ def test_a_mistake_is_told_where_it_stands(old: str, new: str, line: int, said: 
 
 
 def test_no_interval_is_left_when_a_node_has_too_many_neighbours() -> None:
-    """8 b² d >= 1 at the hub: the cure says how many neighbours, and which b, would do."""
+    """8 b² d >= 1 at the hub: the cure says which degree, and which b, would do."""
     problem = only(HEAD.replace("0.1", "0.25") + "nodes: [h, 1, 2]\nedges: [[h, 1], [h, 2]]\n")
     assert (problem.line, problem.place) == (4, "node h")
-    assert problem.cure == "give it at most 1 neighbours, or b below 0.25"
+    assert "0.2499" in problem.cure
+    assert "below 2" in problem.cure
+
+
+def test_many_nodes_without_an_interval_are_one_problem_with_the_largest_b() -> None:
+    nodes = "nodes: [1, 2, 3, 4]\nedges: [[1, 2], {ends: [2, 3], weight: 4}, [3, 4]]\n"
+    problem = only(HEAD.replace("0.1", "0.25") + nodes)
+    assert problem.place == "b"
+    assert "2 nodes (2, 3)" in problem.what
+    assert "0.1581" in problem.cure
+    good(HEAD.replace("0.1", "0.1581") + nodes)
+    assert "0.1581" in only(HEAD.replace("0.1", "0.1582") + nodes).cure
 
 
 @pytest.mark.parametrize("wrong", ["nodes: 5", "nodes:", "nodes: []", "nodes: {}"])

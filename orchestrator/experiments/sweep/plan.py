@@ -10,8 +10,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from hedgerow.agents.shard import law_class
-from hedgerow.orchestrator.ground.assignment import law_of
+from hedgerow.orchestrator.ground import laws
 from hedgerow.orchestrator.ground.versions import versions
 from hedgerow.topologies.errors import TopologyError, UserError
 from hedgerow.topologies.load import find, load
@@ -102,8 +101,7 @@ def plan(file: str, seeds: str, sets: Sequence[str], engine: str) -> Plan:
     ]
     if len(settings) * len(asked) > MAX_RUNS:
         raise UserError(f"{len(settings)} settings with {len(asked)} seeds: at most {MAX_RUNS} runs; ask for fewer")
-    for setting in settings:
-        law_class(law_of(setting.topology))
+    settings = [Setting(setting.values, laws.checked(setting.topology)) for setting in settings]
     return Plan(tuple(values), tuple(settings), asked, engine, find(file).parent)
 
 
@@ -146,7 +144,7 @@ def split(text: str) -> list[str]:
             quote = "" if sign == quote else quote
         elif sign in "'\"":
             quote = sign
-        depth += not quote and (sign in "[{") - (sign in "]}")
+        depth += not quote and (sign in "[{(") - (sign in "]})")
         if sign == "," and not quote and depth == 0:
             parts.append("")
         else:

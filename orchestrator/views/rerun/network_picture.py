@@ -2,7 +2,7 @@
 
 Positions never change and are sent once; a drawn step is some colours. What is broken is drawn over the edges:
 
-    i ========== j    open, heard at both ends: grey and thin to white and thick, by |u_j - u_i|
+    i ========== j    open, heard at both ends: grey and thin to white and thick, by the flow k_ij |u_j - u_i|
     i - - -===== j    i did not hear j: dashes at i's end
     i ==|    |== j    cut: a gap, and stumps
 """
@@ -20,7 +20,7 @@ from hedgerow.orchestrator.metrics.observer import Batch
 from hedgerow.orchestrator.views import palette
 from hedgerow.orchestrator.views.groups import Groups, Scene
 from hedgerow.orchestrator.views.layout import Places, positions
-from hedgerow.orchestrator.views.palette import Packed, flow_colors, packed, state_colors
+from hedgerow.orchestrator.views.palette import Packed, flow_colors, packed, state_colors, thickness
 from hedgerow.topologies.graph import Graph, Index, Mask
 from hedgerow.topologies.schema import WHOLE, Topology
 
@@ -124,6 +124,8 @@ class Picture:
         self._radius = _radius(self.places)
         self._width = 1.2 if self._large else 2.5
         """of an edge [points], with the most flow"""
+        self._thickness = thickness(self._graph.weights, len(self._graph.edges))[self._graph.edge]
+        """of each half: an edge of less weight is thinner"""
         self._x_peak = self._flow_peak = 0.0
         self._starts, self._middles = self._halves()
         self._nowhere = np.repeat(self.places[:1, None], 2, axis=1).astype(np.float32)
@@ -183,6 +185,8 @@ class Picture:
         if self.groups is not None:
             batch, rows = self.groups.scene(whole, rows), np.arange(len(rows))
         x, flow = np.abs(batch.x), np.abs(np.nan_to_num(batch.u_edge))
+        if self._graph.weights is not None:
+            flow *= self._graph.weights
         x_peak = decaying_peak(x.max(axis=1), self._x_peak)
         flow_peak = decaying_peak(flow.max(axis=1, initial=0.0), self._flow_peak)
         self._x_peak, self._flow_peak = float(x_peak[-1]), float(flow_peak[-1])
@@ -206,7 +210,7 @@ class Picture:
             nodes=state_colors(x / np.maximum(x_peak, 1e-300)),
             rings=rings,
             edges=edges,
-            widths=(-self._width * (0.4 + part)).astype(np.float32),
+            widths=(-self._width * (0.4 + part) * self._thickness).astype(np.float32),
             broken=broken,
             broken_color=broken_color,
             broken_count=broken_count,

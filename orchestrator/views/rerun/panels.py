@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from hedgerow.orchestrator.metrics.observer import Batch, Observer
 from hedgerow.orchestrator.runs.selection import evenly, kept
-from hedgerow.orchestrator.views.palette import BACKGROUND, GREEN, GREY, ORANGE, Color, hues
+from hedgerow.orchestrator.views.palette import BACKGROUND, GREEN, GREY, ORANGE, PURPLE, Color, hues
 from hedgerow.orchestrator.views.palette import CUT as RED
 from hedgerow.orchestrator.views.palette import LOST as AMBER
 from hedgerow.orchestrator.views.palette import NO_INPUT as BLUE
@@ -112,7 +112,7 @@ def totals(topology: Topology, observer: Observer) -> list[Quantity]:
 
     def gains(batch: Batch) -> Matrix:
         gamma_star = np.full(len(batch.t), limit)
-        return np.stack([batch.gain(), batch.gain(float(observer.v0)), gamma_star], axis=1)
+        return np.stack([batch.gain(), batch.gain(float(observer.v0)), gamma_star, batch.ceiling], axis=1)
 
     def sums(batch: Batch) -> Matrix:
         return np.stack([batch.regret_sum, batch.nominal_regret_sum], axis=1)
@@ -122,7 +122,10 @@ def totals(topology: Topology, observer: Observer) -> list[Quantity]:
         Quantity("regret_sum", sums, [topology.law, "nominal"], [GREEN, ORANGE], 2.0),
         Quantity("cost_regret", lambda batch: batch.cost_regret, ["R"], [GREEN], 2.0),
         Quantity("cost_ratio", lambda batch: batch.ratio, ["cost / oracle's cost"], [GREEN], 2.0),
-        Quantity("gain", gains, ["gain", "gain less x(0)", "γ* (oracle's)"], [ORANGE, GREEN, GREY], 2.0),
+        Quantity(
+            "gain", gains, ["gain", "gain less x(0)", "γ* (oracle's)", "at most"], [ORANGE, GREEN, GREY, PURPLE], 2.0
+        ),
+        Quantity("ceiling_slack", lambda batch: batch.ceiling_slack, ["slack"], [PURPLE], 2.0),
     ]
 
 
@@ -330,7 +333,10 @@ def _totals(gamma_star: float) -> list[rrb.Tabs | rrb.TimeSeriesView]:
             _plot("Ratio", "cost_ratio"),
         ),
         # A large x(0) makes the first gains huge: the axis begins where they can be compared.
-        _plot("Gain, axis to 4 γ*", "gain", legend="RightTop", axis=gain),
+        rrb.Tabs(
+            _plot("Gain, axis to 4 γ*", "gain", legend="RightTop", axis=gain),
+            _plot("Slack", "ceiling_slack"),
+        ),
     ]
 
 

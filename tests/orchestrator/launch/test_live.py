@@ -77,7 +77,7 @@ NAMES = st.text("ab-", min_size=1, max_size=4).filter(lambda name: name[0] != "-
 def test_every_edge_can_be_named(names: list[str]) -> None:
     """With a '-' it is found or asked about, never mistaken for another; with a comma it is found."""
     topology = named(*names)
-    for i, j in topology.edges:
+    for i, j in topology.pairs:
         assert pair(f"{i},{j}", topology) == (i, j)
         read_as = reading(f"{i}-{j}", topology)
         assert read_as == (i, j) or f"{i},{j}" in read_as

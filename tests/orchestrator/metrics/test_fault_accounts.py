@@ -379,7 +379,7 @@ def jumping(draw: st.DrawFn) -> Topology:
 @settings(max_examples=60)
 @given(jumping())
 def test_truth_twins_and_least_squares_go_by_the_a_that_holds(topology: Topology) -> None:
-    ran, graph, b = simulate(topology), topology.graph, topology.b
+    ran, graph, b = simulate(topology), topology.graph, topology.network.b
     observer, batch = observe(topology, ran)
     effects = Plain(topology, ran).effects
     a, x_oracle = truth(topology), ran.x[0].copy()
@@ -446,12 +446,12 @@ def test_a_faulty_run_leaves_nulls_where_there_was_nothing(tmp_path: Path) -> No
 
     edges = pq.read_table(folder.path / "edges.parquet").to_pylist()
     closed = {(row["step"], row["i"], row["j"]) for row in edges if not row["open"]}
-    assert closed == {(t, *edge) for t in range(10, 14) for edge in PAPER.edges if 4 in edge} | {
-        (t, *edge) for t in (20, 21) for edge in PAPER.edges if 1 in edge
+    assert closed == {(t, *edge) for t in range(10, 14) for edge in PAPER.pairs if 4 in edge} | {
+        (t, *edge) for t in (20, 21) for edge in PAPER.pairs if 1 in edge
     }
     lost = {(row["step"], row["j"], row["i"]) for row in edges if not row["i_hears"]}
     lost |= {(row["step"], row["i"], row["j"]) for row in edges if not row["j_hears"]}
-    near = {end for edge in PAPER.edges if 4 in edge for end in edge} - {4}
+    near = {end for edge in PAPER.pairs if 4 in edge for end in edge} - {4}
     from_4, to_4 = {(t, 4, j) for t in range(10, 14) for j in near}, {(t, j, 4) for t in range(10, 14) for j in near}
     assert lost == {(25, 2, 3)} | from_4 | to_4
 

@@ -298,10 +298,11 @@ def test_the_metrics_are_their_formulas(topology: Topology) -> None:
     twin = simulate(topology.model_copy(update={"law": "hinf"}))
     observer, batch = observe(topology, ran)
     i, j = topology.graph.edges.T
+    weights = 1.0 if topology.graph.weights is None else topology.graph.weights
 
     def stage_costs(run_: Trajectory) -> Array:
         edge_inputs = run_.u[:, j] - run_.u[:, i]
-        return np.asarray((run_.x[:-1] ** 2).sum(axis=1) + (edge_inputs**2).sum(axis=1))
+        return np.asarray((run_.x[:-1] ** 2).sum(axis=1) + (weights * edge_inputs**2).sum(axis=1))
 
     assert_close = partial(np.testing.assert_allclose, rtol=1e-9, atol=1e-12)
     r = np.abs(ran.x - twin.x)

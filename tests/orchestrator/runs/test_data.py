@@ -170,7 +170,7 @@ def test_what_is_identifiable_is_estimated(paper7: Run) -> None:
 def test_a_run_says_who_heard_whom(run: Run) -> None:
     """Arrays of edges have the ends where the file has them."""
     for k, (i, j) in enumerate(run.edges):
-        assert (run.ids[i], run.ids[j]) == run.topology.edges[k]
+        assert (run.ids[i], run.ids[j]) == run.topology.pairs[k]
         flows = np.where(run.edge_open[:, k], run.u[:, j] - run.u[:, i], 0.0)
         assert same(run.u_edge[:, k], flows)
     if run.name == "named":

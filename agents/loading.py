@@ -1,0 +1,108 @@
+"""A law from its name: its class, its parameters, and the law of a view."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import inspect
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hedgerow.agents.law import Law, Minimax
+from hedgerow.agents.local import Local, asks
+from hedgerow.agents.view import View
+from hedgerow.topologies.errors import Code, UserError
+from hedgerow.topologies.law_choice import LawChoice
+
+
+class LawError(UserError):
+    """A law that failed while it ran; a restart of its agent would not help."""
+
+    default_code = Code.LAW
+
+
+def law_class(name: str) -> type[Law]:
+    """Return the class of a law: `minimax`, or `package.module:Class` (the working directory is searched too)."""
+    if name == "minimax":
+        return Minimax
+    module, _, attribute = name.partition(":")
+    if (here := str(Path.cwd())) not in sys.path:
+        sys.path.append(here)
+    try:
+        law: type[Law] = getattr(importlib.import_module(module), attribute)
+    except Exception as error:
+        raise UserError(
+            f"law {name}: cannot be loaded: {type(error).__name__}: {error}; "
+            "give package.module:Class, importable here (docs/laws.md)",
+            code=Code.LAW,
+        ) from error
+    if missing := [method for method in ("act", "learn", "report") if not callable(getattr(law, method, None))]:
+        raise UserError(
+            f"law {name}: has no {', '.join(missing)}(); a law has act, learn and report (docs/laws.md)", code=Code.LAW
+        )
+    return law
+
+
+_OURS = ("self", "b", "candidates", "local", "parameters")
+"""arguments of a constructor that are not parameters of the law"""
+
+
+def declared(law: type[Law]) -> dict[str, Any]:
+    """Return the default of every parameter that a class declares; `dataclasses.MISSING` for a required one.
+
+    A class declares its parameters by a nested dataclass or pydantic model `Parameters`, which its constructor gets as
+    `parameters`; or else by keyword-only arguments of its constructor.
+    """
+    group = getattr(law, "Parameters", None)
+    source = group if group is not None else law.__init__
+    try:
+        listed = inspect.signature(source).parameters.values()
+    except (TypeError, ValueError):
+        return {}
+    return {
+        one.name: dataclasses.MISSING if one.default is one.empty else one.default
+        for one in listed
+        if one.name not in _OURS and (group is not None or one.kind is one.KEYWORD_ONLY)
+    }
+
+
+def arguments(law: type[Law], parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """Return parameters as the keyword arguments of a constructor."""
+    group = getattr(law, "Parameters", None)
+    return dict(parameters) if group is None else {"parameters": group(**parameters)}
+
+
+def new_law(view: View) -> Law:
+    """Return the law of a view, before any sample; UserError if it cannot be loaded, LawError if it cannot begin."""
+    choice = LawChoice.parse(view.law)
+    law = law_class(choice.name)
+    try:
+        more = arguments(law, choice.parameters)
+        if asks(law.__init__, "local"):
+            more["local"] = local_of(view, choice.parameters)
+        begun = law(view.b, view.candidates, **more)
+        shape = np.shape(begun.memory)
+    except Exception as error:
+        raise LawError(f"law {view.law}: cannot begin: {type(error).__name__}: {error}; mend it") from error
+    if shape[-1:] != (view.k,):
+        raise LawError(f"law {view.law}: its memory has the shape {shape}; its last axis is the {view.k} nodes")
+    return begun
+
+
+def local_of(view: View, parameters: Mapping[str, Any]) -> Local:
+    """Return the local knowledge of a view."""
+    known = np.concatenate([view.ids.astype(object), view.heard.astype(object)])
+    return Local(
+        ids=view.ids,
+        b=view.b,
+        candidates=view.candidates,
+        node=view.row,
+        neighbour=known[view.column],
+        weight=np.ones(len(view.row)) if view.weights is None else view.weights,
+        parameters=parameters,
+        seed=view.seed,
+    )

@@ -1,0 +1,139 @@
+"""The guarantee of a network: gamma* of the oracle, and upper bounds on the gain of the adaptive law."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import time
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from hedgerow.orchestrator.metrics.gain_bound import Bound, Method, Plant, Premise, bound
+from hedgerow.topologies.errors import HedgerowError
+from hedgerow.topologies.network import Network
+
+SAYS = {
+    Premise.ESTIMATES: "any estimates from the lists, every edge open, no a jumps",
+    Premise.EDGES: "any estimates, and any edges closed at any steps (drop, delay, cut, partition, sensor, actuator,"
+    " crash)",
+    Premise.JUMPS: "any estimates, any closed edges, and any a within its list at any step (jump)",
+}
+TIME_LIMIT_S = 600.0
+RUN_LIMIT_S = 10.0
+"""of the bounds that certify a run, all three together: the end of the run waits for them"""
+REMEMBERED = 64
+
+
+@dataclass(frozen=True)
+class Guarantee:
+    """Bounds by premise, and why there is none of the others."""
+
+    gamma_star: float
+    """the optimal gain if every a is known and every edge is open; NaN if it is not known"""
+    bounds: Mapping[Premise, Bound] = field(default_factory=dict)
+    not_computed: Mapping[Premise, str] = field(default_factory=dict)
+    at_least: float | None = None
+    """the gain of the worst disturbance that `orchestrator worst` found"""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the guarantee as JSON holds it; the storage p_i of each bound with it."""
+        listed: dict[str, Any] = {}
+        for premise in Premise:
+            if (found := self.bounds.get(premise)) is not None:
+                listed[premise] = {
+                    "gain": found.gain,
+                    "g": found.g,
+                    "method": str(found.method),
+                    "margin": found.margin,
+                    "p": found.p.tolist(),
+                }
+            elif premise in self.not_computed:
+                listed[premise] = {"not_computed": self.not_computed[premise]}
+        gamma_star = self.gamma_star if math.isfinite(self.gamma_star) else None
+        return {"gamma_star": gamma_star, "at_least": self.at_least, "bounds": listed}
+
+    def text(self) -> str:
+        """Return the guarantee in words, one line per number."""
+        lines = [
+            f"oracle      {_figure(self.gamma_star):>8}  optimal if every a is known and every edge is open; no promise"
+            " of the adaptive law"
+        ]
+        if self.at_least is not None:
+            lines.append(f"at least    {self.at_least:8.4g}  a disturbance that `orchestrator worst` found reaches it")
+        for premise in Premise:
+            if (found := self.bounds.get(premise)) is not None:
+                how = {Method.FULL: ", full P", Method.SPLIT: "", Method.WHOLE: ""}[found.method]
+                lines.append(f"at most     {rounded_up(found.gain):>8}  under {SAYS[premise]}{how}")
+            elif premise in self.not_computed:
+                lines.append(f"not computed          under {SAYS[premise]}: {self.not_computed[premise]}")
+        lines.append(
+            "Gains are of sum |x|^2 + sum k_e (u_i - u_j)^2 against sum |w|^2 from x(0) = 0. An upper bound holds for"
+            " every disturbance and every number of steps, if each u acts within the lists; it ignores learning, so"
+            " the true gain may be less."
+        )
+        return "\n".join(lines)
+
+
+def plant_of(network: Network) -> Plant:
+    """Return the numbers of a network that its bounds depend on; the lists are the file's, whatever the law is."""
+    return Plant.of(
+        network.a,
+        network.b,
+        network.graph.edges,
+        network.graph.weights,
+        np.nanmin(network.candidates, axis=0),
+        np.nanmax(network.candidates, axis=0),
+    )
+
+
+def fingerprint(plant: Plant) -> str:
+    """Return a hash of all that the gain of a network depends on."""
+    digest = hashlib.sha256()
+    for each in (plant.a, plant.b, plant.edges, plant.root_weights, plant.lowest, plant.highest):
+        digest.update(np.ascontiguousarray(each).tobytes())
+    return digest.hexdigest()[:16]
+
+
+def guarantee(
+    plant: Plant,
+    gamma_star: float = math.nan,
+    full: bool = False,
+    premises: Iterable[Premise] = Premise,
+    time_limit_s: float = TIME_LIMIT_S,
+) -> Guarantee:
+    """Return the bounds of a plant under some premises; a full P where that is asked for."""
+    bounds, reasons = {}, {}
+    until = time.monotonic() + time_limit_s
+    for premise in premises:
+        try:
+            bounds[premise] = bound(plant, premise, Method.FULL if full else None, until - time.monotonic())
+        except HedgerowError as error:
+            reasons[premise] = str(error)
+    return Guarantee(gamma_star, bounds, reasons)
+
+
+_CERTIFIED: dict[str, Guarantee] = {}
+"""the guarantees of the last networks that ran in this process, by fingerprint"""
+
+
+def certified(plant: Plant, gamma_star: float) -> Guarantee:
+    """Return the guarantee that certifies a run; the second run of a network in a process does not solve again."""
+    key = fingerprint(plant)
+    if key not in _CERTIFIED:
+        if len(_CERTIFIED) >= REMEMBERED:
+            _CERTIFIED.clear()
+        _CERTIFIED[key] = guarantee(plant, gamma_star, time_limit_s=RUN_LIMIT_S)
+    return _CERTIFIED[key]
+
+
+def _figure(value: float) -> str:
+    return f"{value:.4g}" if math.isfinite(value) else "unknown"
+
+
+def rounded_up(value: float, digits: int = 5) -> str:
+    """Return an upper bound in some digits, rounded up."""
+    places = digits - 1 - math.floor(math.log10(value)) if value > 0 else 0
+    return f"{math.ceil(value * 10**places) / 10**places:.{max(0, places)}f}"

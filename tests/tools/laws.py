@@ -1,0 +1,31 @@
+"""Laws for tests; `tests.tools.laws:NAME` in a topology."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hedgerow.agents.law import Array, control
+from hedgerow.agents.local import Heard, Local
+
+
+class Curious:
+    """Asks for everything, and lets everything that it gets act on u, ahat and the margin."""
+
+    def __init__(self, b: float, candidates: Array, *, weight: float = 0.25, local: Local) -> None:
+        self.b, self.weight, self.local = b, weight, local
+        self.memory = np.zeros((2, candidates.shape[1]))
+
+    def act(self, x: Array, now: Heard) -> Array:
+        seen = np.where(np.isnan(now.x), 7.0, now.x) + 0.1 * np.where(np.isnan(now.u), 3.0, now.u) + 0.01 * now.step
+        mean = self.local.sums(self.local.weight * seen) / np.maximum(self.local.degree, 1)
+        drawn = self.local.draw(now.t)
+        return control(self.b, x + 1e-3 * self.weight * (mean + drawn), np.full(len(x), 0.5))
+
+    def learn(self, x: Array, flow: Array, x_next: Array, sample: Heard) -> None:
+        known = np.isfinite(x * flow * x_next) & sample.nodes
+        told = self.local.sums(np.nan_to_num(sample.x) + 2 * np.nan_to_num(sample.u) + sample.step)
+        self.memory[0] = np.where(known, 0.9 * self.memory[0] + told + sample.t, self.memory[0])
+        self.memory[1] += known
+
+    def report(self) -> Array:
+        return self.memory
