@@ -334,7 +334,7 @@ class Network:
                         self._screen.say(happened["how"])
                         self._ending.crashed = True
                         self._ending.stopped = self._ending.stopped or happened["how"]
-                # Without one of ours the first step never comes, whoever else does.
+                # Without one of our processes the first step never happens.
                 missed = processes.failing if self._ending.first_step_s is None else []
                 if interrupts.count or processes.dead() or missed:
                     self._ask_to_stop(session, interrupts.name or (cause(missed) if missed else ""))

@@ -197,9 +197,9 @@ def _faults(run: Run, behind: str) -> list[Markup]:
         for k, (account, grew) in enumerate(zip(accounts, growth(run), strict=True), 1)
     ]
     note = (
-        "An instance is one target at one step. It fired if it took effect, was masked if there was nothing to take"
-        " away, and was seen if whoever should miss something says so. The last column is how much of D came about"
-        " in the fault's own steps, whatever caused it; a wrong estimate may cost later, too."
+        "An instance is one target at one step. It fired if it took effect, and was masked if there was nothing to"
+        " take away. It was seen if the process that misses something reports it. The last column is the part of D"
+        " from the steps of the fault, whatever caused it; a wrong estimate may cost later, too."
     )
     return [tag("h2", f"Faults{behind}"), table(["", "fault", *_COUNTS, "growth of D"], rows), tag("p", note)]
 

@@ -48,7 +48,7 @@ Answer = list[Row] | Failure
 
 
 def answer(plan: Plan, chunk: Chunk) -> Answer:
-    """The rows of a chunk; whoever asks may be on another machine, so that an error travels as text."""
+    """Return the rows of a chunk; an error is text, because the caller may be on another machine."""
     seed = chunk.seeds[0]
     try:
         rows = []

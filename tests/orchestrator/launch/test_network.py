@@ -223,7 +223,7 @@ def temporary(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 def test_whoever_looks_for_networks_removes_the_socket_of_dead_ones(
     here: Path, temporary: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The path of the run's folder is too long for one; `up`, its nursery and the plant are killed at once."""
+    """The path of the run's folder is too long for one; `up`, its fork server and the plant are killed at once."""
     deep = here / ("d" * 100)
     deep.mkdir()
     monkeypatch.chdir(deep)
