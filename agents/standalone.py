@@ -82,7 +82,7 @@ class PlaceRequest:
         """
         who, by, unanswered = self._config.process, time.monotonic() + self._within_s, 0
         while True:
-            # Whoever waits for its place may see one plant leave and another come.
+            # A process that waits for its place may see one plant leave and another arrive.
             standalone.wait_for(session, keys.PLANT, max(standalone.PAUSE_S, by - time.monotonic()))
             answer = self._ask(session)
             if answer is None:

@@ -144,7 +144,7 @@ def test_a_disk_that_fills_up_ends_the_run_with_what_was_recorded(record: bool, 
     assert "Traceback" not in done.stdout + done.stderr
     run = load_run("run")
     assert run.T > 100
-    assert run.verdict["verdict"] == "unknown"
+    assert run.verdict.verdict == "unknown"
     assert not list(here.glob("run/*.part")) + list(here.glob("run/*.sock"))
 
 

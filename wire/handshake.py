@@ -49,7 +49,7 @@ def room(
     """Have the namespace for one plant while the block lasts, once nobody else has; or begin it when `stopped()`.
 
     UserError where another stays for longer than the token of a dead plant. Two plants in one namespace would end each
-    other's networks. So whoever wants to begin one shows a token, looks again, and goes on if it is alone. One that
+    other's networks. So a new plant shows a token, looks again, and goes on if it is alone. One that
     sees a smaller number withdraws: of two who see each other one is left, and one who began unseen is never disturbed.
     """
     ours, shown = keys.alive(keys.ROOM, f"{secrets.randbelow(10**10):010d}"), None

@@ -52,7 +52,7 @@ LEAST_MINUTES = 0.25
 """In less there is nothing to draw a line through."""
 YOUNG_S = 5.0
 """A process that took another's place is not judged before it has taken part for so long: until then it learns."""
-ALONE = ("up", "nursery", "plant")
+ALONE = ("up", "fork server", "plant")
 HISTORY = 1000
 """Past steps that are kept for back-filling: with the 100,000 of a file that says nothing, memory grows until there are
 so many."""
@@ -241,7 +241,7 @@ def look(up: psutil.Process, t_s: float, step: int) -> Iterator[Sample]:
             memory = process.memory_full_info()
             name = "up" if process == up else process.name()
             if name.startswith("python"):
-                name = "nursery"
+                name = "fork server"
             pss, rss = getattr(memory, "pss", memory.rss) / 1e6, memory.rss / 1e6
             if rss:
                 yield Sample(t_s, step, name, process.pid, pss, rss, process.num_threads(), process.num_fds())

@@ -35,7 +35,7 @@ SETTINGS, CONFIGURATION = "settings.json", "zenohd.json5"
 
 
 class Authority:
-    """Signs certificates; whoever holds one of them may connect, under the name in it."""
+    """An authority that signs certificates; the holder of one may connect under the name in it."""
 
     def __init__(self, days: float = LIFE_DAYS) -> None:
         """Raises UserError where the library for it is not installed."""

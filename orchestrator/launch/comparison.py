@@ -6,7 +6,7 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from hedgerow.orchestrator.launch.recording import Run, Watching, same_tables
+from hedgerow.orchestrator.launch.recording import Recording, Watching, same_tables
 from hedgerow.orchestrator.launch.simulation import simulate_into
 from hedgerow.orchestrator.metrics.verdict import Comparison
 from hedgerow.orchestrator.runs.folder import RunFolder, create
@@ -29,7 +29,7 @@ class Difference:
         return f"node {self.node}: {self.column} is {self.value!r}, and {self.reference!r} in the reference"
 
 
-def compare(run: Run) -> Comparison:
+def compare(run: Recording) -> Comparison:
     """Compare the tables of a finished run with those of the in-process reference, bit for bit.
 
     A failure on the way, a signal or a full disk, says nothing of the run: then it is not compared.

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import psutil
 import zenoh
@@ -36,12 +36,16 @@ from hedgerow.topologies.rules import broken_faults
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire.session import WireError, open_client
 
+if TYPE_CHECKING:
+    from hedgerow.orchestrator.runs.run import Run
+
 NodeId = int | str
 Pair = tuple[NodeId, NodeId]
 Steps = range | tuple[int, int] | None
 T_co = TypeVar("T_co", covariant=True)
 
 WAIT_DEADLINE_S = 60.0
+END_DEADLINE_S = 20.0
 _LOOK_EVERY_S = 0.01
 _FAULT: TypeAdapter[Fault] = TypeAdapter(Fault)
 
@@ -352,9 +356,25 @@ class Live:
             raise UserError(f"rate {rate:g}: must not be negative; 0 is as fast as possible", code=Code.OPTION)
         return int(self._ask("rate", rate=rate)["step"])
 
-    def stop(self) -> int:
-        """End the run after the current step; its verdict comes a moment later."""
+    def ask_to_stop(self) -> int:
+        """Ask the network to end after the current step, and return that step without waiting for the verdict."""
         return int(self._ask("stop")["step"])
+
+    def stop(self, deadline_s: float = END_DEADLINE_S) -> Run:
+        """End the run after the current step, wait for its verdict, and return it. Raises DeadlineError."""
+        self.ask_to_stop()
+        return self.wait(deadline_s)
+
+    def wait(self, deadline_s: float = WAIT_DEADLINE_S) -> Run:
+        """Wait for the end of the run, and return it. Raises DeadlineError."""
+        from hedgerow.orchestrator.runs.reader import load_run  # noqa: PLC0415 (Arrow takes a while to load)
+
+        until = time.monotonic() + deadline_s
+        while not self._gone():
+            if time.monotonic() > until:
+                raise DeadlineError(f"{self.run}: still runs after {deadline_s:g} s")
+            time.sleep(_LOOK_EVERY_S)
+        return load_run(self.folder)
 
     def wait_for_step(self, step: int, deadline_s: float = WAIT_DEADLINE_S) -> int:
         """Wait until all steps before `step` are made; returns the step that the network is at.

@@ -1,4 +1,4 @@
-"""One run being recorded: telemetry in; tables, Rerun and a verdict out. Whoever drives it, over a wire or not."""
+"""The recording of one run: it turns telemetry into tables, a Rerun recording and a verdict."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Watching:
     """leave the page of a finished run open until Ctrl-C"""
 
 
-class Run:
+class Recording:
     """Feeds the observer and keeps what it computes."""
 
     def __init__(
@@ -90,7 +90,7 @@ class Run:
         """what was noted before there was a stream"""
         self.viewer: Viewer | None = None
         self.warnings: deque[str] = deque()
-        """what is wrong with the viewer, for whoever started the run; grows on other threads"""
+        """Warnings about the viewer, for the command that started the run; other threads append to it."""
         self._watched = False
 
     @cached_property

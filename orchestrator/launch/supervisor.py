@@ -35,7 +35,7 @@ class Dead:
 
     def __str__(self) -> str:
         how = f"was killed by {signal.Signals(-self.code).name}" if self.code < 0 else f"ended with code {self.code}"
-        # The nursery has no log, and names the file itself.
+        # The fork server has no log, and names the file itself.
         traced = f"; the traceback is in {self.log}" if self.code == Exit.CRASH and self.log.exists() else ""
         return f"{self.name} {how}" + (f": {self.error}" if self.error else "") + traced
 
@@ -185,7 +185,7 @@ class Processes:
     def dead(self) -> list[Dead]:
         """Who has ended, other than in good order, and ends the run: not an agent, unless the fault is its user's."""
         return [
-            Dead(name, code, self._last_error(name) or self._nursery_error(name), self._log(name))
+            Dead(name, code, self._last_error(name) or self._fork_server_error(name), self._log(name))
             for name, code in dict(self._fork_client.codes).items()
             if code and (name not in self._agents or code == USER_ERROR)
         ]
@@ -202,15 +202,15 @@ class Processes:
 
     def ended(self, name: str) -> bool:
         """Whether that process is gone, in good order or not."""
-        return name in self._fork_client.codes or "nursery" in self._fork_client.codes
+        return name in self._fork_client.codes or "fork server" in self._fork_client.codes
 
     def wait(self, plant_s: float, agents_s: float) -> None:
         """Wait for the plant to end by itself, at most so long, and then for the agents."""
         self._fork_client.wait([keys.PLANT], plant_s)
         self._fork_client.wait(list(self._agents), agents_s)
 
-    def _nursery_error(self, name: str) -> str:
-        return self._fork_client.error if name == "nursery" else ""
+    def _fork_server_error(self, name: str) -> str:
+        return self._fork_client.error if name == "fork server" else ""
 
     def _log(self, name: str) -> Path:
         return self._folder.logs / f"{name}.log"

@@ -1,7 +1,7 @@
 """What became of every fault: an account each, kept from telemetry and from what the faults were to do.
 
 An *instance* of a fault is one target at one step. It *fired* if it took effect, and was *masked* if there was
-nothing to lose. It was *seen* if whoever should miss something says so:
+nothing to lose. It was *seen* if the process that must miss something reports it:
 
     kind         fired                    masked                            seen
     drop, delay  the row did not cross    no sender, or nobody to listen    the receiver lacks it
@@ -57,7 +57,7 @@ class Told(NamedTuple):
 
 
 class Judged(NamedTuple):
-    """What became of K instances, a mask each; `visible`: whoever would see it has told."""
+    """The outcome of K instances, one mask per question; `visible` is True if the process that sees it has reported."""
 
     fired: Mask
     masked: Mask

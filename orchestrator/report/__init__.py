@@ -11,7 +11,7 @@ from hedgerow.topologies.errors import Code, UserError
 
 if TYPE_CHECKING:
     from hedgerow.orchestrator.report.figures import Kind
-    from hedgerow.orchestrator.runs.reader import RecordedRun
+    from hedgerow.orchestrator.runs.run import Run
 
 PAGE = "report.html"
 RUNS = 7
@@ -19,7 +19,7 @@ RUNS = 7
 
 
 def report(
-    runs: Sequence[RecordedRun],
+    runs: Sequence[Run],
     out: Path | None = None,
     figures: str | None = None,
     force: bool = False,
@@ -51,7 +51,7 @@ def report(
         ) from None
     asked = Look(width_in, style, tuple(formats))
     kinds = _chosen(known.FIGURES, figures, runs)
-    out = out or Path("-".join(run.run for run in runs[:2]) + "-report")
+    out = out or Path("-".join(run.name for run in runs[:2]) + "-report")
     _refuse(out, force, {PAGE, *(f"{kind.file}.{suffix}" for kind in known.FIGURES for suffix in FORMATS)})
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
@@ -71,7 +71,7 @@ def report(
     return [out / PAGE, *(out / f"{kind.file}.{suffix}" for kind in kinds for suffix in asked.formats)]
 
 
-def _chosen(known: Sequence[Kind], figures: str | None, runs: Sequence[RecordedRun]) -> list[Kind]:
+def _chosen(known: Sequence[Kind], figures: str | None, runs: Sequence[Run]) -> list[Kind]:
     """The figures asked for, in the order of the report; without asking, all of which there is something to show."""
     if figures is None:
         return [kind for kind in known if kind.has(runs)]
@@ -86,7 +86,7 @@ def _chosen(known: Sequence[Kind], figures: str | None, runs: Sequence[RecordedR
     chosen = [kind for kind in known if kind.key in asked]
     for kind in chosen:
         if not kind.has(runs):
-            what = " and ".join(run.run for run in runs)
+            what = " and ".join(run.name for run in runs)
             raise UserError(
                 f"--figures {figures}: there is nothing to show of {kind.key} in {what}; leave it out", code=Code.OPTION
             )

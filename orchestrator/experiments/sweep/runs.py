@@ -51,7 +51,7 @@ Answer = list[Row] | Failure
 
 
 def answer(plan: Plan, chunk: Chunk) -> Answer:
-    """The rows of a chunk; whoever asks may be on another machine, so that an error travels as text."""
+    """Return the rows of a chunk; an error is text, because the caller may be on another machine."""
     seed = chunk.seeds[0]
     try:
         there = {} if plan.one_by_one[chunk.setting] or len(chunk.seeds) == 1 else _batch(plan, chunk)
@@ -116,11 +116,11 @@ def run_here(topology: Topology) -> dict[str, Any]:
 
 def _over_zenoh(topology: Topology) -> dict[str, Any]:
     """The same by `orchestrator up`: a process an agent."""
-    from hedgerow.orchestrator.testing.running import run_to_the_end  # noqa: PLC0415
+    from hedgerow.orchestrator.launch.running import run_to_the_end  # noqa: PLC0415
 
     with tempfile.TemporaryDirectory(prefix="hedgerow-") as scratch:
         folder = Path(scratch) / "run"
-        run_to_the_end(topology, folder, math.inf)
+        run_to_the_end(topology, folder, "--viewer", "none", "--no-record", listed=False)
         content: dict[str, Any] = read_json(folder / "verdict.json", folder)
     return content
 

@@ -8,7 +8,7 @@
     rerun+http://HOST:PORT/proxy    a viewer that somebody else starts, now or later
 
 Whatever else is started here listens on loopback only. A started viewer counts as listening only when the port is in
-the hands of its own process: a second `rerun` on a busy port would hand all data to whoever holds the port.
+the hands of its own process: a second `rerun` on a busy port would send all data to the process that holds the port.
 """
 
 from __future__ import annotations

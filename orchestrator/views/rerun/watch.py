@@ -199,7 +199,7 @@ def as_begun(topology: Topology, folder: Path) -> Topology:
 class PatientStream(RerunStream):
     """A stream to a viewer alone that is waited for, since all of a past is to arrive; it is waited for in vain once.
 
-    Whoever plays a run back has the time that a loop has not.
+    A replay has time to wait, which the loop has not.
     """
 
     def __init__(

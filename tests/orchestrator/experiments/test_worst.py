@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hedgerow.orchestrator.testing.running import run_to_the_end
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -20,7 +21,6 @@ from hedgerow.orchestrator.experiments.worst.hunt import Attack, Hunt
 from hedgerow.orchestrator.experiments.worst.loop import NONE, Breaks, Scene, ascend, play
 from hedgerow.orchestrator.experiments.worst.search import Island, Kind
 from hedgerow.orchestrator.metrics.guarantee import plant_of
-from hedgerow.orchestrator.testing.running import run_to_the_end
 from hedgerow.topologies.errors import UserError
 from hedgerow.topologies.schema import Topology
 from tests.tools.networks import VECTORS, from_vector, networks, read

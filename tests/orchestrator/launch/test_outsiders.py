@@ -48,7 +48,7 @@ DEADLINE_S = 30.0
 
 
 class Started:
-    """The processes of a nursery that starts none."""
+    """The processes of a fork server that starts none."""
 
     def __init__(self) -> None:
         self.pids: dict[str, int] = {}
