@@ -159,7 +159,7 @@ WALL_CLOCK = {
     "orchestrator/views/rerun/watch.py": "the name of a recording",
     "orchestrator/experiments/soak.py": "the name of a folder",
     "orchestrator/cli/soak.py": "the name of a folder",
-    "orchestrator/testing/running.py": "an entry of the registry",
+    "orchestrator/launch/running.py": "an entry of the registry",
     "orchestrator/cli/main.py": "since when a network runs, for people",
 }
 """Who may look at the wall clock, and what for: nobody waits by it."""

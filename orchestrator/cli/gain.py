@@ -53,7 +53,7 @@ def worst(
     as_json: AsJson = False,
 ) -> int:
     """Search the disturbance with the largest gain, and write a network whose run repeats it; run again to go on."""
-    from hedgerow.orchestrator.cli.main import read  # noqa: PLC0415
+    from hedgerow.orchestrator.cli.topology import read  # noqa: PLC0415
     from hedgerow.orchestrator.experiments.worst import worst as search  # noqa: PLC0415
     from hedgerow.orchestrator.ground.laws import checked  # noqa: PLC0415
     from hedgerow.orchestrator.ground.signals import Interrupts  # noqa: PLC0415

@@ -27,7 +27,7 @@ from hedgerow.orchestrator.runs.rows import frozen, spread
 from hedgerow.orchestrator.runs.selection import Kept, kept
 from hedgerow.orchestrator.runs.table import Table
 from hedgerow.topologies.describe import describe
-from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.escape import command
 from hedgerow.topologies.graph import Array, Gain, Index, Mask
 from hedgerow.topologies.schema import Topology
@@ -90,10 +90,11 @@ class Run:
     def __post_init__(self) -> None:
         if self.topology.steps < self.T:
             raise UserError(
-                f"{self.folder}: {self.T} steps of a run of {self.topology.steps}: the files are of two runs"
+                f"{self.folder}: {self.T} steps of a run of {self.topology.steps}: the files are of two runs",
+                code=Code.FILE_FORMAT,
             )
         if not (self.recorded < self.T).any():
-            raise UserError(f"{self.folder}: no whole step of the run is recorded yet")
+            raise UserError(f"{self.folder}: no whole step of the run is recorded yet", code=Code.RUN_MISSING)
 
     @cached_property
     def kept(self) -> Kept:
@@ -111,7 +112,8 @@ class Run:
             again = command(["orchestrator", "simulate", self.folder, "--set", "record={nodes: all}"])
             raise UserError(
                 f"{self.folder}: {what} needs all rows, and the run kept {self.kept}; it can be run again with all of"
-                f" them, to the same bits: {again}"
+                f" them, to the same bits: {again}",
+                code=Code.NOT_RECORDED,
             )
 
     def __repr__(self) -> str:
@@ -225,6 +227,16 @@ class Run:
     def index(self) -> NDArray[np.int32]:
         """The position of ahat among the candidates, from 0; -1 where there is no estimate, (T, n)."""
         return frozen(np.nan_to_num(self._of_nodes("index", self.T, np.nan), nan=-1.0).astype(np.int32))
+
+    @cached_property
+    def wrong(self) -> NDArray[np.bool_]:
+        """True where ahat is a candidate other than the truth, (T, n)."""
+        return frozen((self.index >= 0) & np.isfinite(self.ahat) & (self.ahat != self.a[: self.T]))
+
+    @property
+    def real_estimates(self) -> bool:
+        """Return True if some estimate is no candidate: the law estimates real numbers."""
+        return bool((np.isfinite(self.ahat) & (self.index < 0)).any())
 
     @cached_property
     def u_edge(self) -> Array:
@@ -376,12 +388,14 @@ class Run:
         try:
             return self.ids.index(node)
         except ValueError:
-            raise UserError(f"{node!r} is no node; the nodes are {', '.join(map(str, self.ids[:12]))}") from None
+            raise UserError(
+                f"{node!r} is no node; the nodes are {', '.join(map(str, self.ids[:12]))}", code=Code.OPTION
+            ) from None
 
     def estimates_at(self, t: int) -> Estimates:
         """Return the estimate of every node at step t, from the samples of earlier steps, as a dict by node."""
         if not 0 <= t < self.T:
-            raise UserError(f"estimates_at({t}): the run has steps 0 to {self.T - 1}")
+            raise UserError(f"estimates_at({t}): the run has steps 0 to {self.T - 1}", code=Code.OPTION)
         return Estimates(self, t)
 
     def missing(self, link: Pair) -> list[int]:
@@ -391,7 +405,7 @@ class Run:
             if (i, j) in ((sender, receiver), (receiver, sender)):
                 arrived = self.j_hears if i == sender else self.i_hears
                 return [int(t) for t in np.flatnonzero(~arrived[:, column])]
-        raise UserError(f"missing({link}): {link[0]} and {link[1]} are not neighbours")
+        raise UserError(f"missing({link}): {link[0]} and {link[1]} are not neighbours", code=Code.OPTION)
 
     def open(self, edge: Pair) -> list[int]:
         """Return the steps at which an edge carried flow."""
@@ -399,7 +413,7 @@ class Run:
         for column, pair in enumerate(self.edges.tolist()):
             if {*pair} == ends:
                 return [int(t) for t in np.flatnonzero(self.edge_open[:, column])]
-        raise UserError(f"open({edge}): {edge[0]} and {edge[1]} are not neighbours")
+        raise UserError(f"open({edge}): {edge[0]} and {edge[1]} are not neighbours", code=Code.OPTION)
 
     def assert_same_estimates(self, other: Run, t: int | None = None) -> None:
         """Assert that all estimates of two runs are equal at step t, or at every step if t is None."""
@@ -438,7 +452,7 @@ class Run:
     @property
     def _summary(self) -> Table:
         if "summary" not in self.tables:
-            raise UserError(f"{self.folder}: has no summary, by `record:` of its topology.yaml")
+            raise UserError(f"{self.folder}: has no summary, by `record:` of its topology.yaml", code=Code.NOT_RECORDED)
         return self.tables["summary"]
 
     def _summed(self, name: str, rows: int) -> Array:

@@ -112,7 +112,8 @@ class Many:
         """Make every step; return the metrics of each network, all None where a number grew beyond all bounds."""
         (S, n), graph, b, law = self._shape, self._graph, self._b, self._law
         x = x_oracle = self._x
-        nothing = Heard(0, np.ones(S * n, dtype=bool), *[_ABOUT_NEIGHBOURS] * 2, np.empty(0, dtype=np.int64))
+        none = _ABOUT_NEIGHBOURS
+        nothing = Heard(0, np.ones(S * n, dtype=bool), none, none, np.empty(0, dtype=np.int64))
         regret, cost, cost_oracle, energy, changed = np.zeros((5, S))
         ahat, finite = np.full(S * n, np.nan), np.ones(S, dtype=bool)
         steps = self._topologies[0].steps
