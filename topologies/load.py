@@ -53,7 +53,14 @@ def find(name: str) -> FilePath:
     """The file that `name` means: a path, the folder of a finished run, or a bundled name."""
     path = user_path(name)
     try:
-        if (path / "topology.yaml").is_file():
+        is_run = (path / "topology.yaml").is_file()
+        if name in bundled() and (is_run or path.is_file()):
+            what = "the run in" if is_run else "the file"
+            raise UserError(
+                f"{name}: can be the bundled network or {what} ./{name}. Write ./{name}, or {_bundled_file(name)}.",
+                code=Code.FILE_AMBIGUOUS,
+            )
+        if is_run:
             return path / "topology.yaml"
         if path.is_dir() and name not in bundled():
             raise UserError(
@@ -66,10 +73,14 @@ def find(name: str) -> FilePath:
             f"{name}: {error.strerror}; check the path and its permissions", code=Code.FILE_UNREADABLE
         ) from None
     if name in bundled():
-        return FilePath(str(resources.files("hedgerow.topologies") / f"{name}.yaml"))
+        return _bundled_file(name)
     near = difflib.get_close_matches(name, bundled(), 1)
     hint = f"did you mean {near[0]}? " if near else ""
     raise UserError(f"{name}: no such file; {hint}bundled names are {', '.join(bundled())}", code=Code.FILE_MISSING)
+
+
+def _bundled_file(name: str) -> FilePath:
+    return FilePath(str(resources.files("hedgerow.topologies") / f"{name}.yaml"))
 
 
 def load(name: str, overrides: Sequence[str] = ()) -> Topology:
