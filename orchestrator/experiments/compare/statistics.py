@@ -48,7 +48,7 @@ class Cell:
         if self.n < 2:
             return np.nan
         error = float(np.nanstd(self.values, ddof=1)) / self.n**0.5
-        return float(stats.t.ppf(0.5 + LEVEL / 2, self.n - 1)) * error
+        return float(stats.t.ppf(0.5 + LEVEL / 2, self.n - 1) * error)
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,12 @@ class Paired:
 def cells(plan: Comparison, rows: Sequence[Sequence[Row]]) -> list[Cell]:
     """Return every cell; `rows` are the runs of each setting, by seed."""
     return [
-        Cell(*setting.values, metric, np.array([np.nan if row[metric] is None else row[metric] for row in own], float))
+        Cell(
+            setting.values[0],
+            setting.values[1],
+            metric,
+            np.array([np.nan if row[metric] is None else row[metric] for row in own], float),
+        )
         for setting, own in zip(plan.settings, rows, strict=True)
         for metric in METRICS
     ]
