@@ -28,7 +28,10 @@ Component = Callable[[int, Array | None, Array | None], Array]
 class Disturbance:
     """The sum of all groups, over n nodes; they are ordered, so that a node's are added in the order of its list."""
 
-    def __init__(self, groups: Iterable[Group], ids: Sequence[int | str] | NDArray[Any], seed: int) -> None:
+    def __init__(
+        self, groups: Iterable[Group], ids: Sequence[int | str] | NDArray[Any], seed: int | lots.Words
+    ) -> None:
+        """`seed` is one, or one per node, (n,)."""
         self._n, self._ids = len(ids), ids
         self._groups: list[tuple[Index, Component]] = []
         self.sees_state = False
@@ -48,7 +51,7 @@ class Disturbance:
                 w[nodes] += component(t, x, a)
         return np.zeros(self._n) if w is None else w
 
-    def _component(self, group: Group, seed: int) -> Component:
+    def _component(self, group: Group, seed: int | lots.Words) -> Component:
         columns = group.values
         match group.kind:
             case "samples":
@@ -65,7 +68,8 @@ class Disturbance:
                 return partial(_confuse, group.nodes, columns["candidate"])
             case kind:
                 words = lots.words_of(self._ids)[group.nodes]
-                keys = noise_keys(kind, seed, group.number, words)
+                own = seed if isinstance(seed, int) else seed[group.nodes]
+                keys = noise_keys(kind, own, group.number, words)
                 noise = (
                     _White(keys, columns["std"]) if kind == "white" else _Coloured(keys, columns["phi"], columns["std"])
                 )

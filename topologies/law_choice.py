@@ -24,7 +24,16 @@ NAMES = (
     *("set-membership", "centred", "notch", "either", "robust"),
 )
 """the laws of the project, each a module of agents.laws"""
-LISTED = ("minimax", "hinf", "nominal", "forgetting", "hysteresis", "thompson", "set-membership", "centred")
+LISTED: tuple[str, ...] = (
+    "minimax",
+    "hinf",
+    "nominal",
+    "forgetting",
+    "hysteresis",
+    "thompson",
+    "set-membership",
+    "centred",
+)
 LISTED += ("notch", "either")
 """those that act by equation (6) on an estimate from the node's list, at every step"""
 MOST_PARAMETERS = 64

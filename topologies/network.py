@@ -65,6 +65,15 @@ class Network:
     positions: Array | None = None
     """where pictures draw each node, (n, 2), NaN where the file does not say; None if no node has one"""
 
+    def name(self, k: int) -> str:
+        """The name of node k in pictures: its label, or its id if it has none."""
+        return self.labels[k] if self.labels is not None and self.labels[k] else str(self.ids[k])
+
+    def title(self, k: int) -> str:
+        """The name of node k in tables: its id, by which commands know it, and its label if it has one."""
+        label = self.labels[k] if self.labels is not None else ""
+        return f"{self.ids[k]} {label}".rstrip()
+
     @cached_property
     def gamma_star(self) -> float:
         """gamma* of the truth at t = 0; 10^6 nodes take ten seconds: found when it is asked for."""

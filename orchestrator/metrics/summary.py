@@ -30,11 +30,11 @@ def table(topology: Topology) -> str:
         rows.add_column(heading, overflow="fold")
     gains, degrees = np.broadcast_to(b, graph.n), graph.weighted_degree
     of_nodes = zip(topology.nodes.items(), gains, graph.degree, degrees, strict=True)
-    for (node, own), gain, degree, weighted in itertools.islice(of_nodes, MAX_ROWS):
+    for k, ((_, own), gain, degree, weighted) in enumerate(itertools.islice(of_nodes, MAX_ROWS)):
         interval = allowed_interval(float(gain), float(weighted))
         parts = own.disturbance if isinstance(own.disturbance, tuple) else (own.disturbance,)
         rows.add_row(
-            str(node),
+            topology.network.title(k),
             str(degree),
             *((f"{gain:.4g}", f"{weighted:.4g}") if unequal else ()),
             "({:.4f}, {:.4f})".format(*interval) if interval else "none",

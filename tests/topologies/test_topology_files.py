@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from datetime import timedelta
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -470,10 +471,10 @@ def test_a_table_that_each_node_names_is_read_once_to_be_checked(
     reads = []
 
     def counted(
-        file: str, folder: Path, ids: Sequence[int | str], header: Header | None
+        file: str, folder: Path, ids: Sequence[int | str], header: Header | None, *more: Any
     ) -> dict[int | str, list[float]]:
         reads.append(file)
-        return columns(file, folder, ids, header)
+        return columns(file, folder, ids, header, *more)
 
     monkeypatch.setattr(rules, "columns", counted)
     nodes = "".join(f"  {k}: {{disturbance: {{kind: samples, file: w.csv}}}}\n" for k in range(5))

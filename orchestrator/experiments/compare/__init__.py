@@ -21,7 +21,7 @@ from hedgerow.orchestrator.experiments.sweep.runs import Answer, Failure, Row
 from hedgerow.orchestrator.experiments.sweep.workers import over_processes
 from hedgerow.orchestrator.ground.signals import Interrupts
 from hedgerow.orchestrator.metrics.verdict import EXIT_CODES, INVALID, UNKNOWN, VALID
-from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.escape import echo
 
 
@@ -90,7 +90,9 @@ def compare(plan: Comparison, out: Path | None = None, jobs: int | None = None, 
         try:
             _write(found)
         except OSError as error:
-            raise UserError(f"{folder.path}: {error.strerror}; make room, then the same command goes on") from None
+            raise UserError(
+                f"{folder.path}: {error.strerror}; make room, then the same command goes on", code=Code.OUTPUT
+            ) from None
         return found
 
 

@@ -46,7 +46,7 @@ class Cell:
     def half(self) -> float:
         """Return half the width of the interval of the mean, by Student's t over seeds; NaN for one seed."""
         if self.n < 2:
-            return np.nan
+            return float("nan")
         error = float(np.nanstd(self.values, ddof=1)) / self.n**0.5
         return float(stats.t.ppf(0.5 + LEVEL / 2, self.n - 1) * error)
 
