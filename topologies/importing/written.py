@@ -94,8 +94,9 @@ class Imported:
         return written
 
     def topology(self, path: Path) -> Topology:
-        """Return the checked topology of the file that was saved."""
-        return parse(path.read_bytes(), str(path), path.parent)
+        """Return the checked topology of the file that was saved, or will be if it needs no table."""
+        text = path.read_bytes() if self.arrays else self.text().encode()
+        return parse(text, str(path), path.parent)
 
 
 def imported(found: Found, options: Options) -> Imported:
