@@ -54,7 +54,7 @@ def main(folder: Path) -> None:
             show(shown, run, folder)
 
 
-def show(shown: Shown, run: hg.RecordedRun, folder: Path) -> None:
+def show(shown: Shown, run: hg.Run, folder: Path) -> None:
     """Draw a run beside its network, and print its numbers."""
     figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.5), layout="constrained", width_ratios=[1.2, 1])
     draw(run.topology, left)

@@ -21,6 +21,8 @@ PARAMETERS: dict[str, tuple[str, ...]] = {
     "sinusoid": ("amplitude", "omega", "phase"),
     "constant": ("value",),
     "white": ("std",),
+    "ar1": ("phi", "std"),
+    "confuse": ("candidate",),
     "impulse": ("at", "value"),
     "samples": ("values",),
 }

@@ -126,7 +126,7 @@ edges:
             "seed: 4",
             "law: min",
             4,
-            "law: a law is minimax, hinf, nominal or package.module:Class; did you mean nominal?",
+            "law: a law is minimax, hinf, nominal, ",
         ),
         ("seed: 4", "~: 4", 4, "~ is no key; known keys are name, b,"),
         ("x0: 1", "x0: .nan", 5, "defaults: x0: .nan is not a finite number"),

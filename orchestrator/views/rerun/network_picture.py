@@ -195,7 +195,7 @@ class Picture:
         dead = missing & np.isnan(ahat)
         rings = np.full(x.shape, packed(palette.RIGHT))
         rings[missing] = packed(palette.NO_INPUT)
-        rings[ahat != batch.a[rows]] = packed(palette.WRONG)
+        rings[batch.wrong[rows]] = packed(palette.WRONG)
         rings[dead] = packed(palette.DEAD)
         part = (flow / np.maximum(flow_peak, 1e-300))[:, self._graph.edge]
         cut, lost = ~batch.edge_open[rows][:, self._graph.edge], ~batch.link_up[rows]
