@@ -74,8 +74,11 @@ def import_(
     )
     network = import_file(file, options)
     target = out or Path(f"{network.content['name']}.yaml")
+    if not network.arrays:
+        network.topology(target)  # before anything is written
     written = network.save(target, force)
-    network.topology(target)
+    if network.arrays:
+        network.topology(target)
     nodes, edges = network.size
     echo(f"{file}: {nodes:,} nodes, {edges:,} edges; wrote {', '.join(map(str, written))}")
     for title, sentences in (
