@@ -10,7 +10,6 @@ import contextlib
 import hashlib
 import importlib
 import inspect
-import site
 import sys
 import sysconfig
 import time
@@ -23,6 +22,7 @@ from types import ModuleType
 from hedgerow.agents.loading import law_class
 from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.law_choice import LawChoice
+from hedgerow.topologies.regular_file import read_regular
 
 FOLDER = "law"
 """the name of the copy in the folder of a run or a sweep"""
@@ -63,7 +63,7 @@ class LawSource:
         with contextlib.suppress(OSError):
             for path in sorted(folder.rglob("*.py")):
                 if path.is_file() and not path.is_symlink() and path.stat().st_size <= LARGEST:
-                    files[path.relative_to(folder).as_posix()] = path.read_bytes()
+                    files[path.relative_to(folder).as_posix()] = read_regular(path)
         return cls(files)
 
 
@@ -155,7 +155,7 @@ def _user_files(first: ModuleType) -> Iterator[tuple[ModuleType, str, bytes]]:
         root = path.parents[min(depth, len(path.parents) - 1)]
         with contextlib.suppress(OSError):
             if path.stat().st_size <= LARGEST:
-                text = path.read_bytes()
+                text = read_regular(path)
                 yield module, path.relative_to(root).as_posix(), text
                 for name in _imported(module, text):
                     if name not in seen and (used := sys.modules.get(name)) is not None:
@@ -187,11 +187,14 @@ def _imported(module: ModuleType, text: bytes) -> Iterator[str]:
 def _is_users(path: Path) -> bool:
     """Return True for a file that is neither Python's, nor an installed package's, nor ours."""
     whole = path.resolve()
-    return path.suffix == ".py" and not any(whole.is_relative_to(folder) for folder in _NOT_USERS)
+    installed = {"site-packages", "dist-packages"} & set(whole.parts)
+    return path.suffix == ".py" and not installed and not any(whole.is_relative_to(folder) for folder in _NOT_USERS)
 
 
 _NOT_USERS = [
-    *(Path(sysconfig.get_path(name)).resolve() for name in ("stdlib", "purelib", "platlib")),
-    *(Path(folder).resolve() for folder in site.getsitepackages()),
-    *(Path(__file__).resolve().parents[2] / name for name in ("topologies", "wire", "agents", "plant", "orchestrator")),
+    *(Path(sysconfig.get_path(name)).resolve() for name in ("stdlib", "platstdlib")),
+    *(
+        Path(__file__).resolve().parents[2] / name
+        for name in ("hedgerow", "topologies", "wire", "agents", "plant", "orchestrator")
+    ),
 ]
