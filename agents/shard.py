@@ -14,13 +14,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hedgerow.agents.law import Array
+from hedgerow.agents.law_lines import line_of, place_of, running
 from hedgerow.agents.loading import LawError, new_law
 from hedgerow.agents.local import Heard, asks
 from hedgerow.agents.quiet import QuietLaw
 from hedgerow.agents.samples import LateRows, Samples
 from hedgerow.agents.view import View
 from hedgerow.topologies.graph import all_finite
-from hedgerow.wire.codec import ALL_UP, REPORT_ROWS, TAKEN, Flag, Link, Mask, Record, State, gather
+from hedgerow.wire import crash
+from hedgerow.wire.codec import (
+    ALL_UP,
+    LATE,
+    MOST_LATE,
+    REPORT_ROWS,
+    TAKEN,
+    Flag,
+    Link,
+    Mask,
+    Record,
+    State,
+    gather,
+)
 
 Index = NDArray[np.int64]
 
@@ -142,7 +156,7 @@ class Shard:
             if t > 0:
                 self._close(state, record.back if record is not None else None)
         except Exception as error:
-            raise self._failed("learn", f"raised {type(error).__name__}: {error}") from error
+            raise self._raised("learn", error) from error
         self._record = None
         u = self._act(t, x)
         if quiet is not None:
@@ -225,11 +239,15 @@ class Shard:
                 late_rows.append(self._came(c, links, last - count, min(last + 1, past)))
                 if late:
                     took[c] -= Flag.HEAR
+        plain = bytes(took)
+        # A law that does not learn acts alike under every delay: only this count shows which rows arrived when.
+        for c, start, stop, *_ in late_rows:
+            took[c] |= min(max(stop - start, 0), MOST_LATE) << LATE
         self.took = bytes(took)
         inputs, states = gather([self.u, *last_rows]), self._states(links)
         if self._asks and states is not None:
             self._note(past, states, inputs, late_rows)
-        self._samples.take_late(past, self.x, inputs, self.took, state.x, late_rows, back, states)
+        self._samples.take_late(past, self.x, inputs, plain, state.x, late_rows, back, states)
 
     def _states(self, links: Sequence[Link | None]) -> Array | None:
         """Return our own states followed by the peers' states of the same step, for a law that asks; else None."""
@@ -278,7 +296,7 @@ class Shard:
             u = np.array(given, dtype=float)  # copy: the shard keeps it, and the law may reuse its array
             self.report = np.asarray(self._law.report(), dtype=float)
         except Exception as error:
-            raise self._failed("act", f"raised {type(error).__name__}: {error}") from error
+            raise self._raised("act", error) from error
         if u.shape != (self.k,) or not all_finite(u):
             u = self._without_blind(x, u)
         if self.report.shape != (REPORT_ROWS, self.k):
@@ -291,12 +309,22 @@ class Shard:
         blind = np.isnan(x)
         if u.shape != (self.k,) or not np.isfinite(u[~blind]).all():
             given, states = (np.array2string(one, threshold=8, max_line_width=2**16) for one in (u, x))
-            raise self._failed("act", f"gave {given} for the states {states}, and an input is a number a node")
+            raise self._failed("act", f"gave {given} for the states {states}, and an input is a finite number per node")
         return np.where(blind, np.nan, u)
 
-    def _failed(self, method: str, what: str) -> LawError:
-        nodes = ", ".join(map(str, self._view.ids[:8]))
-        return LawError(f"law {self._view.law}: {method}() of node {nodes} {what}")
+    def running(self, thread: int) -> str:
+        """Return `, at file:line` of the line of the law that a thread executes; empty if it executes none."""
+        where = running(thread, type(self._law))
+        return f", at {where}" if where else ""
+
+    def _failed(self, method: str, what: str, where: str | None = None) -> LawError:
+        nodes = self._view.ids[:8].tolist()
+        said = f"law {self._view.law}: {method}() of node {', '.join(map(str, nodes))} {what}. Correct the law."
+        where = line_of(type(self._law), method) if where is None else where
+        return LawError(where + said, method=method, node=nodes[0] if self.k == 1 else None)
+
+    def _raised(self, method: str, error: Exception) -> LawError:
+        return self._failed(method, f"raised {crash.told(error)}", place_of(error, type(self._law)))
 
     # Outgoing messages.
 

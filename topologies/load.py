@@ -10,7 +10,7 @@ import json
 import operator
 import re
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
 from importlib import resources
 from itertools import chain, islice
@@ -53,7 +53,14 @@ def find(name: str) -> FilePath:
     """The file that `name` means: a path, the folder of a finished run, or a bundled name."""
     path = user_path(name)
     try:
-        if (path / "topology.yaml").is_file():
+        is_run = (path / "topology.yaml").is_file()
+        if name in bundled() and (is_run or path.is_file()):
+            what = "the run in" if is_run else "the file"
+            raise UserError(
+                f"{name}: can be the bundled network or {what} ./{name}. Write ./{name}, or {_bundled_file(name)}.",
+                code=Code.FILE_AMBIGUOUS,
+            )
+        if is_run:
             return path / "topology.yaml"
         if path.is_dir() and name not in bundled():
             raise UserError(
@@ -66,10 +73,14 @@ def find(name: str) -> FilePath:
             f"{name}: {error.strerror}; check the path and its permissions", code=Code.FILE_UNREADABLE
         ) from None
     if name in bundled():
-        return FilePath(str(resources.files("hedgerow.topologies") / f"{name}.yaml"))
+        return _bundled_file(name)
     near = difflib.get_close_matches(name, bundled(), 1)
     hint = f"did you mean {near[0]}? " if near else ""
     raise UserError(f"{name}: no such file; {hint}bundled names are {', '.join(bundled())}", code=Code.FILE_MISSING)
+
+
+def _bundled_file(name: str) -> FilePath:
+    return FilePath(str(resources.files("hedgerow.topologies") / f"{name}.yaml"))
 
 
 def load(name: str, overrides: Sequence[str] = ()) -> Topology:
@@ -97,9 +108,15 @@ def content(path: FilePath) -> bytes:
         ) from None
 
 
-def parse(text: bytes, name: str, folder: FilePath, overrides: Sequence[str] = ()) -> Topology:
-    """A topology from YAML text; `name` stands in messages, `folder` is where its CSV files lie."""
+def parse(
+    text: bytes, name: str, folder: FilePath, overrides: Sequence[str] = (), named: Collection[str] = ()
+) -> Topology:
+    """A topology from YAML text; `name` stands in messages, `folder` is where its CSV files lie.
+
+    named: files of samples that may lie elsewhere, because the user named them and not the text.
+    """
     source = read_source(name, text)
+    source.named.update(named)
     found = _read(source, name, folder, overrides)
     if isinstance(found, Topology):
         return found
@@ -136,6 +153,8 @@ def _read(source: Source, name: str, folder: FilePath, overrides: Sequence[str])
     source.problems.extend(odd_numbers(source))
     topology, problems = _validate(source)
     source.problems.extend(problems)
+    if topology is not None and source.named:
+        topology = topology.naming(source.named)
     if topology is not None and topology.table is not None:
         try:
             topology = _with_table(topology, topology.table, folder)
@@ -199,7 +218,10 @@ def _override(source: Source, override: str) -> None:
         found = [replace(problem, line=0, column=0, origin=origin) for problem in error.problems]
         raise TopologyError(source.name, found) from None
     source.problems.extend(replace(problem, line=0, column=0, origin=origin) for problem in given.problems)
-    value = given.value
+    # What an option names lies where the user is, not where the topology is.
+    value = _with_named(given.value, source.named)
+    if isinstance(value, str) and steps_of(where)[-1].text == "file":
+        value = _named(value, source.named)
     rest = steps_of(where)
     if len(rest) > 1 and rest[0].text == "law":
         _law_as_mapping(source)
@@ -226,6 +248,27 @@ def _override(source: Source, override: str) -> None:
     for inside, mark in given.marks.items():
         source.marks[*path, *inside] = mark._replace(line=0, column=0, origin=origin)
     source.odd |= {(*path, *inside): text for inside, text in given.odd.items()}
+
+
+def _with_named(value: Any, named: set[str]) -> Any:
+    """Return a value whose files of samples have whole paths, which are added to `named`."""
+    if isinstance(value, list):
+        return [_with_named(one, named) for one in value]
+    if not isinstance(value, dict):
+        return value
+    own = {key: _with_named(one, named) for key, one in value.items()}
+    if own.get("kind") == "samples" and isinstance(own.get("file"), str):
+        own["file"] = _named(own["file"], named)
+    return own
+
+
+def _named(file: str, named: set[str]) -> str:
+    path = user_path(file)
+    whole = str(FilePath.cwd() / path)
+    if not path.is_absolute() and not FilePath(whole).exists():
+        return file  # it may lie beside the topology
+    named.add(whole)
+    return whole
 
 
 def _nodes_as_mapping(source: Source) -> None:
@@ -401,7 +444,7 @@ def _problem(source: Source, details: ErrorDetails) -> Problem:
         "bool_type": ("is neither true nor false", "write one of the two"),
         "window": ("holds no step", "write [from, to): the first step, and the one after the last"),
         "empty": ("is empty", "put the lower bound first"),
-        "number": ("is not a number", cure_of_number(at)),
+        "number": ("is not a number", _cure_of_gain(shown) if path == ("b",) and _random(at) else cure_of_number(at)),
         "literal_error": ("is neither a number nor `random`", "write one of the two"),
         "string_type": ("is not text", cure_of_text(at, source.written(path))),
         "too_short": ("has too few members", f"at least {context.get('min_length')} are needed"),
@@ -420,6 +463,14 @@ _ABOUT_VALUE = frozenset(
         *("tuple_type", "dict_type", "model_type", "bool_type", "window"),
     )
 )
+
+
+def _random(value: Any) -> bool:
+    return isinstance(value, dict) and "random" in value
+
+
+def _cure_of_gain(shown: str) -> str:
+    return f"write a number here, and `defaults: {{b: {shown}}}` for gains that are drawn per node"
 
 
 def _no_fault(source: Source, details: ErrorDetails) -> Problem:

@@ -24,7 +24,7 @@ from hedgerow.topologies.effects import Effect
 from hedgerow.topologies.faults import effects
 from hedgerow.topologies.graph import Array, Graph, Index, Mask, all_finite
 from hedgerow.topologies.schema import Topology
-from hedgerow.wire.codec import REPORT_ROWS, Flag, Flags, State, Telemetry, gather
+from hedgerow.wire.codec import LATE, REPORT_ROWS, Flag, Flags, State, Telemetry, gather
 
 AUDITED = 20_000
 """how many nodes are replayed at most; of a larger network a subset that the seed draws"""
@@ -58,6 +58,8 @@ class Replay:
         self._receipts = receipts
         network = topology.network
         self._topology, self._graph = topology, network.graph
+        self._a = network.a.copy()
+        """the truth at the step replayed, of all nodes: a disturbance that sees the state sees it too"""
         self._part = part = _Part(network.graph, topology.seed, audited)
         self._x0, self._disturbance = network.x0, Disturbance(network.disturbance, network.ids, topology.seed)
         history = history_of(topology)
@@ -107,7 +109,7 @@ class Replay:
         """Go by the faults of this topology from the next step on."""
         self._topology = topology
         faults = Faults(effects(topology.faults, topology), self._graph, topology.network.ids, topology.seed)
-        self._world.faults = self._part.of(faults)
+        self._faults, self._world.faults = faults, self._part.of(faults)
 
     def take(self, rows: Sequence[Telemetry]) -> None:
         """Replay some rows, which follow those taken before."""
@@ -160,7 +162,7 @@ class Replay:
         part, t = self._part, row.t
         if t == 0 and row.x.tobytes() != self._x0.tobytes():
             self._find_numbers(PLAN, t, "x(0)", row.x, self._x0)
-        w = self._disturbance.at(t)
+        w = self._w(row)
         if row.w.tobytes() != w.tobytes():
             self._find_numbers(PLAN, t, "w", row.w, w)
         if not part.whole:
@@ -185,6 +187,7 @@ class Replay:
         # What a node took in of t - 1 comes before what it did at t.
         self._find_flags(LAW, t - 1, ("counted for flow", "counted for none"), *took, Flag.OPEN)
         self._find_flags(LAW, t - 1, ("was taken in", "was not taken in"), *took, Flag.HEAR)
+        self._find_late(t - 1, *took)
         self._find_edges(t, row.edge_open, expected.edge_open)
         self._find_flags(PLAN, t, ("crosses in its step", "does not"), row.link_up, expected.link_up, 1)
         for name, seen, right in (
@@ -193,6 +196,14 @@ class Replay:
             ("u", row.u, expected.u),
         ):
             self._find_numbers(LAW, t, name, np.where(own, seen, 0.0), np.where(own, right, 0.0), part.nodes)
+
+    def _w(self, row: Telemetry) -> Array:
+        """Return w(t), (n,), on the recorded x(t)."""
+        if not self._disturbance.sees_state:
+            return self._disturbance.at(row.t)
+        for node, a in self._faults.jumps(row.t):
+            self._a[node] = a
+        return self._disturbance.at(row.t, row.x, self._a)
 
     def _find_numbers(
         self, check: str, t: int, name: str, seen: Array, right: Array, nodes: Index | None = None
@@ -214,6 +225,17 @@ class Replay:
             text = f"the row from node {sender} {words[0]}; by the faults, it {words[1]}"
             found.append((int(part.graph.node[c]), text))
         self._find(check, t, found, part.nodes)
+
+    def _find_late(self, t: int, seen: Flags, right: Flags) -> None:
+        """Find the incidences over which another number of late rows came."""
+        part, ids = self._part, self._topology.ids
+        came, due = seen >> LATE, right >> LATE
+        found = []
+        for c in np.flatnonzero(came != due).tolist():
+            sender = ids[int(part.nodes[part.graph.neighbour[c]])]
+            text = f"{came[c]} late rows from node {sender} were taken in; by the faults, {due[c]} arrive"
+            found.append((int(part.graph.node[c]), text))
+        self._find(LAW, t, found, part.nodes)
 
     def _find_edges(self, t: int, seen: Any, right: Any) -> None:
         part, ids = self._part, self._topology.ids

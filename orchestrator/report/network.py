@@ -12,8 +12,8 @@ from matplotlib.lines import Line2D
 
 from hedgerow.orchestrator.report.curves import Entries, called, legend, plain, short
 from hedgerow.orchestrator.report.style import BLACK, GREY, RED, sheet, width_in
-from hedgerow.orchestrator.runs.reader import RecordedRun
-from hedgerow.orchestrator.views.layout import positions
+from hedgerow.orchestrator.runs.run import Run
+from hedgerow.orchestrator.views.layout import placed
 from hedgerow.orchestrator.views.palette import thickness
 from hedgerow.topologies.graph import Array, Mask
 
@@ -25,9 +25,9 @@ _MARGIN = 0.6
 """around the network, in lengths of an edge"""
 
 
-def network(runs: Sequence[RecordedRun]) -> Figure:
+def network(runs: Sequence[Run]) -> Figure:
     """The graph of each run, laid out by itself: the same file gives the same places."""
-    places = [positions(run.topology.graph) for run in runs]
+    places = [placed(run.topology) for run in runs]
     heights = [float(np.clip((width_in() - 0.2) * _aspect(own), 0.7, 3.3)) for own in places]
     figure = sheet(0.3 + sum(heights) + 0.2 * (len(runs) - 1))
     axes = figure.subplots(len(runs), 1, squeeze=False, height_ratios=heights)[:, 0]
@@ -41,13 +41,13 @@ def network(runs: Sequence[RecordedRun]) -> Figure:
     return figure
 
 
-def wrong(run: RecordedRun) -> Mask:
+def wrong(run: Run) -> Mask:
     """Whose last estimate is not the truth, (n,)."""
     last, truth = run.ahat[-1], run.a[-1]
     return np.asarray(np.isfinite(last) & (last != truth))
 
 
-def unnamed(runs: Sequence[RecordedRun]) -> str:
+def unnamed(runs: Sequence[Run]) -> str:
     """That names are left out, if they are."""
     return f" Beyond {NAMED} nodes names are left out." if any(len(run.ids) > NAMED for run in runs) else ""
 
@@ -58,7 +58,7 @@ def _aspect(places: Array) -> float:
     return float(height / width)
 
 
-def _draw(axis: Axes, run: RecordedRun, places: Array) -> None:
+def _draw(axis: Axes, run: Run, places: Array) -> None:
     n = len(run.ids)
     weights = run.topology.graph.weights
     wide = 0.8 if n <= NAMED else 0.4
@@ -75,8 +75,8 @@ def _draw(axis: Axes, run: RecordedRun, places: Array) -> None:
         linewidths=0.6 if n <= NAMED else 0.2,
         zorder=2,
     )
-    for node, (x, y), own in zip(run.ids, places.tolist(), wrong(run), strict=True):
-        name = plain(short(str(node)))
+    for k, ((x, y), own) in enumerate(zip(places.tolist(), wrong(run), strict=True)):
+        name = plain(short(run.topology.network.name(k)))
         if n <= NAMED and len(name) <= _INSIDE:
             ink = "#FFFFFF" if own else BLACK
             axis.text(x, y, name, ha="center", va="center_baseline", color=ink, fontsize="x-small", zorder=3)

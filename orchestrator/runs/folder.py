@@ -12,6 +12,8 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, TypeVar
 
+from hedgerow.orchestrator.ground.law_source import FOLDER as LAW
+from hedgerow.orchestrator.ground.law_source import source_of
 from hedgerow.orchestrator.ground.spelling import shown
 from hedgerow.topologies.errors import Code, HedgerowError, UserError
 from hedgerow.topologies.resolve import save
@@ -32,6 +34,8 @@ class RunFolder:
         self.logs = path / "logs"
         self.processes = path / "processes"
         """what each process was told"""
+        self.law = path / LAW
+        """a copy of the source of the law, if it is not one of the project"""
         self.made = True
         """`create` made the folder; else it was there, and empty."""
         self.latest_before: str | None = None
@@ -67,7 +71,7 @@ def whole_folder(folder: Path, said: str, mode: int = 0o777) -> Iterator[Path]:
     """A folder to fill, beside the new or empty one that it becomes when the block ends well; else nothing is left."""
     made = not folder.exists()
     new_folder(folder, said, mode)
-    # Whoever gave us a folder may be in it, or have mounted it there: it stays the one that it is.
+    # Keep a folder that exists: the user may be in it, or have mounted it there.
     part = (folder.parent if made else folder) / f".{folder.name}-{os.getpid()}"
     try:
         part.mkdir(mode)
@@ -98,6 +102,8 @@ def create(topology: Topology, directory: Path | None) -> RunFolder:
         try:
             folder.logs.mkdir()
             folder.processes.mkdir()
+            if (source := source_of(topology.law)).files:
+                source.write(folder.law)
             save(topology, folder.topology)
         except BaseException:
             _empty(folder.path)
@@ -114,6 +120,20 @@ def create(topology: Topology, directory: Path | None) -> RunFolder:
             f"no run folder: {error.filename or directory}: {error.strerror}; choose another with --run-dir",
             code=Code.OUTPUT,
         ) from None
+    return folder
+
+
+def reserve(name: str) -> RunFolder:
+    """Make an empty folder in runs/ for a run of the network `name`, and point runs/latest to it."""
+    try:
+        folder = _new_in(Path("runs"), name)
+    except OSError as error:
+        raise UserError(
+            f"no run folder: runs: {error.strerror}. Give a folder with run_dir.", code=Code.OUTPUT
+        ) from None
+    latest = folder.path.parent / "latest"
+    folder.latest_before = os.readlink(latest) if latest.is_symlink() else None
+    folder.note = _point_latest(folder.path.parent, folder.path)
     return folder
 
 
@@ -143,6 +163,7 @@ def withdraw(folder: RunFolder) -> None:
 
 def _empty(folder: Path) -> None:
     """Remove what `create` has put into a folder."""
+    shutil.rmtree(folder / LAW, ignore_errors=True)
     for path in (folder / "topology.yaml", folder / "logs", folder / "processes"):
         with contextlib.suppress(OSError):
             path.rmdir() if path.is_dir() else path.unlink(missing_ok=True)
@@ -164,7 +185,7 @@ def _new_in(runs: Path, name: str) -> RunFolder:
 
 def _point_latest(runs: Path, path: Path) -> str:
     """Point runs/latest to a run; return why that cannot be, in one line, else nothing."""
-    # Replaced by a rename, so that `latest` exists at every moment, whoever else starts a run.
+    # Replace it by a rename, so that `latest` exists at every moment while other runs start.
     link = runs / f".latest-{os.getpid()}"
     try:
         link.symlink_to(path.name, target_is_directory=True)
