@@ -21,6 +21,7 @@ from hedgerow.agents.local import asks
 from hedgerow.agents.view import View
 from hedgerow.orchestrator.ground.assignment import law_of
 from hedgerow.orchestrator.metrics.checks import ROUNDING, TINY
+from hedgerow.orchestrator.metrics.observer import mean_error
 from hedgerow.plant.disturbance import Disturbance
 from hedgerow.plant.world import dynamics
 from hedgerow.topologies.archive import id_array
@@ -190,6 +191,7 @@ class _Batch:
                 "gamma_star": self._gamma_star,
                 "rho": self._rho,
                 "nodes_right": (ahat == self._a).sum(axis=1),
+                "estimate_error": np.array([mean_error(row) for row in np.abs(ahat - self._a)]),
             }
 
 
