@@ -99,6 +99,11 @@ class Samples:
         else:
             self._learn(x, flow, x_next)
 
+    def append_learned(self, x: Sequence[float], u: Sequence[float]) -> None:
+        """Keep the row of a step whose sample is learned already, and that lacks nothing: x (k,) and u (width,)."""
+        self._history.append(x, u, self._all)
+        self._read = None
+
     def take_late(
         self,
         t: int,

@@ -17,11 +17,24 @@ from hedgerow.agents.law import Array
 from hedgerow.agents.law_lines import line_of, place_of, running
 from hedgerow.agents.loading import LawError, new_law
 from hedgerow.agents.local import Heard, asks
+from hedgerow.agents.quiet import QuietLaw
 from hedgerow.agents.samples import LateRows, Samples
 from hedgerow.agents.view import View
 from hedgerow.topologies.graph import all_finite
 from hedgerow.wire import crash
-from hedgerow.wire.codec import ALL_UP, REPORT_ROWS, TAKEN, Flag, Link, Mask, Record, State, gather
+from hedgerow.wire.codec import (
+    ALL_UP,
+    LATE,
+    MOST_LATE,
+    REPORT_ROWS,
+    TAKEN,
+    Flag,
+    Link,
+    Mask,
+    Record,
+    State,
+    gather,
+)
 
 Index = NDArray[np.int64]
 
@@ -81,6 +94,10 @@ class Shard:
             np.full(self.m, np.nan),
             np.full(self.m, -1, dtype=np.int64),
         )
+        self._quiet = QuietLaw.of(view, self._law)
+        """makes the quiet steps of a few nodes; None for other shards and laws"""
+        self._kept: tuple[Array, Array] | None = None
+        """the arrays of the last step, while the quiet law holds the same numbers"""
         self._mail: list[dict[int, Link]] = [{} for _ in view.peers]
         """Per peer: link messages by step, for steps not yet used by a sample."""
         self._record: Record | None = None
@@ -127,7 +144,11 @@ class Shard:
 
     def answer(self, state: State) -> Array:
         """Close the sample of t - 1 and return u(t), (k,), for the state of t; call it once no peer is awaited."""
-        t, x = state.t, state.x
+        t, x, quiet = state.t, state.x, self._quiet
+        if quiet is not None and quiet.holds:
+            if self._answers_quietly(state, quiet):
+                return self.u
+            quiet.settle()
         record = self._record if self._record is not None and self._record.t == t else None
         try:
             if record is not None:
@@ -137,7 +158,35 @@ class Shard:
         except Exception as error:
             raise self._raised("learn", error) from error
         self._record = None
-        return self._act(t, x)
+        u = self._act(t, x)
+        if quiet is not None:
+            was_quiet = not (t == 0 or state.flags or state.spans or record is not None) and self._samples.complete
+            quiet.after(was_quiet, x, u)
+            self._kept = x, u
+        return u
+
+    def _answers_quietly(self, state: State, quiet: QuietLaw) -> bool:
+        """Make a step without numpy and return True; False, with nothing changed, if the step is not quiet."""
+        t, x, flags, spans = state
+        kept = self._kept
+        if flags or spans or self._record is not None or t != self.t + 1 or kept is None:
+            return False
+        if kept[0] is not self.x or kept[1] is not self.u:  # replay puts other inputs into a shard
+            return False
+        links = []
+        for mail in self._mail:
+            if (link := mail.get(t - 1)) is None:
+                return False
+            links.append(link)
+        if (answer := quiet.step(x, links)) is None:
+            return False
+        for mail in self._mail:
+            del mail[t - 1]
+        self._samples.append_learned(answer.states, answer.inputs)
+        self._kept = self.x, self.u = x, np.frombuffer(answer.u)
+        self.report = np.frombuffer(answer.report).reshape(REPORT_ROWS, -1)
+        self.t, self.took = t, b""
+        return True
 
     def _restore(self, record: Record) -> None:
         """Restore the memory of the nodes that come back from the record; keep the mail, because it may be for them."""
@@ -190,11 +239,15 @@ class Shard:
                 late_rows.append(self._came(c, links, last - count, min(last + 1, past)))
                 if late:
                     took[c] -= Flag.HEAR
+        plain = bytes(took)
+        # A law that does not learn acts alike under every delay: only this count shows which rows arrived when.
+        for c, start, stop, *_ in late_rows:
+            took[c] |= min(max(stop - start, 0), MOST_LATE) << LATE
         self.took = bytes(took)
         inputs, states = gather([self.u, *last_rows]), self._states(links)
         if self._asks and states is not None:
             self._note(past, states, inputs, late_rows)
-        self._samples.take_late(past, self.x, inputs, self.took, state.x, late_rows, back, states)
+        self._samples.take_late(past, self.x, inputs, plain, state.x, late_rows, back, states)
 
     def _states(self, links: Sequence[Link | None]) -> Array | None:
         """Return our own states followed by the peers' states of the same step, for a law that asks; else None."""

@@ -18,7 +18,7 @@ import zenoh  # isort: skip
 from hedgerow.agents.plant_watch import PlantWatch
 from hedgerow.agents.process import LOG, Agent, Begin, Joined
 from hedgerow.agents.view import View
-from hedgerow.topologies.errors import DeadlineError, UserError
+from hedgerow.topologies.errors import Code, DeadlineError, UserError
 from hedgerow.wire import bounded_json, keys
 from hedgerow.wire import config as configs
 from hedgerow.wire.config import Config
@@ -26,6 +26,7 @@ from hedgerow.wire.credentials import Credentials
 from hedgerow.wire.handshake import introduction
 from hedgerow.wire.session import WireError
 
+MOST_ANSWER_BYTES = 2**16
 TRIES = 2
 """How often a plant whose token is there may leave us without an answer: one that leaves does so once."""
 
@@ -39,7 +40,9 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     def find() -> Config:
         config = configs.find(known.config, f"{_process(known.name)}.toml" if known.name else "agent.toml")
         if config.process == keys.PLANT:
-            raise UserError(f"{known.config or configs.VARIABLE}: is the plant's; start it with `hedgerow-plant`")
+            raise UserError(
+                f"{known.config or configs.VARIABLE}: is the plant's; start it with `hedgerow-plant`", code=Code.OPTION
+            )
         if known.name and config.process not in (known.name, _process(known.name)):
             raise UserError(f"--name {known.name}: that config is of {config.process}; choose one of the two")
         return config
@@ -79,7 +82,7 @@ class PlaceRequest:
         """
         who, by, unanswered = self._config.process, time.monotonic() + self._within_s, 0
         while True:
-            # Whoever waits for its place may see one plant leave and another come.
+            # A process that waits for its place may see one plant leave and another arrive.
             standalone.wait_for(session, keys.PLANT, max(standalone.PAUSE_S, by - time.monotonic()))
             answer = self._ask(session)
             if answer is None:
@@ -92,7 +95,7 @@ class PlaceRequest:
             elif "life" in answer:
                 return Joined(int(answer["life"]), int(answer["plant"]))
             elif not answer.get("wait"):
-                raise UserError(f"the plant refuses {who}: {answer['error']}")
+                raise UserError(f"the plant refuses {who}: {answer['error']}", code=Code.REFUSED)
             elif time.monotonic() > by:
                 raise DeadlineError(f"{who}: {answer['error']}, after {self._within_s:g} s; end that one first")
             else:
@@ -105,7 +108,7 @@ class PlaceRequest:
         for reply in session.get(keys.join(self._shard), payload=json.dumps(request), timeout=standalone.ASK_S):
             if reply.ok is not None:
                 with contextlib.suppress(ValueError):  # no plant answers so: ask again
-                    answer = bounded_json.decode(reply.ok.payload.to_bytes())
+                    answer = bounded_json.decode(reply.ok.payload.to_bytes(), MOST_ANSWER_BYTES)
                     if isinstance(answer, dict):
                         return answer
         return None

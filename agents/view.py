@@ -151,13 +151,16 @@ class View:
             weights = np.array(listed_weights, dtype=np.float64)
             if len(weights) != len(row):
                 raise ValueError("the weights are not one per neighbour")
+        b = np.array(told["b"], dtype=np.float64) if isinstance(told["b"], list) else told["b"]
+        if isinstance(b, np.ndarray) and b.shape != (len(own),):
+            raise ValueError("the gains are not one per node")
         peers = [
             Peer(peer["shard"], np.array([place[i] for i in peer["say"]], dtype=np.int64), len(peer["hear"]))
             for peer in told["peers"]
         ]
         return cls(
             shard=told["shard"],
-            b=np.array(told["b"], dtype=np.float64) if isinstance(told["b"], list) else told["b"],
+            b=b,
             law=told["law"],
             ids=archive.id_array(own),
             candidates=candidates,

@@ -22,7 +22,7 @@ from typing import Any
 import psutil
 
 from hedgerow.orchestrator.ground.assignment import layout, truth_of, views_of
-from hedgerow.orchestrator.launch.recording import Run, Watching
+from hedgerow.orchestrator.launch.recording import Recording, Watching
 from hedgerow.orchestrator.metrics.verdict import Ending
 from hedgerow.orchestrator.runs.folder import RunFolder, create
 from hedgerow.orchestrator.runs.reference import run as run_in_process
@@ -62,7 +62,7 @@ def record(steps: int, directory: Path, watching: Watching, answer: Connection) 
     topology = resolve(load("paper7", [f"steps={steps}"]))
     rows = rows_of(topology)
     folder = create(topology, directory)
-    run = Run(topology, folder, watching, Ending(folder.name, "in-process", 0))
+    run = Recording(topology, folder, watching, Ending(folder.name, "in-process", 0))
     own, server, marks = psutil.Process(), None, list(MARKS)
     sizes: dict[str, list[float]] = {"own": [], "server": []}
     began = time.monotonic()

@@ -20,7 +20,8 @@ from hedgerow.orchestrator.launch.simulation import simulate_into
 from hedgerow.orchestrator.report.figures import FIGURES
 from hedgerow.orchestrator.report.style import look
 from hedgerow.orchestrator.runs.folder import create
-from hedgerow.orchestrator.runs.reader import RecordedRun, load_run
+from hedgerow.orchestrator.runs.reader import load_run
+from hedgerow.orchestrator.runs.run import Run
 from hedgerow.orchestrator.views.screen import Quiet
 from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import resolve
@@ -34,7 +35,7 @@ PICTURES = {
 DPI, GAP, COLOURS = 200, 24, 64
 
 
-def ran(name: str, scratch: Path) -> RecordedRun:
+def ran(name: str, scratch: Path) -> Run:
     """A bundled network, run in this process."""
     topology = resolve(load(name))
     folder = create(topology, scratch / name)
@@ -42,7 +43,7 @@ def ran(name: str, scratch: Path) -> RecordedRun:
     return load_run(folder.path)
 
 
-def picture(run: RecordedRun, keys: tuple[str, ...]) -> Image.Image:
+def picture(run: Run, keys: tuple[str, ...]) -> Image.Image:
     """Four figures, two beside each other."""
     drawn = []
     for kind in FIGURES:
@@ -57,9 +58,9 @@ def picture(run: RecordedRun, keys: tuple[str, ...]) -> Image.Image:
     return whole
 
 
-def numbers(run: RecordedRun) -> str:
+def numbers(run: Run) -> str:
     """What a picture was drawn of, so that a stale one is known."""
-    metrics = run.verdict["metrics"]
+    metrics = run.verdict.content["metrics"]
     said = f"{run.topology.name}: D {metrics['regret']:.6g}, nominal {metrics['regret_nominal']:.6g}"
     return said + f", gain {metrics['gain']:.6g}, {metrics['nodes_right']} right"
 

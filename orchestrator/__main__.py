@@ -15,7 +15,7 @@ BEGAN = time.monotonic()
 
 
 def main() -> None:
-    """Run the command line; when it is `up`, the nursery loads beside us from the very beginning."""
+    """Run the command line; for `up`, start the fork server first, so that both load at the same time."""
     start.begin()
     _settle_environment()
     launches = "up" in sys.argv[1:2] and not {"--help", "--detach"} & set(sys.argv)

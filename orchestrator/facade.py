@@ -2,43 +2,202 @@
 
 from __future__ import annotations
 
+import contextlib
+import functools
+import inspect
+import io
 import json
-from collections.abc import Mapping
+import re
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
+from hedgerow.agents.law import Minimax
 from hedgerow.orchestrator.experiments import bounds
+from hedgerow.orchestrator.experiments.compare import Compared
+from hedgerow.orchestrator.experiments.compare import compare as run_comparison
+from hedgerow.orchestrator.experiments.compare.plan import comparison
 from hedgerow.orchestrator.experiments.worst import Found
 from hedgerow.orchestrator.experiments.worst import worst as search
 from hedgerow.orchestrator.ground.laws import checked
 from hedgerow.orchestrator.launch import simulation
+from hedgerow.orchestrator.launch.running import Running, run_to_the_end
 from hedgerow.orchestrator.metrics.guarantee import Guarantee
-from hedgerow.orchestrator.runs.reader import RecordedRun, load_run
+from hedgerow.orchestrator.runs.folder import RunFolder, new_folder, reserve, withdraw
+from hedgerow.orchestrator.runs.reader import load_run
+from hedgerow.orchestrator.runs.run import Run
+from hedgerow.topologies.errors import Code, HedgerowError, UserError, check_options
 from hedgerow.topologies.named import Named, resolved
 from hedgerow.topologies.paths import user_path
+from hedgerow.topologies.resolve import to_yaml
 from hedgerow.topologies.schema import Topology
 
-__all__ = ["bound", "load", "load_run", "simulate", "worst"]
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+__all__ = ["bound", "compare", "load", "load_run", "report", "run", "simulate", "start", "sweep", "worst"]
+
+_PLAIN = re.compile(r"[A-Za-z_][\w.:-]*")
 
 
-def load(network: Named, **overrides: object) -> Topology:
+def load(network: Named, *settings: str, **overrides: object) -> Topology:
     """Return a network with all numbers drawn.
 
     `network` is a bundled name, the path of a file or run folder, the YAML text of a file, a dictionary of the same
-    shape, or a Topology. Each keyword replaces a top-level key of the file: `load("paper7", steps=300)`.
+    shape, or a Topology. Each setting is `path=value`, as for `--set` on the command line: `"nodes.2.x0=1"`. Each
+    keyword replaces a top-level key of the file: `load("paper7", steps=300)`. `law` may also be a class, or a
+    `functools.partial` of a class with its parameters.
     Raises TopologyError with all mistakes, or UserError if there is no such file.
     """
-    return resolved(network, _settings(overrides))
+    return resolved(network, [*settings, *_settings(overrides)])
 
 
-def simulate(network: Named, *, run_dir: str | Path | None = None, **overrides: object) -> RecordedRun:
-    """Run a network in this process, without Zenoh, and return what it recorded.
+def simulate(network: Named, *settings: str, run_dir: str | Path | None = None, **overrides: object) -> Run:
+    """Run a network in this process, without Zenoh, and return the run.
 
-    `network` and `overrides` are those of `load`. `law="hinf"` replaces the law, and `law=MyLaw` is a class of yours.
-    If the file of a law changed since it was loaded, it is loaded again. `run_dir` is a new folder for the run, by
-    default one in runs/. Warns if `network` is the folder of a run that kept another source of the law. Raises
-    UserError for a mistake, LawError if the law fails, and HedgerowError if no step was made.
+    `network`, `settings` and `overrides` are those of `load`. `run_dir` is a new folder for the run, by default one
+    in runs/. Raises UserError for a mistake, and HedgerowError if no step was made.
     """
-    return simulation.simulate(network, *_settings(overrides), run_dir=run_dir)
+    return simulation.simulate(network, *settings, *_settings(overrides), run_dir=run_dir)
+
+
+def run(
+    network: Named,
+    *settings: str,
+    rate: float = 0.0,
+    verify: bool = False,
+    record: bool = False,
+    viewer: str = "none",
+    run_dir: str | Path | None = None,
+    **overrides: object,
+) -> Run:
+    """Run a network as real processes over Zenoh to its end, as `orchestrator up` does, and return the run.
+
+    `network`, `settings` and `overrides` are those of `load`; `processes=3` packs the nodes into 3 processes. `rate`
+    is in steps per second, 0 for as fast as possible. `verify` repeats the run in one process and compares all bits.
+    `record` writes run.rrd, and `viewer` is `native`, `web`, `none` or a URL. Ctrl-C ends the network.
+    Raises UserError for a mistake, and HedgerowError if the run has no verdict.
+    """
+    topology = _importable(load(network, *settings, **overrides))
+    options = [*_options(rate, record, viewer), *(["--verify"] if verify else [])]
+    with _folder(topology, run_dir) as folder:
+        return run_to_the_end(topology, folder.path, *options)
+
+
+class _Started(Running):
+    """A running network whose folder goes if the network does not start."""
+
+    def __init__(self, topology: Topology, run_dir: str | Path | None, options: Sequence[str]) -> None:
+        self._run_dir = run_dir
+        super().__init__(topology, Path(), *options)
+
+    def __enter__(self) -> _Started:
+        with _folder(self.topology, self._run_dir) as folder:
+            self._folder = folder.path
+            super().__enter__()
+        return self
+
+
+def start(
+    network: Named,
+    *settings: str,
+    rate: float = 0.0,
+    deadline_s: float = 10.0,
+    record: bool = False,
+    viewer: str = "none",
+    run_dir: str | Path | None = None,
+    **overrides: object,
+) -> Running:
+    """Return a network of real processes that runs while a `with` block does.
+
+    Arguments are those of `run`; `deadline_s` is how long the plant waits for an agent. In the block, `live.fault`
+    injects faults, `live.pause()`, `live.step()` and `live.rate()` control the clock, `live.wait_for_step(100)` waits,
+    and `live.stop()` ends the run and returns it. The end of the block ends the network.
+    """
+    topology = _importable(load(network, *settings, **overrides))
+    check_options(deadline=deadline_s)
+    return _Started(topology, run_dir, [*_options(rate, record, viewer), "--deadline", str(deadline_s)])
+
+
+def sweep(
+    network: Named,
+    *,
+    seeds: range,
+    out: str | Path | None = None,
+    jobs: int | None = None,
+    engine: str = "in-process",
+    **values: object,
+) -> pa.Table:
+    """Run a network under every seed and every combination of values, and return one row per run.
+
+    `network` is that of `load`; give the file rather than a Topology if each seed is to draw its own numbers. Each
+    keyword is a top-level key with a value or a list of values: `law=["minimax", "nominal"]`. `seeds` is a range with
+    stride 1. Runs that `out` already holds are not repeated; the default is a folder in sweeps/. `jobs` is the number
+    of runs at a time. Raises UserError for a mistake, and HedgerowError if the sweep was interrupted.
+    """
+    import pyarrow.parquet as pq  # noqa: PLC0415 (Arrow takes a while to load)
+
+    from hedgerow.orchestrator.experiments.sweep import sweep as sweep_into  # noqa: PLC0415
+    from hedgerow.orchestrator.experiments.sweep.folder import default_out  # noqa: PLC0415
+    from hedgerow.orchestrator.experiments.sweep.plan import plan  # noqa: PLC0415
+
+    if seeds.step != 1:
+        raise UserError(f"seeds={seeds}: has a stride; use a range without one", code=Code.OPTION)
+    sets = [f"{key}={','.join(map(_text, _listed(value)))}" for key, value in values.items()]
+    with tempfile.TemporaryDirectory(prefix="hedgerow-") as scratch:
+        file = str(network)
+        if not isinstance(network, Path | str) or "\n" in file or file.lstrip().startswith("{"):
+            file = str(Path(scratch) / "network.yaml")
+            Path(file).write_text(to_yaml(load(network)), encoding="utf-8")
+        planned = plan(file, f"{seeds.start}:{seeds.stop}", sets, engine)
+        folder = default_out(planned) if out is None else user_path(str(out))
+        with contextlib.redirect_stdout(io.StringIO()) as output:
+            sweep_into(planned, folder, jobs)
+    table = folder / "sweep.parquet"
+    if not table.exists():
+        raise HedgerowError(output.getvalue().strip().splitlines()[-1])
+    return pq.read_table(table)
+
+
+def report(
+    runs: Run | str | Path | Sequence[Run | str | Path], out: str | Path | None = None, **options: Any
+) -> list[Path]:
+    """Write the figures of one or several runs and a page with all numbers into a folder, and return the files.
+
+    `runs` are runs or the names that `load_run` takes. `options` are those of `hedgerow.orchestrator.report.report`:
+    `figures`, `force`, `width_in`, `style` and `formats`. Raises UserError.
+    """
+    from hedgerow.orchestrator.report import report as write  # noqa: PLC0415
+
+    several = [runs] if isinstance(runs, Run | str | Path) else [*runs]
+    loaded = [one if isinstance(one, Run) else load_run(one) for one in several]
+    return write(loaded, None if out is None else user_path(str(out)), **options)
+
+
+@contextlib.contextmanager
+def _folder(topology: Topology, run_dir: str | Path | None) -> Iterator[RunFolder]:
+    """Yield the folder for a run; if the block raises before the run has begun, the folder goes."""
+    if run_dir is None:
+        folder = reserve(topology.name)
+    else:
+        path = user_path(str(run_dir))
+        made = not path.exists()
+        new_folder(path, f"run_dir={str(run_dir)!r}")
+        folder = RunFolder(path.resolve())
+        folder.made = made
+    try:
+        yield folder
+    except BaseException:
+        if not folder.events.exists():
+            withdraw(folder)
+        raise
+
+
+def _options(rate: float, record: bool, viewer: str) -> list[str]:
+    check_options(rate=rate)
+    return ["--rate", str(rate), "--viewer", viewer, "--record" if record else "--no-record"]
 
 
 def bound(network: Named, *, full: bool = False, **overrides: object) -> Guarantee:
@@ -69,10 +228,62 @@ def worst(
     return search(topology, budget, faults, seed, out=None if out is None else user_path(str(out)))
 
 
+def compare(
+    network: Named,
+    laws: Sequence[str] = ("minimax",),
+    disturbances: Sequence[str | Mapping[str, object]] = ("file",),
+    seeds: range = range(50),
+    *,
+    out: str | Path | None = None,
+    jobs: int = 1,
+    **overrides: object,
+) -> Compared:
+    """Run every law under every disturbance and seed, hinf and nominal too; return their means, tests and findings.
+
+    `laws` are as in a file: `["minimax", "forgetting(decay=0.98)"]`. A disturbance is `file`, the name of a preset
+    (`sinusoid`, `white`, `ar1`, `constant`, `confuse`, `none`), names joined by `+`, or a mapping as in a file. `out`
+    is the folder of the results, which the same call finds again. With `jobs` above 1, processes share the runs; a
+    script then needs `if __name__ == "__main__":`. Raises UserError for a mistake.
+    """
+    plan = comparison(network, laws, disturbances, seeds, _settings(overrides))
+    found = run_comparison(plan, None if out is None else user_path(str(out)), jobs, quiet=True)
+    if found is None:
+        raise KeyboardInterrupt
+    return found
+
+
 def _settings(overrides: Mapping[str, object]) -> list[str]:
-    return [f"{key}={json.dumps(_named(value))}" for key, value in overrides.items()]
+    return [f"{key}={json.dumps(_plain(value))}" for key, value in overrides.items()]
 
 
-def _named(value: object) -> object:
-    """Return a class, which stands for a law, as package.module:Class; any other value as it is."""
-    return f"{value.__module__}:{value.__qualname__}" if isinstance(value, type) else value
+def _plain(value: object) -> object:
+    """Return a class, and a class with parameters, as a file names it, and another value as it is."""
+    if value is Minimax:
+        return "minimax"
+    if isinstance(value, functools.partial) and inspect.isclass(value.func) and not value.args:
+        return {"class": _plain(value.func), **value.keywords}
+    return f"{value.__module__}:{value.__qualname__}" if inspect.isclass(value) else value
+
+
+def _text(value: object) -> str:
+    """Return a value as the command line spells it."""
+    plain = _plain(value)
+    return plain if isinstance(plain, str) and _PLAIN.fullmatch(plain) else json.dumps(plain)
+
+
+def _listed(value: object) -> Sequence[object]:
+    return value if isinstance(value, Sequence) and not isinstance(value, str) else [value]
+
+
+def _importable(topology: Topology) -> Topology:
+    """Return a topology whose law another process can import. Raises UserError."""
+    law = topology.law
+    if isinstance(law, str) and law.startswith("__main__:"):
+        name = law.partition(":")[2]
+        where = getattr(sys.modules["__main__"], "__file__", None) or "this notebook or prompt"
+        raise UserError(
+            f"law: {name} is defined in {where}, which an agent process cannot import. Move the class to a module,"
+            " or use hedgerow.simulate.",
+            code=Code.LAW,
+        )
+    return topology

@@ -1,7 +1,7 @@
 """What a running plant can be asked: where it is, to pause and go on, and to let faults come and go.
 
 Every command is a query on `control/NAME` with JSON in it and JSON in the reply; `error` there says what is wrong.
-Whoever asks may be anybody: what is no request is refused in words (plant.request).
+Any process may send a request; a malformed one is refused with a message (plant.request).
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ class Control:
                 reply = {"error": f"{name}: asked too often; ask again a second later", "wait": True}
             except (UserError, MessageError) as error:
                 reply = {"error": f"{name}: {error}"}
-            with contextlib.suppress(zenoh.ZError):  # whoever asked has left, or we are leaving
+            with contextlib.suppress(zenoh.ZError):  # the sender has left, or this process is leaving
                 query.reply(asked if name == "join" else key, json.dumps(reply))
 
         return session.declare_queryable(key, direct(answer))
@@ -177,7 +177,7 @@ class Control:
         plant, at = self._plant, self._next
         wanted = None if request.get("fault") is None else requests.integer(request, "fault", 1, FOREVER)
         if wanted is not None and wanted > plant.world.fault_count:
-            raise UserError(f"there is no fault {wanted}; there are {plant.world.fault_count}")
+            raise UserError(f"there is no fault {wanted}; there are {plant.world.fault_count}", code=Code.FAULT)
         lost = {shard.fault for shard in plant.shards.all}
         ended = {}
         for one in plant.world.faults.effects:

@@ -46,7 +46,7 @@ def integer(request: Request, key: str, low: int, high: int) -> int:
     """An integer of low, …, high."""
     value = request.get(key)
     if type(value) is not int or not low <= value <= high:
-        raise UserError(f"{key}: {shortened(value)} is no integer from {low} to {high}")
+        raise UserError(f"{key}: {shortened(value)} is no integer from {low} to {high}", code=Code.OPTION)
     return value
 
 
@@ -54,7 +54,7 @@ def number(request: Request, key: str, low: float, high: float) -> float:
     """A number from low to high."""
     value = request.get(key)
     if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
-        raise UserError(f"{key}: {shortened(value)} is no number from {low:g} to {high:g}")
+        raise UserError(f"{key}: {shortened(value)} is no number from {low:g} to {high:g}", code=Code.OPTION)
     return float(value)
 
 
@@ -63,14 +63,14 @@ def text(request: Request, key: str) -> str | None:
     value = request.get(key)
     if value is None or (isinstance(value, str) and len(value) <= TEXT and value.isprintable()):
         return value
-    raise UserError(f"{key}: {shortened(value)} is no name")
+    raise UserError(f"{key}: {shortened(value)} is no name", code=Code.OPTION)
 
 
 def effects(request: Request, graph: Graph, fault: int) -> list[Effect]:
     """What a fault does, as the fault of this number."""
     written = request.get("effects")
     if not isinstance(written, list) or len(written) > EFFECTS or not all(isinstance(one, dict) for one in written):
-        raise UserError(f"effects: {shortened(written)} is no list of {EFFECTS} effects at most")
+        raise UserError(f"effects: {shortened(written)} is no list of {EFFECTS} effects at most", code=Code.FAULT)
     return [_effect(one, graph, fault) for one in written]
 
 
@@ -79,10 +79,10 @@ def _effect(one: Request, graph: Graph, fault: int) -> Effect:
     among = {"drop": 2 * e, "delay": 2 * e, "cut": e, "sensor": n, "actuator": n, "crash": n, "jump": n}
     kind = one.get("kind")
     if not isinstance(kind, str) or kind not in among:
-        raise UserError(f"kind: {shortened(kind)} is none of {', '.join(among)}")
+        raise UserError(f"kind: {shortened(kind)} is none of {', '.join(among)}", code=Code.FAULT)
     targets, table = _targets("targets", one.get("targets"), among[kind]), None
     if kind == "jump" and len(targets) != 1:
-        raise UserError(f"targets: a jump is of one node, and not of {len(targets)}")
+        raise UserError(f"targets: a jump is of one node, and not of {len(targets)}", code=Code.FAULT)
     if one.get("table") is not None:
         table = _table(one["table"], among[kind])
     return Effect(
@@ -102,19 +102,19 @@ def _targets(key: str, value: object, size: int) -> tuple[int, ...]:
     if isinstance(value, list) and all(type(one) is int and 0 <= one < size for one in value):
         if len({*value}) == len(value):
             return tuple(value)
-        raise UserError(f"{key}: {shortened(value)} names one twice")
-    raise UserError(f"{key}: {shortened(value)} is no list of integers below {size}")
+        raise UserError(f"{key}: {shortened(value)} names one twice", code=Code.FAULT)
+    raise UserError(f"{key}: {shortened(value)} is no list of integers below {size}", code=Code.FAULT)
 
 
 def _table(value: object, size: int) -> dict[int, tuple[int, ...]]:
     if not isinstance(value, dict):
-        raise UserError(f"table: {shortened(value)} is no object of targets by step")
+        raise UserError(f"table: {shortened(value)} is no object of targets by step", code=Code.FAULT)
     return {_step(key): _targets(f"table: {shortened(key)}", struck, size) for key, struck in value.items()}
 
 
 def _step(key: str) -> int:
     if not (key.isascii() and key.isdecimal() and len(key) <= len(str(FOREVER))) or int(key) > FOREVER:
-        raise UserError(f"table: {shortened(key)} is no step")
+        raise UserError(f"table: {shortened(key)} is no step", code=Code.FAULT)
     return int(key)
 
 
@@ -122,12 +122,12 @@ def entry(request: Request) -> Mapping[str, Any]:
     """A fault as a file spells it: an object whose steps can be counted on from."""
     value = request.get("entry")
     if not isinstance(value, dict) or text(value, "kind") is None:
-        raise UserError(f"entry: {shortened(value)} is no fault as a file spells it")
+        raise UserError(f"entry: {shortened(value)} is no fault as a file spells it", code=Code.FAULT)
     window, at = value.get("steps"), value.get("at")
     if "steps" in value and not (
         isinstance(window, list) and len(window) == 2 and all(type(step) is int and step >= 0 for step in window)
     ):
-        raise UserError(f"entry: steps: {shortened(window)} is no window of steps")
+        raise UserError(f"entry: steps: {shortened(window)} is no window of steps", code=Code.FAULT)
     if isinstance(at, dict):
         for key in at:
             _step(key)
@@ -139,5 +139,5 @@ def entry(request: Request) -> Mapping[str, Any]:
 def shard(who: str, shards: int) -> int:
     """Which of so many shards asks, by the last chunk of its key."""
     if not who.isascii() or not who.isdecimal() or len(who) > 9 or int(who) >= shards:
-        raise UserError(f"{shortened(who)} is none of the {shards} agent processes")
+        raise UserError(f"{shortened(who)} is none of the {shards} agent processes", code=Code.OPTION)
     return int(who)

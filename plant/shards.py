@@ -53,7 +53,7 @@ class Shard:
     word: dict[str, Any] | None = None
     """its last: what it said and heard, by key"""
     external: bool = False
-    """whoever runs it starts it again, and not we"""
+    """True if another program restarts the process, and not `up`."""
     claim: int = -1
     """the number of the process that asked for this place last, and was given it"""
     claimed_until: float = 0.0

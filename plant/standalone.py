@@ -11,7 +11,7 @@ from hedgerow.wire import standalone  # before Zenoh and numpy are loaded
 
 from hedgerow.plant.process import LOG, Plant  # isort: skip
 from hedgerow.plant.truth import Truth
-from hedgerow.topologies.errors import UserError, check_options
+from hedgerow.topologies.errors import Code, UserError, check_options
 from hedgerow.wire import config as configs
 from hedgerow.wire import keys
 from hedgerow.wire.child import stopped_by
@@ -35,7 +35,8 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         config = configs.find(known.config, f"{keys.PLANT}.toml")
         if config.process != keys.PLANT:
             raise UserError(
-                f"{known.config or configs.VARIABLE}: is of {config.process}; start it with `hedgerow-agent`"
+                f"{known.config or configs.VARIABLE}: is of {config.process}; start it with `hedgerow-agent`",
+                code=Code.OPTION,
             )
         return config
 

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import functools
+import inspect
+import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -57,3 +61,109 @@ def test_a_file_that_no_command_reads_is_refused_here_as_well(here: Path) -> Non
         with pytest.raises(hg.UserError) as raised:
             load("/dev/zero")
         assert raised.value.code == hg.Code.FILE_NOT_REGULAR
+
+
+def test_the_public_interface_is_this_and_no_more() -> None:
+    """A new name is a promise: add it here, to the tables of docs/python.md, and to CHANGELOG.md."""
+    assert hg.__all__ == [
+        *("Code", "HedgerowError", "Law", "Live", "Minimax", "Run", "Topology", "TopologyError", "UserError"),
+        *("bound", "load", "load_run", "report", "run", "simulate", "start", "sweep"),
+    ]
+    page = Path(__file__).parents[1].joinpath("docs/python.md").read_text()
+    assert set(re.findall(r"auto\w+:: (\w+)", page)) == {*hg.__all__}
+
+
+def test_every_public_attribute_has_a_docstring() -> None:
+    for name in hg.__all__:
+        public = getattr(hg, name)
+        assert inspect.getdoc(public), name
+        for attribute in vars(public) if inspect.isclass(public) and public is not hg.Code else ():
+            member = inspect.getattr_static(public, attribute)
+            if not attribute.startswith("_") and (callable(member) or isinstance(member, property)):
+                assert inspect.getdoc(member), f"{name}.{attribute}"
+
+
+def test_settings_are_those_of_the_command_line(here: Path) -> None:
+    assert hg.load(PAIR, "nodes.p.x0=2", steps=4).nodes["p"].x0 == 2.0
+    assert hg.simulate(PAIR, "defaults.x0=2", steps=4).x[0].tolist() == [2.0, 2.0]
+
+
+class Still(hg.Minimax):
+    """A law that acts on a share of the state."""
+
+    def __init__(self, b: Any, candidates: Any, *, share: float = 0.0) -> None:
+        super().__init__(b, candidates)
+        self.share = share
+
+    def act(self, x: Any) -> Any:
+        return self.share * x
+
+
+def test_a_law_is_a_name_or_a_class(here: Path) -> None:
+    assert hg.load(PAIR, law=hg.Minimax).law == "minimax"
+    still = hg.simulate(PAIR, "defaults.x0=1", law=Still)
+    assert not still.u.any()
+    assert hg.run(PAIR, "defaults.x0=1", law=Still) == still
+    assert hg.simulate(PAIR, "defaults.x0=1", law=functools.partial(Still, share=0.5)).u.any()
+
+
+def test_a_law_of_the_main_program_cannot_go_to_another_process(here: Path) -> None:
+    Path("mine.py").write_text(
+        "import hedgerow as hg\nclass Mine(hg.Minimax): pass\n"
+        "assert hg.simulate('paper7', law=Mine, steps=5).T == 5\n"
+        "try:\n    hg.run('paper7', law=Mine)\nexcept hg.UserError as error:\n    print(error.code.value)\n"
+    )
+    done = subprocess.run([sys.executable, "mine.py"], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == [hg.Code.LAW.value]
+
+
+def test_processes_over_zenoh_give_the_simulated_run(here: Path) -> None:
+    run = hg.run(PAIR, processes=1, verify=True)
+    assert run.verdict.verdict == "valid"
+    assert run.verdict.content["processes"] == 1
+    assert run == hg.simulate(PAIR) == hg.load_run(run.folder)
+    assert Path("runs").resolve() == run.folder.parent
+
+
+def test_a_started_network_is_controlled_and_stopped(here: Path) -> None:
+    with hg.start("paper7", rate=200, steps=100_000) as live:
+        lost = live.fault.drop((2, 4), steps=range(10))
+        live.wait_for_step(lost.step + 20)
+        run = live.stop()
+    assert isinstance(live, hg.Live)
+    assert run.missing((2, 4)) == list(range(lost.step, lost.step + 10))
+    assert run.verdict.verdict == "unknown"
+
+
+def test_a_network_that_does_not_start_leaves_no_folder(here: Path) -> None:
+    with pytest.raises(hg.UserError), hg.start(PAIR, viewer="nowhere"):
+        pass
+    with pytest.raises(hg.UserError):
+        hg.run(PAIR, viewer="nowhere")
+    assert not [*Path("runs").iterdir()]
+
+
+def test_a_sweep_is_a_table_of_its_runs(here: Path) -> None:
+    table = hg.sweep(PAIR, seeds=range(3), law=["minimax", "nominal"], jobs=1, out="swept")
+    assert table.num_rows == 6
+    assert set(table["verdict"].to_pylist()) == {"valid"}
+    assert set(table["law"].to_pylist()) == {"minimax", "nominal"}
+    with pytest.raises(hg.UserError):
+        hg.sweep(PAIR, seeds=range(0, 9, 2))
+
+
+def test_a_report_is_of_a_run_or_of_its_name(here: Path) -> None:
+    run = hg.simulate(PAIR, run_dir="first")
+    page, *figures = hg.report(run, "figures", figures="2", formats=["png"])
+    assert (page.name, len(figures)) == ("report.html", 1)
+    assert hg.report("first", "again", figures="2", formats=["png"])[1].read_bytes() == figures[0].read_bytes()
+
+
+def test_a_run_is_short_in_a_message_and_draws_itself(here: Path) -> None:
+    run = hg.simulate(PAIR, run_dir="first")
+    assert repr(run) == "<Run first: 6 steps of 2 nodes, valid>"
+    figure = run.plot("x", "regret", "gain")
+    assert [len(axis.lines) for axis in figure.axes] == [2, 2, 1]
+    for wrong in ("nothing", "ids", "_lost", "topology"):
+        with pytest.raises(hg.UserError):
+            run.plot(wrong)

@@ -144,7 +144,7 @@ def test_a_disk_that_fills_up_ends_the_run_with_what_was_recorded(record: bool, 
     assert "Traceback" not in done.stdout + done.stderr
     run = load_run("run")
     assert run.T > 100
-    assert run.verdict["verdict"] == "unknown"
+    assert run.verdict.verdict == "unknown"
     assert not list(here.glob("run/*.part")) + list(here.glob("run/*.sock"))
 
 
@@ -159,7 +159,7 @@ WALL_CLOCK = {
     "orchestrator/views/rerun/watch.py": "the name of a recording",
     "orchestrator/experiments/soak.py": "the name of a folder",
     "orchestrator/cli/soak.py": "the name of a folder",
-    "orchestrator/testing/running.py": "an entry of the registry",
+    "orchestrator/launch/running.py": "an entry of the registry",
     "orchestrator/cli/main.py": "since when a network runs, for people",
 }
 """Who may look at the wall clock, and what for: nobody waits by it."""

@@ -27,7 +27,7 @@ def test_that_never_ends():
     signal.pause()
 """
 ALL_OF_PAPER7 = 1 + 1 + 1 + 7
-"""the command, its nursery, the plant and the agents"""
+"""the command, its fork server, the plant and the agents"""
 
 
 def wait_until(true: Callable[[], bool], within_s: float = 60.0) -> None:

@@ -39,7 +39,9 @@ class Code(StrEnum):
     TOPOLOGY = "topology"
     FAULT = "fault"
     LAW = "law"
+    DEPENDENCY = "dependency"
     RUN_MISSING = "run-missing"
+    NOT_RECORDED = "not-recorded"
     NETWORK_MISSING = "network-missing"
     NETWORK_AMBIGUOUS = "network-ambiguous"
     # Circumstances: exit code 3.
@@ -68,9 +70,16 @@ class HedgerowError(Exception):
 
 
 class UserError(HedgerowError):
-    """A mistake that the user can correct; the command line exits with code 2 and prints no traceback."""
+    """A mistake that the user can correct; the command line exits with code 2 and prints no traceback.
+
+    Without a code of its own, a message that begins with an option is of that option.
+    """
 
     default_code = Code.USER
+
+    def __init__(self, *args: object, code: Code | None = None) -> None:
+        is_of_option = args and str(args[0]).startswith("--")
+        super().__init__(*args, code=code or (Code.OPTION if is_of_option else None))
 
 
 MOST = 1e9

@@ -53,7 +53,14 @@ def find(name: str) -> FilePath:
     """The file that `name` means: a path, the folder of a finished run, or a bundled name."""
     path = user_path(name)
     try:
-        if (path / "topology.yaml").is_file():
+        is_run = (path / "topology.yaml").is_file()
+        if name in bundled() and (is_run or path.is_file()):
+            what = "the run in" if is_run else "the file"
+            raise UserError(
+                f"{name}: can be the bundled network or {what} ./{name}. Write ./{name}, or {_bundled_file(name)}.",
+                code=Code.FILE_AMBIGUOUS,
+            )
+        if is_run:
             return path / "topology.yaml"
         if path.is_dir() and name not in bundled():
             raise UserError(
@@ -66,10 +73,14 @@ def find(name: str) -> FilePath:
             f"{name}: {error.strerror}; check the path and its permissions", code=Code.FILE_UNREADABLE
         ) from None
     if name in bundled():
-        return FilePath(str(resources.files("hedgerow.topologies") / f"{name}.yaml"))
+        return _bundled_file(name)
     near = difflib.get_close_matches(name, bundled(), 1)
     hint = f"did you mean {near[0]}? " if near else ""
     raise UserError(f"{name}: no such file; {hint}bundled names are {', '.join(bundled())}", code=Code.FILE_MISSING)
+
+
+def _bundled_file(name: str) -> FilePath:
+    return FilePath(str(resources.files("hedgerow.topologies") / f"{name}.yaml"))
 
 
 def load(name: str, overrides: Sequence[str] = ()) -> Topology:
@@ -433,7 +444,7 @@ def _problem(source: Source, details: ErrorDetails) -> Problem:
         "bool_type": ("is neither true nor false", "write one of the two"),
         "window": ("holds no step", "write [from, to): the first step, and the one after the last"),
         "empty": ("is empty", "put the lower bound first"),
-        "number": ("is not a number", cure_of_number(at)),
+        "number": ("is not a number", _cure_of_gain(shown) if path == ("b",) and _random(at) else cure_of_number(at)),
         "literal_error": ("is neither a number nor `random`", "write one of the two"),
         "string_type": ("is not text", cure_of_text(at, source.written(path))),
         "too_short": ("has too few members", f"at least {context.get('min_length')} are needed"),
@@ -452,6 +463,14 @@ _ABOUT_VALUE = frozenset(
         *("tuple_type", "dict_type", "model_type", "bool_type", "window"),
     )
 )
+
+
+def _random(value: Any) -> bool:
+    return isinstance(value, dict) and "random" in value
+
+
+def _cure_of_gain(shown: str) -> str:
+    return f"write a number here, and `defaults: {{b: {shown}}}` for gains that are drawn per node"
 
 
 def _no_fault(source: Source, details: ErrorDetails) -> Problem:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 import stat
+from io import BufferedReader
 from pathlib import Path
-from typing import BinaryIO
 
 from hedgerow.topologies import budget
 from hedgerow.topologies.errors import Code, UserError
@@ -23,7 +23,7 @@ def check_regular(path: Path, inside: Path | None = None) -> os.stat_result:
     return status
 
 
-def open_regular(path: Path, inside: Path | None = None) -> BinaryIO:
+def open_regular(path: Path, inside: Path | None = None) -> BufferedReader:
     """Open a regular file to read, in bytes; errors as of `check_regular`."""
     check_regular(path, inside)
     # Between the check and here the file can change. Without O_NONBLOCK, opening a FIFO would wait for a writer.
@@ -63,3 +63,10 @@ _KINDS = (
     (stat.S_ISCHR, "device"),
     (stat.S_ISBLK, "device"),
 )
+
+
+def last_text(path: Path, most: int = 2**16) -> str:
+    """Return the last `most` bytes of a regular file as text, for people; OSError passes."""
+    with open_regular(path) as file:
+        file.seek(max(os.fstat(file.fileno()).st_size - most, 0))
+        return file.read(most).decode(errors="replace")

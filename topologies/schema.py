@@ -351,7 +351,7 @@ def _all_nodes(value: Any) -> Any:
 class Record(Model):
     """What of a run is written down; metrics, checks and the verdict are of all nodes and steps in any case."""
 
-    every: Steps = Field(1, description="nodes and edges have rows at every so manieth step, and at the last")
+    every: Steps = Field(1, description="N: nodes and edges have rows at every Nth step, and at the last")
     nodes: (
         Annotated[
             Annotated[Annotated[StrictInt, Field(ge=0)], Tag("number")]

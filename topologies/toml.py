@@ -8,8 +8,11 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from hedgerow.topologies.errors import UserError
+from hedgerow.topologies import budget
+from hedgerow.topologies.errors import Code, UserError
+from hedgerow.topologies.json_file import memory
 
+_HEAD = re.compile(r"^[^=\n#]*", re.MULTILINE)
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 
 
@@ -32,10 +35,25 @@ def dumps(settings: Mapping[str, Any]) -> str:
 
 def loads(text: str, source: str) -> dict[str, Any]:
     """The settings in a text; UserError, which names its `source`, where it is not TOML."""
+    budget.require(source, memory(text.encode(errors="replace")) + _parsed(text))
     try:
         return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise UserError(f"{source}: is not TOML: {error}; take the file that `orchestrator bundle` wrote") from None
+    except (ValueError, RecursionError) as error:  # ValueError alone for a whole number of too many digits
+        why = "it is nested too deep" if isinstance(error, RecursionError) else error
+        raise UserError(
+            f"{source}: is not TOML: {why}; take the file that `orchestrator bundle` wrote", code=Code.FILE_FORMAT
+        ) from None
+
+
+def _parsed(text: str) -> int:
+    """Return the bytes that keys and tables of a text take while it is parsed, at most.
+
+    A key can be the only one of its table. The parser keeps three collections for each table and each part of a dotted
+    key, and a tuple of all parts before it.
+    """
+    dots: list[int] = [head.count(".") for head in _HEAD.findall(text)]
+    tables = sum(dots) + text.count("\n[")
+    return 300 * text.count("=") + 1300 * tables + 8 * sum(parts * parts for parts in dots)
 
 
 def _lines(settings: Mapping[str, Any]) -> list[str]:

@@ -6,9 +6,14 @@ import json
 import math
 from typing import Any, NoReturn
 
+from hedgerow.topologies import budget
+from hedgerow.topologies.json_file import memory
+
 MOST_BYTES = 2**28
 MOST_VALUES = 5_000_000
 """An upper bound of what a text holds, from its commas and brackets, before it is parsed."""
+_COPIES = 2
+"""the parsed value, and the one that is rebuilt from it"""
 MOST_DEPTH = 8
 """Ours have at most 5 levels. A deeper text could be parsed here, and overflow the stack where it is written again."""
 
@@ -22,6 +27,8 @@ def decode(text: bytes, most_bytes: int = MOST_BYTES) -> Any:
         raise ValueError(f"{len(text)} bytes, and at most {most_bytes} are read")
     if 1 + text.count(b",") + text.count(b"[") + text.count(b"{") > MOST_VALUES:
         raise ValueError(f"more than {MOST_VALUES} values")
+    if why := budget.excess(_COPIES * memory(text)):
+        raise ValueError(why)
     try:
         return _plain(json.loads(text.decode("utf-8"), parse_constant=_refuse_constant), MOST_DEPTH)
     except (RecursionError, MemoryError):

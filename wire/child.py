@@ -134,7 +134,7 @@ def _watch_signals(ends: Collection[signal.Signals]) -> None:
     if (stop := _stop) is not None:
         threading.Thread(target=stop, name="stop", daemon=True).start()  # not here, who must hear the next
         number = signal.sigwait(ends)
-    # Nothing is flushed: a log is written line by line, and whoever hangs in a full pipe would hold us too.
+    # Flush nothing: a log is written line by line, and a full pipe would block this process.
     os._exit(128 + number)
 
 

@@ -55,7 +55,10 @@ class Kind(IntEnum):
 
 
 class Flag(IntEnum):
-    """Bits of one incidence in a state message; in an input message, what the node took in: OPEN and HEAR."""
+    """Bits of one incidence in a state message; in an input message, what the node took in: OPEN and HEAR.
+
+    The six bits above these two count, in an input message, the late and back-filled rows that arrived.
+    """
 
     OPEN = 1
     """the edge carried flow at t - 1"""
@@ -67,6 +70,8 @@ class Flag(IntEnum):
 
 ALL_UP = Flag.OPEN | Flag.HEAR | Flag.TELL
 TAKEN = Flag.OPEN | Flag.HEAR
+LATE, MOST_LATE = 2, 63
+"""the lowest bit of the count of late rows, and the largest count, which also stands for more"""
 
 # To look up a member of an enumeration costs as much as to unpack a header, and to call a named tuple's class three
 # times that: the messages of every step do neither.

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from hedgerow.topologies import toml
-from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.errors import Code, UserError
+from hedgerow.topologies.regular_file import read_regular
 
 FILE = "told.toml"
 """Its name in a folder of the process's own."""
@@ -45,7 +46,10 @@ class Config:
         head = {key: told.pop(key, None) for key in ("process", "namespace", "router", "network")}
         missing = [key for key, value in head.items() if not isinstance(value, str)]
         if missing:
-            raise UserError(f"{source}: does not say {', '.join(missing)}; take what `orchestrator bundle` wrote")
+            raise UserError(
+                f"{source}: does not say {', '.join(missing)}; take what `orchestrator bundle` wrote",
+                code=Code.FILE_FORMAT,
+            )
         return cls(**head, credentials=str(told.pop("credentials", "")), told=told)
 
 
@@ -55,10 +59,12 @@ def find(path: Path | None, otherwise: str) -> Config:
         return Config.parse(text, VARIABLE)
     path = _file(path or Path(otherwise))
     try:
-        config = Config.parse(path.read_text(encoding="utf-8"), str(path))
+        config = Config.parse(read_regular(path).decode(), str(path))
     except (OSError, UnicodeDecodeError) as error:
         why = getattr(error, "strerror", None) or "is not a text"
-        raise UserError(f"{path}: {why}; `orchestrator bundle` writes it, --config says where it is") from None
+        raise UserError(
+            f"{path}: {why}; `orchestrator bundle` writes it, --config says where it is", code=Code.FILE_UNREADABLE
+        ) from None
     return replace(config, credentials=config.credentials and str(path.parent / config.credentials))
 
 

@@ -9,7 +9,8 @@ import stat
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.errors import Code, UserError
+from hedgerow.topologies.regular_file import open_regular
 
 LOG = logging.getLogger("keys")
 PRIVATE_KEY, CERTIFICATE, CA = "key.pem", "cert.pem", "ca.pem"
@@ -35,13 +36,15 @@ class Credentials:
 
         def text(name: str) -> bytes:
             try:
-                with (folder / name).open("rb") as file:
+                with open_regular(folder / name) as file:
                     found = file.read(MOST_BYTES + 1)
                     for_all = os.fstat(file.fileno()).st_mode & stat.S_IROTH
             except OSError as error:
-                raise UserError(f"no keys in {folder}: {name}: {error.strerror}") from None
+                raise UserError(f"no keys in {folder}: {name}: {error.strerror}", code=Code.FILE_UNREADABLE) from None
             if len(found) > MOST_BYTES:
-                raise UserError(f"no keys in {folder}: {name}: it is longer than {MOST_BYTES} bytes")
+                raise UserError(
+                    f"no keys in {folder}: {name}: it is longer than {MOST_BYTES} bytes", code=Code.FILE_FORMAT
+                )
             if for_all and name == PRIVATE_KEY:
                 LOG.warning("%s: everybody here may read it, and speak for its owner; chmod 600", folder / name)
             return found

@@ -10,7 +10,7 @@ from typing import Any
 
 import zenoh
 
-from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.errors import Code, UserError
 from hedgerow.wire import keys
 from hedgerow.wire.codec import VERSION
 from hedgerow.wire.release import release
@@ -49,7 +49,7 @@ def room(
     """Have the namespace for one plant while the block lasts, once nobody else has; or begin it when `stopped()`.
 
     UserError where another stays for longer than the token of a dead plant. Two plants in one namespace would end each
-    other's networks. So whoever wants to begin one shows a token, looks again, and goes on if it is alone. One that
+    other's networks. So a new plant shows a token, looks again, and goes on if it is alone. One that
     sees a smaller number withdraws: of two who see each other one is left, and one who began unseen is never disturbed.
     """
     ours, shown = keys.alive(keys.ROOM, f"{secrets.randbelow(10**10):010d}"), None
@@ -66,7 +66,7 @@ def room(
                 shown.undeclare()  # type: ignore[no-untyped-call]
                 shown = None
             if time.monotonic() > by:
-                raise UserError(f"{there}; end that run, or give another --namespace")
+                raise UserError(f"{there}; end that run, or give another --namespace", code=Code.REFUSED)
             if shown is None and not said:
                 say(f"{there}; waiting up to {LEASE_S:g} s for its end")
                 said = True

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,11 +31,11 @@ class History:
         """where `first` stands"""
         self._x, self._u = np.empty((0, states)), np.empty((0, inputs))
         self._bits = np.empty((0, bits), dtype=np.uint8)
-        self._background: deque[tuple[Array, Array, Flags]] = deque()
+        self._background: deque[tuple[Array | Sequence[float], Array | Sequence[float], Flags]] = deque()
         """the last rows, which do not stand in the arrays yet"""
         self._patience = min(ASIDE, most) if states + inputs < LONG else most + 1
 
-    def append(self, x: Array, u: Array, bits: Flags) -> None:
+    def append(self, x: Array | Sequence[float], u: Array | Sequence[float], bits: Flags) -> None:
         """The row of step `next`; nothing is kept where `most` is 0."""
         if not self.most:
             return

@@ -9,7 +9,7 @@ SEEN = "seen"
 ALIVE = "alive/**"
 PLANT = "plant"
 ROOM = "room"
-"""whoever is to begin a plant shows that there is no room for another"""
+"""The token of a process that is about to start a plant: no other plant may start."""
 COMMANDS = ("status", "stop", "pause", "resume", "step", "rate", "fault", "heal", "died")
 """what a plant can be asked; `died` is for `up` alone"""
 

@@ -18,6 +18,7 @@ import zenoh
 
 from hedgerow.topologies.errors import Code, DeadlineError, HedgerowError, UserError
 from hedgerow.topologies.escape import escape
+from hedgerow.topologies.json_file import read_json
 from hedgerow.wire.codec import MessageError
 from hedgerow.wire.credentials import Credentials, router_tls
 from hedgerow.wire.limits import limit_in
@@ -59,12 +60,17 @@ def check_endpoint(endpoint: str, option: str = "--router") -> None:
     try:
         zenoh.Config().insert_json5("connect/endpoints", json.dumps([endpoint]))
     except zenoh.ZError:
-        raise UserError(f"{option} {endpoint}: is no endpoint; write tcp/HOST:PORT, or tls/HOST:PORT") from None
+        raise UserError(
+            f"{option} {endpoint}: is no endpoint; write tcp/HOST:PORT, or tls/HOST:PORT", code=Code.OPTION
+        ) from None
     port = endpoint.partition("#")[0].partition("?")[0].rpartition(":")[2]
     if endpoint.startswith(("tcp/", "tls/")) and not (re.fullmatch("[0-9]+", port) and 1 <= int(port) <= MOST_PORT):
-        raise UserError(f"{option} {endpoint}: write a port from 1 to {MOST_PORT} after the host")
+        raise UserError(f"{option} {endpoint}: write a port from 1 to {MOST_PORT} after the host", code=Code.OPTION)
     if option == "--router" and endpoint.startswith("tls/["):  # "invalid dns name", and it would try for ever
-        raise UserError(f"{option} {endpoint}: Zenoh takes no IPv6 address for the name in a certificate; write a name")
+        raise UserError(
+            f"{option} {endpoint}: Zenoh takes no IPv6 address for the name in a certificate; write a name",
+            code=Code.OPTION,
+        )
 
 
 def check_namespace(namespace: str) -> None:
@@ -141,15 +147,18 @@ def _rules_in(credentials: Path) -> Mapping[str, object]:
     """What the router of a secure run keeps; one that kept nothing would let everybody in to everything."""
     whole = "take the folder `router`, whole, with --credentials"
     try:
-        rules: Any = json.loads((credentials / ACCESS).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+        rules: Any = read_json(credentials / ACCESS)
+    except (OSError, UserError) as error:
         why = getattr(error, "strerror", None) or error
         raise WireError(f"{credentials}: no keys of a router: {ACCESS}: {why}; {whole}") from None
     control = rules.get("access_control") if isinstance(rules, dict) else None
     if not (
         isinstance(control, dict) and control.get("enabled") is True and control.get("default_permission") == "deny"
     ):
-        raise UserError(f"{credentials / ACCESS}: does not refuse what it does not allow (`access_control`); {whole}")
+        raise UserError(
+            f"{credentials / ACCESS}: does not refuse what it does not allow (`access_control`); {whole}",
+            code=Code.FILE_FORMAT,
+        )
     return cast("Mapping[str, object]", rules)
 
 
@@ -157,7 +166,9 @@ def remove_trace(path: Path | str) -> None:
     """Remove what must not outlive a run, a file or a whole folder, if it is there: its socket, its private keys."""
     with contextlib.suppress(OSError):
         Path(path).unlink()
-    shutil.rmtree(path, ignore_errors=True)
+    # What is no folder was unlinked above. If that failed, rmtree would open it, and wait for a FIFO's writer.
+    if Path(path).is_dir() and not Path(path).is_symlink():
+        shutil.rmtree(path, ignore_errors=True)
 
 
 def open_client(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import secrets
+import socket
 import stat
 import tempfile
 from collections.abc import Iterator
@@ -24,17 +25,37 @@ _RANDOM_BYTES = 8
 def socket_folder() -> Path:
     """Return the path of a new folder for one socket; the caller makes it with mode 0700, and removes it.
 
-    The first of these lies in it that is writable, short and plain: XDG_RUNTIME_DIR, the folder for temporary files,
-    /tmp, /var/tmp, /dev/shm. Raises HedgerowError (Code.LIMIT) if there is none.
+    It lies in the first of these that is writable, short and plain and can hold a socket: XDG_RUNTIME_DIR, the folder
+    for temporary files, /tmp, /var/tmp, /dev/shm. Raises HedgerowError (Code.LIMIT) if there is none.
     """
     for base in _bases():
         folder = base / f"hedgerow-{secrets.token_hex(_RANDOM_BYTES)}"
         plain = _PLAIN.fullmatch(str(folder)) is not None and len(str(folder / _SOCKET)) <= MAX_PATH_BYTES
-        if plain and base.is_dir() and os.access(base, os.W_OK | os.X_OK):
+        if plain and base.is_dir() and _takes_sockets(folder):
             return folder
     raise HedgerowError(
-        "no folder for a Unix socket: every candidate is read-only. Set XDG_RUNTIME_DIR", code=Code.LIMIT
+        "no folder for a Unix socket: every candidate is read-only, or its file system has no sockets. Set"
+        " XDG_RUNTIME_DIR to another folder.",
+        code=Code.LIMIT,
     )
+
+
+def _takes_sockets(folder: Path) -> bool:
+    """Return True if `folder` can be made and hold a socket; some file systems of networks and containers have none."""
+    try:
+        folder.mkdir(mode=0o700)
+    except OSError:
+        return False
+    try:
+        with socket.socket(socket.AF_UNIX) as probe:
+            probe.bind(str(folder / _SOCKET))
+    except OSError:
+        return False
+    else:
+        return True
+    finally:
+        socket_in(folder).unlink(missing_ok=True)
+        folder.rmdir()
 
 
 def socket_in(folder: Path) -> Path:
@@ -42,11 +63,11 @@ def socket_in(folder: Path) -> Path:
     return folder / _SOCKET
 
 
-def locator(socket: Path) -> str:
+def locator(path: Path) -> str:
     """Return the Zenoh endpoint of a socket. Raises HedgerowError for a path that Zenoh would cut or misread."""
-    if _PLAIN.fullmatch(str(socket)) is None:
-        raise HedgerowError(f"{socket}: a Zenoh endpoint cannot hold this path. Choose a plain one.", code=Code.WIRE)
-    return f"{_SCHEME}{socket}"
+    if _PLAIN.fullmatch(str(path)) is None:
+        raise HedgerowError(f"{path}: a Zenoh endpoint cannot hold this path. Choose a plain one.", code=Code.WIRE)
+    return f"{_SCHEME}{path}"
 
 
 def check_socket(endpoint: str, option: str) -> None:
@@ -68,9 +89,9 @@ def check_socket(endpoint: str, option: str) -> None:
             )
 
 
-def _is_left_by_a_router(one: str, socket: str) -> bool:
+def _is_left_by_a_router(one: str, endpoint: str) -> bool:
     status = os.lstat(one)
-    return stat.S_ISSOCK(status.st_mode) or (one != socket and stat.S_ISREG(status.st_mode) and status.st_size == 0)
+    return stat.S_ISSOCK(status.st_mode) or (one != endpoint and stat.S_ISREG(status.st_mode) and status.st_size == 0)
 
 
 def _bases() -> Iterator[Path]:

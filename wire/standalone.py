@@ -17,7 +17,7 @@ for _name, _value in runtime_environment().items():
 
 import zenoh  # noqa: E402
 
-from hedgerow.topologies.errors import DeadlineError, UserError, check_options  # noqa: E402
+from hedgerow.topologies.errors import Code, DeadlineError, UserError, check_options  # noqa: E402
 from hedgerow.topologies.escape import echo, escape  # noqa: E402
 from hedgerow.topologies.paths import user_path  # noqa: E402
 from hedgerow.wire import keys  # noqa: E402
@@ -85,7 +85,8 @@ def told(config: Config, read: Callable[[dict[str, Any]], Any]) -> Any:
     except (KeyError, TypeError, ValueError) as error:
         problem = f"{type(error).__name__}: {error}"
         raise UserError(
-            f"config of {config.process}: {problem}; take the file that `orchestrator bundle` wrote for it, whole"
+            f"config of {config.process}: {problem}; take the file that `orchestrator bundle` wrote for it, whole",
+            code=Code.FILE_FORMAT,
         ) from None
 
 

@@ -7,10 +7,14 @@ from typing import Annotated
 
 import typer
 
+from hedgerow.orchestrator.cli import complete
+from hedgerow.orchestrator.cli.names import INSPECT
 from hedgerow.topologies.escape import echo
 from hedgerow.topologies.paths import user_path
 
-Run = Annotated[str, typer.Argument(metavar="[RUN]", help="a run's folder, or its name in runs/")]
+Run = Annotated[
+    str, typer.Argument(metavar="[RUN]", help="a run folder, or its name in runs/", autocompletion=complete.runs)
+]
 To = Annotated[str, typer.Option(metavar="csv|parquet|npz|mat", help="tables, or named arrays")]
 Out = Annotated[
     Path | None,
@@ -21,7 +25,7 @@ Force = Annotated[bool, typer.Option("--force", help="replace files that are the
 
 def register(app: typer.Typer) -> None:
     """Add these commands to the operator's."""
-    app.command()(export)
+    app.command(rich_help_panel=INSPECT)(export)
 
 
 def export(to: To, run: Run = "runs/latest", out: Out = None, force: Force = False) -> int:
@@ -31,5 +35,5 @@ def export(to: To, run: Run = "runs/latest", out: Out = None, force: Force = Fal
 
     recorded = load_run(run)
     files = exports.export(recorded, to, out, force)
-    echo(f"{recorded.T} steps of {recorded.run}: {', '.join(map(str, files))}")
+    echo(f"{recorded.T} steps of {recorded.name}: {', '.join(map(str, files))}")
     return 0

@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from hedgerow.orchestrator.cli.names import EXPERIMENT
 from hedgerow.orchestrator.cli.options import AsJson, File, Law, Sets
 from hedgerow.topologies.errors import UserError
 from hedgerow.topologies.escape import echo
@@ -26,13 +27,13 @@ Out = Annotated[Path, typer.Option(parser=user_path, metavar="FILE", help="the n
 
 def register(app: typer.Typer) -> None:
     """Add these commands to the operator's."""
-    app.command()(bound)
-    app.command()(worst)
+    app.command(rich_help_panel=EXPERIMENT)(bound)
+    app.command(rich_help_panel=EXPERIMENT)(worst)
 
 
 def bound(file: File, full: Full = False, sets: Sets = None, as_json: AsJson = False) -> int:
     """Compute upper bounds on the gain of the adaptive law that hold under faults, each with a certificate."""
-    from hedgerow.orchestrator.cli.main import read  # noqa: PLC0415
+    from hedgerow.orchestrator.cli.topology import read  # noqa: PLC0415
     from hedgerow.orchestrator.experiments.bounds import bound as bounds_of  # noqa: PLC0415
 
     found = bounds_of(read(file, sets), full=full)
@@ -52,7 +53,7 @@ def worst(
     as_json: AsJson = False,
 ) -> int:
     """Search the disturbance with the largest gain, and write a network whose run repeats it; run again to go on."""
-    from hedgerow.orchestrator.cli.main import read  # noqa: PLC0415
+    from hedgerow.orchestrator.cli.topology import read  # noqa: PLC0415
     from hedgerow.orchestrator.experiments.worst import worst as search  # noqa: PLC0415
     from hedgerow.orchestrator.ground.laws import checked  # noqa: PLC0415
     from hedgerow.orchestrator.ground.signals import Interrupts  # noqa: PLC0415

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from hedgerow.orchestrator.cli.names import DEPLOY, INSPECT
 from hedgerow.orchestrator.cli.options import AsJson, File, Processes
 from hedgerow.topologies.escape import command, echo
 from hedgerow.topologies.paths import user_path
@@ -21,12 +22,12 @@ MATRIX_MOST = 16
 
 def register(app: typer.Typer) -> None:
     """Add these commands to the operator's."""
-    app.command()(keys)
-    app.command()(audit)
+    app.command(rich_help_panel=DEPLOY)(keys)
+    app.command(rich_help_panel=INSPECT)(audit)
 
 
 def _places(file: str, processes: int | None) -> tuple[str, list[Place]]:
-    from hedgerow.orchestrator.cli.main import read  # noqa: PLC0415
+    from hedgerow.orchestrator.cli.topology import read  # noqa: PLC0415
     from hedgerow.orchestrator.ground.assignment import layout, places, views_of  # noqa: PLC0415
 
     topology = read(file, None, processes=processes)

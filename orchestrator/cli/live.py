@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hedgerow.orchestrator.cli.names import Commands
+from hedgerow.orchestrator.cli.names import WATCH, Commands
 from hedgerow.orchestrator.cli.options import AsJson
 from hedgerow.topologies.escape import echo
 
@@ -38,9 +38,9 @@ Number = Annotated[int | None, typer.Argument(metavar="[ID]", help="the fault's 
 
 def register(app: typer.Typer) -> None:
     """Add these commands to the operator's."""
-    app.add_typer(faults, name="fault")
+    app.add_typer(faults, name="fault", rich_help_panel=WATCH)
     for command in (heal, pause, resume, step, rate):
-        app.command()(command)
+        app.command(rich_help_panel=WATCH)(command)
 
 
 def _with(run: str | None, as_json: bool, ask: Callable[[Live], tuple[str, dict[str, Any]]]) -> int:

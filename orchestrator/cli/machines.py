@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from hedgerow.orchestrator.cli.names import DEPLOY
 from hedgerow.orchestrator.cli.options import File, Law, Processes, Seed, Sets, Steps
 from hedgerow.topologies.errors import Code, UserError, check_options
 from hedgerow.topologies.escape import echo
@@ -22,8 +23,8 @@ Namespace = Annotated[str | None, typer.Option(metavar="KEY", help="where all me
 
 def register(app: typer.Typer) -> None:
     """Add the commands."""
-    app.command()(bundle)
-    app.command()(compose)
+    app.command(rich_help_panel=DEPLOY)(bundle)
+    app.command(rich_help_panel=DEPLOY)(compose)
 
 
 def bundle(
@@ -45,7 +46,7 @@ def bundle(
     sets: Sets = None,
 ) -> int:
     """Write what each process is told, a file each, to carry to other machines, and how to start them there."""
-    from hedgerow.orchestrator.cli.main import read  # noqa: PLC0415
+    from hedgerow.orchestrator.cli.topology import read  # noqa: PLC0415
     from hedgerow.orchestrator.deploy.bundle import write, write_secure  # noqa: PLC0415
     from hedgerow.orchestrator.ground.assignment import layout, places, views_of  # noqa: PLC0415
     from hedgerow.orchestrator.launch.certificates import LIFE_DAYS  # noqa: PLC0415
@@ -68,7 +69,7 @@ def bundle(
             with whole_folder(out, f"--out {out}") as part:
                 write(part, topology, told)
     except OSError as error:
-        raise UserError(f"--out {out}: {error.strerror}; choose another folder") from None
+        raise UserError(f"--out {out}: {error.strerror}; choose another folder", code=Code.OUTPUT) from None
     echo(f"{out}: {len(told)} processes; {out / 'README.md'} says how to start them")
     return 0
 
@@ -111,7 +112,7 @@ def compose(
     sets: Sets = None,
 ) -> int:
     """Print a Compose file, or Kubernetes manifests, that run a network in containers."""
-    from hedgerow.orchestrator.cli.main import read  # noqa: PLC0415
+    from hedgerow.orchestrator.cli.topology import read  # noqa: PLC0415
     from hedgerow.orchestrator.deploy.compose import MOST_BYTES, to_compose  # noqa: PLC0415
     from hedgerow.orchestrator.deploy.containers import containers, provide_keys  # noqa: PLC0415
     from hedgerow.orchestrator.deploy.kubernetes import MOST_MAP_BYTES, to_kubernetes  # noqa: PLC0415
@@ -149,5 +150,5 @@ def compose(
     try:
         write_private(out, text.encode())
     except OSError as error:
-        raise UserError(f"--out {out}: {error.strerror}; choose another name") from None
+        raise UserError(f"--out {out}: {error.strerror}; choose another name", code=Code.OUTPUT) from None
     return 0

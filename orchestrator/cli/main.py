@@ -7,7 +7,6 @@ import functools
 import json
 import os
 import signal
-import subprocess
 import sys
 import tempfile
 import threading
@@ -19,6 +18,7 @@ from typing import TYPE_CHECKING, Annotated, TextIO
 import typer
 
 from hedgerow.orchestrator.cli import compare as cli_compare
+from hedgerow.orchestrator.cli import detached
 from hedgerow.orchestrator.cli import files as cli_files
 from hedgerow.orchestrator.cli import gain as cli_gain
 from hedgerow.orchestrator.cli import importing as cli_importing
@@ -27,22 +27,25 @@ from hedgerow.orchestrator.cli import laws as cli_laws
 from hedgerow.orchestrator.cli import live as cli_live
 from hedgerow.orchestrator.cli import machines as cli_machines
 from hedgerow.orchestrator.cli import report as cli_report
+from hedgerow.orchestrator.cli import runs as cli_runs
 from hedgerow.orchestrator.cli import soak as cli_soak
 from hedgerow.orchestrator.cli import sweep as cli_sweep
 from hedgerow.orchestrator.cli import watch as cli_watch
 from hedgerow.orchestrator.cli.exit_code import code_of_run, leave, run_to_exit_code
-from hedgerow.orchestrator.cli.names import Commands
-from hedgerow.orchestrator.cli.options import AsJson, File, Law, RunDir, Seed, Sets, Steps
+from hedgerow.orchestrator.cli.names import EXPERIMENT, INSPECT, RUN, WATCH, Commands
+from hedgerow.orchestrator.cli.options import AsJson, File, Law, Quiet, RunDir, Running, Seed, Sets, Steps
+from hedgerow.orchestrator.cli.topology import importable, read
 from hedgerow.orchestrator.launch.fork_client import ForkClient
 from hedgerow.topologies.errors import Code, DeadlineError, UserError, check_options
 from hedgerow.topologies.escape import command, echo
 from hedgerow.topologies.paths import user_path
-from hedgerow.wire import start
 from hedgerow.wire.child import escape_warnings
 from hedgerow.wire.runtime import let_numbers_overflow
 
-# What a topology needs takes most of a second to load: each command loads what it needs itself.
+# A topology takes most of a second to load: each command imports what it needs itself.
 if TYPE_CHECKING:
+    from hedgerow.orchestrator.ground.assignment import Layout
+    from hedgerow.orchestrator.launch.external_agents import External
     from hedgerow.orchestrator.runs.folder import RunFolder
     from hedgerow.orchestrator.views.screen import Screen
     from hedgerow.topologies.schema import Topology
@@ -50,10 +53,9 @@ if TYPE_CHECKING:
 app = typer.Typer(
     name="orchestrator",
     cls=Commands,
-    help="Networks of agents that hedge with their neighbours, each its own process, over Zenoh.",
+    help="Run networks of independent controllers, each its own process, over Zenoh.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    add_completion=False,
     rich_markup_mode=None,
 )
 _BEGAN = time.monotonic()
@@ -61,19 +63,34 @@ _FORK_CLIENT: ForkClient | None = None
 
 Record = Annotated[bool, typer.Option("--record/--no-record", help="write run.rrd")]
 SplitRecording = Annotated[
-    float, typer.Option(metavar="MB", min=0, help="go on in run-001.rrd and so on past so many MB, 0 for never")
+    float,
+    typer.Option(metavar="MB", min=0, help="size of a file of the recording, 0 for one file"),
 ]
-Plain = Annotated[bool, typer.Option("--plain", help="lines rather than a live table, on a terminal too")]
-RunName = Annotated[
-    str | None, typer.Argument(metavar="[RUN]", help="a running network's name [the only one, or that of this folder]")
-]
+Plain = Annotated[bool, typer.Option("--plain", help="print lines instead of a live table")]
 Viewer = Annotated[
-    str, typer.Option(metavar="native|web|none|URL", help="where to watch live [native, if there is a display]")
+    str, typer.Option(metavar="native|web|none|URL", help="viewer that follows the run [native, if there is a display]")
 ]
+
+
+def _print_version(asked: bool) -> None:
+    if asked:
+        from hedgerow.wire.release import release  # noqa: PLC0415
+
+        echo(f"hedgerow {release('hedgerow')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _whole(
+    version: Annotated[
+        bool, typer.Option("--version", help="print the version and exit", callback=_print_version, is_eager=True)
+    ] = False,
+) -> None:
+    """Run networks of independent controllers, each its own process, over Zenoh."""
 
 
 def run_command(began: float, fork_client: ForkClient | None) -> None:
-    """Run the command line and leave with its exit code; `began` is when the process did, by time.monotonic()."""
+    """Run the command line, and exit with its code. `began` is the start of the process by time.monotonic()."""
     global _BEGAN, _FORK_CLIENT
     _BEGAN, _FORK_CLIENT = began, fork_client
     let_numbers_overflow()
@@ -81,30 +98,7 @@ def run_command(began: float, fork_client: ForkClient | None) -> None:
     leave(run_to_exit_code(lambda: app(standalone_mode=False) or 0))
 
 
-def _importable(topology: Topology, file: str = "") -> Topology:
-    """Return the topology with a checked law: a law that fails to load is better known before a run begins.
-
-    `file` is the name of the topology. If it is in the folder of a run that kept another source of the law, say so.
-    """
-    from hedgerow.orchestrator.ground.law_source import FOLDER, differs  # noqa: PLC0415
-    from hedgerow.orchestrator.ground.laws import checked  # noqa: PLC0415
-    from hedgerow.topologies.load import find  # noqa: PLC0415
-
-    if file and ":" in topology.law and (said := differs(topology.law, find(file).parent / FOLDER)):
-        echo(said, error=True)
-    return checked(topology)
-
-
-def read(file: str, sets: list[str] | None, **replace: object) -> Topology:
-    from hedgerow.topologies.load import find, load  # noqa: PLC0415
-    from hedgerow.topologies.override import Override  # noqa: PLC0415
-    from hedgerow.topologies.resolve import resolve  # noqa: PLC0415
-
-    options = [Override.of_option(key, value) for key, value in replace.items() if value is not None]
-    return resolve(load(file, [*options, *(sets or [])]), find(file).parent)
-
-
-@app.command()
+@app.command(rich_help_panel=RUN)
 def up(
     file: File,
     processes: Annotated[
@@ -126,42 +120,41 @@ def up(
     record: Record = True,
     split_recording: SplitRecording = 256.0,
     router: Annotated[
-        str | None, typer.Option(metavar="ENDPOINT", help="use this Zenoh router, e.g. tcp/host:7447")
+        str | None, typer.Option(metavar="ENDPOINT", help="an existing Zenoh router, such as tcp/host:7447")
     ] = None,
     secure: Annotated[
-        bool | None, typer.Option("--secure/--open", help="certificates for all, and a router that refuses the rest")
+        bool | None, typer.Option("--secure/--open", help="give every process a certificate, and refuse all others")
     ] = None,
     keys: Annotated[
         Path | None,
-        typer.Option(parser=user_path, metavar="DIR", help="what `orchestrator keys` made, for a router that is there"),
+        typer.Option(parser=user_path, metavar="DIR", help="keys from `orchestrator keys`, for an existing router"),
     ] = None,
     external: Annotated[
-        str | None, typer.Option(metavar="NAMES", help="nodes that are started elsewhere, `all`, `plant`")
+        str | None, typer.Option(metavar="NAMES", help="processes that start elsewhere: nodes, `all`, `plant`")
     ] = None,
     listen: Annotated[
-        str | None, typer.Option(metavar="ENDPOINT", help="open a port for them, e.g. tcp/0.0.0.0:7447")
+        str | None,
+        typer.Option(metavar="ENDPOINT", help="port to open for them, such as tcp/0.0.0.0:7447"),
     ] = None,
-    namespace: Annotated[str | None, typer.Option(metavar="KEY", help="where all of them meet [hedgerow/NAME]")] = None,
+    namespace: Annotated[str | None, typer.Option(metavar="KEY", help="prefix of all keys [hedgerow/NAME]")] = None,
     wait: Annotated[
-        float | None, typer.Option(metavar="S", help="seconds that they have to come [600, on Ray 120]")
+        float | None,
+        typer.Option(metavar="S", help="seconds to wait for them [600, on Ray 120]"),
     ] = None,
-    on: Annotated[
-        str | None, typer.Option(metavar="ray|ray://HOST:PORT", help="the cluster that the agents live on")
-    ] = None,
-    deadline: Annotated[float, typer.Option(metavar="S", help="seconds to wait for an agent before going on")] = 10.0,
-    verify: Annotated[bool, typer.Option("--verify", help="compare with the in-process reference afterwards")] = False,
-    detach: Annotated[bool, typer.Option("--detach", help="return once it runs")] = False,
-    lifeline: Annotated[bool, typer.Option("--lifeline", help="end when standard input does")] = False,
+    on: Annotated[str | None, typer.Option(metavar="ray|ray://HOST:PORT", help="cluster that runs the agents")] = None,
+    deadline: Annotated[float, typer.Option(metavar="S", help="seconds to wait for an agent at a step")] = 10.0,
+    verify: Annotated[bool, typer.Option("--verify", help="repeat the run here, and compare all bits")] = False,
+    detach: Annotated[bool, typer.Option("--detach", help="return after the first step; the network runs on")] = False,
+    lifeline: Annotated[bool, typer.Option("--lifeline", help="end the run when standard input ends")] = False,
     plain: Plain = False,
+    quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> int:
-    """Run a network: one process an agent, one for the plant, over Zenoh."""
+    """Run a network over Zenoh, with one process per agent and one for the plant."""
     if lifeline and detach:
-        raise UserError(
-            "--lifeline --detach: choose one; what runs in the background has no standard input to end with"
-        )
+        raise UserError("--lifeline --detach: choose one; a network in the background has no standard input")
     if lifeline:
-        threading.Thread(target=_end_with_standard_input, name="lifeline", daemon=True).start()
+        threading.Thread(target=detached.end_with_standard_input, name="lifeline", daemon=True).start()
     from hedgerow.orchestrator.ground.assignment import layout, places, views_of  # noqa: PLC0415
     from hedgerow.orchestrator.launch.endpoints import check as check_security  # noqa: PLC0415
     from hedgerow.orchestrator.launch.endpoints import meeting_place  # noqa: PLC0415
@@ -172,25 +165,18 @@ def up(
 
     check_options(rate=rate, deadline=deadline, wait=wait)
     count_of: object = int(processes) if processes and processes.lstrip("-").isdecimal() else processes
-    topology = _importable(read(file, sets, steps=steps, seed=seed, law=law, processes=count_of, secure=secure), file)
+    topology = importable(read(file, sets, steps=steps, seed=seed, law=law, processes=count_of, secure=secure), file)
     shards = layout(topology, topology.process_count)
     where = places(views_of(topology, shards))
     check_security(topology.secure, router, keys, where, external is not None, listen, namespace)
     if keys is not None and (on is not None or external is not None):
         router, namespace = meeting_place(keys, where, router, listen, namespace)
-    elsewhere = None
     if on is not None:
         _check_cluster(on, external)
-    elif external is not None:
-        from hedgerow.orchestrator.launch.external_agents import chosen, namespace_of  # noqa: PLC0415
-
-        meet = namespace or namespace_of(topology)
-        elsewhere = chosen(external, topology, shards, router, listen, meet, wait or 600.0)
-    elif listen or namespace:
-        raise UserError("--listen and --namespace are for processes that are started elsewhere: name them, --external")
+    elsewhere = None if on is not None else _elsewhere(external, topology, shards, router, listen, namespace, wait)
     viewer = _viewer(viewer, keep)
     if detach:
-        return _start_detached()
+        return detached.start_detached()
     stack = contextlib.ExitStack()
     on_ray = None
     if on is not None:
@@ -199,16 +185,17 @@ def up(
         on_ray = stack.enter_context(chosen_on_ray(on, topology, shards, router, listen, namespace, wait))
         elsewhere = on_ray.external
     folder = folders.create(topology, run_dir)
-    display = stack.enter_context(contextlib.closing(screen(topology, as_json, plain, watched=viewer != "none")))
+    shown = screen(topology, as_json, plain, quiet, watched=viewer != "none")
+    display = stack.enter_context(contextlib.closing(shown))
     _introduce(topology, len(shards), folder, display)
     watching = Watching(record, viewer, split_recording, _keeps(keep, display))
     options = Options(rate, deadline, router, keys, elsewhere, on_ray, watching, verify)
 
     def on_first_step(after_s: float) -> None:
         display.say(f"running: first step after {after_s:.2f} s")
-        if os.environ.get(_DETACHED):
+        if detached.is_detached():
             display.say(f"running in the background; `{command(['orchestrator', 'stop', folder.name])}` ends it")
-            _let_go_of_terminal(folder.logs / "up.log")
+            detached.release_terminal(folder.logs / "up.log")
 
     with stack:
         fork_client = stack.enter_context(contextlib.closing(_FORK_CLIENT or ForkClient()))
@@ -228,8 +215,31 @@ def _is_terminal(stream: TextIO | None) -> bool:
         return False
 
 
+def _elsewhere(
+    external: str | None,
+    topology: Topology,
+    shards: Layout,
+    router: str | None,
+    listen: str | None,
+    namespace: str | None,
+    wait: float | None,
+) -> External | None:
+    """Return the processes that start elsewhere, None if `up` starts all of them. Raises UserError."""
+    if external is None:
+        if listen or namespace:
+            raise UserError(
+                "--listen and --namespace: are for processes that start elsewhere. Name them with --external.",
+                code=Code.OPTION,
+            )
+        return None
+    from hedgerow.orchestrator.launch.external_agents import chosen, namespace_of  # noqa: PLC0415
+
+    meet = namespace or namespace_of(topology)
+    return chosen(external, topology, shards, router, listen, meet, wait or 600.0)
+
+
 def _check_cluster(on: str, external: str | None) -> None:
-    """Raise UserError for what does not go together with a cluster, and for what names none."""
+    """Raise UserError if `external` is given too, or if `on` names no cluster."""
     from hedgerow.orchestrator.launch.ray_cluster import check  # noqa: PLC0415
 
     if external is not None:
@@ -238,7 +248,7 @@ def _check_cluster(on: str, external: str | None) -> None:
 
 
 def _introduce(topology: Topology, processes: int, folder: RunFolder, display: Screen) -> None:
-    """Say what is run, and what of it is written down."""
+    """Print the size of the network, the run folder, and the rows that are recorded."""
     from hedgerow.orchestrator.metrics.summary import count  # noqa: PLC0415
     from hedgerow.orchestrator.runs.selection import told  # noqa: PLC0415
 
@@ -250,79 +260,8 @@ def _introduce(topology: Topology, processes: int, folder: RunFolder, display: S
         display.say(line)
 
 
-def _end_with_standard_input() -> None:
-    """Whoever started us holds the other end of the pipe; even SIGKILL makes them let go of it."""
-    while os.read(0, 4096):
-        pass
-    # SIGTERM may be ignored, and then the kernel would drop it.
-    numbers = (signal.SIGTERM, signal.SIGHUP, signal.SIGINT)
-    os.kill(os.getpid(), next((one for one in numbers if not start.ignored([one])), signal.SIGKILL))
-
-
-_DETACHED = "HEDGEROW_DETACHED"
-_END_DEADLINE_S = 30.0
-"""How long a network has to end that was to be detached."""
-
-
-def _start_detached() -> int:
-    """Run the same command in a session of its own; until its first step, relay what it says, and Ctrl-C to it."""
-    asked: list[int] = []
-    process = None
-
-    def end(number: int, _: object) -> None:
-        asked.append(number)
-        if process is not None:
-            process.terminate()
-            threading.Thread(target=_kill_later, args=(process,), daemon=True).start()
-
-    for number in (signal.SIGINT, signal.SIGTERM):
-        start.handle(number, end)
-    command = [
-        sys.executable,
-        "-P",
-        "-m",
-        "hedgerow.orchestrator",
-        *(word for word in sys.argv[1:] if word != "--detach"),
-    ]
-    process = subprocess.Popen(
-        command,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        start_new_session=True,
-        env=os.environ | {_DETACHED: "1"},
-    )
-    if asked:  # while it was started
-        end(asked[0], None)
-    assert process.stdout is not None
-    for line in process.stdout:
-        echo(line.decode(errors="replace"), end="")
-    try:
-        code = process.wait(timeout=1.0)
-    except subprocess.TimeoutExpired:
-        code = 0
-    if asked:
-        process.wait()
-        code = 128 + asked[0]
-    return code
-
-
-def _kill_later(process: subprocess.Popen[bytes]) -> None:
-    try:
-        process.wait(_END_DEADLINE_S)
-    except subprocess.TimeoutExpired:
-        process.kill()
-
-
-def _let_go_of_terminal(log: Path) -> None:
-    sys.stdout.flush()
-    descriptor = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
-    os.dup2(descriptor, 1)
-    os.dup2(descriptor, 2)
-
-
 def _viewer(asked: str, keep: bool | None = None) -> str:
-    """Return the viewer that `asked` names here; UserError if a page is to be kept and no page is asked for."""
+    """Return the viewer that `asked` names. Raises UserError if `keep` is given without a page."""
     choice = asked
     if asked != "none":
         from hedgerow.orchestrator.views.rerun.viewer import choose  # noqa: PLC0415
@@ -333,7 +272,7 @@ def _viewer(asked: str, keep: bool | None = None) -> str:
     return choice
 
 
-@app.command()
+@app.command(rich_help_panel=RUN)
 def simulate(
     file: File,
     steps: Steps = None,
@@ -345,9 +284,10 @@ def simulate(
     record: Record = True,
     split_recording: SplitRecording = 256.0,
     plain: Plain = False,
+    quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> int:
-    """Run the same network in this one process, without Zenoh: the reference, and the quick way."""
+    """Run a network in this process, without Zenoh; the result has the same bits as that of `up`."""
     from hedgerow.orchestrator.ground.assignment import layout  # noqa: PLC0415
     from hedgerow.orchestrator.launch.recording import Watching  # noqa: PLC0415
     from hedgerow.orchestrator.launch.simulation import simulate_into  # noqa: PLC0415
@@ -355,36 +295,34 @@ def simulate(
     from hedgerow.orchestrator.runs.selection import told  # noqa: PLC0415
     from hedgerow.orchestrator.views.screen import screen  # noqa: PLC0415
 
-    topology = _importable(read(file, sets, steps=steps, seed=seed, law=law), file)
+    topology = importable(read(file, sets, steps=steps, seed=seed, law=law), file)
     folder = folders.create(topology, run_dir)
     viewer = _viewer(viewer)
-    with contextlib.closing(screen(topology, as_json, plain, watched=viewer != "none")) as display:
+    with contextlib.closing(screen(topology, as_json, plain, quiet, watched=viewer != "none")) as display:
         for line in filter(None, [folder.note, *told(topology)]):
             display.say(line)
         watching = Watching(record, viewer, split_recording)
         return code_of_run(simulate_into(topology, folder, layout(topology, 1), watching, display), display)
 
 
-@app.command()
+@app.command(rich_help_panel=RUN)
 def check(
     file: File,
     steps: Steps = None,
     seed: Seed = None,
     law: Law = None,
     sets: Sets = None,
-    import_law: Annotated[
-        bool, typer.Option("--import-law", help="load the law as well: a law is code, and runs then")
-    ] = False,
+    import_law: Annotated[bool, typer.Option("--import-law", help="also import the law, which runs its code")] = False,
 ) -> int:
-    """Validate a topology file and show what it says, node by node; exit code 2 and every mistake if it is wrong."""
+    """Validate a topology file and print its nodes; exit code 2 and all mistakes if it is wrong."""
     from hedgerow.orchestrator.metrics.summary import table  # noqa: PLC0415
 
     topology = read(file, sets, steps=steps, seed=seed, law=law)
-    echo(table(_importable(topology) if import_law else topology))
+    echo(table(importable(topology) if import_law else topology))
     return 0
 
 
-@app.command()
+@app.command(rich_help_panel=INSPECT)
 def schema() -> int:
     """Print the JSON Schema of topology files, for editors."""
     from hedgerow.topologies.schema import Topology  # noqa: PLC0415
@@ -393,9 +331,9 @@ def schema() -> int:
     return 0
 
 
-@app.command()
+@app.command(rich_help_panel=WATCH)
 def ps(as_json: AsJson = False) -> int:
-    """List the networks that are running."""
+    """List the running networks."""
     from hedgerow.orchestrator.runs import registry  # noqa: PLC0415
 
     entries = registry.running()
@@ -410,9 +348,9 @@ def ps(as_json: AsJson = False) -> int:
     return 0
 
 
-@app.command()
-def status(run: RunName = None, as_json: AsJson = False) -> int:
-    """Say how far a running network is."""
+@app.command(rich_help_panel=WATCH)
+def status(run: Running = None, as_json: AsJson = False) -> int:
+    """Print the step of a running network, and the agents that it waits for."""
     from hedgerow.orchestrator.launch.live import Live, where  # noqa: PLC0415
 
     with Live(run) as live:
@@ -421,12 +359,12 @@ def status(run: RunName = None, as_json: AsJson = False) -> int:
     return 0
 
 
-@app.command()
+@app.command(rich_help_panel=WATCH)
 def stop(
-    run: RunName = None,
-    deadline: Annotated[float, typer.Option(metavar="S", help="seconds to wait for its end")] = 20.0,
+    run: Running = None,
+    deadline: Annotated[float, typer.Option(metavar="S", help="seconds to wait for the end")] = 20.0,
 ) -> int:
-    """End a running network cleanly, as Ctrl-C does, and wait until it is gone."""
+    """End a running network as Ctrl-C does, and wait for its end."""
     from hedgerow.orchestrator.launch.live import Live  # noqa: PLC0415
     from hedgerow.orchestrator.runs import registry  # noqa: PLC0415
     from hedgerow.wire.session import WireError  # noqa: PLC0415
@@ -435,8 +373,8 @@ def stop(
     entry = registry.find(run)
     try:
         with Live(entry) as live:
-            live.stop()
-    except WireError:  # the plant is gone or frozen: then its parent must see to it
+            live.ask_to_stop()
+    except WireError:  # the plant is gone or frozen: ask its parent process
         with contextlib.suppress(ProcessLookupError):
             os.kill(entry.pid, signal.SIGTERM)
     until = time.monotonic() + deadline
@@ -448,15 +386,15 @@ def stop(
     return 0
 
 
-@app.command()
+@app.command(rich_help_panel=EXPERIMENT)
 def chaos(
     seed: Annotated[
-        int, typer.Option(metavar="N", min=0, help="the first seed; all that happens is drawn from it")
+        int, typer.Option(metavar="N", min=0, help="first seed; it determines the network and the faults")
     ] = 0,
-    runs: Annotated[int, typer.Option(min=1, help="how many seeds to try, one after the other")] = 1,
-    nodes: Annotated[int, typer.Option(min=2, max=200, help="networks of 2 to so many nodes")] = 12,
+    runs: Annotated[int, typer.Option(min=1, help="number of seeds to try")] = 1,
+    nodes: Annotated[int, typer.Option(min=2, max=200, help="largest number of nodes of a network")] = 12,
 ) -> int:
-    """Run random networks under random faults until one misbehaves, and leave the least file that does; exit code 1."""
+    """Run random networks under random faults until a check fails; write the smallest file that fails; exit code 1."""
     from hedgerow.orchestrator.experiments.chaos import hunt, write  # noqa: PLC0415
 
     with tempfile.TemporaryDirectory(prefix="hedgerow-") as scratch:
@@ -479,6 +417,7 @@ cli_importing.register(app)
 cli_keys.register(app)
 cli_laws.register(app)
 cli_report.register(app)
+cli_runs.register(app)
 cli_soak.register(app)
 cli_sweep.register(app)
 cli_watch.register(app)

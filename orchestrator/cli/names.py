@@ -19,8 +19,30 @@ _MEANT = {
 }
 
 
+RUN, WATCH, INSPECT, EXPERIMENT, DEPLOY = "Run", "Watch and control", "Inspect", "Experiment", "Deploy"
+"""The panels of the help text, in its order."""
+
+
 class Commands(typer.core.TyperGroup):
-    """A group that knows what a word means that is no command: close spelling alone takes `help` for `heal`."""
+    """A group of commands in panels, which also knows the command that a wrong word means.
+
+    Close spelling alone would suggest `heal` for `help`.
+    """
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write the commands in their panels, each with its whole first sentence."""
+        panels: dict[str, list[tuple[str, str]]] = {name: [] for name in (RUN, WATCH, INSPECT, EXPERIMENT, DEPLOY)}
+        for name in self.list_commands(ctx):
+            command = self.get_command(ctx, name)
+            if command is None:
+                continue
+            panel = getattr(command, "rich_help_panel", None)
+            shown = panel if isinstance(panel, str) else "Commands"
+            panels.setdefault(shown, []).append((name, command.get_short_help_str(limit=10_000)))
+        for panel, commands in panels.items():
+            if commands:
+                with formatter.section(panel):
+                    formatter.write_dl(commands)
 
     # Some releases of typer bring a click of their own, so that no type of click fits all of them.
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:

@@ -7,9 +7,23 @@ from typing import Annotated
 
 import typer
 
+from hedgerow.orchestrator.cli import complete
 from hedgerow.topologies.paths import user_path
 
-File = Annotated[str, typer.Argument(metavar="FILE", help="a topology file, a bundled name, or the folder of a run")]
+File = Annotated[
+    str,
+    typer.Argument(
+        metavar="FILE", help="a topology file, a bundled name, or a run folder", autocompletion=complete.networks
+    ),
+]
+Running = Annotated[
+    str | None,
+    typer.Argument(
+        metavar="[RUN]",
+        help="name of a running network [the only one, or that of this folder]",
+        autocompletion=complete.running,
+    ),
+]
 Sets = Annotated[list[str] | None, typer.Option("--set", metavar="PATH=VALUE", help="replace a value of the file")]
 Steps = Annotated[int | None, typer.Option(help="replace `steps:`")]
 Seed = Annotated[int | None, typer.Option(help="replace `seed:`")]
@@ -17,5 +31,6 @@ Law = Annotated[str | None, typer.Option(help="replace `law:`")]
 RunDir = Annotated[
     Path | None, typer.Option(parser=user_path, metavar="DIR", help="the run's folder, new or empty [runs/NAME-TIME]")
 ]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="print the verdict and nothing else")]
 AsJson = Annotated[bool, typer.Option("--json", help="one JSON object on standard output")]
 Processes = Annotated[int | None, typer.Option(metavar="P", help="agent processes [one a node]")]

@@ -7,11 +7,16 @@ from typing import Annotated
 
 import typer
 
+from hedgerow.orchestrator.cli import complete
+from hedgerow.orchestrator.cli.names import INSPECT
 from hedgerow.topologies.escape import echo
 from hedgerow.topologies.paths import user_path
 
 Runs = Annotated[
-    list[str] | None, typer.Argument(metavar="[RUN ...]", help="runs' folders, or their names in runs/ [runs/latest]")
+    list[str] | None,
+    typer.Argument(
+        metavar="[RUN ...]", help="run folders, or names in runs/ [runs/latest]", autocompletion=complete.runs
+    ),
 ]
 Out = Annotated[Path | None, typer.Option(parser=user_path, metavar="DIR", help="the folder to write [RUN-report]")]
 Figures = Annotated[str | None, typer.Option(metavar="2,4,...", help="only these figures [all]")]
@@ -23,7 +28,7 @@ Force = Annotated[bool, typer.Option("--force", help="replace a report that is t
 
 def register(app: typer.Typer) -> None:
     """Add this command to the operator's."""
-    app.command()(report)
+    app.command(rich_help_panel=INSPECT)(report)
 
 
 def report(

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from hedgerow.orchestrator.cli.names import EXPERIMENT
 from hedgerow.orchestrator.cli.options import RunDir
 from hedgerow.topologies.escape import echo
 
@@ -21,7 +22,7 @@ Faults = Annotated[bool, typer.Option("--faults/--no-faults", help="let things g
 
 def register(app: typer.Typer) -> None:
     """Add this command to the operator's."""
-    app.command()(soak)
+    app.command(rich_help_panel=EXPERIMENT)(soak)
 
 
 def soak(
@@ -34,7 +35,7 @@ def soak(
     faults: Faults = True,
 ) -> int:
     """Run a network for long under faults; exit code 1 if memory, threads, open files or pace do not stay flat."""
-    from hedgerow.orchestrator.cli.main import read  # noqa: PLC0415
+    from hedgerow.orchestrator.cli.topology import read  # noqa: PLC0415
     from hedgerow.orchestrator.experiments.soak import LEAST_MINUTES, LEAST_WARM_UP_S, run_soak  # noqa: PLC0415
     from hedgerow.topologies.errors import UserError, check_options  # noqa: PLC0415
 

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from hedgerow.orchestrator.cli.names import EXPERIMENT
 from hedgerow.orchestrator.launch.ray_cluster import check
 from hedgerow.topologies.errors import UserError
 from hedgerow.topologies.paths import user_path
@@ -27,7 +28,7 @@ On = Annotated[str | None, typer.Option(metavar="ray|ray://HOST:PORT", help="the
 
 def register(app: typer.Typer) -> None:
     """Add this command to the operator's."""
-    app.command()(sweep)
+    app.command(rich_help_panel=EXPERIMENT)(sweep)
 
 
 def sweep(

@@ -6,16 +6,18 @@ from typing import Annotated
 
 import typer
 
+from hedgerow.orchestrator.cli import complete
+from hedgerow.orchestrator.cli.names import INSPECT, WATCH
+from hedgerow.orchestrator.cli.options import Running
 from hedgerow.topologies.errors import UserError
 from hedgerow.topologies.escape import command, echo
 
-Running = Annotated[
-    str | None, typer.Argument(metavar="[RUN]", help="a running network's name [the only one, or that of this folder]")
-]
 Runs = Annotated[
     list[str] | None,
     typer.Argument(
-        metavar="[RUN]...", help="a run's folder, or its name in runs/; several on the same axes [the latest]"
+        metavar="[RUN]...",
+        help="a run folder, or its name in runs/; several are drawn on the same axes [the latest]",
+        autocompletion=complete.runs,
     ),
 ]
 Viewer = Annotated[str, typer.Option(metavar="native|web|URL", help="where to show it [native, if there is a display]")]
@@ -23,8 +25,8 @@ Viewer = Annotated[str, typer.Option(metavar="native|web|URL", help="where to sh
 
 def register(app: typer.Typer) -> None:
     """Add these commands to the operator's."""
-    app.command()(watch)
-    app.command(name="open")(open_)
+    app.command(rich_help_panel=WATCH)(watch)
+    app.command(name="open", rich_help_panel=INSPECT)(open_)
 
 
 def watch(run: Running = None, viewer: Viewer = "auto") -> int:

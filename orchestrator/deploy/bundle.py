@@ -46,8 +46,8 @@ the others itself; with `--external plant,all --router {quoted_router}` the plan
 
 README_SECURE = """# {name}, on your machines, secure
 
-A folder here is what one process is told, with its keys, and all that it needs. Carry each to its machine, and no
-other: whoever has an agent's folder can speak for that agent. The keys hold for {days:g} days. `observer`, `operator`,
+A folder here holds all that one process needs, with its keys. Carry each to its machine, and no other: the holder of
+an agent's folder can speak for that agent. The keys hold for {days:g} days. `observer`, `operator`,
 `router` and `plant` stay on the operator's machine, unless the router or the plant lives elsewhere.
 
 On each machine, once, with the wheel of this release beside it (`pip wheel --no-deps .` in the project makes it):

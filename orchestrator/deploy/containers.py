@@ -163,7 +163,8 @@ def containers(
         if rules > MOST_SECRET_BYTES:
             raise UserError(
                 f"{topology.name}: the router's rules are {rules} bytes, a secret holds at most {MOST_SECRET_BYTES}:"
-                " use fewer --processes, or `orchestrator bundle --secure`"
+                " use fewer --processes, or `orchestrator bundle --secure`",
+                code=Code.TOPOLOGY,
             )
         told = [replace(one, credentials=f"{KEYS}/{one.process}") for one in told]
     told = [_named(one) for one in told]
@@ -173,7 +174,8 @@ def containers(
     if size > most_bytes:
         raise UserError(
             f"{topology.name}: {largest} is told {size} bytes, and a container at most {most_bytes}: use more"
-            " --processes, or `orchestrator bundle`, whose files can be of any size"
+            " --processes, or `orchestrator bundle`, whose files can be of any size",
+            code=Code.TOPOLOGY,
         )
     services = dict(zip(homes, (one.process for one in told), strict=True))
     return Containers(topology, told, rate, services, folder, registry.rstrip("/"))

@@ -28,6 +28,7 @@ from hedgerow.orchestrator.deploy.containers import (
     Containers,
     Files,
 )
+from hedgerow.topologies.regular_file import read_regular
 from hedgerow.topologies.resolve import to_yaml
 from hedgerow.wire import keys
 from hedgerow.wire.access import ROUTER
@@ -148,7 +149,7 @@ def _secrets(one: Containers, network: str, files: Files) -> Iterator[Mapping[st
     """A Secret for each of the folders of keys."""
     for home, secret in _mounted(one, files).items():
         assert one.keys is not None
-        held = {file: base64.b64encode((one.keys / home / file).read_bytes()).decode() for file in files[home]}
+        held = {file: base64.b64encode(read_regular(one.keys / home / file)).decode() for file in files[home]}
         yield {"apiVersion": "v1", "kind": "Secret", "metadata": _meta(network, secret), "data": held}
 
 

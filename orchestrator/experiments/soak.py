@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import csv
-import json
 import subprocess
 import sys
 import threading
@@ -26,9 +25,11 @@ from pydantic import TypeAdapter
 from hedgerow.orchestrator.ground.signals import Interrupts
 from hedgerow.orchestrator.launch.live import Live
 from hedgerow.orchestrator.runs import registry
+from hedgerow.orchestrator.runs.files import load_events, read_verdict
 from hedgerow.orchestrator.runs.folder import RunFolder
 from hedgerow.topologies.errors import DeadlineError, HedgerowError
 from hedgerow.topologies.faults import Fault
+from hedgerow.topologies.regular_file import last_text
 from hedgerow.topologies.resolve import to_yaml
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire.session import WireError
@@ -51,7 +52,7 @@ LEAST_MINUTES = 0.25
 """In less there is nothing to draw a line through."""
 YOUNG_S = 5.0
 """A process that took another's place is not judged before it has taken part for so long: until then it learns."""
-ALONE = ("up", "nursery", "plant")
+ALONE = ("up", "fork server", "plant")
 HISTORY = 1000
 """Past steps that are kept for back-filling: with the 100,000 of a file that says nothing, memory grows until there are
 so many."""
@@ -144,7 +145,7 @@ def run_soak(
         with contextlib.suppress(subprocess.TimeoutExpired):
             up.wait(END_DEADLINE_S)
     _write(folder.path / "soak.csv", samples)
-    verdict = json.loads(folder.verdict.read_text(encoding="utf-8")) if folder.verdict.exists() else {}
+    verdict = read_verdict(folder.path)
     trends = trends_of(samples)
     for trend in worth_saying(trends):
         say(str(trend))
@@ -192,13 +193,12 @@ def _entry(up: subprocess.Popen[bytes], folder: RunFolder, records: bool) -> reg
     """The run among those that run, once it has made a step and all of it is loaded."""
     until = time.monotonic() + START_DEADLINE_S
     while not (
-        folder.events.exists()
-        and '"first_step"' in folder.events.read_text(encoding="utf-8")
+        any(event["event"] == "first_step" for event in load_events(folder.path))
         and (folder.recording.exists() or not records)
     ):
         if up.poll() is not None:
             log = folder.path.with_name(f".{folder.name}.log")
-            raise HedgerowError(f"{folder.name}: ended at once: {log.read_text(encoding='utf-8').strip()[-500:]}")
+            raise HedgerowError(f"{folder.name}: ended at once: {last_text(log, 500).strip()}")
         if time.monotonic() > until:
             raise DeadlineError(f"{folder.name}: no step after {START_DEADLINE_S:g} s; see {folder.logs}")
         time.sleep(0.05)
@@ -241,7 +241,7 @@ def look(up: psutil.Process, t_s: float, step: int) -> Iterator[Sample]:
             memory = process.memory_full_info()
             name = "up" if process == up else process.name()
             if name.startswith("python"):
-                name = "nursery"
+                name = "fork server"
             pss, rss = getattr(memory, "pss", memory.rss) / 1e6, memory.rss / 1e6
             if rss:
                 yield Sample(t_s, step, name, process.pid, pss, rss, process.num_threads(), process.num_fds())

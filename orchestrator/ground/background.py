@@ -1,4 +1,4 @@
-"""A thread for what a loop need not wait for, and which leaves the processor to whoever else wants it."""
+"""A thread for jobs that the loop does not wait for; it yields the processor to other threads."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from collections.abc import Callable
 Job = Callable[[], None]
 
 WAITING, WAITING_BYTES = 4, 2**27
-"""jobs that may wait, and what they may hold on to, one at least; whoever hands over one more waits too"""
+"""Limits on the number and size of waiting jobs, at least one; a caller with one more waits."""
 NICE = 3
-"""half of the share of others, not nothing: whoever waits for Python's lock waits for this thread"""
+"""Half of the share of other threads. More would delay a thread that waits for Python's lock."""
 
 
 class BackgroundThread:

@@ -22,6 +22,7 @@ from types import ModuleType
 from hedgerow.agents.loading import law_class
 from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.law_choice import LawChoice
+from hedgerow.topologies.regular_file import read_regular
 
 FOLDER = "law"
 """the name of the copy in the folder of a run or a sweep"""
@@ -62,7 +63,7 @@ class LawSource:
         with contextlib.suppress(OSError):
             for path in sorted(folder.rglob("*.py")):
                 if path.is_file() and not path.is_symlink() and path.stat().st_size <= LARGEST:
-                    files[path.relative_to(folder).as_posix()] = path.read_bytes()
+                    files[path.relative_to(folder).as_posix()] = read_regular(path)
         return cls(files)
 
 
@@ -154,7 +155,7 @@ def _user_files(first: ModuleType) -> Iterator[tuple[ModuleType, str, bytes]]:
         root = path.parents[min(depth, len(path.parents) - 1)]
         with contextlib.suppress(OSError):
             if path.stat().st_size <= LARGEST:
-                text = path.read_bytes()
+                text = read_regular(path)
                 yield module, path.relative_to(root).as_posix(), text
                 for name in _imported(module, text):
                     if name not in seen and (used := sys.modules.get(name)) is not None:

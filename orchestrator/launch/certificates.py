@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 from hedgerow.orchestrator.runs.folder import whole_folder
 from hedgerow.plant.request import BYTES_PER_INCIDENCE, LEAST_BYTES
-from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.errors import Code, UserError
+from hedgerow.topologies.json_file import read_json
 from hedgerow.wire import keys
 from hedgerow.wire.access import OBSERVER, ROUTER, Place, rights, rules
 from hedgerow.wire.credentials import CA, CERTIFICATE, PRIVATE_KEY
@@ -34,14 +35,16 @@ SETTINGS, CONFIGURATION = "settings.json", "zenohd.json5"
 
 
 class Authority:
-    """Signs certificates; whoever holds one of them may connect, under the name in it."""
+    """An authority that signs certificates; the holder of one may connect under the name in it."""
 
     def __init__(self, days: float = LIFE_DAYS) -> None:
         """Raises UserError where the library for it is not installed."""
         try:
             from cryptography.hazmat.primitives.asymmetric import ec  # noqa: PLC0415
         except ImportError:
-            raise UserError("--secure: needs cryptography. Install it with: pip install cryptography") from None
+            raise UserError(
+                "--secure: needs cryptography. Install it with: pip install cryptography", code=Code.DEPENDENCY
+            ) from None
         now = datetime.now(UTC)
         self._from, self.until = now - SLACK, now + timedelta(days=days)
         self._key = ec.generate_private_key(ec.SECP256R1())
@@ -165,7 +168,7 @@ def to_carry(
             write_private(part / ROUTER / ACCESS, json.dumps(kept).encode())
             more(part)
     except OSError as error:
-        raise UserError(f"{folder}: {error.strerror}; choose another folder") from None
+        raise UserError(f"{folder}: {error.strerror}; choose another folder", code=Code.OUTPUT) from None
     return [*granted, ROUTER]
 
 
@@ -183,11 +186,15 @@ def carried(folder: Path, places: Sequence[Place]) -> tuple[str, str]:
     """The endpoint and the namespace that credentials in a folder were made for; UserError if not for this network."""
     again = "`orchestrator keys` and `orchestrator bundle --secure` make one"
     try:
-        settings = json.loads((folder / OBSERVER / SETTINGS).read_text(encoding="utf-8"))
+        settings = read_json(folder / OBSERVER / SETTINGS)
         endpoint, namespace, made_for = settings["endpoint"], settings["namespace"], settings["rules"]
         until = datetime.fromisoformat(settings["until"])
+        if not isinstance(endpoint, str) or not isinstance(namespace, str) or until.tzinfo is None:
+            raise TypeError("settings of another form")
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise UserError(f"--keys {folder}: no folder of keys: {type(error).__name__}: {error}; {again}") from None
+        raise UserError(
+            f"--keys {folder}: no folder of keys: {type(error).__name__}: {error}; {again}", code=Code.FILE_FORMAT
+        ) from None
     if made_for != _digest(rules(places, namespace, plant_is_client=True)):
         raise UserError(f"--keys {folder}: made for another network, other processes, or by another release; {again}")
     if datetime.now(UTC) > until:
@@ -205,7 +212,9 @@ def host_of(endpoint: str, option: str = "--router") -> str:
     protocol, _, address = endpoint.partition("/")
     host, _, port = address.rpartition(":")
     if protocol != "tls" or not host or not port.isdigit():
-        raise UserError(f"{option} {endpoint}: a secure network needs a router that speaks TLS: tls/HOST:PORT")
+        raise UserError(
+            f"{option} {endpoint}: a secure network needs a router that speaks TLS: tls/HOST:PORT", code=Code.OPTION
+        )
     return host.strip("[]")
 
 

@@ -6,12 +6,12 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from hedgerow.orchestrator.launch.recording import Run, Watching, same_tables
+from hedgerow.orchestrator.launch.recording import Recording, Watching, same_tables
 from hedgerow.orchestrator.launch.simulation import simulate_into
 from hedgerow.orchestrator.metrics.verdict import Comparison
 from hedgerow.orchestrator.runs.folder import RunFolder, create
 from hedgerow.orchestrator.views.screen import Quiet
-from hedgerow.topologies.errors import HedgerowError
+from hedgerow.topologies.errors import HedgerowError, UserError
 from hedgerow.topologies.schema import Topology
 
 
@@ -29,7 +29,7 @@ class Difference:
         return f"node {self.node}: {self.column} is {self.value!r}, and {self.reference!r} in the reference"
 
 
-def compare(run: Run) -> Comparison:
+def compare(run: Recording) -> Comparison:
     """Compare the tables of a finished run with those of the in-process reference, bit for bit.
 
     A failure on the way, a signal or a full disk, says nothing of the run: then it is not compared.
@@ -50,7 +50,10 @@ def _beside(topology: Topology, folder: RunFolder, reference: RunFolder) -> Comp
         return Comparison(None, cause=reasons)
     if same_tables(folder.path, reference.path):
         return Comparison(True)
-    difference = first_difference(folder.path, reference.path)
+    try:
+        difference = first_difference(folder.path, reference.path)
+    except UserError as error:  # the tables differ, whatever hinders that the place is found
+        return Comparison(False, cause=f"other tables; {error}")
     if difference is None:
         return Comparison(False, cause="other tables or columns")
     return Comparison(False, step=difference.step, cause=str(difference))
@@ -58,9 +61,9 @@ def _beside(topology: Topology, folder: RunFolder, reference: RunFolder) -> Comp
 
 def first_difference(one: Path, other: Path) -> Difference | None:
     """Return the first value in which the telemetry of two run folders differs, or None."""
-    import pyarrow.parquet as pq  # noqa: PLC0415
+    from hedgerow.orchestrator.runs.table import Table  # noqa: PLC0415 (Arrow takes a while to load)
 
-    tables = [pq.read_table(folder / "telemetry.parquet") for folder in (one, other)]
+    tables = [Table(folder, "telemetry").whole() for folder in (one, other)]
     if tables[0].column_names != tables[1].column_names:
         return None
     rows = min(len(table) for table in tables)

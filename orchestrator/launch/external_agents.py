@@ -21,6 +21,7 @@ from hedgerow.orchestrator.ground.assignment import Layout, process_name, truth_
 from hedgerow.orchestrator.launch.control import ask
 from hedgerow.orchestrator.launch.endpoints import Connection
 from hedgerow.topologies.errors import Code, DeadlineError, HedgerowError, UserError
+from hedgerow.topologies.regular_file import open_regular
 from hedgerow.topologies.resolve import to_yaml
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire import keys
@@ -34,6 +35,8 @@ PLANT_GONE_S = 30.0
 """How long the plant may be out of sight before a run is given up; a cable that was pulled is put back sooner."""
 PLANT = -1
 """The plant among the numbers of shards."""
+_MOST_LOG = 2**20
+"""bytes of a log that are read at once"""
 OWN_START_S = 60.0
 """How much longer our own processes may take to begin than the others have to come."""
 ANY_HOST = ("0.0.0.0", "[::]")
@@ -189,9 +192,10 @@ class Meeting:
         """Whom our router refused since the last time, if it is in our plant; each cause is told once."""
         if not self._log.exists():
             return []
-        with self._log.open("rb") as log:
+        with open_regular(self._log) as log:
             log.seek(self._read)
-            lines = log.read().rpartition(b"\n")[0]
+            # Strangers can make the router write as much as they like: the rest is read the next time.
+            lines = log.read(_MOST_LOG).rpartition(b"\n")[0]
         self._read += len(lines)
         found = {why for line in lines.decode(errors="replace").splitlines() if (why := refused(line))}
         self._refused, new = self._refused | found, found - self._refused

@@ -19,7 +19,7 @@ from hedgerow.topologies.schema import Topology
 def with_fault(topology: Topology, entry: Mapping[str, Any]) -> Topology:
     """The topology with one fault more, as a file spells it; HedgerowError if it is none of this network.
 
-    `Live` has checked it before, yet whoever reaches the plant can ask for what it likes.
+    `Live` has checked it before, but any process that reaches the plant can send a request.
     """
     try:
         more = _with(topology, entry)

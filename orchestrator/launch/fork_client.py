@@ -25,7 +25,7 @@ END_DEADLINE_S = 5.0
 
 
 def _leave_ctrl_c_to_us() -> None:
-    """Who asks for the end asks us; the nursery's own part is to end when we do."""
+    """Signals go to this process; the fork server ends when this process does."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
@@ -58,15 +58,15 @@ class ForkClient:
         self.on_end: Callable[[], None] = lambda: None
         """called when somebody has ended, on a thread of ours"""
         self.error = ""
-        """what ended the nursery, in its own words"""
+        """The last error text of the fork server."""
         self._closing = False
         self._changed = threading.Condition()
-        self._listener = threading.Thread(target=self._listen, name="nursery", daemon=True)
+        self._listener = threading.Thread(target=self._listen, name="fork server", daemon=True)
         self._listener.start()
 
     @staticmethod
     def _ignored() -> list[str]:
-        """What tells the nursery that its children ignore SIGINT, as we do; it ignores SIGINT itself in any case."""
+        """Return the argument that makes the children ignore SIGINT, if this process does."""
         return ["--ignore-sigint"] if start.ignored([signal.SIGINT]) else []
 
     def _listen(self) -> None:
@@ -83,7 +83,7 @@ class ForkClient:
                 self.on_end()
         with self._changed:
             if not self._closing:
-                self.codes["nursery"] = self._process.wait() or 1
+                self.codes["fork server"] = self._process.wait() or 1
             self._changed.notify_all()
         self.on_end()
 
@@ -95,7 +95,7 @@ class ForkClient:
         self._tell(name=name, module=module, arguments=list(arguments), log=str(log))
 
     def leave_no(self, paths: Sequence[Path]) -> None:
-        """Have these files and folders removed when the nursery ends, as it does, with its processes, if we die."""
+        """Have these files and folders removed when the fork server ends, as it does, with its processes, if we die."""
         self._tell(leave=list(map(str, paths)))
 
     def _tell(self, **what: object) -> None:
@@ -123,16 +123,16 @@ class ForkClient:
         """Wait until these have ended, as far as they were forked, at most so long."""
         with self._changed:
             self._changed.wait_for(
-                lambda: "nursery" in self.codes or self.pids.keys() & names <= self.codes.keys(), timeout_s
+                lambda: "fork server" in self.codes or self.pids.keys() & names <= self.codes.keys(), timeout_s
             )
 
     def clear(self) -> None:
-        """End whoever is still there, at once; return when all are gone and forgotten."""
+        """Kill the remaining processes, and return when all are gone."""
         with self._changed:
             left = self.pids.keys() - self.codes.keys()
         for name in left:
             self.kill(name)
-        if "nursery" in self.codes:
+        if "fork server" in self.codes:
             self._let_go()
         elif left:
             self.wait(left, END_DEADLINE_S)
@@ -141,7 +141,7 @@ class ForkClient:
             self.codes.clear()
 
     def close(self) -> None:
-        """The same, and then end the nursery itself."""
+        """The same, and then end the fork server itself."""
         self._closing = True  # its own end is none that anybody need hear of
         self.clear()
         assert self._process.stdin is not None
@@ -159,7 +159,7 @@ class ForkClient:
         self._lifeline.close()
 
     def _let_go(self) -> None:
-        """Let go of the lifeline: whoever holds its other end ends, heard of or not; return when all have."""
+        """Close the lifeline, which ends every process that holds its other end; return when all have ended."""
         with contextlib.suppress(OSError):
             self._lifeline.settimeout(END_DEADLINE_S)
             self._lifeline.shutdown(socket.SHUT_WR)

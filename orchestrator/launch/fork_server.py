@@ -1,10 +1,10 @@
 """Where agents and plants come from: a process that has loaded what they need, and forks one when it is told to.
 
 A fork costs a few milliseconds and shares memory; an interpreter of one's own, with numpy and Zenoh, costs a
-quarter of a second. The nursery itself opens no session, knows no topology, and has one thread.
+quarter of a second. The fork server itself opens no session, knows no topology, and has one thread.
 
 On its standard input it is told, a line of JSON each, `{"name", "module", "arguments", "log"}`, and `{"leave"}`: files
-and folders. When that input ends, whatever ended its parent, it ends whoever is left of its children, frozen or not,
+and folders. When that input ends, whatever ended its parent, it ends its remaining children, frozen or not,
 removes these, and ends. On its standard output it says `{"name", "pid"}` when a process runs, and `{"name", "code"}`
 when it has ended. Its first argument is the descriptor of the lifeline that its children hold (wire.child).
 """
@@ -115,8 +115,8 @@ def _say(**what: Any) -> None:
 def _become(told: dict[str, Any], lifeline: int) -> NoReturn:
     """In the child: a session and a log of its own, the lifeline as standard input; then the program, for good."""
     signal.set_wakeup_fd(-1)
-    signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # the nursery handles it
-    if IGNORE_SIGINT not in sys.argv:  # the nursery ignores it in any case
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # the fork server handles it
+    if IGNORE_SIGINT not in sys.argv:  # the fork server ignores it in any case
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     share_the_cores()
     os.setsid()  # a Ctrl-C in the terminal is the parent's to handle

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import psutil
 import zenoh
@@ -30,10 +30,14 @@ from hedgerow.topologies.base import node_id
 from hedgerow.topologies.describe import describe
 from hedgerow.topologies.errors import Code, DeadlineError, HedgerowError, TopologyError, UserError
 from hedgerow.topologies.faults import Fault, Jump, effects
+from hedgerow.topologies.json_file import loads
 from hedgerow.topologies.load import load, parse
 from hedgerow.topologies.rules import broken_faults
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire.session import WireError, open_client
+
+if TYPE_CHECKING:
+    from hedgerow.orchestrator.runs.run import Run
 
 NodeId = int | str
 Pair = tuple[NodeId, NodeId]
@@ -41,6 +45,7 @@ Steps = range | tuple[int, int] | None
 T_co = TypeVar("T_co", covariant=True)
 
 WAIT_DEADLINE_S = 60.0
+END_DEADLINE_S = 20.0
 _LOOK_EVERY_S = 0.01
 _FAULT: TypeAdapter[Fault] = TypeAdapter(Fault)
 
@@ -130,7 +135,9 @@ def _ends(link: Pair | None, one_way: bool) -> dict[str, Any]:
 def _window(steps: Steps) -> tuple[int, int] | None:
     if isinstance(steps, range):
         if steps.step != 1:
-            raise UserError(f"steps={steps}: a fault holds at every step of its window; use a range with no stride")
+            raise UserError(
+                f"steps={steps}: a fault holds at every step of its window; use a range with no stride", code=Code.FAULT
+            )
         return steps.start, steps.stop
     return steps
 
@@ -193,7 +200,7 @@ def pair(text: str, topology: Topology) -> Pair:
         raise UserError(f"{text}: may be read as {readings}; write the one that you mean", code=Code.OPTION)
     if len(splits) == 1:
         return _known(splits[0][0], text, topology), _known(splits[0][1], text, topology)
-    raise UserError(f"{text}: names no two nodes, as 2-4 does; the nodes are {_listed(topology)}")
+    raise UserError(f"{text}: names no two nodes, as 2-4 does; the nodes are {_listed(topology)}", code=Code.OPTION)
 
 
 def groups(text: str, topology: Topology) -> list[list[NodeId]]:
@@ -291,7 +298,9 @@ class Live:
             raise HedgerowError("no session with the network; use `with Live() as network:`")
         answer = ask(self._session, command, request)
         if "error" in answer:
-            raise UserError(f"{self.run}: {answer['error']}")
+            raise UserError(
+                f"{self.run}: {answer['error']}", code=Code.FAULT if command in ("fault", "heal") else Code.OPTION
+            )
         return answer
 
     def status(self) -> dict[str, Any]:
@@ -304,7 +313,8 @@ class Live:
         if isinstance(model, Jump) and not isinstance(model.a, float):
             listed = ", ".join(map(repr, self.topology.nodes[model.node].candidates))  # type: ignore[arg-type]
             raise UserError(
-                f"jump: a: nothing is drawn while a network runs; name a candidate of {model.node}: {listed}"
+                f"jump: a: nothing is drawn while a network runs; name a candidate of {model.node}: {listed}",
+                code=Code.FAULT,
             )
         struck = [effect.to_dict() for effect in effects([model], self.topology)]
         answer = self._ask("fault", entry=model.written(), effects=struck)
@@ -337,18 +347,34 @@ class Live:
     def step(self, steps: int = 1) -> int:
         """Make so many steps more and pause."""
         if steps < 1:
-            raise UserError(f"step {steps}: one step is the least")
+            raise UserError(f"step {steps}: one step is the least", code=Code.OPTION)
         return int(self._ask("step", steps=steps)["step"])
 
     def rate(self, rate: float) -> int:
         """So many steps a second from now on; 0 for as fast as possible."""
         if rate < 0:
-            raise UserError(f"rate {rate:g}: must not be negative; 0 is as fast as possible")
+            raise UserError(f"rate {rate:g}: must not be negative; 0 is as fast as possible", code=Code.OPTION)
         return int(self._ask("rate", rate=rate)["step"])
 
-    def stop(self) -> int:
-        """End the run after the current step; its verdict comes a moment later."""
+    def ask_to_stop(self) -> int:
+        """Ask the network to end after the current step, and return that step without waiting for the verdict."""
         return int(self._ask("stop")["step"])
+
+    def stop(self, deadline_s: float = END_DEADLINE_S) -> Run:
+        """End the run after the current step, wait for its verdict, and return it. Raises DeadlineError."""
+        self.ask_to_stop()
+        return self.wait(deadline_s)
+
+    def wait(self, deadline_s: float = WAIT_DEADLINE_S) -> Run:
+        """Wait for the end of the run, and return it. Raises DeadlineError."""
+        from hedgerow.orchestrator.runs.reader import load_run  # noqa: PLC0415 (Arrow takes a while to load)
+
+        until = time.monotonic() + deadline_s
+        while not self._gone():
+            if time.monotonic() > until:
+                raise DeadlineError(f"{self.run}: still runs after {deadline_s:g} s")
+            time.sleep(_LOOK_EVERY_S)
+        return load_run(self.folder)
 
     def wait_for_step(self, step: int, deadline_s: float = WAIT_DEADLINE_S) -> int:
         """Wait until all steps before `step` are made; returns the step that the network is at.
@@ -369,7 +395,9 @@ class Live:
                     raise HedgerowError(f"{self.run}: ended {how}, before step {step}; see {self.folder}") from None
             else:
                 if step > status["steps"]:
-                    raise UserError(f"{self.run}: has {status['steps']} steps, and never comes to step {step}")
+                    raise UserError(
+                        f"{self.run}: has {status['steps']} steps, and never comes to step {step}", code=Code.OPTION
+                    )
                 if status["step"] >= step:
                     return int(status["step"])
                 last = f"it is at {where(status)}"
@@ -387,7 +415,7 @@ class Live:
         from hedgerow.orchestrator.runs.files import read_file  # noqa: PLC0415 (Arrow takes a while to load)
 
         try:
-            verdict: dict[str, Any] = json.loads(read_file(self.folder / "verdict.json"))
+            verdict: dict[str, Any] = loads(self.folder / "verdict.json", read_file(self.folder / "verdict.json"))
         except OSError:
             return None
         return int(verdict["steps_done"])

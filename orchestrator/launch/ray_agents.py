@@ -17,7 +17,8 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from hedgerow.topologies.errors import HedgerowError, UserError
+from hedgerow.orchestrator.launch.restarts import UNREACHED_S, Restarts
+from hedgerow.topologies.errors import Code, HedgerowError, UserError
 from hedgerow.wire.config import Config
 
 if TYPE_CHECKING:
@@ -28,8 +29,10 @@ if TYPE_CHECKING:
     from hedgerow.topologies.schema import Topology
     from hedgerow.wire.credentials import Credentials
 
-RESTARTS = 5
-"""How often Ray starts an agent again that dies; then it stays down."""
+ALWAYS = -1
+"""Ray starts an agent again each time that it dies: `Restarts` decides when it stays down."""
+READY = "ready: "
+"""how the line begins that an agent logs once it has reached the router and has its place"""
 MOST_PER_CPU = 20
 """Each is a whole Python process, with all of Ray in it."""
 WAIT_S = 120.0
@@ -59,13 +62,21 @@ class RemoteAgent:
         logging.getLogger("agent").setLevel(logging.INFO)
         share_the_cores()
         try:
-            take_part(config, config.router, wait_s, credentials)
+            take_part(config, config.router, self._patience(wait_s), credentials)
         except HedgerowError as error:
             return str(error)
         except Exception as error:
             logging.exception("unexpected")
             return f"{type(error).__name__}: {error}"
         return ""
+
+    @staticmethod
+    def _patience(wait_s: float) -> float:
+        """Return how long this life waits for the router [s]: if restarted, as long as `up` restarts its own agents."""
+        import ray  # noqa: PLC0415
+
+        restarted = ray.get_runtime_context().was_current_actor_reconstructed
+        return max(wait_s, UNREACHED_S) if restarted else wait_s
 
     def look(self, seen: int) -> tuple[str, int, list[str]]:
         """The machine's address, the process id, and what was logged but for `seen` lines."""
@@ -97,6 +108,9 @@ class _Placed:
     where: str = ""
     seen: int = 0
     """lines of its log that are here"""
+    reached: bool = False
+    """this life has reached the router"""
+    restarts: Restarts = field(default_factory=Restarts)
     over: bool = False
     """its `run` has returned"""
     last: bool = False
@@ -132,8 +146,8 @@ class Fleet:
         seat = self._ray.remote(RemoteAgent).options(
             num_cpus=self.on.share,
             scheduling_strategy="SPREAD",
-            max_restarts=RESTARTS,
-            max_task_retries=RESTARTS,
+            max_restarts=ALWAYS,
+            max_task_retries=ALWAYS,
             max_concurrency=2,
         )
         agents = []
@@ -207,8 +221,11 @@ class Fleet:
             self.folder.event(happened, process=agent.name, machine=where, pid=pid)
             # What we asked for was counted in the log of its life before.
             lines = [f"-- {'again ' if again else ''}on {where}, process {pid}", *([] if again else lines)]
-            agent.where, agent.pid, agent.seen = where, pid, -1
+            if again and agent.restarts.after_death(agent.reached, time.monotonic()) is None:
+                self._ray.kill(agent.actor)  # its `run` ends with that, and it is down
+            agent.where, agent.pid, agent.seen, agent.reached = where, pid, -1, False
         agent.seen += len(lines)
+        agent.reached = agent.reached or any(READY in line for line in lines)
         if lines:
             with contextlib.suppress(OSError), (self.folder.logs / f"{agent.name}.log").open("a") as log:
                 log.writelines(f"{line}\n" for line in lines)
@@ -225,7 +242,8 @@ def share_of(agents: int, free: float, machines: int) -> float:
         raise UserError(
             f"--on ray: {agents} agent process{'es' * (agents != 1)} are too many for a cluster with {free:g} free CPUs"
             f" on {machines} machine{'s' * (machines != 1)}, {MOST_PER_CPU} a CPU at most: add machines, end what runs"
-            " there" + (f", or put several nodes in a process, --processes {most}" if most > 0 else "")
+            " there" + (f", or put several nodes in a process, --processes {most}" if most > 0 else ""),
+            code=Code.OPTION,
         )
     return share
 

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.errors import Code, UserError
 
 CLIENT_PORT = 10001
 LISTEN_DEADLINE_S = 5.0
@@ -44,10 +44,10 @@ def check(address: str) -> None:
     if address == "ray":
         return
     if not address.startswith("ray://"):
-        raise UserError(f"--on {address}: is no cluster; write ray, or ray://HOST:PORT")
+        raise UserError(f"--on {address}: is no cluster; write ray, or ray://HOST:PORT", code=Code.OPTION)
     host, port = _host_and_port(address)
     if not host or not port.isdecimal():
-        raise UserError(f"--on {address}: names no port; write ray://HOST:{CLIENT_PORT}")
+        raise UserError(f"--on {address}: names no port; write ray://HOST:{CLIENT_PORT}", code=Code.OPTION)
 
 
 def _host_and_port(address: str) -> tuple[str, str]:
@@ -66,7 +66,7 @@ def joined(address: str) -> Iterator[RayCluster]:
     try:
         import ray  # noqa: PLC0415
     except ModuleNotFoundError:
-        raise UserError(f"--on ray: Ray is not installed; {INSTALL}") from None
+        raise UserError(f"--on ray: Ray is not installed; {INSTALL}", code=Code.DEPENDENCY) from None
     here = None if address == "ray" else _way_to(address)
     try:
         ray.init(

@@ -1,8 +1,9 @@
-"""One run being recorded: telemetry in; tables, Rerun and a verdict out. Whoever drives it, over a wire or not."""
+"""The recording of one run: it turns telemetry into tables, a Rerun recording and a verdict."""
 
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -20,6 +21,7 @@ from hedgerow.orchestrator.metrics.verdict import Ending, Verdict, judge
 from hedgerow.orchestrator.runs.folder import RunFolder, write_json
 from hedgerow.orchestrator.views.rerun.viewer import Viewer, start
 from hedgerow.topologies.errors import HedgerowError
+from hedgerow.topologies.regular_file import open_regular
 from hedgerow.topologies.resolve import to_yaml
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire import crash
@@ -50,7 +52,7 @@ class Watching:
     """leave the page of a finished run open until Ctrl-C"""
 
 
-class Run:
+class Recording:
     """Feeds the observer and keeps what it computes."""
 
     def __init__(
@@ -88,7 +90,7 @@ class Run:
         """what was noted before there was a stream"""
         self.viewer: Viewer | None = None
         self.warnings: deque[str] = deque()
-        """what is wrong with the viewer, for whoever started the run; grows on other threads"""
+        """Warnings about the viewer, for the command that started the run; other threads append to it."""
         self._watched = False
 
     @cached_property
@@ -304,8 +306,12 @@ class Run:
 def same_tables(one: Path, other: Path) -> bool:
     """Whether two run folders hold the same tables, bit for bit; by a summary's checksums, of all nodes and steps."""
     names = [f"{name}.parquet" for name in TABLES]
-    return all(_content(one / name) == _content(other / name) for name in names)
+    return all(_digest(one / name) == _digest(other / name) for name in names)
 
 
-def _content(file: Path) -> bytes | None:
-    return file.read_bytes() if file.exists() else None
+def _digest(file: Path) -> bytes | None:
+    """Return the SHA-256 of a file, read in pieces; None if it is absent."""
+    if not file.exists():
+        return None
+    with open_regular(file) as opened:
+        return hashlib.file_digest(opened, "sha256").digest()

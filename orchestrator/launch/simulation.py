@@ -14,7 +14,7 @@ from hedgerow.orchestrator.ground.assignment import Layout, layout, truth_of, vi
 from hedgerow.orchestrator.ground.law_source import FOLDER, differs
 from hedgerow.orchestrator.ground.laws import checked
 from hedgerow.orchestrator.ground.signals import Interrupts
-from hedgerow.orchestrator.launch.recording import Run, Watching
+from hedgerow.orchestrator.launch.recording import Recording, Watching
 from hedgerow.orchestrator.metrics.verdict import Ending, Verdict
 from hedgerow.orchestrator.runs import reference
 from hedgerow.orchestrator.runs.folder import RunFolder, create
@@ -26,10 +26,10 @@ from hedgerow.topologies.schema import Topology
 from hedgerow.wire.codec import End, Telemetry
 
 if TYPE_CHECKING:
-    from hedgerow.orchestrator.runs.reader import RecordedRun
+    from hedgerow.orchestrator.runs.run import Run
 
 
-def simulate(network: Named, *settings: str, run_dir: str | Path | None = None) -> RecordedRun:
+def simulate(network: Named, *settings: str, run_dir: str | Path | None = None) -> Run:
     """Run a network in this process, and read back what it left: `simulate("paper7", "steps=300", "law=hinf")`.
 
     network: as of `topologies.named.text_of`. settings: `path=value`, as for `--set` on the command line.
@@ -62,7 +62,7 @@ def simulate_into(
 ) -> Verdict:
     """Run a resolved topology in this process; Ctrl-C ends it cleanly with the verdict unknown."""
     ending = Ending(run=folder.name, engine="in-process", processes=0)
-    run = Run(topology, folder, watching, ending, replayed=replayed)
+    run = Recording(topology, folder, watching, ending, replayed=replayed)
     folder.event("start", engine=ending.engine)
     run.tell_faults()
     began = time.monotonic()

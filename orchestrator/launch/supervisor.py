@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +15,11 @@ from hedgerow.orchestrator.ground.assignment import process_name
 from hedgerow.orchestrator.launch.endpoints import Connection
 from hedgerow.orchestrator.launch.external_agents import OWN_START_S, External
 from hedgerow.orchestrator.launch.fork_client import ForkClient
+from hedgerow.orchestrator.launch.restarts import Restarts
 from hedgerow.orchestrator.runs.folder import RunFolder
 from hedgerow.plant.truth import Truth
 from hedgerow.topologies.errors import Exit
+from hedgerow.topologies.regular_file import last_text
 from hedgerow.wire import keys
 from hedgerow.wire.child import ERROR_PREFIX, USER_ERROR
 
@@ -33,7 +35,7 @@ class Dead:
 
     def __str__(self) -> str:
         how = f"was killed by {signal.Signals(-self.code).name}" if self.code < 0 else f"ended with code {self.code}"
-        # The nursery has no log, and names the file itself.
+        # The fork server has no log, and names the file itself.
         traced = f"; the traceback is in {self.log}" if self.code == Exit.CRASH and self.log.exists() else ""
         return f"{self.name} {how}" + (f": {self.error}" if self.error else "") + traced
 
@@ -42,19 +44,6 @@ def cause(dead: Sequence[Dead]) -> str:
     """What to tell the user about processes that died."""
     others = f" (and {len(dead) - 1} more: {', '.join(one.name for one in dead[1:8])})" if len(dead) > 1 else ""
     return f"{dead[0]}{others}"
-
-
-RESTARTS = 5
-"""How often an agent that died by itself is started again; then it stays down."""
-BACKOFF_S = 0.1
-"""The wait before the first restart; each next restart of the same kind waits twice as long."""
-MOST_BACKOFF_S = 5.0
-"""The longest wait before a restart."""
-UNREACHED_S = 300.0
-"""The time for which an agent that does not reach the router is restarted; then it stays down.
-
-A router that is busy with 1000 bare connections lets nobody in for 103 s (docs/security.md).
-"""
 
 
 @dataclass
@@ -74,12 +63,7 @@ class _Agent:
     """another life is to follow"""
     due: float = 0.0
     """not before this time, by time.monotonic()"""
-    deaths: int = 0
-    """unplanned deaths of lives that had reached the router"""
-    unreached: int = 0
-    """unplanned deaths in a row of lives that had not"""
-    unreached_since: float = 0.0
-    """the first of these, by time.monotonic()"""
+    restarts: Restarts = field(default_factory=Restarts)
     dead: Dead | None = None
     """the last unplanned death"""
     undecided: bool = False
@@ -182,29 +166,16 @@ class Processes:
 
     @staticmethod
     def _restarts(agent: _Agent, reached: bool) -> bool:
-        """Decide after an unplanned death whether another life follows, and when; return True if one does.
-
-        A life that never reached the router uses up no restart: an outsider who keeps the router busy would
-        otherwise end an agent for good.
-        """
+        """Decide after an unplanned death whether another life follows, and when; return True if one does."""
         now, agent.undecided = time.monotonic(), False
-        if reached:
-            agent.again, before = agent.deaths < RESTARTS, agent.deaths
-            agent.deaths, agent.unreached = agent.deaths + 1, 0
-        else:
-            if not agent.unreached:
-                agent.unreached_since = now
-            agent.again, before = now - agent.unreached_since < UNREACHED_S, agent.unreached
-            agent.unreached += 1
-        agent.due = now + min(BACKOFF_S * 2 ** min(before, 16), MOST_BACKOFF_S)
+        pause = agent.restarts.after_death(reached, now)
+        agent.again, agent.due = pause is not None, now + (pause or 0.0)
         return agent.again
 
     @property
     def failing(self) -> list[Dead]:
         """Agents that died more than RESTARTS times, in any way; before the first step they end the run."""
-        return [
-            agent.dead for agent in self._agents.values() if agent.dead and agent.deaths + agent.unreached > RESTARTS
-        ]
+        return [agent.dead for agent in self._agents.values() if agent.dead and agent.restarts.failed]
 
     @property
     def next_due(self) -> float | None:
@@ -214,7 +185,7 @@ class Processes:
     def dead(self) -> list[Dead]:
         """Who has ended, other than in good order, and ends the run: not an agent, unless the fault is its user's."""
         return [
-            Dead(name, code, self._last_error(name) or self._nursery_error(name), self._log(name))
+            Dead(name, code, self._last_error(name) or self._fork_server_error(name), self._log(name))
             for name, code in dict(self._fork_client.codes).items()
             if code and (name not in self._agents or code == USER_ERROR)
         ]
@@ -231,15 +202,15 @@ class Processes:
 
     def ended(self, name: str) -> bool:
         """Whether that process is gone, in good order or not."""
-        return name in self._fork_client.codes or "nursery" in self._fork_client.codes
+        return name in self._fork_client.codes or "fork server" in self._fork_client.codes
 
     def wait(self, plant_s: float, agents_s: float) -> None:
         """Wait for the plant to end by itself, at most so long, and then for the agents."""
         self._fork_client.wait([keys.PLANT], plant_s)
         self._fork_client.wait(list(self._agents), agents_s)
 
-    def _nursery_error(self, name: str) -> str:
-        return self._fork_client.error if name == "nursery" else ""
+    def _fork_server_error(self, name: str) -> str:
+        return self._fork_client.error if name == "fork server" else ""
 
     def _log(self, name: str) -> Path:
         return self._folder.logs / f"{name}.log"
@@ -250,7 +221,7 @@ class Processes:
     def _last_line(self, name: str, wanted: Callable[[str], bool]) -> str:
         """Return the last line of a log that is wanted; empty if there is none."""
         try:
-            lines = self._log(name).read_text(encoding="utf-8", errors="replace").splitlines()
+            lines = last_text(self._log(name)).splitlines()
         except OSError:
             return ""
         return next((line for line in reversed(lines) if wanted(line)), "")

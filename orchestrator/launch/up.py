@@ -25,7 +25,7 @@ from hedgerow.orchestrator.launch.fault_changes import with_end, with_fault, wit
 from hedgerow.orchestrator.launch.fork_client import ForkClient
 from hedgerow.orchestrator.launch.plant_event import checked
 from hedgerow.orchestrator.launch.ray_agents import Fleet, OnRay
-from hedgerow.orchestrator.launch.recording import Run, Watching
+from hedgerow.orchestrator.launch.recording import Recording, Watching
 from hedgerow.orchestrator.launch.supervisor import Dead, Processes, cause
 from hedgerow.orchestrator.metrics.deaths import survivors
 from hedgerow.orchestrator.metrics.message_audit import audit, observed
@@ -177,7 +177,7 @@ class Network:
         self._fork_client.leave_no([registry.entry_path(self._folder.name), *self._connection.traces])
         with Interrupts(self._wake.set) as interrupts, at_last, self._announced():
             names = [process_name(view) for view in self._views]
-            run = Run(self._topology, self._folder, self._options.watching, self._ending, names)
+            run = Recording(self._topology, self._folder, self._options.watching, self._ending, names)
             try:
                 with contextlib.ExitStack() as stack:
                     processes, session = self._launch(stack, interrupts)
@@ -300,7 +300,7 @@ class Network:
 
     def _observe(
         self,
-        run: Run,
+        run: Recording,
         session: zenoh.Session,
         processes: Processes,
         interrupts: Interrupts,
@@ -339,7 +339,7 @@ class Network:
                         self._screen.say(happened["how"])
                         self._ending.crashed = True
                         self._ending.stopped = self._ending.stopped or happened["how"]
-                # Without one of ours the first step never comes, whoever else does.
+                # Without one of our processes the first step never happens.
                 missed = processes.failing if self._ending.first_step_s is None else []
                 if interrupts.count or processes.dead() or missed:
                     self._ask_to_stop(session, interrupts.name or (cause(missed) if missed else ""))
@@ -360,7 +360,7 @@ class Network:
         elif kinds & {Kind.EVENT, Kind.END} or len(self._inbox) >= self._wake_rows:
             self._wake.set()
 
-    def _take_in(self, run: Run, processes: Processes) -> bool:
+    def _take_in(self, run: Recording, processes: Processes) -> bool:
         """Observe what has come, in its order; whether anything had."""
         messages = self._inbox.drain()
         n, e = len(self._topology.ids), len(self._topology.edges)
@@ -390,7 +390,7 @@ class Network:
             self._folder.event("refused_message", why=str(error))
         self._refused += 1
 
-    def _take_rows(self, run: Run, rows: list[Telemetry]) -> None:
+    def _take_rows(self, run: Recording, rows: list[Telemetry]) -> None:
         unseen = run.viewer is None
         for some in range(0, len(rows), run.rows_at_once):
             if (batch := run.take(rows[some : some + run.rows_at_once])) is not None:
@@ -399,7 +399,7 @@ class Network:
             self._screen.say(f"watch it at {run.viewer.link or run.viewer.url}")
         self._warn(run)
 
-    def _take_event(self, run: Run, processes: Processes, event: dict[str, Any]) -> None:
+    def _take_event(self, run: Recording, processes: Processes, event: dict[str, Any]) -> None:
         """Act on what the plant says between two steps, write it down, and keep the resolved file true."""
         topology, step = run.topology, event["step"]
         details = {key: value for key, value in event.items() if key != "event"}
@@ -433,12 +433,12 @@ class Network:
                 run.change(with_end(topology, event["fault"], event["at"]))
                 self._say(run, f"step {event['at']}: fault {event['fault'] + 1} ends", "INFO", step)
 
-    def _warn(self, run: Run) -> None:
+    def _warn(self, run: Recording) -> None:
         """Say what is wrong with the viewer."""
         while run.warnings:
             self._screen.say(run.warnings.popleft())
 
-    def _say(self, run: Run, text: str, level: str, step: int) -> None:
+    def _say(self, run: Recording, text: str, level: str, step: int) -> None:
         self._screen.say(text)
         run.note(text, level, step)
 
@@ -480,7 +480,7 @@ class Network:
             over, self._ending.stopped = True, self._ending.stopped or self._fleet.reason
         return over
 
-    def _explain(self, run: Run, dead: list[Dead]) -> None:
+    def _explain(self, run: Recording, dead: list[Dead]) -> None:
         """Why the run ended before its last step, if it did."""
         done = run.observer.end.t if run.observer.end is not None else run.observer.next_step
         if dead:

@@ -1,7 +1,7 @@
 """What became of every fault: an account each, kept from telemetry and from what the faults were to do.
 
 An *instance* of a fault is one target at one step. It *fired* if it took effect, and was *masked* if there was
-nothing to lose. It was *seen* if whoever should miss something says so:
+nothing to lose. It was *seen* if the process that must miss something reports it:
 
     kind         fired                    masked                            seen
     drop, delay  the row did not cross    no sender, or nobody to listen    the receiver lacks it
@@ -26,7 +26,7 @@ from hedgerow.orchestrator.metrics.fault_schedule import Instances, Schedule
 from hedgerow.topologies.graph import Graph, Index, Mask
 from hedgerow.wire.codec import TAKEN, Flag, Flags
 
-_OPEN, _HEAR = np.uint8(Flag.OPEN), np.uint8(Flag.HEAR)
+_OPEN, _HEAR, _TAKEN = np.uint8(Flag.OPEN), np.uint8(Flag.HEAR), np.uint8(TAKEN)
 
 
 class Told(NamedTuple):
@@ -57,7 +57,7 @@ class Told(NamedTuple):
 
 
 class Judged(NamedTuple):
-    """What became of K instances, a mask each; `visible`: whoever would see it has told."""
+    """The outcome of K instances, one mask per question; `visible` is True if the process that sees it has reported."""
 
     fired: Mask
     masked: Mask
@@ -153,7 +153,7 @@ class _Judgement:
     def agreed(self) -> Mask:
         """Whether all who tell took in what the plant says was open and crossed, (P,)."""
         expected = self._told.edge_open[:, self._graph.edge] * _OPEN | self._told.link_up * _HEAR
-        return ~_any((expected != self._took) & self._tells)
+        return ~_any((expected != self._took & _TAKEN) & self._tells)
 
     def wrong(self, counts: Index) -> Mask:
         """Whether a fault did not do what it should or something else happened, (P,); `counts` go on."""

@@ -24,7 +24,7 @@ from hedgerow.topologies.effects import Effect
 from hedgerow.topologies.faults import effects
 from hedgerow.topologies.graph import Array, Graph, Index, Mask, all_finite
 from hedgerow.topologies.schema import Topology
-from hedgerow.wire.codec import REPORT_ROWS, Flag, Flags, State, Telemetry, gather
+from hedgerow.wire.codec import LATE, REPORT_ROWS, Flag, Flags, State, Telemetry, gather
 
 AUDITED = 20_000
 """how many nodes are replayed at most; of a larger network a subset that the seed draws"""
@@ -187,6 +187,7 @@ class Replay:
         # What a node took in of t - 1 comes before what it did at t.
         self._find_flags(LAW, t - 1, ("counted for flow", "counted for none"), *took, Flag.OPEN)
         self._find_flags(LAW, t - 1, ("was taken in", "was not taken in"), *took, Flag.HEAR)
+        self._find_late(t - 1, *took)
         self._find_edges(t, row.edge_open, expected.edge_open)
         self._find_flags(PLAN, t, ("crosses in its step", "does not"), row.link_up, expected.link_up, 1)
         for name, seen, right in (
@@ -224,6 +225,17 @@ class Replay:
             text = f"the row from node {sender} {words[0]}; by the faults, it {words[1]}"
             found.append((int(part.graph.node[c]), text))
         self._find(check, t, found, part.nodes)
+
+    def _find_late(self, t: int, seen: Flags, right: Flags) -> None:
+        """Find the incidences over which another number of late rows came."""
+        part, ids = self._part, self._topology.ids
+        came, due = seen >> LATE, right >> LATE
+        found = []
+        for c in np.flatnonzero(came != due).tolist():
+            sender = ids[int(part.nodes[part.graph.neighbour[c]])]
+            text = f"{came[c]} late rows from node {sender} were taken in; by the faults, {due[c]} arrive"
+            found.append((int(part.graph.node[c]), text))
+        self._find(LAW, t, found, part.nodes)
 
     def _find_edges(self, t: int, seen: Any, right: Any) -> None:
         part, ids = self._part, self._topology.ids

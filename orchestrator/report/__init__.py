@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.errors import Code, UserError
 
 if TYPE_CHECKING:
     from hedgerow.orchestrator.report.figures import Kind
-    from hedgerow.orchestrator.runs.reader import RecordedRun
+    from hedgerow.orchestrator.runs.run import Run
 
 PAGE = "report.html"
 RUNS = 7
@@ -19,7 +19,7 @@ RUNS = 7
 
 
 def report(
-    runs: Sequence[RecordedRun],
+    runs: Sequence[Run],
     out: Path | None = None,
     figures: str | None = None,
     force: bool = False,
@@ -36,7 +36,7 @@ def report(
     Raises UserError for a mistake, where matplotlib is missing, and where nothing can be written.
     """
     if not 1 <= len(runs) <= RUNS:
-        raise UserError(f"{len(runs)} runs: a report is of 1 to {RUNS}")
+        raise UserError(f"{len(runs)} runs: a report is of 1 to {RUNS}", code=Code.OPTION)
     for run in runs:
         run.need_all("a report")
     try:
@@ -46,10 +46,12 @@ def report(
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] != "matplotlib":
             raise
-        raise UserError("a report needs matplotlib. Install it with: pip install matplotlib") from None
+        raise UserError(
+            "a report needs matplotlib. Install it with: pip install matplotlib", code=Code.DEPENDENCY
+        ) from None
     asked = Look(width_in, style, tuple(formats))
     kinds = _chosen(known.FIGURES, figures, runs)
-    out = out or Path("-".join(run.run for run in runs[:2]) + "-report")
+    out = out or Path("-".join(run.name for run in runs[:2]) + "-report")
     _refuse(out, force, {PAGE, *(f"{kind.file}.{suffix}" for kind in known.FIGURES for suffix in FORMATS)})
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
@@ -63,11 +65,13 @@ def report(
                 out.rename(Path(scratch) / "old")
             whole.rename(out)
     except OSError as error:
-        raise UserError(f"{out}: cannot be written: {error.strerror}; --out names another folder") from None
+        raise UserError(
+            f"{out}: cannot be written: {error.strerror}; --out names another folder", code=Code.OUTPUT
+        ) from None
     return [out / PAGE, *(out / f"{kind.file}.{suffix}" for kind in kinds for suffix in asked.formats)]
 
 
-def _chosen(known: Sequence[Kind], figures: str | None, runs: Sequence[RecordedRun]) -> list[Kind]:
+def _chosen(known: Sequence[Kind], figures: str | None, runs: Sequence[Run]) -> list[Kind]:
     """The figures asked for, in the order of the report; without asking, all of which there is something to show."""
     if figures is None:
         return [kind for kind in known if kind.has(runs)]
@@ -76,22 +80,27 @@ def _chosen(known: Sequence[Kind], figures: str | None, runs: Sequence[RecordedR
     for key in asked:
         if key not in there:
             raise UserError(
-                f"--figures {figures}: there is no figure {key or 'without a name'}; choose of {', '.join(there)}"
+                f"--figures {figures}: there is no figure {key or 'without a name'}; choose of {', '.join(there)}",
+                code=Code.OPTION,
             )
     chosen = [kind for kind in known if kind.key in asked]
     for kind in chosen:
         if not kind.has(runs):
-            what = " and ".join(run.run for run in runs)
-            raise UserError(f"--figures {figures}: there is nothing to show of {kind.key} in {what}; leave it out")
+            what = " and ".join(run.name for run in runs)
+            raise UserError(
+                f"--figures {figures}: there is nothing to show of {kind.key} in {what}; leave it out", code=Code.OPTION
+            )
     return chosen
 
 
 def _refuse(out: Path, force: bool, own: set[str]) -> None:
     """Raise UserError if a report may not be written to `out`."""
     if out.exists() and not out.is_dir():
-        raise UserError(f"{out}: is a file; --out names a folder")
+        raise UserError(f"{out}: is a file; --out names a folder", code=Code.OUTPUT)
     there = {path.name for path in out.iterdir()} if out.exists() else set()
     if strange := sorted(there - own):
-        raise UserError(f"{out}: holds {strange[0]}, which is of no report; --out names another folder")
+        raise UserError(
+            f"{out}: holds {strange[0]}, which is of no report; --out names another folder", code=Code.OUTPUT
+        )
     if there and not force:
-        raise UserError(f"{out}: is there already; --force replaces it, --out names another folder")
+        raise UserError(f"{out}: is there already; --force replaces it, --out names another folder", code=Code.OUTPUT)

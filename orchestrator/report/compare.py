@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from hedgerow.orchestrator.report.curves import letter
-from hedgerow.orchestrator.runs.reader import RecordedRun
+from hedgerow.orchestrator.runs.run import Run
 from hedgerow.topologies.network import span
 
 
-def other_network(one: RecordedRun, other: RecordedRun) -> list[str]:
+def other_network(one: Run, other: Run) -> list[str]:
     """In what the graphs of two runs differ: nodes, edges, weights, b; nothing where their numbers may be compared."""
     weights, of_other = (_weights(run) for run in (one, other))
     said = []
@@ -27,19 +27,19 @@ def other_network(one: RecordedRun, other: RecordedRun) -> list[str]:
     return said
 
 
-def _weights(run: RecordedRun) -> dict[frozenset[int | str], float]:
-    """By edge: its weight."""
+def _weights(run: Run) -> dict[frozenset[int | str], float]:
+    """Return the weight of each edge."""
     graph = run.topology.graph
     weights = np.ones(len(graph.edges)) if graph.weights is None else graph.weights
     return {frozenset(edge): weight for edge, weight in zip(run.topology.pairs, weights.tolist(), strict=True)}
 
 
-def _gains(run: RecordedRun) -> dict[int | str, float]:
-    """By node: its gain."""
+def _gains(run: Run) -> dict[int | str, float]:
+    """Return the gain of each node."""
     return dict(zip(run.ids, np.broadcast_to(run.b, len(run.ids)).tolist(), strict=True))
 
 
-def differences(one: RecordedRun, other: RecordedRun) -> list[str]:
+def differences(one: Run, other: Run) -> list[str]:
     """In what else two runs of one network differ, in words."""
     said = []
     if one.law != other.law:
@@ -58,11 +58,11 @@ def differences(one: RecordedRun, other: RecordedRun) -> list[str]:
     return said
 
 
-def _settings(run: RecordedRun, name: str) -> dict[Any, Any]:
+def _settings(run: Run, name: str) -> dict[Any, Any]:
     return {node: getattr(own, name) for node, own in run.topology.nodes.items()}
 
 
-def notices(runs: Sequence[RecordedRun]) -> tuple[bool, list[str]]:
+def notices(runs: Sequence[Run]) -> tuple[bool, list[str]]:
     """Whether all runs are of one network; and a sentence a run on how it differs from the first."""
     comparable, said = True, []
     for place, run in enumerate(runs[1:], 1):

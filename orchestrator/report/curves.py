@@ -14,7 +14,7 @@ from matplotlib.patches import StepPatch
 from matplotlib.ticker import MaxNLocator
 
 from hedgerow.orchestrator.report.style import BLACK, GREY, SKY
-from hedgerow.orchestrator.runs.reader import RecordedRun
+from hedgerow.orchestrator.runs.run import Run
 from hedgerow.topologies.graph import Array, Index
 
 NODES = 12
@@ -85,7 +85,7 @@ def quantiles(values: Array, at: Sequence[float]) -> tuple[Index, Array]:
     return np.array([part[0] for part in parts]), np.array(found).T
 
 
-def draw_nodes(axis: Axes, run: RecordedRun, values: Array) -> Entries:
+def draw_nodes(axis: Axes, run: Run, values: Array) -> Entries:
     """Curves of all nodes, (S, n): a line each or, of too many nodes or steps that swing to and fro, quantiles."""
     if not as_quantiles(run, values):
         lines = [axis.plot(*highest(of_node))[0] for of_node in values.T]
@@ -99,7 +99,7 @@ def draw_nodes(axis: Axes, run: RecordedRun, values: Array) -> Entries:
     return Entries(bands, ["median", "10 to 90 %", f"least to largest of {len(run.ids)} nodes"])
 
 
-def draw_behind(axis: Axes, run: RecordedRun, values: Array) -> Artist | None:
+def draw_behind(axis: Axes, run: Run, values: Array) -> Artist | None:
     """Draw the curves of all nodes, (S, n), in grey behind the others; None if there are too many for a line each."""
     if as_quantiles(run, values):
         return None
@@ -111,7 +111,7 @@ DWARFED = 5.0
 """an inset shows the later values if the first ones are larger by this ratio"""
 
 
-def zoom(axis: Axes, run: RecordedRun, values: Array) -> None:
+def zoom(axis: Axes, run: Run, values: Array) -> None:
     """Add an inset with the last three quarters of the steps if the first values, (S, n), dwarf them."""
     start = len(values) // 4
     low, high = extremes(values[start:])
@@ -128,7 +128,7 @@ def zoom(axis: Axes, run: RecordedRun, values: Array) -> None:
     inset.grid(visible=False)
 
 
-def as_quantiles(run: RecordedRun, values: Array) -> bool:
+def as_quantiles(run: Run, values: Array) -> bool:
     """Whether there are too many nodes for a line each, or so many steps that the lines of signed values cover all."""
     return len(run.ids) > NODES or (len(values) > STEPS and bool(np.nanmin(values) < 0))
 
@@ -157,7 +157,7 @@ def plain(text: str) -> str:
     return text.replace("$", r"\$")
 
 
-def steps_axis(axis: Axes, runs: Sequence[RecordedRun]) -> None:
+def steps_axis(axis: Axes, runs: Sequence[Run]) -> None:
     """The axis of time, from step 0 to the last."""
     axis.set_xlim(0, max(run.T for run in runs))
     axis.set_xlabel("step $t$")
@@ -169,11 +169,11 @@ def letter(place: int) -> str:
     return chr(ord("A") + place)
 
 
-def law(run: RecordedRun) -> str:
+def law(run: Run) -> str:
     """What a run's law is called: without the module that it is in."""
     return plain(run.law.rpartition(":")[2])
 
 
-def called(place: int, run: RecordedRun) -> str:
+def called(place: int, run: Run) -> str:
     """What a run of a comparison is called in a legend."""
     return f"{letter(place)}: {law(run)}"

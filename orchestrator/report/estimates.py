@@ -13,19 +13,19 @@ from hedgerow.orchestrator.report.curves import NODES, Entries, bins, legend, pl
 from hedgerow.orchestrator.report.style import BLUE, GREY, ORANGE, RED, sheet
 from hedgerow.orchestrator.report.timeline import stretches
 from hedgerow.orchestrator.report.totals import Series, draw_series
-from hedgerow.orchestrator.runs.reader import RecordedRun
+from hedgerow.orchestrator.runs.run import Run
 from hedgerow.topologies.graph import Array
 
 _ROWS = 250
 """rows of pixels that a heat map has room for"""
 
 
-def has_estimates(runs: Sequence[RecordedRun]) -> bool:
+def has_estimates(runs: Sequence[Run]) -> bool:
     """Whether the law of any run names estimates."""
     return any(np.isfinite(run.ahat).any() for run in runs)
 
 
-def draw_estimates(runs: Sequence[RecordedRun]) -> Figure:
+def draw_estimates(runs: Sequence[Run]) -> Figure:
     """Of one small network each node's estimate; else shares of nodes, and of one network also a heat map."""
     if len(runs) > 1:
         figure = sheet(2.1)
@@ -41,7 +41,7 @@ def draw_estimates(runs: Sequence[RecordedRun]) -> Figure:
     return figure
 
 
-def _by_node(run: RecordedRun) -> Figure:
+def _by_node(run: Run) -> Figure:
     """A small panel a node, two beside each other."""
     n = len(run.ids)
     figure = sheet(0.55 + 0.62 * -(-n // 2))
@@ -67,7 +67,7 @@ def _by_node(run: RecordedRun) -> Figure:
     return figure
 
 
-def _mark_wrong(axis: Axes, run: RecordedRun, i: int, shown: dict[str, Artist]) -> None:
+def _mark_wrong(axis: Axes, run: Run, i: int, shown: dict[str, Artist]) -> None:
     """A bar below where the estimate is wrong, which may be by too little to be seen; and by how much it ends so."""
     off = run.ahat[:, i] - run.a[:, i]
     wrong = run.wrong[:, i]
@@ -84,7 +84,7 @@ SHARES = (
 )
 
 
-def _shares(axis: Axes, runs: Sequence[RecordedRun], figure: Figure) -> None:
+def _shares(axis: Axes, runs: Sequence[Run], figure: Figure) -> None:
     """The share of nodes whose estimate is the truth, and what a blind choice from the lists would give."""
     legend(figure, draw_series(axis, runs, SHARES))
     axis.set_ylim(0, 1.03)
@@ -92,7 +92,7 @@ def _shares(axis: Axes, runs: Sequence[RecordedRun], figure: Figure) -> None:
     steps_axis(axis, runs)
 
 
-def _errors(axis: Axes, run: RecordedRun, figure: Figure) -> None:
+def _errors(axis: Axes, run: Run, figure: Figure) -> None:
     """A heat map of the error, nodes by steps; a cell is the mean of all nodes and steps that it stands for."""
     error, n = blocks(np.abs(run.ahat - run.a), _ROWS), len(run.ids)
     image = axis.imshow(

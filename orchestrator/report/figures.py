@@ -11,9 +11,9 @@ from hedgerow.orchestrator.report import network, nodes, totals
 from hedgerow.orchestrator.report.curves import BINS, STEPS, as_quantiles
 from hedgerow.orchestrator.report.estimates import draw_estimates, has_estimates
 from hedgerow.orchestrator.report.timeline import draw_faults, has_faults
-from hedgerow.orchestrator.runs.reader import RecordedRun
+from hedgerow.orchestrator.runs.run import Run
 
-Runs = Sequence[RecordedRun]
+Runs = Sequence[Run]
 
 
 @dataclass(frozen=True)

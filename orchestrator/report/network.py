@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 
 from hedgerow.orchestrator.report.curves import Entries, called, legend, plain, short
 from hedgerow.orchestrator.report.style import BLACK, GREY, RED, sheet, width_in
-from hedgerow.orchestrator.runs.reader import RecordedRun
+from hedgerow.orchestrator.runs.run import Run
 from hedgerow.orchestrator.views.layout import placed
 from hedgerow.orchestrator.views.palette import thickness
 from hedgerow.topologies.graph import Array, Mask
@@ -25,7 +25,7 @@ _MARGIN = 0.6
 """around the network, in lengths of an edge"""
 
 
-def network(runs: Sequence[RecordedRun]) -> Figure:
+def network(runs: Sequence[Run]) -> Figure:
     """The graph of each run, laid out by itself: the same file gives the same places."""
     places = [placed(run.topology) for run in runs]
     heights = [float(np.clip((width_in() - 0.2) * _aspect(own), 0.7, 3.3)) for own in places]
@@ -41,13 +41,13 @@ def network(runs: Sequence[RecordedRun]) -> Figure:
     return figure
 
 
-def wrong(run: RecordedRun) -> Mask:
+def wrong(run: Run) -> Mask:
     """Whose last estimate is not the truth, (n,)."""
     last, truth = run.ahat[-1], run.a[-1]
     return np.asarray(np.isfinite(last) & (last != truth))
 
 
-def unnamed(runs: Sequence[RecordedRun]) -> str:
+def unnamed(runs: Sequence[Run]) -> str:
     """That names are left out, if they are."""
     return f" Beyond {NAMED} nodes names are left out." if any(len(run.ids) > NAMED for run in runs) else ""
 
@@ -58,7 +58,7 @@ def _aspect(places: Array) -> float:
     return float(height / width)
 
 
-def _draw(axis: Axes, run: RecordedRun, places: Array) -> None:
+def _draw(axis: Axes, run: Run, places: Array) -> None:
     n = len(run.ids)
     weights = run.topology.graph.weights
     wide = 0.8 if n <= NAMED else 0.4

@@ -19,9 +19,9 @@ from hedgerow.orchestrator.report.curves import (
     zoom,
 )
 from hedgerow.orchestrator.report.style import sheet
-from hedgerow.orchestrator.runs.reader import RecordedRun
+from hedgerow.orchestrator.runs.run import Run
 
-Runs = Sequence[RecordedRun]
+Runs = Sequence[Run]
 
 
 def states(runs: Runs) -> Figure:

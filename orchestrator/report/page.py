@@ -17,12 +17,12 @@ from hedgerow.orchestrator.report.curves import letter
 from hedgerow.orchestrator.report.figures import Kind
 from hedgerow.orchestrator.report.markup import Markup, join, listed, table, tag
 from hedgerow.orchestrator.report.reading import METRICS, growth, metrics, number, sentences
-from hedgerow.orchestrator.runs.reader import RecordedRun
+from hedgerow.orchestrator.runs.run import Run
 from hedgerow.topologies.escape import command
 from hedgerow.topologies.network import span
 from hedgerow.topologies.resolve import to_yaml
 
-Runs = Sequence[RecordedRun]
+Runs = Sequence[Run]
 NODES = 200
 """rows that the table of nodes has room for"""
 YAML_BYTES = 2**20
@@ -34,7 +34,7 @@ _COUNTS = ("scheduled", "fired", "masked", "seen", "beyond")
 
 def page(runs: Runs, drawn: Mapping[Kind, bytes]) -> str:
     """The whole page; `drawn` holds each figure as SVG."""
-    names = " and ".join(run.run for run in runs)
+    names = " and ".join(run.name for run in runs)
     css = resources.files("hedgerow.orchestrator.report").joinpath("report.css").read_text(encoding="utf-8")
     head = tag(
         "head",
@@ -56,7 +56,7 @@ def _opening(runs: Runs, names: str) -> list[Markup]:
     if len(runs) == 1:
         return [*parts, tag("p", _verdict(runs[0]), f" {_size(runs[0])}"), listed(sentences(runs[0]))]
     for k, run in enumerate(runs):
-        parts.append(tag("p", tag("strong", f"{letter(k)}: {run.run}. "), _verdict(run), f" {_size(run)}"))
+        parts.append(tag("p", tag("strong", f"{letter(k)}: {run.name}. "), _verdict(run), f" {_size(run)}"))
     comparable, said = notices(runs)
     if not comparable:
         warning = "These runs are not comparable: the networks differ, and every number below depends on that. "
@@ -66,13 +66,13 @@ def _opening(runs: Runs, names: str) -> list[Markup]:
     return parts
 
 
-def _verdict(run: RecordedRun) -> Markup:
-    verdict = str(run.verdict.get("verdict", WITHOUT))
-    reasons = f" ({'; '.join(run.verdict['reasons'])})" if run.verdict.get("reasons") else ""
-    return tag("span", f"Verdict: {verdict}{reasons}.", class_=verdict if run.verdict else "unknown")
+def _verdict(run: Run) -> Markup:
+    verdict = str(run.verdict.content.get("verdict", WITHOUT))
+    reasons = f" ({'; '.join(run.verdict.content['reasons'])})" if run.verdict.content.get("reasons") else ""
+    return tag("span", f"Verdict: {verdict}{reasons}.", class_=verdict if run.verdict.content else "unknown")
 
 
-def _size(run: RecordedRun) -> str:
+def _size(run: Run) -> str:
     topology = run.topology
     said = f"Network {topology.name}, law {run.law}, {len(run.ids)} nodes, {len(run.edges)} edges, b = {span(run.b)}, "
     if topology.graph.weights is not None:
@@ -103,11 +103,11 @@ def _numbers(runs: Runs) -> list[Markup]:
         ("restarts", "processes started again"),
         ("steps_per_s", "steps a second"),
     ]
-    if all(run.verdict for run in runs):
-        rows += [[words, *(number(run.verdict[name]) for run in runs)] for name, words in counted]
+    if all(run.verdict.content for run in runs):
+        rows += [[words, *(number(run.verdict.content[name]) for run in runs)] for name, words in counted]
     parts = [tag("h2", "Numbers"), table(["", *names], rows, "numbers")]
     for k, run in enumerate(runs):
-        if checks := run.verdict.get("checks"):
+        if checks := run.verdict.content.get("checks"):
             parts += [tag("h3", " ".join(["Checks", *([letter(k)] if len(runs) > 1 else [])])), _checks(checks)]
     return parts
 
@@ -143,12 +143,12 @@ def _figures(runs: Runs, drawn: Mapping[Kind, bytes]) -> list[Markup]:
     return [tag("h2", "Figures"), tag("p", note), tag("div", *shown, class_="figures")]
 
 
-def _run(run: RecordedRun, name: str) -> list[Markup]:
+def _run(run: Run, name: str) -> list[Markup]:
     behind = f" of {name}" if name else ""
     return [tag("h2", f"Network{behind}"), *_nodes(run), *_faults(run, behind)]
 
 
-def _nodes(run: RecordedRun) -> list[Markup]:
+def _nodes(run: Run) -> list[Markup]:
     topology, of_node = run.topology, np.nansum(run.regret**2, axis=0)
     shown = np.sort(np.argsort(-of_node, kind="stable")[:NODES])
     neighbours: dict[Any, list[str]] = {node: [] for node in run.ids}
@@ -188,26 +188,26 @@ def _nodes(run: RecordedRun) -> list[Markup]:
     return parts_
 
 
-def _truth(run: RecordedRun, k: int) -> str:
+def _truth(run: Run, k: int) -> str:
     """The a of a node, and what it jumped to."""
     a = run.a[:, k]
     jumps = np.flatnonzero(a[1:] != a[:-1]) + 1
     return ", ".join([f"{a[0]:.4f}", *(f"{a[t]:.4f} from step {t}" for t in jumps)])
 
 
-def _faults(run: RecordedRun, behind: str) -> list[Markup]:
+def _faults(run: Run, behind: str) -> list[Markup]:
     faults = run.topology.faults
     if not faults:
         return []
-    accounts = run.verdict.get("faults") or [{"what": str(fault.written())} for fault in faults]
+    accounts = run.verdict.content.get("faults") or [{"what": str(fault.written())} for fault in faults]
     rows = [
         [k, account["what"], *("—" if account.get(c) is None else account[c] for c in _COUNTS), grew]
         for k, (account, grew) in enumerate(zip(accounts, growth(run), strict=True), 1)
     ]
     note = (
-        "An instance is one target at one step. It fired if it took effect, was masked if there was nothing to take"
-        " away, and was seen if whoever should miss something says so. The last column is how much of D came about"
-        " in the fault's own steps, whatever caused it; a wrong estimate may cost later, too."
+        "An instance is one target at one step. It fired if it took effect, and was masked if there was nothing to"
+        " take away. It was seen if the process that misses something reports it. The last column is the part of D"
+        " from the steps of the fault, whatever caused it; a wrong estimate may cost later, too."
     )
     return [tag("h2", f"Faults{behind}"), table(["", "fault", *_COUNTS, "growth of D"], rows), tag("p", note)]
 
@@ -215,14 +215,14 @@ def _faults(run: RecordedRun, behind: str) -> list[Markup]:
 def _repeat(runs: Runs) -> list[Markup]:
     parts = [tag("h2", "To repeat it")]
     for run in runs:
-        text, name = to_yaml(run.topology).encode(), f"{run.run}.yaml"
+        text, name = to_yaml(run.topology).encode(), f"{run.name}.yaml"
         if len(text) <= YAML_BYTES:
             link = f"data:text/yaml;base64,{base64.b64encode(text).decode()}"
             where = join([tag("a", name, download=name, href=link), " holds every number that was drawn."])
         else:
             where = join([tag("code", name), " stands for topology.yaml in the run's folder, too large for this page."])
         stopped = ["--steps", run.T] if run.topology.steps > run.T else []
-        processes = ["--processes", run.verdict["processes"]] if run.verdict.get("processes") else []
+        processes = ["--processes", run.verdict.content["processes"]] if run.verdict.content.get("processes") else []
         simulated = command(["orchestrator", "simulate", name, *stopped])
         commands = f"{simulated}\n{command(['orchestrator', 'up', name, *stopped, *processes])}"
         own = f" The law is {run.law}, which must be importable." if ":" in run.law else ""
@@ -230,15 +230,15 @@ def _repeat(runs: Runs) -> list[Markup]:
             tag("p", where, " With the same versions either command gives the same trajectory, to the bit.", own),
             tag("pre", commands),
         ]
-    reported = command(["orchestrator", "report", *(run.run for run in runs)])
+    reported = command(["orchestrator", "report", *(run.name for run in runs)])
     parts += [tag("p", "And this report of the runs' folders:"), tag("pre", reported)]
     for run in runs:
-        if run.verdict:
-            versions = {**run.verdict["versions"], "matplotlib (this report)": mpl.__version__}
+        if run.verdict.content:
+            versions = {**run.verdict.content["versions"], "matplotlib (this report)": mpl.__version__}
             said = ", ".join(f"{package} {version}" for package, version in versions.items())
-            whole = tag("pre", json.dumps(run.verdict, indent=2, ensure_ascii=False))
+            whole = tag("pre", json.dumps(run.verdict.content, indent=2, ensure_ascii=False))
             parts += [
-                tag("p", f"{run.run} was made with {said}."),
+                tag("p", f"{run.name} was made with {said}."),
                 tag("details", tag("summary", "verdict.json"), whole),
             ]
     return parts

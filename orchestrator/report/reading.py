@@ -9,7 +9,7 @@ import numpy as np
 
 from hedgerow.orchestrator.metrics.fault_schedule import Schedule
 from hedgerow.orchestrator.metrics.guarantee import rounded_up
-from hedgerow.orchestrator.runs.reader import RecordedRun
+from hedgerow.orchestrator.runs.run import Run
 
 METRICS = {
     "nodes_right": "estimates that are the truth at the end",
@@ -29,9 +29,9 @@ METRICS = {
 """What each field of `metrics` in verdict.json is; docs/theory.md says more."""
 
 
-def metrics(run: RecordedRun) -> Mapping[str, Any]:
+def metrics(run: Run) -> Mapping[str, Any]:
     """The numbers of the verdict if it has them all, else of what is recorded so far."""
-    told: Mapping[str, Any] = run.verdict.get("metrics", {})
+    told: Mapping[str, Any] = run.verdict.content.get("metrics", {})
     return told if METRICS.keys() <= told.keys() else run.metrics
 
 
@@ -40,7 +40,7 @@ def number(value: Any) -> str:
     return "undefined" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def sentences(run: RecordedRun) -> list[str]:
+def sentences(run: Run) -> list[str]:
     """What the numbers of a run say, and what they do not."""
     m, n, right = metrics(run), len(run.ids), run.right[run.right >= 0]
     said = []
@@ -71,7 +71,7 @@ def sentences(run: RecordedRun) -> list[str]:
     return said
 
 
-def _gain(less: float, gamma_star: float, run: RecordedRun) -> str:
+def _gain(less: float, gamma_star: float, run: Run) -> str:
     said = (
         f"The gain less V(x(0)), which is what x(0) may have cost the oracle, is {less:.4g}, and γ* = {gamma_star:.4g}."
     )
@@ -87,7 +87,7 @@ def _estimates(right: int, n: int, most: int, steps: int) -> str:
     return f"{right} of {n} estimates are the truth after {steps} steps; that says nothing about later ones.{fell}"
 
 
-def growth(run: RecordedRun) -> list[str]:
+def growth(run: Run) -> list[str]:
     """By fault: how much of D came about in the steps at which it was to strike, whatever its cause."""
     D, T = run.regret_sum, run.T
     steps: list[list[int]] = [[] for _ in run.topology.faults]

@@ -13,7 +13,7 @@ from matplotlib.ticker import MaxNLocator
 
 from hedgerow.orchestrator.report.curves import Entries, bins, called, legend, plain, short, steps_axis
 from hedgerow.orchestrator.report.style import BLACK, BLUE, ORANGE, RED, sheet
-from hedgerow.orchestrator.runs.reader import RecordedRun
+from hedgerow.orchestrator.runs.run import Run
 from hedgerow.topologies.graph import Mask
 
 ROWS = 24
@@ -31,13 +31,16 @@ class Row:
     jumps: tuple[int, ...] = ()
 
 
-def rows(run: RecordedRun) -> list[Row]:
+def rows(run: Run) -> list[Row]:
     """Links and nodes of which anything was missing, in the order of the file."""
     ids = [short(str(node)) for node in run.ids]
     known = ~np.isnan(run.w).any(axis=1)
     found = []
     for k, (i, j) in enumerate(run.edges.tolist()):
-        lost = {"message lost": known & ~(run.i_hears[:, k] & run.j_hears[:, k]), "no flow": known & ~run.open[:, k]}
+        lost = {
+            "message lost": known & ~(run.i_hears[:, k] & run.j_hears[:, k]),
+            "no flow": known & ~run.edge_open[:, k],
+        }
         if any(mask.any() for mask in lost.values()):
             found.append(Row(f"{ids[i]}–{ids[j]}", lost))
     jumps = jumps_of(run)
@@ -48,18 +51,18 @@ def rows(run: RecordedRun) -> list[Row]:
     return found
 
 
-def jumps_of(run: RecordedRun) -> dict[int, tuple[int, ...]]:
+def jumps_of(run: Run) -> dict[int, tuple[int, ...]]:
     """The steps at which a node's a becomes another, by its place."""
     turned = (run.a[1:] != run.a[:-1]) & np.isfinite(run.a[1:] + run.a[:-1])
     return {int(i): tuple((turned[:, i].nonzero()[0] + 1).tolist()) for i in turned.any(axis=0).nonzero()[0]}
 
 
-def has_faults(runs: Sequence[RecordedRun]) -> bool:
+def has_faults(runs: Sequence[Run]) -> bool:
     """Whether anything was missing, or jumped, in one of some runs."""
     return any(rows(run) for run in runs)
 
 
-def draw_faults(runs: Sequence[RecordedRun]) -> Figure:
+def draw_faults(runs: Sequence[Run]) -> Figure:
     """When what was missing: a panel a run, a row a link or node."""
     listed = [rows(run) for run in runs]
     heights = [min(max(1, len(one)), ROWS if len(one) <= ROWS else 10) for one in listed]

@@ -13,17 +13,17 @@ from matplotlib.lines import Line2D
 
 from hedgerow.orchestrator.report.curves import Entries, called, extremes, law, legend, stairs, steps_axis, thin
 from hedgerow.orchestrator.report.style import BLACK, BLUE, GREY, ORANGE, RED, colour, sheet
-from hedgerow.orchestrator.runs.reader import RecordedRun
+from hedgerow.orchestrator.runs.run import Run
 from hedgerow.topologies.graph import Array
 
-Runs = Sequence[RecordedRun]
+Runs = Sequence[Run]
 
 
 class Series(NamedTuple):
     """One number a step; a run alone gives it the colour, and runs beside each other the style of line."""
 
     name: str
-    of: Callable[[RecordedRun], Array | float]
+    of: Callable[[Run], Array | float]
     """(S,), or a number that holds at all steps"""
     color: str
     style: str = "-"
@@ -75,7 +75,7 @@ def sums(runs: Runs) -> Figure:
     return figure
 
 
-def _nominal_sum(run: RecordedRun) -> Array:
+def _nominal_sum(run: Run) -> Array:
     return run.nominal_regret_sum
 
 
@@ -105,7 +105,7 @@ def gain(runs: Runs) -> Figure:
     return figure
 
 
-def _bounded(runs: Runs) -> list[RecordedRun]:
+def _bounded(runs: Runs) -> list[Run]:
     """Return the runs that have a bound on the law's gain."""
     return [run for run in runs if np.isfinite(run.ceiling).any()]
 

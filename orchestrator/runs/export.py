@@ -17,21 +17,22 @@ from numpy.typing import NDArray
 from pyarrow.csv import CSVWriter
 
 from hedgerow.orchestrator.ground.spelling import spelled
-from hedgerow.orchestrator.runs.reader import RecordedRun
+from hedgerow.orchestrator.metrics.verdict import Verdict
+from hedgerow.orchestrator.runs.run import Run
 from hedgerow.orchestrator.runs.table import Table
 from hedgerow.orchestrator.runs.writer import ROW_GROUP
-from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.errors import Code, UserError
 
 FORMS = ("csv", "parquet", "npz", "mat")
 NAMES = (
-    *("run", "law", "verdict", "T", "b", "gamma_star", "ids", "edges", "weights"),
-    *("candidates", "nominal", "lost", "steps"),
+    *("name", "law", "verdict", "T", "b", "gamma_star", "ids", "edges", "weights"),
+    *("candidates", "nominal", "lost", "rows"),
     *("x", "x_oracle", "x_nominal", "regret", "nominal_gap", "regret_sum", "nominal_regret_sum"),
     *("a", "u", "w", "ahat", "index", "margin", "a_ls", "beta", "identifiable", "right"),
     *("cost", "cost_oracle", "cost_regret", "energy_sum", "gain", "gain_less_x0"),
-    *("u_edge", "open", "i_hears", "j_hears"),
+    *("u_edge", "edge_open", "i_hears", "j_hears"),
 )
-"""The arrays of a .npz and a .mat, each what the RecordedRun has by that name."""
+"""The arrays of a .npz and a .mat, each the attribute of Run with that name."""
 OF_ALL = ("a_ls", "beta", "identifiable")
 """Those that take all rows to know."""
 TOTALS = (
@@ -45,26 +46,28 @@ MAT_BYTES = 2**31 - 1
 """What one array of a .mat can hold."""
 
 
-def export(run: RecordedRun, to: str, out: Path | None = None, force: bool = False) -> list[Path]:
+def export(run: Run, to: str, out: Path | None = None, force: bool = False) -> list[Path]:
     """Write a run in the form `to`, one of FORMS, and return its files; all of them are whole, or none is there.
 
     `out` is a folder for tables, else a file. Raises UserError for a mistake, and where there is no room.
     """
     if to not in FORMS:
-        raise UserError(f"--to {to}: is no form of a run; there are {', '.join(FORMS)}")
+        raise UserError(f"--to {to}: is no form of a run; there are {', '.join(FORMS)}", code=Code.OPTION)
     files = _files(run, to, out)
     for file in files:
         if file.resolve() in (table.parquet for table in run.tables.values()):
-            raise UserError(f"{file}: is the run's own; --out names another folder")
+            raise UserError(f"{file}: is the run's own; --out names another folder", code=Code.OUTPUT)
         if file.is_dir():
-            raise UserError(f"{file}: is a folder; --out names the file to write")
+            raise UserError(f"{file}: is a folder; --out names the file to write", code=Code.OUTPUT)
         if file.exists() and not force:
-            raise UserError(f"{file}: is there already; --force replaces it, --out names another place")
+            raise UserError(
+                f"{file}: is there already; --force replaces it, --out names another place", code=Code.OUTPUT
+            )
     _write(files)
     return list(files)
 
 
-def arrays(run: RecordedRun) -> dict[str, NDArray[Any]]:
+def arrays(run: Run) -> dict[str, NDArray[Any]]:
     """All of a run by name: numbers, flags and text, never objects; what is left out by `record:` is not there."""
     there = NAMES if run.whole else [name for name in NAMES if name not in OF_ALL]
     if "summary" not in run.tables and not run.whole:
@@ -73,21 +76,21 @@ def arrays(run: RecordedRun) -> dict[str, NDArray[Any]]:
 
 
 def _array(value: Any) -> NDArray[Any]:
-    if isinstance(value, Mapping):
-        return np.array(value.get("verdict", ""))
+    if isinstance(value, Verdict):
+        return np.array(value.verdict)
     return np.asarray(value)
 
 
 Write = Callable[[Path], object]
 
 
-def _files(run: RecordedRun, to: str, out: Path | None) -> dict[Path, Write]:
+def _files(run: Run, to: str, out: Path | None) -> dict[Path, Write]:
     """Each file of a form, and what writes it."""
     if to in ("csv", "parquet"):
-        folder = out or Path(f"{run.run}-{to}")
+        folder = out or Path(f"{run.name}-{to}")
         write = _csv if to == "csv" else _parquet
         return {folder / f"{name}.{to}": partial(write, table) for name, table in run.tables.items()}
-    return {out or Path(f"{run.run}.{to}"): partial(_npz if to == "npz" else _mat, run)}
+    return {out or Path(f"{run.name}.{to}"): partial(_npz if to == "npz" else _mat, run)}
 
 
 def _csv(table: Table, path: Path) -> None:
@@ -105,19 +108,21 @@ def _parquet(table: Table, path: Path) -> None:
         pq.write_table(table.whole(), spelled(path), row_group_size=ROW_GROUP)
 
 
-def _npz(run: RecordedRun, path: Path) -> None:
+def _npz(run: Run, path: Path) -> None:
     content: dict[str, Any] = arrays(run)
     with path.open("wb") as file:
         np.savez(file, **content)
 
 
-def _mat(run: RecordedRun, path: Path) -> None:
+def _mat(run: Run, path: Path) -> None:
     from scipy.io import savemat  # noqa: PLC0415 (a third of a second)
 
     content = {name: _of_matlab(name, values) for name, values in arrays(run).items()}
     for name, values in content.items():
         if values.nbytes > MAT_BYTES:
-            raise UserError(f"--to mat: an array of such a file holds 2 GB at most, and {name} is larger; use npz")
+            raise UserError(
+                f"--to mat: an array of such a file holds 2 GB at most, and {name} is larger; use npz", code=Code.OPTION
+            )
     with path.open("wb") as file:
         savemat(file, content, oned_as="column")
 
@@ -148,9 +153,11 @@ def _write(files: Mapping[Path, Write]) -> None:
         done = True
     except (OSError, pa.ArrowInvalid) as error:
         reason = getattr(error, "strerror", None) or error
-        raise UserError(f"{file}: is not written: {reason}; --out names another place") from None
+        raise UserError(f"{file}: is not written: {reason}; --out names another place", code=Code.OUTPUT) from None
     except MemoryError:
-        raise UserError(f"{file}: is not written: no memory; csv and parquet are written piece by piece") from None
+        raise UserError(
+            f"{file}: is not written: no memory; csv and parquet are written piece by piece", code=Code.LIMIT
+        ) from None
     finally:
         with contextlib.suppress(OSError):
             for part in parts.values():

@@ -12,6 +12,7 @@ from typing import Any
 import pyarrow as pa
 from pydantic import BaseModel, ValidationError
 
+from hedgerow.topologies import budget, json_file
 from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.load import load
 from hedgerow.topologies.regular_file import check_regular, read_regular
@@ -66,7 +67,9 @@ def load_resolved(folder: Path) -> Topology:
     except (TypeError, ValueError, AttributeError):
         network = None
     if network is None:
-        raise UserError(f"{file}: leaves numbers to chance, so it is not the resolved file of this run") from None
+        raise UserError(
+            f"{file}: leaves numbers to chance, so it is not the resolved file of this run", code=Code.FILE_FORMAT
+        ) from None
     return topology
 
 
@@ -84,18 +87,14 @@ def reading(file: Path) -> Iterator[None]:
         ) from None
 
 
-JSON_GROWTH = 10
-"""bytes of memory for a byte of JSON, once it is parsed"""
-
-
 def read_file(file: Path, start: int = 0) -> bytes:
-    """Return the content of a JSON file of a run's folder, from byte `start`.
+    """Return the content of a file of a run's folder, from byte `start`; `json_file` bounds what becomes of it.
 
     Raises UserError for a FIFO, a device, a link out of the folder, or more memory than is allowed; FileNotFoundError
     passes.
     """
     with reading(file):
-        return read_regular(file, file.parent, JSON_GROWTH, start)
+        return read_regular(file, file.parent, start=start)
 
 
 def check_file(file: Path) -> int:
@@ -142,7 +141,7 @@ def read_verdict(folder: Path) -> dict[str, Any]:
     file = folder / "verdict.json"
     try:
         with reading(file):
-            content: dict[str, Any] = json.loads(read_file(file))
+            content: dict[str, Any] = json_file.loads(file, read_file(file))
         _Verdict.model_validate(content)
     except FileNotFoundError:
         return {}
@@ -150,7 +149,8 @@ def read_verdict(folder: Path) -> dict[str, Any]:
         wrong = error.errors(include_url=False)[0]
         place = ".".join(map(str, wrong["loc"])) or "all of it"
         raise UserError(
-            f"{file}: is no verdict of this version: {place}: {wrong['msg']}; the run can be read without the file"
+            f"{file}: is no verdict of this version: {place}: {wrong['msg']}; the run can be read without the file",
+            code=Code.FILE_FORMAT,
         ) from None
     return content
 
@@ -159,14 +159,16 @@ def load_events(folder: Path) -> list[dict[str, Any]]:
     file = folder / "events.jsonl"
     try:
         with reading(file):
-            return read_events(read_file(file))
+            return read_events(read_file(file), file)
     except FileNotFoundError:
         return []
 
 
-def read_events(text: bytes) -> list[dict[str, Any]]:
+def read_events(text: bytes, file: Path) -> list[dict[str, Any]]:
     """The events of whole lines, a killed writer leaves a piece of one; ValueError for what is none."""
-    events = [json.loads(line) for line in text[: text.rfind(b"\n") + 1].split(b"\n")[:-1]]
+    whole = text[: text.rfind(b"\n") + 1]
+    budget.require(file, json_file.memory(whole))
+    events = [json.loads(line) for line in whole.split(b"\n")[:-1]]
     for number, event in enumerate(events, 1):
         if not isinstance(event, dict) or not isinstance(event.get("event"), str):
             raise ValueError(f"line {number} is no event")

@@ -71,7 +71,7 @@ def whole_folder(folder: Path, said: str, mode: int = 0o777) -> Iterator[Path]:
     """A folder to fill, beside the new or empty one that it becomes when the block ends well; else nothing is left."""
     made = not folder.exists()
     new_folder(folder, said, mode)
-    # Whoever gave us a folder may be in it, or have mounted it there: it stays the one that it is.
+    # Keep a folder that exists: the user may be in it, or have mounted it there.
     part = (folder.parent if made else folder) / f".{folder.name}-{os.getpid()}"
     try:
         part.mkdir(mode)
@@ -123,6 +123,20 @@ def create(topology: Topology, directory: Path | None) -> RunFolder:
     return folder
 
 
+def reserve(name: str) -> RunFolder:
+    """Make an empty folder in runs/ for a run of the network `name`, and point runs/latest to it."""
+    try:
+        folder = _new_in(Path("runs"), name)
+    except OSError as error:
+        raise UserError(
+            f"no run folder: runs: {error.strerror}. Give a folder with run_dir.", code=Code.OUTPUT
+        ) from None
+    latest = folder.path.parent / "latest"
+    folder.latest_before = os.readlink(latest) if latest.is_symlink() else None
+    folder.note = _point_latest(folder.path.parent, folder.path)
+    return folder
+
+
 def begun_or_withdrawn(folder: RunFolder, begin: Callable[[], T]) -> T:
     """Return `begin()`; if it raises HedgerowError, undo `create` first."""
     try:
@@ -171,7 +185,7 @@ def _new_in(runs: Path, name: str) -> RunFolder:
 
 def _point_latest(runs: Path, path: Path) -> str:
     """Point runs/latest to a run; return why that cannot be, in one line, else nothing."""
-    # Replaced by a rename, so that `latest` exists at every moment, whoever else starts a run.
+    # Replace it by a rename, so that `latest` exists at every moment while other runs start.
     link = runs / f".latest-{os.getpid()}"
     try:
         link.symlink_to(path.name, target_is_directory=True)

@@ -18,7 +18,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from hedgerow.topologies import json_file
 from hedgerow.topologies.errors import Code, UserError
+from hedgerow.topologies.regular_file import open_regular
 from hedgerow.wire.access import OPERATOR
 from hedgerow.wire.session import remove_trace
 
@@ -53,10 +55,13 @@ def _directory() -> Path:
         found = directory.lstat()
     except OSError as error:
         raise UserError(
-            f"{base}: no place to list running networks: {error.strerror}; set XDG_RUNTIME_DIR to a folder of your own"
+            f"{base}: no place to list running networks: {error.strerror}; set XDG_RUNTIME_DIR to a folder of your own",
+            code=Code.OUTPUT,
         ) from None
     if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o077:
-        raise UserError(f"{directory}: must be a folder that is yours alone: chmod 700 it, or remove it")
+        raise UserError(
+            f"{directory}: must be a folder that is yours alone: chmod 700 it, or remove it", code=Code.OUTPUT
+        )
     return directory
 
 
@@ -102,15 +107,38 @@ def running() -> list[Entry]:
     """The networks that run now, the oldest first; what dead ones left is removed in passing."""
     entries = []
     for path in _directory().glob("*.json"):
-        with contextlib.suppress(OSError, ValueError, TypeError), path.open("r", encoding="utf-8") as file:
+        with contextlib.suppress(OSError, UserError), open_regular(path, path.parent) as file:
+            content = file.read(_MOST_BYTES)
             if _is_locked(file.fileno()):
-                entries.append(Entry(**json.load(file)))
-            elif path.stat().st_size:  # else it is being written right now
+                entries.append(_entry(path, content))
+            elif content:  # else it is being written right now
                 remove_trace(secrets_of(path))
                 path.unlink(missing_ok=True)
-                for trace in Entry(**json.load(file)).traces:
+                for trace in _entry(path, content).traces:
                     remove_trace(trace)
     return sorted(entries, key=lambda entry: entry.started)
+
+
+_MOST_BYTES = 2**20
+
+
+def _entry(path: Path, content: bytes) -> Entry:
+    """Return the entry that a file holds; raise UserError if it is none."""
+    found = json_file.loads(path, content)
+    try:
+        entry = Entry(**found)
+    except TypeError:
+        entry = None
+    if (
+        entry is None
+        or not all(isinstance(text, str) for text in (entry.run, entry.folder, entry.endpoint, entry.namespace))
+        or not isinstance(entry.directory, str)
+        or not isinstance(entry.credentials, str | None)
+        or not (isinstance(entry.pid, int) and isinstance(entry.started, int | float))
+        or not (isinstance(entry.traces, list) and all(isinstance(trace, str) for trace in entry.traces))
+    ):
+        raise UserError(f"{path}: lists no run. Remove it.", code=Code.FILE_FORMAT)
+    return entry
 
 
 def _is_locked(descriptor: int) -> bool:

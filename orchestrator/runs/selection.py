@@ -42,7 +42,7 @@ class Kept:
         return np.flatnonzero(kept[self.graph.edges].any(axis=1))
 
     def rows(self, t: Index) -> Index:
-        """Which of some steps have rows: every so manieth, and the last at which something acts."""
+        """Return a mask of the steps that have rows: every Nth step, and the last step with inputs."""
         if self.every == 1:
             return np.arange(len(t))
         return np.flatnonzero((t % self.every == 0) | (t == self.steps - 1))

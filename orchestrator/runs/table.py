@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import contextlib
 import importlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from hedgerow.orchestrator.ground.spelling import spelled
+from hedgerow.orchestrator.runs import arrow_stream
 from hedgerow.orchestrator.runs.files import check_file, reading
-from hedgerow.orchestrator.runs.writer import whole_batches
 from hedgerow.topologies import budget
-from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.graph import Index
 
 FRAMES = ("arrow", "pandas", "polars")
@@ -36,6 +37,8 @@ class Table:
         self._stream: Any = None
         self._taken: set[str] = set()
         """columns that were read whole"""
+        self._longest: dict[str, int] = {}
+        """bytes of the longest text in a column"""
         with contextlib.suppress(FileNotFoundError), reading(stream):  # it has become the Parquet file just now
             if not self.parquet.exists() and stream.exists():
                 self._stream = _so_far(stream)
@@ -46,7 +49,9 @@ class Table:
             with reading(self.parquet):
                 self._file = pq.ParquetFile(spelled(self.parquet)) if self._stream is None else None
         except FileNotFoundError:
-            raise UserError(f"{folder}: no step of the run is recorded yet: there is no {name}.parquet") from None
+            raise UserError(
+                f"{folder}: no step of the run is recorded yet: there is no {name}.parquet", code=Code.RUN_MISSING
+            ) from None
 
     @property
     def over(self) -> bool:
@@ -60,10 +65,31 @@ class Table:
     def _require(self, *names: str) -> None:
         """Raise UserError if these columns, with those that were read before, take more memory than is allowed."""
         self._taken.update(names)
+        with reading(self.path):
+            row = self._row(self._taken)
         rows = self._stream.num_rows if self._file is None else self._file.metadata.num_rows
-        row = sum(_width(self.schema.field(name).type) for name in self._taken)
         # What the file says of its size on disk is not asked: repeated values take no room there.
         budget.require(self.path, rows * row)
+
+    def _row(self, names: Iterable[str]) -> int:
+        """Return the bytes of memory that a row of these columns takes at most."""
+        return sum(self._width(name) for name in names)
+
+    def _width(self, name: str) -> int:
+        """Return the bytes that a value of a column takes at most, at least 8: numbers become float64 on the way."""
+        kind = self.schema.field(name).type
+        if pa.types.is_primitive(kind):
+            return max(8, int(kind.bit_width) // 8)
+        if not (pa.types.is_string(kind) or pa.types.is_large_string(kind)):
+            raise UserError(
+                f"{self.path}: column {name[:80]} is of type {str(kind)[:80]}, not of numbers or text. "
+                "Put back the file that the run wrote.",
+                code=Code.FILE_FORMAT,
+            )
+        if name not in self._longest:
+            # A text of a stream stands there for each row.
+            self._longest[name] = 8 + (0 if self._file is None else _longest(self.parquet, self._file.metadata, name))
+        return self._longest[name]
 
     def whole(self) -> Any:
         """Return a pyarrow.Table."""
@@ -73,13 +99,21 @@ class Table:
 
     def batches(self) -> Iterator[Any]:
         """The same in parts that fit into memory."""
+        if self._file is None:
+            yield from self._stream.to_batches()
+            return
         with reading(self.path):
-            yield from self._stream.to_batches() if self._file is None else self._file.iter_batches()
+            row = max(1, self._row(self.schema.names))
+            rows = max(1, min(_MOST_ROWS, _PART_BYTES // row))
+            budget.require(self.path, rows * row)
+            yield from self._file.iter_batches(batch_size=rows)
 
     def column(self, name: str, width: int) -> NDArray[Any]:
         """One column, a row a recorded step, (K, width); NaN where a number is null."""
         if name not in self.schema.names:
-            raise UserError(f"{self.path}: has no column {name}: another version of hedgerow wrote it")
+            raise UserError(
+                f"{self.path}: has no column {name}: another version of hedgerow wrote it", code=Code.FILE_FORMAT
+            )
         self._require(name)
         with reading(self.path):
             table = self._stream if self._file is None else self._file.read(columns=[name])
@@ -92,13 +126,16 @@ class Table:
         """The step of each row of `column`, (K,)."""
         rows = self._stream.num_rows if self._file is None else self._file.metadata.num_rows
         if rows % width:
-            raise UserError(f"{self.path}: {rows} rows are no whole steps of {width}; topology.yaml is another's")
+            raise UserError(
+                f"{self.path}: {rows} rows are no whole steps of {width}; topology.yaml is another's",
+                code=Code.FILE_FORMAT,
+            )
         budget.require(self.path, 8 * (rows // width))
         if rows and rows == (self._last_step() + 1) * width:
             return np.arange(rows // width)
         steps: Index = self.column("step", width)[:, 0].astype(np.int64)
         if len(steps) and (steps[0] < 0 or (np.diff(steps) <= 0).any()):
-            raise UserError(f"{self.path}: its steps do not ascend; it is damaged")
+            raise UserError(f"{self.path}: its steps do not ascend; it is damaged", code=Code.FILE_FORMAT)
         return steps
 
     def _last_step(self) -> int:
@@ -115,7 +152,7 @@ class Table:
     def frame(self, kind: str) -> Any:
         """All of it: a pyarrow.Table, or a frame of "pandas" or "polars"."""
         if kind not in FRAMES:
-            raise UserError(f"{kind!r} is no kind of table; there are {', '.join(FRAMES)}")
+            raise UserError(f"{kind!r} is no kind of table; there are {', '.join(FRAMES)}", code=Code.OPTION)
         if kind == "arrow":
             return self.whole()
         try:
@@ -123,34 +160,51 @@ class Table:
         except ModuleNotFoundError as error:
             if error.name != kind:
                 raise
-            raise UserError(f"{kind} is not installed; install it with: pip install {kind}") from None
+            raise UserError(
+                f"{kind} is not installed; install it with: pip install {kind}", code=Code.DEPENDENCY
+            ) from None
         if kind == "polars":
             return library.from_arrow(self.whole())
         # With nulls in it, a column of whole numbers would become one of floats.
         return self.whole().to_pandas(types_mapper={pa.int32(): library.Int32Dtype()}.get)
 
 
-def _width(kind: Any) -> int:
-    """Return the bytes that a value of an Arrow type takes, at least 8: numbers become float64 on the way."""
-    try:
-        return max(8, int(kind.bit_width) // 8)
-    except ValueError:  # text and lists are as long as they are
-        return 24
+_MOST_ROWS, _PART_BYTES = 65_536, 64 * 2**20
+"""of one part of a table"""
+
+
+def _longest(file: Path, metadata: Any, name: str) -> int:
+    """Return the bytes of the longest text in a column of a Parquet file.
+
+    A text that repeats stands in the file once, so one of 100 MB can be that of each of 10^6 rows. Read as a
+    dictionary, each text stays single.
+    """
+    column = metadata.schema.to_arrow_schema().names.index(name)
+    groups = [metadata.row_group(k) for k in range(metadata.num_row_groups)]
+    sizes = [group.column(column).total_uncompressed_size + 4 * group.num_rows for group in groups]
+    budget.require(file, max(sizes, default=0))
+    found = 0
+    with pq.ParquetFile(spelled(file), read_dictionary=[name]) as opened:
+        for k in range(len(groups)):
+            for chunk in opened.read_row_group(k, columns=[name])[name].chunks:
+                longest = pc.max(pc.binary_length(chunk.dictionary)).as_py()
+                found = max(found, longest or 0)
+    return found
 
 
 def _so_far(stream: Path) -> Any:
     """An Arrow stream as a table that stays in the file, up to its last whole batch."""
     size = check_file(stream)
     try:
-        reader = pa.ipc.open_stream(pa.memory_map(spelled(stream)))
-    except pa.ArrowInvalid:  # not even what the columns are
-        raise UserError(f"{stream.parent}: no step of the run is recorded yet") from None
-    batches, taken = [], 0
-    for batch in whole_batches(reader):
-        batches.append(batch)
+        schema, batches = arrow_stream.batches(stream)
+    except (pa.ArrowInvalid, EOFError):  # not even what the columns are
+        raise UserError(f"{stream.parent}: no step of the run is recorded yet", code=Code.RUN_MISSING) from None
+    taken, found = 0, []
+    for batch in batches:
+        found.append(batch)
         taken += batch.nbytes
         # Batches stay in the file, except those that are compressed: no run writes those.
         budget.require(stream, max(0, taken - size))
-    table = pa.Table.from_batches(batches, reader.schema)
+    table = pa.Table.from_batches(found, schema)
     table.validate(full=True)  # a text whose offsets came to harm would be read from anywhere in memory
     return table

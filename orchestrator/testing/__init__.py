@@ -7,20 +7,21 @@ from __future__ import annotations
 
 TYPE_CHECKING = False  # the one of typing takes a while to load
 if TYPE_CHECKING:
+    from hedgerow.orchestrator.launch.running import Running
+    from hedgerow.orchestrator.runs.difference import Estimates
+    from hedgerow.orchestrator.runs.run import Run
     from hedgerow.orchestrator.testing.laws import check_law
-    from hedgerow.orchestrator.testing.result import Estimates, Result
-    from hedgerow.orchestrator.testing.running import Running
     from hedgerow.orchestrator.testing.scenario import Networks, Scenario
 
 _HOMES = {
-    "Estimates": "result",
-    "Networks": "scenario",
-    "Result": "result",
-    "Running": "running",
-    "Scenario": "scenario",
-    "check_law": "laws",
+    "Estimates": "runs.difference",
+    "Networks": "testing.scenario",
+    "Run": "runs.run",
+    "Running": "launch.running",
+    "Scenario": "testing.scenario",
+    "check_law": "testing.laws",
 }
-__all__ = ["Estimates", "Networks", "Result", "Running", "Scenario", "check_law"]
+__all__ = ["Estimates", "Networks", "Run", "Running", "Scenario", "check_law"]
 
 
 def __getattr__(name: str) -> object:
@@ -29,4 +30,4 @@ def __getattr__(name: str) -> object:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module  # noqa: PLC0415
 
-    return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+    return getattr(import_module(f"hedgerow.orchestrator.{_HOMES[name]}"), name)

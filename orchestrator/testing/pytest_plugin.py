@@ -12,19 +12,20 @@ from typing import TYPE_CHECKING
 import pytest
 
 if TYPE_CHECKING:
-    from hedgerow.orchestrator.testing import Networks, Result
+    from hedgerow.orchestrator.testing import Networks, Run
 
-_RESULTS = pytest.StashKey[list["Result"]]()
+_RESULTS = pytest.StashKey[list["Run"]]()
 """The runs that the test at hand has made."""
 
 
 @pytest.fixture(scope="session")
 def network(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Networks:
     """Networks to test with: `network("paper7").drop((2, 4), steps=range(10, 20)).run()`; see orchestrator.testing."""
-    from hedgerow.orchestrator.launch import live  # noqa: PLC0415
-    from hedgerow.orchestrator.testing import Networks, result, running, scenario  # noqa: PLC0415
+    from hedgerow.orchestrator.launch import live, running  # noqa: PLC0415
+    from hedgerow.orchestrator.runs import run  # noqa: PLC0415
+    from hedgerow.orchestrator.testing import Networks, scenario  # noqa: PLC0415
 
-    for ours in (live, result, running, scenario):
+    for ours in (live, run, running, scenario):
         vars(ours)["__tracebackhide__"] = _is_the_users
     results = request.config.stash[_RESULTS]
     return Networks(tmp_path_factory.mktemp, results.append)
@@ -53,7 +54,7 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestR
     """A test that fails names its runs: what is wrong with them, and where they can be looked at."""
     report = yield
     if report.failed and (results := item.config.stash[_RESULTS]):
-        report.sections.append(("networks", "\n".join(result.summary() for result in results[-_SHOWN:])))
+        report.sections.append(("networks", "\n".join(run.describe() for run in results[-_SHOWN:])))
     return report
 
 
@@ -62,8 +63,8 @@ _SHOWN = 4
 
 def pytest_assertrepr_compare(left: object, right: object, op: str) -> list[str] | None:
     """Why two runs, or the estimates of two, are not equal."""
-    testing = sys.modules.get("hedgerow.orchestrator.testing.result")
-    if testing is None or op != "==":
+    if op != "==" or "hedgerow.orchestrator.runs.run" not in sys.modules:
         return None
-    said: list[str] | None = testing.explain(left, right)
-    return said
+    from hedgerow.orchestrator.testing.explanation import explain  # noqa: PLC0415
+
+    return explain(left, right)

@@ -12,13 +12,14 @@ from typing import Any, Literal
 from hedgerow.orchestrator.ground import laws
 from hedgerow.orchestrator.ground.assignment import layout, truth_of, views_of
 from hedgerow.orchestrator.launch.live import FaultVerbs, checked
-from hedgerow.orchestrator.launch.recording import Run, Watching
+from hedgerow.orchestrator.launch.recording import Recording, Watching
+from hedgerow.orchestrator.launch.running import Running, run_to_the_end
 from hedgerow.orchestrator.metrics.verdict import Ending
 from hedgerow.orchestrator.runs import reference
 from hedgerow.orchestrator.runs.folder import create
-from hedgerow.orchestrator.testing.result import Result
-from hedgerow.orchestrator.testing.running import Running, run_to_the_end
-from hedgerow.topologies.errors import UserError
+from hedgerow.orchestrator.runs.reader import load_run
+from hedgerow.orchestrator.runs.run import Run
+from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.faults import Fault
 from hedgerow.topologies.load import parse
 from hedgerow.topologies.named import Named, text_of
@@ -28,6 +29,7 @@ from hedgerow.wire.codec import End, Telemetry
 
 RUN_DEADLINE_S = 120.0
 LIVE_STEPS = 1_000_000
+_OPTIONS = ("--viewer", "none", "--no-record")
 
 
 @dataclass(frozen=True)
@@ -45,7 +47,7 @@ class Scenario(FaultVerbs["Scenario"]):
     """where its CSV files lie"""
     new_folder: Callable[[str], Path] = field(repr=False, compare=False)
     """makes an empty folder for a run, near that name"""
-    on_result: Callable[[Result], None] = field(repr=False, compare=False, default=lambda _: None)
+    on_result: Callable[[Run], None] = field(repr=False, compare=False, default=lambda _: None)
     """told of every result"""
     settings: tuple[str, ...] = ()
     faults: tuple[Fault, ...] = ()
@@ -72,7 +74,7 @@ class Scenario(FaultVerbs["Scenario"]):
         engine: Literal["in-process", "zenoh"] = "in-process",
         seed: int | None = None,
         deadline_s: float = RUN_DEADLINE_S,
-    ) -> Result:
+    ) -> Run:
         """Run to the last step, and return what is left; steps, processes and seed replace those of the file.
 
         engine: `in-process`, the reference, has no processes and takes milliseconds; `zenoh` is `orchestrator up`,
@@ -84,9 +86,9 @@ class Scenario(FaultVerbs["Scenario"]):
             case "in-process":
                 result = _run_here(scenario.topology, folder)
             case "zenoh":
-                result = run_to_the_end(scenario.topology, folder, deadline_s)
+                result = run_to_the_end(scenario.topology, folder, *_OPTIONS, deadline_s=deadline_s, listed=False)
             case _:
-                raise UserError(f"engine={engine!r}: is neither 'in-process' nor 'zenoh'")
+                raise UserError(f"engine={engine!r}: is neither 'in-process' nor 'zenoh'", code=Code.OPTION)
         self.on_result(result)
         return result
 
@@ -105,7 +107,8 @@ class Scenario(FaultVerbs["Scenario"]):
         """
         scenario = self._with(steps=steps, processes=processes, seed=seed)
         folder = self.new_folder(scenario.topology.name)
-        return Running(scenario.topology, folder, rate, step_deadline_s, self.on_result)
+        options = (*_OPTIONS, "--rate", str(rate), "--deadline", str(step_deadline_s))
+        return Running(scenario.topology, folder, *options, listed=False, on_run=self.on_result)
 
     def _with(self, **settings: int | None) -> Scenario:
         given = [f"{key}={value}" for key, value in settings.items() if value is not None]
@@ -118,11 +121,11 @@ def _now(scenario: Scenario) -> Scenario:
     return scenario
 
 
-def _run_here(topology: Topology, path: Path) -> Result:
+def _run_here(topology: Topology, path: Path) -> Run:
     """As `orchestrator simulate`; but Ctrl-C and what a law raises are the test's."""
     folder = create(topology, path)
     ending = Ending(run=folder.name, engine="in-process", processes=0)
-    run = Run(topology, folder, Watching(record=False), ending)
+    run = Recording(topology, folder, Watching(record=False), ending)
     folder.event("start", engine=ending.engine)
     run.tell_faults()
     shards = layout(topology, topology.processes if isinstance(topology.processes, int) else 1)
@@ -133,7 +136,7 @@ def _run_here(topology: Topology, path: Path) -> Result:
         if isinstance(batch[-1], End):
             run.finish(batch[-1])
     run.close()
-    return Result.read(path)
+    return load_run(path)
 
 
 def _batches(rows: Iterator[Telemetry | End], size: int) -> Iterator[list[Telemetry | End]]:
@@ -146,7 +149,7 @@ class Networks:
     """What the fixture `network` is: call it with a network, and get a Scenario."""
 
     new_folder: Callable[[str], Path] = field(repr=False)
-    on_result: Callable[[Result], None] = field(repr=False, default=lambda _: None)
+    on_result: Callable[[Run], None] = field(repr=False, default=lambda _: None)
 
     def __call__(self, network: Named, *settings: str) -> Scenario:
         """network: a bundled name, a file, the folder of a run, a Topology, a dictionary, or the text of a file.

@@ -9,6 +9,7 @@ import numpy as np
 
 from hedgerow.orchestrator.metrics.observer import Batch, Observer
 from hedgerow.orchestrator.runs.selection import kept
+from hedgerow.topologies.escape import markdown
 from hedgerow.topologies.graph import Index, Mask
 from hedgerow.topologies.law_choice import is_listed
 from hedgerow.topologies.network import span
@@ -40,14 +41,14 @@ class Now:
         return [self._text(batch, row, float(gain[row]), float(less[row])) for row in rows.tolist()]
 
     def _edge(self, k: int) -> str:
-        i, j = (self._ids[end] for end in self._graph.edges[k].tolist())
+        i, j = map(self._node, self._graph.edges[k].tolist())
         return f"{i}–{j}"
 
     def _link(self, k: int) -> str:
-        return f"{self._ids[int(self._graph.neighbour[k])]}→{self._ids[int(self._graph.node[k])]}"
+        return f"{self._node(int(self._graph.neighbour[k]))}→{self._node(int(self._graph.node[k]))}"
 
     def _node(self, k: int) -> str:
-        return str(self._ids[k])
+        return markdown(str(self._ids[k]))
 
     def _text(self, batch: Batch, k: int, gain: float, less: float) -> str:
         x, regret = np.abs(batch.x[k]), batch.regret[k]
@@ -61,14 +62,14 @@ class Now:
             *_those("no input from", self._node, missing & ~dead),
         ]
         models = [
-            f"{self._ids[i]} (â {batch.ahat[k, i]:.4g}, a {batch.a[k, i]:.4g})"
+            f"{self._node(i)} (â {batch.ahat[k, i]:.4g}, a {batch.a[k, i]:.4g})"
             for i in (wrong & ~dead).nonzero()[0][:SOME].tolist()
         ]
         return "\n".join(
             [
                 f"**Step {batch.t[k]} of {self._steps}**",
-                f"- **Struggles:** node **{self._ids[top]}**, |x| = {x[top]:.3g};"
-                f" most regret: node **{self._ids[worst]}**, {regret[worst]:.2g}",
+                f"- **Struggles:** node **{self._node(top)}**, |x| = {x[top]:.3g};"
+                f" most regret: node **{self._node(worst)}**, {regret[worst]:.2g}",
                 f"- **Down:** {'; '.join(down) or 'nothing'}",
                 f"- **Wrong model:** {_listed(models, int((wrong & ~dead).sum()))}",
                 f"- **Costs:** D = {batch.regret_sum[k]:.4g} (nominal law {batch.nominal_regret_sum[k]:.4g}),"
@@ -126,9 +127,9 @@ and nodes with a fault; the counts beside it have all.
         f"Whatever the estimates: |x(t+1)| ≤ ρ |x(t)| + |w(t)|, |x| = {norm}.\n\n" if is_listed(topology.law) else ""
     )
     return f"""\
-# {topology.name}
+# {markdown(topology.name)}
 
-law **{topology.law}**, {len(topology.ids)} nodes, {len(topology.edges)} edges, T = {topology.steps},
+law **{markdown(str(topology.law))}**, {len(topology.ids)} nodes, {len(topology.edges)} edges, T = {topology.steps},
 b = {span(b)}, {weights}γ\\* = {_gamma_star(topology, ".4g")}, ρ = {observer.rho:.4g}, seed {topology.seed}
 
 Each node is a reservoir: x_i(t+1) = a_i x_i(t) + {flow} + w_i(t). {_AGENTS.get(topology.law, _OTHERS)}

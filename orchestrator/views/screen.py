@@ -1,82 +1,43 @@
-"""What a person, a log or a machine sees of a run while it goes on."""
+"""The output of a run on standard output: a live table, lines, JSON or the verdict alone."""
 
 from __future__ import annotations
 
 import contextlib
 import json
 import os
-import shutil
 import sys
 import time
-from collections.abc import Callable
-from errno import EIO
 from pathlib import Path
 from typing import Protocol
 
 from hedgerow.orchestrator.metrics.observer import Batch
 from hedgerow.orchestrator.metrics.verdict import Verdict
-from hedgerow.topologies.escape import command, echo
+from hedgerow.orchestrator.views.outlet import Outlet, left_behind
+from hedgerow.topologies.escape import echo
 from hedgerow.topologies.schema import Topology
 
 LINE_EVERY_S = 2.0
 
 
-class Outlet:
-    """Standard output that a run goes on without: what is lost there is remembered, and raises nothing."""
-
-    def __init__(self) -> None:
-        self._terminal = _leads_to_terminal()
-        self.lost: OSError | None = None
-        """why something could not be written"""
-
-    def write(self, put: Callable[[], object]) -> None:
-        """Call `put`, which writes to standard output; after an error all output leads nowhere."""
-        try:
-            put()
-        except OSError as error:
-            self.lost = self.lost or error
-            with contextlib.suppress(OSError, ValueError):
-                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-
-    @property
-    def incomplete(self) -> OSError | None:
-        """The error, unless the reader of a pipe has left or the terminal was closed: that reader has read enough."""
-        closed = isinstance(self.lost, BrokenPipeError) or (self._terminal and getattr(self.lost, "errno", 0) == EIO)
-        return None if closed else self.lost
-
-
-def _leads_to_terminal() -> bool:
-    with contextlib.suppress(OSError, ValueError):
-        return sys.stdout.isatty()
-    return False
-
-
 class Screen(Protocol):
-    """Told of a run's course; says it in its own way."""
+    """The output of one run."""
 
     interactive: bool
-    """whether somebody sits before it"""
+    """True if standard output is a terminal."""
     outlet: Outlet
-    """standard output, which a screen writes to"""
+    """Standard output, which the screen writes to."""
 
     def say(self, text: str) -> None:
-        """Something that happened."""
+        """Print an event."""
 
     def progress(self, batch: Batch) -> None:
-        """Some more steps are done."""
+        """Show the progress after some more steps."""
 
     def verdict(self, verdict: Verdict, folder: Path) -> None:
-        """The run is over."""
+        """Print the verdict at the end of the run."""
 
     def close(self) -> None:
-        """Leave the terminal as it was, whether there was a verdict or not."""
-
-
-def left_behind(folder: Path) -> str:
-    """What a run leaves, and how it is looked at."""
-    # The command stands beside our own interpreter, which need not be on the PATH.
-    program = "orchestrator" if shutil.which("orchestrator") else Path(sys.executable).with_name("orchestrator")
-    return f"run folder {folder}\nsee it again with: {command([program, 'open', folder])}"
+        """Restore the terminal, with or without a verdict."""
 
 
 class Lines:
@@ -106,8 +67,21 @@ class Lines:
         pass
 
 
+class Brief(Lines):
+    """The verdict and nothing else, for `--quiet`."""
+
+    def say(self, text: str) -> None:
+        pass
+
+    def progress(self, batch: Batch) -> None:
+        pass
+
+    def verdict(self, verdict: Verdict, folder: Path) -> None:  # noqa: ARG002 (`-q` does not name it)
+        self.outlet.write(lambda: echo(verdict.line()))
+
+
 class Json:
-    """One JSON object on standard output, when all is over; the rest goes to standard error."""
+    """One JSON object on standard output at the end; everything else goes to standard error."""
 
     interactive = False
 
@@ -130,7 +104,7 @@ class Json:
 
 
 class Quiet:
-    """Nothing at all."""
+    """A screen without output."""
 
     interactive = False
 
@@ -150,10 +124,17 @@ class Quiet:
         pass
 
 
-def screen(topology: Topology, as_json: bool, plain: bool = False, watched: bool = False) -> Screen:
-    """The screen that fits where we run: on a terminal a live table, or a bar where a viewer shows more (`watched`)."""
+def screen(
+    topology: Topology, as_json: bool, plain: bool = False, quiet: bool = False, watched: bool = False
+) -> Screen:
+    """Return the screen for the options and for standard output.
+
+    A terminal gets a live table, or a progress bar if a viewer shows more (`watched`); a pipe gets lines.
+    """
     if as_json:
         return Json()
+    if quiet:
+        return Brief(topology.steps)
     terminal = sys.stdout.isatty()
     if not terminal or plain or os.environ.get("TERM", "").lower() in ("dumb", "unknown"):
         return Lines(topology.steps, terminal)

@@ -39,7 +39,7 @@ from hedgerow.orchestrator.metrics.certificate import storage
 from hedgerow.orchestrator.metrics.fault_accounts import at_ends
 from hedgerow.orchestrator.metrics.observer import Batch
 from hedgerow.orchestrator.metrics.verdict import INVALID, VALID, Verdict, estimates_text, gain_text
-from hedgerow.orchestrator.views.screen import Outlet, left_behind
+from hedgerow.orchestrator.views.outlet import Outlet, left_behind
 from hedgerow.topologies.describe import describe, window
 from hedgerow.topologies.escape import escape
 from hedgerow.topologies.graph import Index, Mask

@@ -2,8 +2,8 @@
 
 Run it with `python -m tests.tools.kill_table`.
 
-    who    agent, plant (the router too), nursery (it forks both), up (the observer), viewer (a page's server), router
-           (an external one)
+    who    agent, plant (the router too), fork server (it forks both), up (the observer), viewer (a page's
+           server), router (an external one)
     what   SIGTERM, SIGKILL, SIGINT, and SIGSTOP for STOPPED_S
     when   at the start: it exists, and no step is made; in the middle: MIDDLE steps are recorded; at the end: the run
            was asked to end, and the process held still from just before, or `up` from just after, so that the signal
@@ -50,7 +50,7 @@ from tests.tools.processes import COMMAND
 DOCUMENT = Path(__file__).parents[2] / "docs/reliability.md"
 BEGIN, END = "<!-- kill table: python -m tests.tools.kill_table --write -->\n", "<!-- end of kill table -->\n"
 
-WHO = ("agent", "plant", "nursery", "up", "viewer", "router")
+WHO = ("agent", "plant", "fork server", "up", "viewer", "router")
 WHAT = (signal.SIGTERM, signal.SIGKILL, signal.SIGINT, signal.SIGSTOP)
 WHEN = ("start", "middle", "end")
 RATE, STEPS, MIDDLE = 20, 1500, 20
@@ -276,7 +276,7 @@ class _Run:
         is_it: dict[str, Callable[[psutil.Process], bool]] = {
             "agent": lambda one: one.name().startswith("shard-1"),
             "plant": lambda one: one.name() == "plant",
-            "nursery": lambda one: (
+            "fork server": lambda one: (
                 "hedgerow.orchestrator.launch.fork_server" in one.cmdline() and one.name().startswith("python")
             ),
             "viewer": lambda one: "--serve-web" in one.cmdline(),
@@ -389,7 +389,7 @@ def allowed(cell: Cell) -> tuple[int, ...]:
             return (3,)
         case Cell("agent" | "viewer", _, _) | Cell(_, signal.SIGSTOP, _):
             return (0,)
-        case Cell("nursery", signal.SIGINT, _):  # Ctrl-C is for `up`
+        case Cell("fork server", signal.SIGINT, _):  # Ctrl-C is for `up`
             return (0,)
         case _:
             return (3,)

@@ -18,7 +18,7 @@ from typing import Any
 import psutil
 
 from hedgerow.orchestrator.launch.live import Live
-from hedgerow.orchestrator.launch.supervisor import RESTARTS
+from hedgerow.orchestrator.launch.restarts import RESTARTS
 
 COMMAND = (sys.executable, "-P", "-m", "hedgerow.orchestrator")
 DEADLINE_S = 60.0
@@ -158,7 +158,7 @@ class Orchestrator:
                 self.wait_for_event("restarted", life)
 
     def kill_all_who_could_clean_up(self) -> dict[str, int]:
-        """Kill the command, its nursery and the plant at once; all processes of the run, which end by themselves."""
+        """Kill the command, its fork server and the plant at once, and return all processes of the run."""
         children = self.children
         last = (psutil.Process(children["plant"]).ppid(), children["plant"])
         for pid in last:

@@ -67,6 +67,8 @@ FORGETFUL = with_faults(WATCHED, FAULTS, backfill=False)
 """The same network without back-filling: who crashes begins with no memory."""
 SILENT = with_faults(WATCHED, [{"kind": "drop", "from": 1, "to": 2, "steps": [1, 15]}])
 """The same network with one long gap: many samples are learned late."""
+UNLEARNING = [WATCHED.model_copy(update={"law": law}) for law in ("nominal", "hinf")]
+"""The same network under laws that learn nothing: no input depends on a delay."""
 
 Rows = Callable[[list[Telemetry], End], tuple[list[Telemetry], End | None]]
 
@@ -601,6 +603,8 @@ def _all() -> Iterable[Tampering]:
         EdgeToldOpen, ShortHistory,
     ):  # fmt: skip
         yield Tampering(_said(world), "plant", world=world)
+    for topology in UNLEARNING:
+        yield Tampering(f"{_said(ShorterDelay)}, law `{topology.law}`", "plant", world=ShorterDelay, topology=topology)
     for mail in (MessageLost, MessageChanged, MessageTwice, MessagesLate):
         yield Tampering(_said(mail), "wire", shard=mail)
     for rows in (twice, swapped, lost, no_end, other_state, other_input, other_end):

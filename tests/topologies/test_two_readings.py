@@ -15,7 +15,7 @@ from hedgerow.orchestrator.runs.files import find_run
 from hedgerow.topologies.base import node_id
 from hedgerow.topologies.errors import Code, FileRefusedError, TopologyError, UserError
 from hedgerow.topologies.header import split
-from hedgerow.topologies.load import parse
+from hedgerow.topologies.load import load, parse
 from hedgerow.topologies.resolve import resolve, to_yaml
 from hedgerow.topologies.schema import Topology
 
@@ -283,3 +283,23 @@ def test_an_external_word_that_is_a_node_and_something_else_is_refused(word: str
         chosen(word, topology, [[0], [1]], None, "tcp/0.0.0.0:7447", "n", 1.0)
     assert refused.value.code == Code.OPTION
     assert chosen(f"agent-{word}", topology, [[0], [1]], None, "tcp/0.0.0.0:7447", "n", 1.0).shards == {1}
+
+
+@pytest.mark.parametrize("place", ["paper7", "paper7/topology.yaml"])
+def test_a_file_or_run_named_like_a_bundled_network_is_asked_about(place: str, here: Path) -> None:
+    """Both readings are told, and each has a name of its own."""
+    file = here / place
+    file.parent.mkdir(exist_ok=True)
+    file.write_text("{name: mine, b: 0.1, steps: 3, nodes: [1, 2], edges: [[1, 2]]}")
+    with pytest.raises(UserError) as error:
+        load("paper7")
+    assert error.value.code == Code.FILE_AMBIGUOUS
+    assert load("./paper7").name == "mine"
+    words = str(error.value).split()
+    bundled_file = next(word.removesuffix(".") for word in words if word.endswith("paper7.yaml."))
+    assert load(bundled_file).name == "paper7"
+
+
+def test_a_folder_that_is_no_run_leaves_the_name_to_the_bundled_network(here: Path) -> None:
+    (here / "paper7").mkdir()
+    assert load("paper7").name == "paper7"

@@ -229,3 +229,19 @@ def test_a_cut_is_counted_by_edges_and_weighed_beside() -> None:
 def test_a_range_in_words() -> None:
     assert span(0.1) == "0.1"
     assert span(np.array([0.05, 0.2])) == "0.05 to 0.2"
+
+
+def test_a_random_gain_of_the_network_leads_to_the_defaults() -> None:
+    with pytest.raises(TopologyError) as refused:
+        read(HEAD.replace("b: 0.1", "b: {random: [0.05, 0.1]}") + "nodes: [1, 2]\n")
+    (problem,) = refused.value.problems
+    assert (problem.line, problem.place) == (2, "b")
+    assert "defaults:" in problem.cure
+
+
+def test_lots_that_stand_in_a_file_give_the_gain() -> None:
+    """A lot of 0.5 is the middle of the range."""
+    topology = read(
+        HEAD + "nodes: {1: {b: {random: [0.05, 0.1]}}, 2: {}}\nlots: {seed: 5, nodes: {1: {b: 0.5}}}\n",
+    )
+    assert topology.nodes[1].b == pytest.approx(0.075)

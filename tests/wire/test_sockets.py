@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import os
+import socket
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -11,6 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hedgerow.topologies.errors import Code, HedgerowError, UserError
+from hedgerow.wire import sockets
 from hedgerow.wire.keys import chunk
 from hedgerow.wire.session import open_router
 from hedgerow.wire.sockets import MAX_PATH_BYTES, check_socket, locator, socket_folder, socket_in
@@ -77,3 +81,25 @@ def test_the_socket_that_a_router_left_can_be_used_again() -> None:
         for left in folder.iterdir():
             left.unlink()
         folder.rmdir()
+
+
+def test_a_file_system_without_sockets_is_passed_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on some mounts of networks and containers: bind fails there, and nothing is left."""
+
+    class NoSockets(socket.socket):
+        def bind(self, address: object) -> None:
+            if str(address).startswith(str(short)):
+                raise OSError(errno.EOPNOTSUPP, os.strerror(errno.EOPNOTSUPP))
+            super().bind(address)  # type: ignore[arg-type]
+
+    with tempfile.TemporaryDirectory(prefix="h", dir="/tmp") as name:
+        short = Path(name)
+        monkeypatch.setenv("XDG_RUNTIME_DIR", name)
+        assert socket_folder().parent == short
+        monkeypatch.setattr(socket, "socket", NoSockets)
+        assert socket_folder().parent != short
+        assert not list(short.iterdir())
+        monkeypatch.setattr(sockets, "_bases", lambda: iter([short]))
+        with pytest.raises(HedgerowError) as raised:
+            socket_folder()
+        assert raised.value.code == Code.LIMIT

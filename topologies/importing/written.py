@@ -25,6 +25,7 @@ from hedgerow.topologies.importing.options import Options
 from hedgerow.topologies.importing.simple import simple
 from hedgerow.topologies.load import parse
 from hedgerow.topologies.nodes import SPELLED_OUT
+from hedgerow.topologies.regular_file import read_regular
 from hedgerow.topologies.resolve import Dumper, Line
 from hedgerow.topologies.schema import Topology
 
@@ -95,7 +96,7 @@ class Imported:
 
     def topology(self, path: Path) -> Topology:
         """Return the checked topology of the file that was saved."""
-        return parse(path.read_bytes(), str(path), path.parent)
+        return parse(read_regular(path), str(path), path.parent)
 
 
 def imported(found: Found, options: Options) -> Imported:
@@ -136,7 +137,7 @@ def import_file(path: Path, options: Options) -> Imported:
     from hedgerow.topologies.importing.files import read  # noqa: PLC0415 (each reader imports this package)
 
     result = imported(read(path, options), options)
-    result.digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    result.digest = hashlib.sha256(read_regular(path)).hexdigest()
     return result
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import csv
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,15 +13,15 @@ from pathlib import Path
 from hedgerow.orchestrator.experiments.compare import words
 from hedgerow.orchestrator.experiments.compare.plan import Comparison
 from hedgerow.orchestrator.experiments.compare.runs import METRICS, answer
-from hedgerow.orchestrator.experiments.compare.statistics import Cell, Test, cells, tests
+from hedgerow.orchestrator.experiments.compare.statistics import Cell, Paired, cells, paired
 from hedgerow.orchestrator.experiments.sweep import cores
 from hedgerow.orchestrator.experiments.sweep.folder import SweepFolder
 from hedgerow.orchestrator.experiments.sweep.progress import progress
-from hedgerow.orchestrator.experiments.sweep.runs import Failure, Row
+from hedgerow.orchestrator.experiments.sweep.runs import Answer, Failure, Row
 from hedgerow.orchestrator.experiments.sweep.workers import over_processes
 from hedgerow.orchestrator.ground.signals import Interrupts
 from hedgerow.orchestrator.metrics.verdict import EXIT_CODES, INVALID, UNKNOWN, VALID
-from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.escape import echo
 
 
@@ -40,9 +40,9 @@ class Compared:
         return cells(self.plan, self.rows)
 
     @cached_property
-    def tests(self) -> list[Test]:
+    def tests(self) -> list[Paired]:
         """Return the paired tests."""
-        return tests(self.cells)
+        return paired(self.cells)
 
     @property
     def method(self) -> str:
@@ -75,6 +75,7 @@ class Compared:
 def compare(plan: Comparison, out: Path | None = None, jobs: int | None = None, quiet: bool = False) -> Compared | None:
     """Make the runs that lack, then table, findings and figure; None if it was stopped, which keeps what is there.
 
+    `jobs` is the number of processes, all cores by default; with 1, the runs are made in this process.
     Raises UserError for a mistake, and HedgerowError if a run cannot be made.
     """
     with SweepFolder(plan, out or plan.default_out) as folder:
@@ -89,13 +90,17 @@ def compare(plan: Comparison, out: Path | None = None, jobs: int | None = None, 
         try:
             _write(found)
         except OSError as error:
-            raise UserError(f"{folder.path}: {error.strerror}; make room, then the same command goes on") from None
+            raise UserError(
+                f"{folder.path}: {error.strerror}; make room, then the same command goes on", code=Code.OUTPUT
+            ) from None
         return found
 
 
 def _run(plan: Comparison, folder: SweepFolder, jobs: int, quiet: bool) -> str:
     """Make the runs that lack; return the signal that stopped it, or nothing."""
-    answers = over_processes(plan, plan.chunks(frozenset(folder.rows)), jobs, answer)
+    chunks = plan.chunks(frozenset(folder.rows))
+    answers: Generator[Answer | None, None, None]
+    answers = over_processes(plan, chunks, jobs, answer) if jobs > 1 else (answer(plan, chunk) for chunk in chunks)
     with contextlib.ExitStack() as stack:
         interrupts = stack.enter_context(Interrupts())
         shown = None if quiet else stack.enter_context(contextlib.closing(progress(folder.there, plan.runs)))

@@ -9,15 +9,16 @@ from typing import Any
 import numpy as np
 
 from hedgerow.agents.loading import LawError
+from hedgerow.orchestrator.experiments.compare import batch
+from hedgerow.orchestrator.experiments.compare.estimates import judged, switches
 from hedgerow.orchestrator.experiments.sweep.plan import Chunk, Plan
 from hedgerow.orchestrator.experiments.sweep.runs import Answer, Failure, Row
 from hedgerow.orchestrator.ground.assignment import layout, truth_of, views_of
 from hedgerow.orchestrator.ground.laws import completed
 from hedgerow.orchestrator.metrics.observer import Batch, Observer, rows_at_once
-from hedgerow.orchestrator.metrics.verdict import Ending, judge
+from hedgerow.orchestrator.metrics.verdict import VALID, Ending, judge
 from hedgerow.orchestrator.runs import reference
 from hedgerow.topologies.errors import Code, HedgerowError, TopologyError, UserError
-from hedgerow.topologies.graph import Array
 from hedgerow.topologies.resolve import resolve
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire import crash
@@ -49,15 +50,21 @@ def answer(plan: Plan, chunk: Chunk) -> Answer:
 def simulate_many(topologies: Sequence[Topology]) -> list[Row]:
     """Return the row of each resolved topology; all have the same law.
 
-    Every run is made by itself here. An engine that makes many at once replaces this function.
+    They are made at once where they can be. A run in which a number grows beyond all bounds is made again by itself,
+    with every check, so that its row says what is wrong.
     """
-    return [_row(topology) for topology in topologies]
+    if len(topologies) == 1 or batch.why_not(topologies):
+        return [_row(topology) for topology in topologies]
+    return [
+        _row(topology) if row["switches"] is None else {**row, "verdict": VALID, "reasons": ""}
+        for topology, row in zip(topologies, batch.Many(topologies).run(), strict=True)
+    ]
 
 
 def _row(topology: Topology) -> Row:
     shards, observer = layout(topology, 1), Observer(topology)
     ending = Ending(run=topology.name, engine="in-process", processes=0)
-    switches, last = 0.0, None
+    changed, last = 0.0, None
     final: Batch | None = None
     telemetry = reference.run(truth_of(topology, shards), views_of(topology, shards))
     try:
@@ -65,7 +72,7 @@ def _row(topology: Topology) -> Row:
             if steps := [row for row in rows if isinstance(row, Telemetry)]:
                 final = observer.take(steps)
                 ahat = final.ahat if last is None else np.vstack([last, final.ahat])
-                switches += _switches(ahat)
+                changed += float(switches(ahat[:-1], ahat[1:]).sum())
                 last = final.ahat[-1]
             if isinstance(end := rows[-1], End):
                 observer.finish(end)
@@ -76,28 +83,6 @@ def _row(topology: Topology) -> Row:
     row: Row = {name: metrics.get(name) for name in ("regret", "cost_regret", "gain")}
     estimates: dict[str, Any] = {"share_right": None, "error": None, "switches": None}
     if final is not None:
-        estimates = {**judged(final.ahat[-1], final.a[-1], topology.network.candidates)}
-        estimates["switches"] = switches / observer.graph.n
+        estimates |= judged(final.ahat[-1], final.a[-1], topology.network.candidates)
+        estimates["switches"] = changed / observer.graph.n
     return {**row, **estimates, "verdict": content["verdict"], "reasons": "; ".join(content["reasons"])}
-
-
-def judged(ahat: Array, a: Array, candidates: Array) -> dict[str, float | None]:
-    """Return how good the estimates are, (n,) each; `candidates` (M, n).
-
-    An estimate is right if the candidate nearest it is the truth. For an estimate from the list this is equality; for a
-    real number it says which candidate it speaks for. A node without an estimate is not right, and has no error.
-    """
-    there = np.isfinite(ahat)
-    apart = np.where(np.isnan(candidates), np.inf, np.abs(candidates - np.where(there, ahat, 0.0)))
-    nearest = candidates[apart.argmin(axis=0), np.arange(len(a))]
-    error = np.abs(ahat - a)[there]
-    return {
-        "share_right": float(((nearest == a) & there).mean()),
-        "error": float(error.mean()) if len(error) else None,
-    }
-
-
-def _switches(ahat: Array) -> float:
-    """Return how often the estimates of all nodes change, over rows (B, n); a missing estimate changes nothing."""
-    one, other = ahat[:-1], ahat[1:]
-    return float(((one != other) & np.isfinite(one) & np.isfinite(other)).sum())

@@ -46,13 +46,13 @@ class Cell:
     def half(self) -> float:
         """Return half the width of the interval of the mean, by Student's t over seeds; NaN for one seed."""
         if self.n < 2:
-            return np.nan
+            return float("nan")
         error = float(np.nanstd(self.values, ddof=1)) / self.n**0.5
-        return float(stats.t.ppf(0.5 + LEVEL / 2, self.n - 1)) * error
+        return float(stats.t.ppf(0.5 + LEVEL / 2, self.n - 1) * error)
 
 
 @dataclass(frozen=True)
-class Test:
+class Paired:
     """A paired Wilcoxon signed-rank test of two laws, over the seeds in which both have the number."""
 
     disturbance: str
@@ -75,13 +75,18 @@ class Test:
 def cells(plan: Comparison, rows: Sequence[Sequence[Row]]) -> list[Cell]:
     """Return every cell; `rows` are the runs of each setting, by seed."""
     return [
-        Cell(*setting.values, metric, np.array([np.nan if row[metric] is None else row[metric] for row in own], float))
+        Cell(
+            setting.values[0],
+            setting.values[1],
+            metric,
+            np.array([np.nan if row[metric] is None else row[metric] for row in own], float),
+        )
         for setting, own in zip(plan.settings, rows, strict=True)
         for metric in METRICS
     ]
 
 
-def tests(found: Sequence[Cell]) -> list[Test]:
+def paired(found: Sequence[Cell]) -> list[Paired]:
     """Return a test for every pair of laws but the oracle, under every disturbance, for every metric but `switches`."""
     of: dict[tuple[str, str], list[Cell]] = {}
     for cell in found:
@@ -89,10 +94,10 @@ def tests(found: Sequence[Cell]) -> list[Test]:
             of.setdefault((cell.disturbance, cell.metric), []).append(cell)
     made = [_tested(one, other) for own in of.values() for one, other in itertools.combinations(own, 2)]
     corrected = holm(np.array([test.p for test in made]))
-    return [Test(**{**vars(test), "holm": float(p)}) for test, p in zip(made, corrected, strict=True)]
+    return [Paired(**{**vars(test), "holm": float(p)}) for test, p in zip(made, corrected, strict=True)]
 
 
-def _tested(one: Cell, other: Cell) -> Test:
+def _tested(one: Cell, other: Cell) -> Paired:
     apart = one.values - other.values
     apart = apart[np.isfinite(apart)]
     sign = 1.0 if one.metric in HIGHER_IS_BETTER else -1.0
@@ -103,7 +108,9 @@ def _tested(one: Cell, other: Cell) -> Test:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # it says that few pairs decide little, and p says so too
             p = float(stats.wilcoxon(apart).pvalue)
-    return Test(one.disturbance, one.metric, one.law, other.law, len(apart), better, p if np.isfinite(p) else 1.0, 1.0)
+    return Paired(
+        one.disturbance, one.metric, one.law, other.law, len(apart), better, p if np.isfinite(p) else 1.0, 1.0
+    )
 
 
 def holm(p: Array) -> Array:

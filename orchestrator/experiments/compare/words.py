@@ -7,7 +7,7 @@ import math
 from collections.abc import Sequence
 
 from hedgerow.orchestrator.experiments.compare.runs import METRICS
-from hedgerow.orchestrator.experiments.compare.statistics import HIGHER_IS_BETTER, LEVEL, ORACLE, Cell, Test
+from hedgerow.orchestrator.experiments.compare.statistics import HIGHER_IS_BETTER, LEVEL, ORACLE, Cell, Paired
 
 TITLES = {
     "share_right": "nodes right",
@@ -24,11 +24,11 @@ def number(cell: Cell) -> str:
     """Return the mean of a cell and half of its interval."""
     if math.isnan(cell.mean):
         return "undefined"
-    return _figure(cell.mean) + ("" if math.isnan(cell.half) else f" ± {_figure(cell.half)}")
-
-
-def _figure(value: float) -> str:
-    return f"{value:.2f}" if 0.005 <= abs(value) < 10 or value == 0 else f"{value:.3g}"
+    if math.isnan(cell.half):
+        return f"{cell.mean:.3g}"
+    # Two digits of the interval say how many digits of the mean are worth showing.
+    digits = 2 if cell.half == 0 else min(6, max(0, 1 - math.floor(math.log10(cell.half))))
+    return f"{cell.mean:.{digits}f} ± {cell.half:.{digits}f}"
 
 
 def grid(cells: Sequence[Cell], disturbance: str) -> list[list[str]]:
@@ -47,7 +47,7 @@ def text(cells: Sequence[Cell]) -> str:
     return "\n\n".join(f"{disturbance}\n{_aligned(grid(cells, disturbance))}" for disturbance in _disturbances(cells))
 
 
-def markdown(cells: Sequence[Cell], tests: Sequence[Test]) -> str:
+def markdown(cells: Sequence[Cell], tests: Sequence[Paired]) -> str:
     """Return every table and the words as a page in Markdown."""
     parts = []
     for disturbance in _disturbances(cells):
@@ -59,14 +59,14 @@ def markdown(cells: Sequence[Cell], tests: Sequence[Test]) -> str:
     return "\n".join(parts)
 
 
-def words(cells: Sequence[Cell], tests: Sequence[Test]) -> str:
+def words(cells: Sequence[Cell], tests: Sequence[Paired]) -> str:
     """Return the findings under every disturbance."""
     return "\n".join(
         f"{disturbance}: {line}" for disturbance in _disturbances(cells) for line in findings(cells, tests, disturbance)
     )
 
 
-def findings(cells: Sequence[Cell], tests: Sequence[Test], disturbance: str) -> list[str]:
+def findings(cells: Sequence[Cell], tests: Sequence[Paired], disturbance: str) -> list[str]:
     """Return a sentence per metric: which law is best, which laws it beats, and which it does not.
 
     A law beats another one if the test says so after its correction. The best law is the one with the best mean among

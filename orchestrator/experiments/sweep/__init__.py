@@ -15,7 +15,7 @@ from hedgerow.orchestrator.experiments.sweep.runs import Failure
 from hedgerow.orchestrator.experiments.sweep.workers import over_processes
 from hedgerow.orchestrator.ground.signals import Interrupts
 from hedgerow.orchestrator.metrics.verdict import EXIT_CODES, INVALID, UNKNOWN, VALID
-from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.escape import echo
 
 
@@ -80,7 +80,9 @@ def _conclude(plan: Plan, folder: SweepFolder) -> int:
         summary.write_csv(folder.path / "summary.csv", plan, rows)
         drawn = _draw(plan, folder, rows)
     except OSError as error:
-        raise UserError(f"{folder.path}: {error.strerror}; make room, then the same command goes on") from None
+        raise UserError(
+            f"{folder.path}: {error.strerror}; make room, then the same command goes on", code=Code.OUTPUT
+        ) from None
     verdicts = Counter(row["verdict"] for own in rows for row in own)
     worst = next(one for one in (INVALID, UNKNOWN, VALID) if verdicts[one])
     echo(summary.table(plan, rows))

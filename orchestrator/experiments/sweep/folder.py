@@ -16,7 +16,10 @@ from hedgerow.orchestrator.experiments.sweep.runs import METRICS, Row
 from hedgerow.orchestrator.ground.law_source import FOLDER as LAW
 from hedgerow.orchestrator.ground.spelling import spelled
 from hedgerow.orchestrator.runs.folder import write_json
-from hedgerow.topologies.errors import UserError
+from hedgerow.topologies import budget
+from hedgerow.topologies.errors import Code, UserError
+from hedgerow.topologies.json_file import read_json
+from hedgerow.topologies.regular_file import check_regular
 
 
 def default_out(plan: Plan) -> Path:
@@ -39,14 +42,18 @@ class SweepFolder:
         try:
             self.path.mkdir(parents=True, exist_ok=True)
             self._refuse_another()
+            if self._lines.is_symlink() or self._lines.exists():
+                budget.require(self._lines, _GROWTH * check_regular(self._lines, self.path).st_size)
             self._file = self._lines.open("a+b")
         except OSError as error:
-            raise UserError(f"--out {self.path}: {error.strerror}; name another folder") from None
+            raise UserError(f"--out {self.path}: {error.strerror}; name another folder", code=Code.OUTPUT) from None
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
             self._file.close()
-            raise UserError(f"--out {self.path}: a sweep is writing there; wait for it, or name another") from None
+            raise UserError(
+                f"--out {self.path}: a sweep is writing there; wait for it, or name another", code=Code.OUTPUT
+            ) from None
         try:
             if not self._about.exists():
                 write_json(self._about, self.plan.identity)
@@ -56,7 +63,9 @@ class SweepFolder:
         except BaseException as error:
             self._file.close()
             if isinstance(error, OSError):
-                raise UserError(f"--out {self.path}: {error.strerror}; make room, or name another folder") from None
+                raise UserError(
+                    f"--out {self.path}: {error.strerror}; make room, or name another folder", code=Code.OUTPUT
+                ) from None
             raise
         return self
 
@@ -70,14 +79,21 @@ class SweepFolder:
         wanted = self.plan.identity
         if not self._about.exists():
             if strange := next((one.name for one in self.path.iterdir() if one != self._lines), None):
-                raise UserError(f"--out {self.path}: holds {strange}, and no sweep; name a new folder")
+                raise UserError(
+                    f"--out {self.path}: holds {strange}, and no sweep; name a new folder", code=Code.OUTPUT
+                )
             return
-        try:
-            there = json.loads(self._about.read_text(encoding="utf-8"))
-        except ValueError:
-            raise UserError(f"--out {self.path}: sweep.json cannot be read; name a new folder") from None
+        there = read_json(self._about, self.path)
+        if not (
+            isinstance(there, dict)
+            and isinstance(there.get("set"), dict)
+            and all(isinstance(there.get(key), type(wanted[key])) for key in ("versions", "networks"))
+        ):
+            raise UserError(
+                f"--out {self.path}: sweep.json is none of a sweep; name a new folder", code=Code.FILE_FORMAT
+            )
         if other := _difference(there, wanted):
-            raise UserError(f"--out {self.path}: holds another sweep: {other}; name another folder")
+            raise UserError(f"--out {self.path}: holds another sweep: {other}; name another folder", code=Code.OUTPUT)
 
     def _read(self) -> None:
         """Take in the runs that are there; a line that was cut short is taken away."""
@@ -87,10 +103,12 @@ class SweepFolder:
             if not line.endswith(b"\n"):
                 break
             try:
-                row = json.loads(line)
+                row = _row(json.loads(line), len(self.plan.settings))
                 self.rows[row["setting"], row["seed"]] = row
-            except (ValueError, LookupError, TypeError):
-                raise UserError(f"{self._lines}: line {len(self.rows) + 1} is no run; name a new folder") from None
+            except (ValueError, LookupError, TypeError, RecursionError):
+                raise UserError(
+                    f"{self._lines}: line {len(self.rows) + 1} is no run; name a new folder", code=Code.FILE_FORMAT
+                ) from None
             whole += len(line)
         self._file.truncate(whole)
 
@@ -102,7 +120,9 @@ class SweepFolder:
             self._file.write("".join(json.dumps(row) + "\n" for row in rows).encode())
             self._file.flush()
         except OSError as error:
-            raise UserError(f"{self._lines}: {error.strerror}; make room, then the same command goes on") from None
+            raise UserError(
+                f"{self._lines}: {error.strerror}; make room, then the same command goes on", code=Code.OUTPUT
+            ) from None
 
     @property
     def there(self) -> int:
@@ -136,7 +156,30 @@ class SweepFolder:
             part.replace(self.table)
         except OSError as error:
             part.unlink(missing_ok=True)
-            raise UserError(f"{self.table}: {error.strerror}; make room, then the same command goes on") from None
+            raise UserError(
+                f"{self.table}: {error.strerror}; make room, then the same command goes on", code=Code.OUTPUT
+            ) from None
+
+
+_GROWTH = 4
+"""bytes of memory for a byte of runs.jsonl, whose lines hold the same few keys"""
+_KEYS = {
+    **dict.fromkeys(("setting", "seed"), int),
+    **dict.fromkeys((*METRICS, "share_right"), int | float | None),
+    "nodes_right": int | None,
+    **dict.fromkeys(("verdict", "reasons"), str),
+}
+
+
+def _row(row: Any, settings: int) -> Row:
+    """Return a run that a line holds, its known keys; raise an error of a lookup, a type or a value if it is none."""
+    if not all(isinstance(row[key], kind) and not isinstance(row[key], bool) for key, kind in _KEYS.items()):
+        raise TypeError("a value is of another type")
+    if row["setting"] not in range(settings) or any(
+        isinstance(row[key], int) and abs(row[key]) >= 2**63 for key in _KEYS
+    ):
+        raise ValueError("a number is out of range")
+    return {key: row[key] for key in _KEYS}
 
 
 def _difference(there: dict[str, Any], wanted: dict[str, Any]) -> str:

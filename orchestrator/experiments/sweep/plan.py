@@ -14,7 +14,7 @@ from hedgerow.orchestrator.ground import laws
 from hedgerow.orchestrator.ground.law_source import LawSource, source_of
 from hedgerow.orchestrator.ground.versions import versions
 from hedgerow.orchestrator.runs import batch
-from hedgerow.topologies.errors import TopologyError, UserError
+from hedgerow.topologies.errors import Code, TopologyError, UserError
 from hedgerow.topologies.load import find, load
 from hedgerow.topologies.override import split_setting
 from hedgerow.topologies.resolve import resolve, to_yaml
@@ -120,7 +120,10 @@ def plan(file: str, seeds: str, sets: Sequence[str], engine: str) -> Plan:
         for combination in itertools.product(*values.values())
     ]
     if len(settings) * len(asked) > MAX_RUNS:
-        raise UserError(f"{len(settings)} settings with {len(asked)} seeds: at most {MAX_RUNS} runs; ask for fewer")
+        raise UserError(
+            f"{len(settings)} settings with {len(asked)} seeds: at most {MAX_RUNS} runs; ask for fewer",
+            code=Code.OPTION,
+        )
     settings = [Setting(setting.values, laws.checked(setting.topology)) for setting in settings]
     return Plan(tuple(values), tuple(settings), asked, engine, find(file).parent)
 
@@ -180,7 +183,7 @@ def _with(file: str, values: dict[str, str]) -> Topology:
         resolve(topology, find(file).parent)
     except TopologyError as error:
         given = " ".join(f"--set {key}={value}" for key, value in values.items())
-        raise UserError(f"{given}: {error.problems[0]}") from None
+        raise UserError(f"{given}: {error.problems[0]}", code=Code.TOPOLOGY) from None
     return topology
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import json
 import math
 import tempfile
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ from hedgerow.orchestrator.metrics.observer import Observer, rows_at_once
 from hedgerow.orchestrator.metrics.verdict import VALID, Ending, judge
 from hedgerow.orchestrator.runs import batch, reference
 from hedgerow.topologies.errors import Code, HedgerowError, TopologyError, UserError
+from hedgerow.topologies.json_file import read_json
 from hedgerow.topologies.resolve import resolve
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire import crash
@@ -44,14 +44,14 @@ class Failure:
 
     def error(self) -> HedgerowError:
         """The same, to be raised."""
-        return UserError(self.text) if self.users else HedgerowError(self.text, code=self.code)
+        return UserError(self.text, code=self.code) if self.users else HedgerowError(self.text, code=self.code)
 
 
 Answer = list[Row] | Failure
 
 
 def answer(plan: Plan, chunk: Chunk) -> Answer:
-    """The rows of a chunk; whoever asks may be on another machine, so that an error travels as text."""
+    """Return the rows of a chunk; an error is text, because the caller may be on another machine."""
     seed = chunk.seeds[0]
     try:
         need_same(plan.settings[chunk.setting].topology.law, plan.sources[chunk.setting].digest)
@@ -116,12 +116,12 @@ def run_here(topology: Topology) -> dict[str, Any]:
 
 def _over_zenoh(topology: Topology) -> dict[str, Any]:
     """The same by `orchestrator up`: a process an agent."""
-    from hedgerow.orchestrator.testing.running import run_to_the_end  # noqa: PLC0415
+    from hedgerow.orchestrator.launch.running import run_to_the_end  # noqa: PLC0415
 
     with tempfile.TemporaryDirectory(prefix="hedgerow-") as scratch:
         folder = Path(scratch) / "run"
-        run_to_the_end(topology, folder, math.inf)
-        content: dict[str, Any] = json.loads((folder / "verdict.json").read_text(encoding="utf-8"))
+        run_to_the_end(topology, folder, "--viewer", "none", "--no-record", listed=False)
+        content: dict[str, Any] = read_json(folder / "verdict.json", folder)
     return content
 
 

@@ -22,7 +22,8 @@ from hedgerow.orchestrator.metrics.guarantee import (
     rounded_down,
     rounded_up,
 )
-from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.errors import Code, UserError
+from hedgerow.topologies.json_file import read_json
 from hedgerow.topologies.resolve import to_yaml
 from hedgerow.topologies.schema import Topology
 
@@ -129,17 +130,18 @@ def worst(
             out.write_text(to_yaml(network), encoding="utf-8")
             out.with_suffix(".json").write_text(json.dumps(found.to_dict(), indent=1) + "\n", encoding="utf-8")
         except OSError as error:
-            raise UserError(f"{out}: cannot be written: {error.strerror}. Choose another --out.") from None
+            raise UserError(
+                f"{out}: cannot be written: {error.strerror}. Choose another --out.", code=Code.OUTPUT
+            ) from None
     return found
 
 
 def at_least(plant: Plant, folder: Path) -> float | None:
     """Return the gain that `worst` found for minimax on a network without faults, by a worst.json; None if none."""
     try:
-        with (folder / NAME).with_suffix(".json").open(encoding="utf-8") as file:
-            told = json.loads(file.read(2**20))
+        told = read_json((folder / NAME).with_suffix(".json"))
         if told["network"] == fingerprint(plant) and told["law"] == "minimax" and not told["faulty"]:
             return float(told["limit"])
-    except (OSError, ValueError, KeyError, TypeError):
+    except (UserError, OSError, ValueError, KeyError, TypeError):
         pass
     return None

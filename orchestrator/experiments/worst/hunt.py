@@ -17,9 +17,10 @@ from hedgerow.orchestrator.experiments.sweep.runs import run_here
 from hedgerow.orchestrator.experiments.worst.loop import NONE, Breaks, Scene, play
 from hedgerow.orchestrator.experiments.worst.search import Island, Kind
 from hedgerow.orchestrator.metrics.guarantee import fingerprint, plant_of
-from hedgerow.topologies.errors import HedgerowError, UserError
+from hedgerow.topologies.errors import Code, HedgerowError, UserError
 from hedgerow.topologies.graph import Array
 from hedgerow.topologies.load import parse
+from hedgerow.topologies.regular_file import open_regular
 from hedgerow.topologies.resolve import resolve, to_yaml
 from hedgerow.topologies.schema import Topology
 
@@ -77,7 +78,10 @@ class Hunt:
 
     def __init__(self, topology: Topology, seed: int = 0, faults: bool = False, steps: int = 4000) -> None:
         if len(topology.ids) > LARGEST:
-            raise UserError(f"{topology.name}: has {len(topology.ids)} nodes; a disturbance is sought for {LARGEST}")
+            raise UserError(
+                f"{topology.name}: has {len(topology.ids)} nodes; a disturbance is sought for {LARGEST}",
+                code=Code.TOPOLOGY,
+            )
         self.topology = quiet(topology)
         self.scene = Scene.of(self.topology)
         self.steps, self.faults = steps, faults
@@ -258,7 +262,7 @@ class Hunt:
     def resume(self, file: Path) -> bool:
         """Go on where a search of the same network, law and seed was stopped; return False if there is none."""
         try:
-            with file.open("rb") as opened, np.load(opened, allow_pickle=False) as kept:
+            with open_regular(file) as opened, np.load(opened, allow_pickle=False) as kept:
                 head = json.loads(str(kept["head"]))
                 if head["key"] != self._key:
                     return False

@@ -1,8 +1,9 @@
 """A Rerun page and its data on one port: what a container publishes, and a browser anywhere opens.
 
 Rerun serves its page on one port and streams the data to it on another. Each connection here carries one request, and
-goes to whoever can answer it. A page that is asked for without saying whose data it shows is sent to our own, by the
-name under which the browser knows us. In a process of its own, so that a slow browser never slows a run.
+goes to the server that can answer it. A request for a page
+without a data source is redirected to the data of this run, by the host name that the browser used. A separate process
+serves it, so that a slow browser never slows a run.
 """
 
 from __future__ import annotations

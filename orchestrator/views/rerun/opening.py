@@ -16,14 +16,16 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 from rerun.chunk import RrdReader
 
+from hedgerow.orchestrator.ground.foreign_stderr import foreign_stderr
 from hedgerow.orchestrator.ground.signals import Interrupts
 from hedgerow.orchestrator.ground.spelling import spelled
 from hedgerow.orchestrator.metrics.fault_accounts import at_ends
 from hedgerow.orchestrator.metrics.observer import Observer
 from hedgerow.orchestrator.runs import registry
 from hedgerow.orchestrator.runs.files import check_file, find_run, load_resolved
-from hedgerow.orchestrator.runs.reader import RecordedRun, load_run
+from hedgerow.orchestrator.runs.reader import load_run
 from hedgerow.orchestrator.runs.round_trips import processes_of
+from hedgerow.orchestrator.runs.run import Run
 from hedgerow.orchestrator.views.rerun.rrd_file import parts
 from hedgerow.orchestrator.views.rerun.stream import APPLICATION, RerunStream
 from hedgerow.orchestrator.views.rerun.viewer import Viewer, start
@@ -37,8 +39,9 @@ from hedgerow.orchestrator.views.rerun.watch import (
     keep_page,
     told,
 )
-from hedgerow.topologies.errors import HedgerowError, UserError
+from hedgerow.topologies.errors import Code, HedgerowError, UserError
 from hedgerow.topologies.escape import markdown
+from hedgerow.topologies.regular_file import open_regular
 from hedgerow.wire.codec import TAKEN, End, Telemetry
 
 Say = Callable[[str], None]
@@ -98,10 +101,12 @@ def _open(folder: Path, viewer: Viewer, say: Say, go_on: Callable[[], bool]) -> 
 
 def _chunks(file: Path) -> Iterator[Any]:
     """What a recording holds, to where it can be read."""
-    chunks = iter(RrdReader(spelled(file)).stream())
+    with foreign_stderr():
+        chunks = iter(RrdReader(spelled(file)).stream())
     while True:
         try:
-            chunk = next(chunks)
+            with foreign_stderr():
+                chunk = next(chunks)
         except StopIteration:
             return
         except BaseException as error:
@@ -109,7 +114,9 @@ def _chunks(file: Path) -> Iterator[Any]:
             if not isinstance(error, RuntimeError | ValueError | OSError) and type(error).__name__ != "PanicException":
                 raise
             why = str(error).splitlines()[0]
-            raise UserError(f"{file}: is damaged ({why}); move it away, and the run is shown from its tables") from None
+            raise UserError(
+                f"{file}: is damaged ({why}); move it away, and the run is shown from its tables", code=Code.FILE_FORMAT
+            ) from None
         yield chunk
 
 
@@ -120,7 +127,7 @@ def _unreadable(files: Sequence[Path]) -> str:
     for file in files:
         try:
             check_file(file)
-            with file.open("rb") as opened:
+            with open_regular(file, file.parent) as opened:
                 head = opened.read(8)
         except (UserError, OSError) as error:
             return str(error) if isinstance(error, UserError) else f"{file.name} cannot be read ({error.strerror})"
@@ -130,7 +137,8 @@ def _unreadable(files: Sequence[Path]) -> str:
         if written > ours:
             return f"{file.name} was written by Rerun {head[4]}.{head[5]}, newer than {rr.__version__} here"
         try:
-            with warnings.catch_warnings(action="ignore"):  # a killed run left no footer, which only costs time
+            # A killed run left no footer, which only costs time.
+            with warnings.catch_warnings(action="ignore"), foreign_stderr():
                 if not RrdReader(spelled(file)).recordings():
                     raise ValueError("it holds no recording")
         except (RuntimeError, ValueError, OSError) as error:
@@ -161,12 +169,12 @@ def _flush(stream: rr.RecordingStream, viewer: Viewer) -> None:
         ) from None
 
 
-def _replay(run: RecordedRun, viewer: Viewer, say: Say, go_on: Callable[[], bool]) -> None:
+def _replay(run: Run, viewer: Viewer, say: Say, go_on: Callable[[], bool]) -> None:
     """Show a run from its tables, each metric computed again."""
     run.need_all("to be shown from its tables")
     begun = as_begun(run.topology, run.folder)
     observer = Observer(begun)
-    stream = PatientStream(begun, observer, run.run, viewer, say, run.T)
+    stream = PatientStream(begun, observer, run.name, viewer, say, run.T)
     observer.change(run.topology)
     for line in filter(None, map(told, run.events)):
         stream.event(*line)
@@ -179,7 +187,9 @@ def _replay(run: RecordedRun, viewer: Viewer, say: Say, go_on: Callable[[], bool
     for some in np.array_split(steps, -(-len(steps) // READ_STEPS)):
         if not go_on():
             break
-        rows = [Telemetry(int(t), run.x[t], run.u[t], run.w[t], report[t], run.open[t], heard[t], took) for t in some]
+        rows = [
+            Telemetry(int(t), run.x[t], run.u[t], run.w[t], report[t], run.edge_open[t], heard[t], took) for t in some
+        ]
         stream.log(observer.take(rows))
         stream.wait(go_on)
     else:
@@ -188,12 +198,14 @@ def _replay(run: RecordedRun, viewer: Viewer, say: Say, go_on: Callable[[], bool
     stream.close(CLOSE_DEADLINE_S)
 
 
-def common_nodes(runs: Sequence[RecordedRun]) -> list[int | str]:
+def common_nodes(runs: Sequence[Run]) -> list[int | str]:
     """The nodes that all runs have, in the order of the first; raises UserError where there is none."""
     found = [node for node in runs[0].ids if all(node in run.ids for run in runs)]
     if not found:
-        networks = ", ".join(f"{run.run} has {_some(run.ids)}" for run in runs)
-        raise UserError(f"these runs have no node in common, so no axes: {networks}; open them one by one")
+        networks = ", ".join(f"{run.name} has {_some(run.ids)}" for run in runs)
+        raise UserError(
+            f"these runs have no node in common, so no axes: {networks}; open them one by one", code=Code.OPTION
+        )
     return found
 
 
@@ -201,10 +213,10 @@ def _some(ids: Sequence[int | str]) -> str:
     return ", ".join(map(str, ids[:4])) + (", …" if len(ids) > 4 else "")
 
 
-def labels(runs: Sequence[RecordedRun]) -> list[str]:
+def labels(runs: Sequence[Run]) -> list[str]:
     """A name for each run: its law where no two have the same, else its folder's, numbered if that is there twice."""
     laws = [run.law for run in runs]
-    names = laws if len(set(laws)) == len(runs) else [run.run for run in runs]
+    names = laws if len(set(laws)) == len(runs) else [run.name for run in runs]
     times = Counter(names)
     return [name if times[name] == 1 else f"{name} ({number})" for number, name in enumerate(names, 1)]
 
@@ -219,9 +231,9 @@ SHARED = {
 """What runs are compared in: an entity in the folder of each, and the title of the panel that they share."""
 
 
-def _compare(runs: Sequence[RecordedRun], viewer: Viewer) -> None:
+def _compare(runs: Sequence[Run], viewer: Viewer) -> None:
     names = labels(runs)
-    stream = rr.RecordingStream(APPLICATION + " comparison", recording_id=" and ".join(run.run for run in runs))
+    stream = rr.RecordingStream(APPLICATION + " comparison", recording_id=" and ".join(run.name for run in runs))
     stream.set_log_time_enabled(False)
     stream.set_sinks(rr.GrpcSink(viewer.url), default_blueprint=comparison_blueprint(names))
     stream.log("about", rr.TextDocument(_about(runs, names), media_type=rr.MediaType.MARKDOWN), static=True)
@@ -232,7 +244,7 @@ def _compare(runs: Sequence[RecordedRun], viewer: Viewer) -> None:
         for entity, titles, colors, widths, values in _series(run, name, nodes, hue, width):
             path = rr.new_entity_path([name, entity])
             stream.log(path, rr.SeriesLines(names=titles, colors=colors, widths=widths), static=True)
-            steps = run.steps if entity == "x" else np.arange(len(values))
+            steps = run.rows if entity == "x" else np.arange(len(values))
             for first in range(0, len(steps), ROWS):
                 some = steps[first : first + ROWS]
                 index, part = rr.TimeColumn("step", sequence=some), values[some]
@@ -244,7 +256,7 @@ def _compare(runs: Sequence[RecordedRun], viewer: Viewer) -> None:
 Series = tuple[str, list[str], list[tuple[int, int, int]], list[float], Columns]
 
 
-def _series(run: RecordedRun, name: str, nodes: Sequence[int | str], hue: float, width: float) -> Iterable[Series]:
+def _series(run: Run, name: str, nodes: Sequence[int | str], hue: float, width: float) -> Iterable[Series]:
     """Each shared entity of a run: the names, colours and widths of its series, and their values, (steps, series)."""
     places = [run.ids.index(node) for node in nodes]
     hues = [_color(0.55 + k * 0.6180339887 % 1) for k in range(len(nodes))]
@@ -285,12 +297,12 @@ def comparison_blueprint(names: Sequence[str]) -> rrb.Blueprint:
     )
 
 
-def _about(runs: Sequence[RecordedRun], names: Sequence[str]) -> str:
+def _about(runs: Sequence[Run], names: Sequence[str]) -> str:
     """A table of what is compared, in Markdown."""
     lines = [
-        f"| {markdown(name)} | {markdown(run.run)} | {markdown(run.topology.name)} | {markdown(run.law)} |"
+        f"| {markdown(name)} | {markdown(run.name)} | {markdown(run.topology.name)} | {markdown(run.law)} |"
         f" {run.topology.seed} | {run.T} | {run.regret_sum[-1]:.4g} | {run.cost_regret[-1]:+.4g} |"
-        f" {markdown(str(run.verdict.get('verdict', '–')))} |"
+        f" {markdown(str(run.verdict.content.get('verdict', '–')))} |"
         for run, name in zip(runs, names, strict=True)
     ]
     head = "| shown as | run | network | law | seed | steps | D | R | verdict |\n|---|---|---|---|---|---|---|---|---|"

@@ -8,7 +8,7 @@
     rerun+http://HOST:PORT/proxy    a viewer that somebody else starts, now or later
 
 Whatever else is started here listens on loopback only. A started viewer counts as listening only when the port is in
-the hands of its own process: a second `rerun` on a busy port would hand all data to whoever holds the port.
+the hands of its own process: a second `rerun` on a busy port would send all data to the process that holds the port.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from urllib.parse import quote, urlsplit
 
 import psutil
 
-from hedgerow.topologies.errors import HedgerowError, UserError
+from hedgerow.topologies.errors import Code, HedgerowError, UserError
 from hedgerow.wire.ports import LOOPBACK, free_port
 from hedgerow.wire.release import release
 
@@ -277,7 +277,7 @@ def executable() -> Path:
     """The viewer of the installed rerun-sdk itself: the `rerun` on the path is a shim, or another version."""
     package = importlib.util.find_spec("rerun_cli")
     if package is None or package.origin is None:
-        raise UserError("--viewer: rerun-sdk has no viewer here; reinstall it, or --viewer none")
+        raise UserError("--viewer: rerun-sdk has no viewer here; reinstall it, or --viewer none", code=Code.DEPENDENCY)
     folder = Path(package.origin).parent
     bundle = folder / "Rerun.app" / "Contents" / "MacOS" / "Rerun"
     if sys.platform == "darwin" and bundle.exists():

@@ -10,7 +10,6 @@ So it costs the run nothing but the reading of two files, may come late, and may
 from __future__ import annotations
 
 import contextlib
-import json
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -26,7 +25,8 @@ from hedgerow.orchestrator.metrics.fault_accounts import at_ends
 from hedgerow.orchestrator.metrics.observer import Observer
 from hedgerow.orchestrator.metrics.verdict import Verdict
 from hedgerow.orchestrator.runs import registry
-from hedgerow.orchestrator.runs.files import check_file, load_resolved, read_events, read_file, reading
+from hedgerow.orchestrator.runs.arrow_stream import read_batch
+from hedgerow.orchestrator.runs.files import check_file, load_resolved, read_events, read_file, read_verdict, reading
 from hedgerow.orchestrator.runs.folder import RunFolder
 from hedgerow.orchestrator.runs.registry import Entry
 from hedgerow.orchestrator.runs.round_trips import TABLE, processes_of, trips_in
@@ -34,7 +34,7 @@ from hedgerow.orchestrator.runs.selection import kept
 from hedgerow.orchestrator.views.rerun.stream import RerunStream
 from hedgerow.orchestrator.views.rerun.viewer import Viewer, start
 from hedgerow.orchestrator.views.rerun.viewer_version import VERSION_DEADLINE_S, compare
-from hedgerow.topologies.errors import HedgerowError, UserError
+from hedgerow.topologies.errors import Code, HedgerowError, UserError
 from hedgerow.topologies.escape import command
 from hedgerow.topologies.graph import Graph
 from hedgerow.topologies.schema import Topology
@@ -62,6 +62,7 @@ class ArrowTail:
 
     def __init__(self, path: Path) -> None:
         check_file(path)
+        self._path = path
         self._file = pa.OSFile(spelled(path), "rb")
         self._schema: pa.Schema | None = None
         self.over = False
@@ -85,7 +86,7 @@ class ArrowTail:
         except (pa.ArrowInvalid, OSError):  # half of one is written
             pass
         else:
-            return pa.ipc.read_record_batch(message, self._schema)
+            return read_batch(self._path, message, self._schema)
         self._file.seek(at if self._schema is not None else before)
         return None
 
@@ -171,7 +172,7 @@ class Happenings:
         except FileNotFoundError:
             return
         with reading(self._path):
-            yield from read_events(text)
+            yield from read_events(text, self._path)
         self._at += text.rfind(b"\n") + 1
 
 
@@ -198,7 +199,7 @@ def as_begun(topology: Topology, folder: Path) -> Topology:
 class PatientStream(RerunStream):
     """A stream to a viewer alone that is waited for, since all of a past is to arrive; it is waited for in vain once.
 
-    Whoever plays a run back has the time that a loop has not.
+    A replay has time to wait, which the loop has not.
     """
 
     def __init__(
@@ -256,7 +257,8 @@ def watch(entry: Entry, choice: str, say: Say) -> None:
         if not (what := kept(topology)).whole:
             raise UserError(
                 f"{entry.run}: keeps {what}, and can only be watched where all is kept; start it with --viewer, or see"
-                f" what it has so far with `{command(['orchestrator', 'open', entry.folder])}`"
+                f" what it has so far with `{command(['orchestrator', 'open', entry.folder])}`",
+                code=Code.NOT_RECORDED,
             )
         if (trail := _attached(entry, topology, wake, interrupts)) is None:
             return
@@ -290,7 +292,8 @@ def _attached(entry: Entry, topology: Topology, wake: threading.Event, interrupt
             over = any((Path(entry.folder) / name).exists() for name in ("telemetry.parquet", "verdict.json"))
             if over or entry not in registry.running():
                 raise UserError(
-                    f"{entry.run}: has just ended; `{command(['orchestrator', 'open', entry.folder])}` shows it"
+                    f"{entry.run}: has just ended; `{command(['orchestrator', 'open', entry.folder])}` shows it",
+                    code=Code.NETWORK_MISSING,
                 ) from None
         wake.wait(POLL_S)
     return None
@@ -373,7 +376,7 @@ class _Watch:
         while not self._folder.verdict.exists() and self._entry in registry.running() and not self._interrupts.count:
             self._wake.wait(POLL_S)
         if self._folder.verdict.exists():
-            content = json.loads(read_file(self._folder.verdict))
+            content = read_verdict(self._folder.path)
             text = Verdict(content["verdict"], content).line()
         else:
             text = f"{self._entry.run}: was killed after step {self._observer.next_step - 1}; what it left is shown"

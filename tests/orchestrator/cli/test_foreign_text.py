@@ -10,7 +10,7 @@ import pytest
 
 from hedgerow.orchestrator.cli.exit_code import run_to_exit_code
 from hedgerow.orchestrator.cli.main import app
-from hedgerow.orchestrator.views.screen import left_behind
+from hedgerow.orchestrator.views.outlet import left_behind
 from tests.tools.processes import COMMAND, DEADLINE_S
 
 HOSTILE = "\x1b]0;owned\x07\x1b[2J\x9b2J\u202e\x7f"

@@ -95,7 +95,7 @@ def test_a_minute_is_flat_and_leaves_a_table_and_a_picture(here: Path) -> None:
     assert re.search(r"\b[1-9][0-9]* restarts", last), "an agent was killed, and came back"
     with (here / "soak/soak.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
-    assert {row["process"] for row in rows} == {"up", "nursery", "plant", "shard-0", "shard-1", "shard-2"}
+    assert {row["process"] for row in rows} == {"up", "fork server", "plant", "shard-0", "shard-1", "shard-2"}
     assert max(int(row["step"]) for row in rows) > 1500
     assert (here / "soak/soak.png").stat().st_size > 10_000
     assert [path.name for path in here.iterdir() if path.name.startswith(".")] == []

@@ -19,8 +19,8 @@ from hedgerow.orchestrator.experiments.worst import at_least, worst
 from hedgerow.orchestrator.experiments.worst.hunt import Attack, Hunt
 from hedgerow.orchestrator.experiments.worst.loop import NONE, Breaks, Scene, ascend, play
 from hedgerow.orchestrator.experiments.worst.search import Island, Kind
+from hedgerow.orchestrator.launch.running import run_to_the_end
 from hedgerow.orchestrator.metrics.guarantee import plant_of
-from hedgerow.orchestrator.testing.running import run_to_the_end
 from hedgerow.topologies.errors import UserError
 from hedgerow.topologies.schema import Topology
 from tests.tools.networks import VECTORS, from_vector, networks, read
@@ -137,7 +137,7 @@ def test_faults_are_part_of_the_network_that_repeats_the_gain(tmp_path: Path) ->
 @pytest.mark.parametrize("law", ["hinf", "nominal", "minimax"])
 def test_a_gain_repeats_over_zenoh(law: str, tmp_path: Path) -> None:
     found = worst(hg.load("line5", law=law), 1.0, steps=150)
-    run_to_the_end(found.topology, tmp_path / "run", math.inf)
+    run_to_the_end(found.topology, tmp_path / "run", "--viewer", "none", "--no-record", listed=False)
     content: dict[str, Any] = json.loads((tmp_path / "run/verdict.json").read_text())
     assert content["verdict"] == "valid"
     assert content["metrics"]["gain"] == pytest.approx(found.gain, rel=1e-9)
@@ -158,3 +158,14 @@ def test_a_budget_is_a_time(text: str, seconds: float) -> None:
 def test_what_is_no_time_is_refused(text: str) -> None:
     with pytest.raises(UserError):
         seconds_of(text)
+
+
+@pytest.mark.parametrize("law", ["tests.tools.laws:Curious", "tests.tools.laws:Curious(weight=0.5)"])
+def test_a_law_that_asks_runs_in_the_search_as_in_the_engine(law: str) -> None:
+    hunt = Hunt(hg.load("line5", law=law))
+    w = np.random.default_rng(3).standard_normal((2, 12, 5))
+    played = play(hunt.scene, w)
+    for k in range(2):
+        content = run_here(hunt.topology_of(Attack(w[k], False, NONE, 0.0, 0.0, 12)))
+        gain = math.sqrt(played.cost[:, k].sum() / np.square(w[k]).sum())
+        assert content["metrics"]["gain"] == pytest.approx(gain, rel=1e-9)

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from hedgerow.orchestrator.launch.comparison import compare, first_difference
-from hedgerow.orchestrator.launch.recording import Run, Watching
+from hedgerow.orchestrator.launch.recording import Recording, Watching
 from hedgerow.orchestrator.metrics.verdict import Ending
 from hedgerow.orchestrator.runs.folder import create
 from hedgerow.orchestrator.runs.reader import load_run
@@ -63,7 +63,7 @@ def test_a_signal_while_the_reference_is_computed_is_no_verdict_on_the_run(
 
 def test_a_comparison_that_cannot_be_made_is_none(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     topology = resolve(load("paper7"))
-    run = Run(topology, create(topology, Path("run")), Watching(record=False), Ending("run", "zenoh", 7))
+    run = Recording(topology, create(topology, Path("run")), Watching(record=False), Ending("run", "zenoh", 7))
     monkeypatch.setattr(tempfile, "tempdir", str(here / "gone"))
     assert compare(run).equal is None
 
@@ -86,7 +86,7 @@ def test_a_row_that_comes_twice_is_refused(tmp_path: Path, order: tuple[int, ...
     tables = []
     for name, steps in (("once", (0, 1, 2)), ("twice", order)):
         folder = create(topology, tmp_path / name)
-        run = Run(topology, folder, Watching(record=False), Ending(name, "zenoh", 7))
+        run = Recording(topology, folder, Watching(record=False), Ending(name, "zenoh", 7))
         for step in steps:
             run.take([ran.rows[step]])
         run.finish(ran.end)
@@ -100,7 +100,7 @@ def test_a_row_that_comes_twice_is_refused(tmp_path: Path, order: tuple[int, ...
 def test_rows_in_another_order_are_no_valid_run(tmp_path: Path) -> None:
     topology = resolve(load("paper7", ["steps=3"]))
     ran = simulate(topology)
-    run = Run(topology, create(topology, tmp_path / "run"), Watching(record=False), Ending("run", "zenoh", 7))
+    run = Recording(topology, create(topology, tmp_path / "run"), Watching(record=False), Ending("run", "zenoh", 7))
     run.take([ran.rows[0], ran.rows[2], ran.rows[1]])
     run.finish(ran.end)
     assert run.close().verdict == "unknown"

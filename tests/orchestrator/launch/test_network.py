@@ -21,12 +21,12 @@ import pyarrow.parquet as pq
 import pytest
 
 from hedgerow.agents.view import View
-from hedgerow.orchestrator import load_run
 from hedgerow.orchestrator.ground.assignment import layout
 from hedgerow.orchestrator.launch.fork_client import ForkClient
 from hedgerow.orchestrator.launch.recording import Watching
 from hedgerow.orchestrator.launch.up import Network, Options
 from hedgerow.orchestrator.runs.folder import create
+from hedgerow.orchestrator.runs.reader import load_run
 from hedgerow.orchestrator.views.screen import Quiet
 from hedgerow.topologies.errors import Exit
 from hedgerow.topologies.load import load
@@ -223,10 +223,11 @@ def temporary(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 def test_whoever_looks_for_networks_removes_the_socket_of_dead_ones(
     here: Path, temporary: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The path of the run's folder is too long for one; `up`, its nursery and the plant are killed at once."""
+    """The path of the run's folder is too long for one; `up`, its fork server and the plant are killed at once."""
     deep = here / ("d" * 100)
     deep.mkdir()
     monkeypatch.chdir(deep)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(deep))
     with Orchestrator(*LONG) as network:
         network.wait_for("running")
         assert gone(network.kill_all_who_could_clean_up())

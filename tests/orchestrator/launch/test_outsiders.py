@@ -21,7 +21,8 @@ from hypothesis import strategies as st
 
 from hedgerow.orchestrator.ground.assignment import layout, places, truth_of, views_of
 from hedgerow.orchestrator.launch.endpoints import Connection
-from hedgerow.orchestrator.launch.supervisor import RESTARTS, UNREACHED_S, Processes
+from hedgerow.orchestrator.launch.restarts import RESTARTS, UNREACHED_S
+from hedgerow.orchestrator.launch.supervisor import Processes
 from hedgerow.orchestrator.metrics.message_audit import audit
 from hedgerow.orchestrator.runs.folder import RunFolder
 from hedgerow.orchestrator.views.rerun import one_port
@@ -47,7 +48,7 @@ DEADLINE_S = 30.0
 
 
 class Started:
-    """The processes of a nursery that starts none."""
+    """The processes of a fork server that starts none."""
 
     def __init__(self) -> None:
         self.pids: dict[str, int] = {}

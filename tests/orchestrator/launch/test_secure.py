@@ -125,12 +125,12 @@ def test_a_killed_up_leaves_no_key(here: Path, network: Orchestrator) -> None:
     children = network.children
     fork_client = psutil.Process(children["plant"]).ppid()
     network.send(signal.SIGKILL)
-    assert gone({**children, "nursery": fork_client})
+    assert gone({**children, "fork server": fork_client})
     assert secrets(here) == []
     assert [*(here / f"hedgerow-{os.getuid()}").iterdir()] == []
 
 
-def test_a_nursery_that_hears_of_its_children_first_leaves_no_key_either(here: Path, network: Orchestrator) -> None:
+def test_a_fork_server_that_outlives_its_children_leaves_no_key(here: Path, network: Orchestrator) -> None:
     """It wakes up, and there is nobody left to tell that they have died."""
     children = network.children
     fork_client = psutil.Process(children["plant"]).ppid()
@@ -139,12 +139,12 @@ def test_a_nursery_that_hears_of_its_children_first_leaves_no_key_either(here: P
     network.wait()
     assert psutil.wait_procs([psutil.Process(pid) for pid in children.values()], 0)[1]  # it reaps them
     os.kill(fork_client, signal.SIGCONT)
-    assert gone({**children, "nursery": fork_client})
+    assert gone({**children, "fork server": fork_client})
     assert secrets(here) == []
 
 
 def test_whoever_looks_for_networks_removes_the_keys_of_dead_ones(here: Path, network: Orchestrator) -> None:
-    """`up`, its nursery and the plant killed at once: nobody of the run is left to do it."""
+    """`up`, its fork server and the plant killed at once: nobody of the run is left to do it."""
     assert gone(network.kill_all_who_could_clean_up())
     assert secrets(here) != []
     assert orchestrator("ps").stdout == "no network is running\n"

@@ -18,7 +18,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hedgerow.agents.law import control
-from hedgerow.orchestrator.launch.recording import Run, Watching
+from hedgerow.orchestrator.launch.recording import Recording, Watching
 from hedgerow.orchestrator.launch.simulation import simulate_into
 from hedgerow.orchestrator.metrics.observer import Observer
 from hedgerow.orchestrator.metrics.verdict import Ending, Verdict, judge
@@ -464,7 +464,7 @@ def test_a_faulty_run_leaves_nulls_where_there_was_nothing(tmp_path: Path) -> No
 def test_a_changed_run_can_be_run_again_from_its_folder(tmp_path: Path) -> None:
     later = with_faults(PAPER, ONE_OF_EACH[:2])
     folder = create(PAPER, tmp_path / "run")
-    run = Run(PAPER, folder, Watching(record=True), Ending("run", "zenoh", 7))
+    run = Recording(PAPER, folder, Watching(record=True), Ending("run", "zenoh", 7))
     run.note("before the first step", "INFO", 0)
     ran = simulate(later)
     run.take(ran.rows[:5])

@@ -136,5 +136,5 @@ def test_a_run_without_its_replay_is_unknown(here: Path, monkeypatch: pytest.Mon
 
     monkeypatch.setattr(Replay, "change", no_room)
     run = recorded("paper7")
-    assert (run.verdict["verdict"], run.verdict["exit_code"]) == ("unknown", 3)
-    assert "law" not in run.verdict["checks"]
+    assert (run.verdict.verdict, run.verdict.exit_code) == ("unknown", 3)
+    assert "law" not in run.verdict.content["checks"]

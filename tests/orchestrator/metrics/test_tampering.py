@@ -21,7 +21,7 @@ def verdict_of(folder: Path) -> dict[str, Any]:
 
 
 def test_the_untampered_run_is_valid() -> None:
-    for topology in (tampering.WATCHED, tampering.FORGETFUL, tampering.SILENT):
+    for topology in (tampering.WATCHED, tampering.FORGETFUL, tampering.SILENT, *tampering.UNLEARNING):
         content = Tampering("", "", topology=topology).verdict().content
         assert content["verdict"] == "valid", content["reasons"]
         assert content["checks"]["law"]["steps"] == 30

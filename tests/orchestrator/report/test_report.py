@@ -40,7 +40,8 @@ from hedgerow.orchestrator.report.reading import METRICS, number
 from hedgerow.orchestrator.report.style import RED, look, save
 from hedgerow.orchestrator.report.timeline import rows
 from hedgerow.orchestrator.runs.folder import create
-from hedgerow.orchestrator.runs.reader import RecordedRun, load_run
+from hedgerow.orchestrator.runs.reader import load_run
+from hedgerow.orchestrator.runs.run import Run
 from hedgerow.orchestrator.views.screen import Quiet
 from hedgerow.topologies.errors import UserError
 from hedgerow.topologies.load import load, parse
@@ -53,7 +54,7 @@ KINDS = {kind.key: kind for kind in FIGURES}
 PAPERS = {"2": "x", "3": "x_oracle", "4": "regret", "5": "nominal_gap"}
 
 
-def ran(topology: Topology, folder: Path) -> RecordedRun:
+def ran(topology: Topology, folder: Path) -> Run:
     """A run in this process, read back from its folder."""
     simulate_into(topology, create(topology, folder), layout(topology, 1), Watching(record=False), Quiet())
     return load_run(folder)
@@ -65,26 +66,26 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def paper(folder: Path) -> RecordedRun:
+def paper(folder: Path) -> Run:
     return ran(resolve(load("paper7")), folder / "paper")
 
 
 @pytest.fixture(scope="module")
-def fixed(folder: Path) -> RecordedRun:
+def fixed(folder: Path) -> Run:
     return ran(resolve(load("paper7", ["law=nominal"])), folder / "fixed")
 
 
 @pytest.fixture(scope="module")
-def faulty(folder: Path) -> RecordedRun:
+def faulty(folder: Path) -> Run:
     return ran(resolve(load(str(ROOT / "docs/examples/faulty.yaml"))), folder / "faulty")
 
 
 @pytest.fixture(scope="module")
-def grid(folder: Path) -> RecordedRun:
+def grid(folder: Path) -> Run:
     return ran(resolve(load("grid16")), folder / "grid")
 
 
-def drawn(key: str, *runs: RecordedRun) -> Figure:
+def drawn(key: str, *runs: Run) -> Figure:
     with look():
         figure = KINDS[key].draw(runs)
         figure.draw_without_rendering()
@@ -111,7 +112,7 @@ def names(figure: Figure) -> list[str]:
 # Figures
 
 
-def test_the_network_is_its_graph(paper: RecordedRun) -> None:
+def test_the_network_is_its_graph(paper: Run) -> None:
     """The paper's tree: seven named nodes, six edges that meet them, and node 6, whose estimate is wrong, in red."""
     figure = drawn("1", paper)
     (axis,) = figure.axes
@@ -126,7 +127,7 @@ def test_the_network_is_its_graph(paper: RecordedRun) -> None:
 
 
 @pytest.mark.parametrize("key", PAPERS)
-def test_a_figure_of_the_paper_is_its_array(key: str, paper: RecordedRun) -> None:
+def test_a_figure_of_the_paper_is_its_array(key: str, paper: Run) -> None:
     """A line a node, equal to the bit, named, with units, each in a colour of its own."""
     figure = drawn(key, paper)
     (axis,) = figure.axes
@@ -142,14 +143,14 @@ def test_a_figure_of_the_paper_is_its_array(key: str, paper: RecordedRun) -> Non
     assert len({to_hex(line.get_color()) for line in axis.lines[:7]}) == 7
 
 
-def test_what_is_to_be_compared_has_the_same_axes(paper: RecordedRun) -> None:
+def test_what_is_to_be_compared_has_the_same_axes(paper: Run) -> None:
     """Figure 3 beside 2, and 5 beside 4, whichever of them are drawn."""
     limits = {key: drawn(key, paper).axes[0].get_ylim() for key in PAPERS}
     assert limits["2"] == limits["3"] != limits["4"] == limits["5"]
     assert limits["4"][1] > paper.nominal_gap.max() > paper.regret.max()
 
 
-def test_estimates_stand_over_the_truth(paper: RecordedRun) -> None:
+def test_estimates_stand_over_the_truth(paper: Run) -> None:
     """A panel a node; node 6 is wrong by too little to be seen, so a bar and a number say it."""
     figure = drawn("estimates", paper)
     panels = [axis for axis in figure.axes if axis.get_visible()]
@@ -163,7 +164,7 @@ def test_estimates_stand_over_the_truth(paper: RecordedRun) -> None:
     assert names(figure) == ["candidates", "truth $a_i$", r"estimate $\hat a_i$", "wrong"]
 
 
-def test_totals_are_the_runs(paper: RecordedRun) -> None:
+def test_totals_are_the_runs(paper: Run) -> None:
     """D of both, R with its sign, the gains; gamma* is said to be the oracle's."""
     figure = drawn("regret", paper)
     for values, expected in zip(curves(figure.axes[0]), (paper.regret_sum, paper.nominal_regret_sum), strict=True):
@@ -183,7 +184,7 @@ def test_totals_are_the_runs(paper: RecordedRun) -> None:
     assert f"above the axis, at up to {paper.gain[0]:.3g}" in KINDS["gain"].caption([paper])
 
 
-def test_the_timeline_is_what_was_recorded(faulty: RecordedRun) -> None:
+def test_the_timeline_is_what_was_recorded(faulty: Run) -> None:
     """2-3 is dropped, 3-4 is cut, 3 crashes: its edges carry nothing then, and its messages are lost."""
     figure = drawn("faults", faulty)
     (axis,) = figure.axes
@@ -198,7 +199,7 @@ def test_the_timeline_is_what_was_recorded(faulty: RecordedRun) -> None:
     assert bars == {(0, 12), (22, 32), (42, 52), *stretches(~crossed[:, 2])}
     missing = {row.name: row.missing for row in rows(faulty)}
     np.testing.assert_array_equal(missing["3"]["no input"], np.isnan(faulty.u[:, 2]))
-    np.testing.assert_array_equal(missing["3–4"]["no flow"], ~faulty.open[:, 2])
+    np.testing.assert_array_equal(missing["3–4"]["no flow"], ~faulty.edge_open[:, 2])
 
 
 def stretches(mask: NDArray[np.bool_]) -> set[tuple[int, int]]:
@@ -214,7 +215,7 @@ def test_an_a_that_jumps_is_marked(folder: Path) -> None:
     assert [*figure.axes[0].lines[0].get_xdata()] == [15]  # type: ignore[misc]
 
 
-def test_many_nodes_are_quantiles_and_the_caption_says_so(grid: RecordedRun) -> None:
+def test_many_nodes_are_quantiles_and_the_caption_says_so(grid: Run) -> None:
     """16 nodes: median and bands of figure 2, a heat map of the errors; nothing is hidden."""
     figure = drawn("2", grid)
     (axis,) = figure.axes
@@ -305,7 +306,7 @@ def test_gamma_star_is_no_promise_once_an_a_jumped(folder: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def written(paper: RecordedRun, folder: Path) -> dict[str, Path]:
+def written(paper: Run, folder: Path) -> dict[str, Path]:
     """All of the report of `paper`."""
     return {path.name: path for path in report([paper], folder / "paper-report")}
 
@@ -333,7 +334,7 @@ def test_a_figure_is_a_column_wide_with_its_fonts_in_it(written: dict[str, Path]
                 assert len(image.convert("RGB").getcolors(image.width * image.height) or ()) > 50
 
 
-def test_the_same_run_gives_the_same_bytes(paper: RecordedRun, folder: Path) -> None:
+def test_the_same_run_gives_the_same_bytes(paper: Run, folder: Path) -> None:
     """In another process, on another day, under other settings of matplotlib, with other hashes."""
     keys = "1,4"
     here = report([paper], folder / "once", keys)
@@ -404,15 +405,15 @@ def page(path: Path) -> Page:
     return Page(path.read_text(encoding="utf-8"))
 
 
-def test_the_page_has_the_numbers_of_the_verdict(paper: RecordedRun, written: dict[str, Path]) -> None:
+def test_the_page_has_the_numbers_of_the_verdict(paper: Run, written: dict[str, Path]) -> None:
     """As a table of all metrics and checks, and verdict.json itself, whole."""
     shown = page(written["report.html"])
     for name, words in METRICS.items():
-        value = paper.verdict["metrics"][name]
+        value = paper.verdict.content["metrics"][name]
         assert shown.row(words)[0] == (f"{value} of 7" if name == "nodes_right" else number(value))
-    for name, check in paper.verdict["checks"].items():
+    for name, check in paper.verdict.content["checks"].items():
         assert shown.row(name)[:2] == ["holds", check["claim"]]
-    assert METRICS.keys() == paper.verdict["metrics"].keys()
+    assert METRICS.keys() == paper.verdict.content["metrics"].keys()
     (verdict,) = (text for text in shown.text if text.startswith('{\n  "verdict"'))
     assert json.loads(verdict) == paper.verdict
     text = " ".join(shown.text)
@@ -442,7 +443,7 @@ def test_the_page_asks_for_nothing(written: dict[str, Path]) -> None:
     assert written["report.html"].stat().st_size < 2**20
 
 
-def test_the_file_in_the_page_repeats_the_run(paper: RecordedRun, written: dict[str, Path], folder: Path) -> None:
+def test_the_file_in_the_page_repeats_the_run(paper: Run, written: dict[str, Path], folder: Path) -> None:
     """What the page offers to download is the run's own topology, and its run is the same to the bit."""
     (link,) = (link for link in page(written["report.html"]).links if "yaml" in link)
     text = base64.b64decode(link.partition("base64,")[2])
@@ -451,13 +452,13 @@ def test_the_file_in_the_page_repeats_the_run(paper: RecordedRun, written: dict[
         assert (again.folder / table).read_bytes() == (paper.folder / table).read_bytes()
 
 
-def test_what_repeats_a_run_that_was_stopped_stops_there_too(paper: RecordedRun, folder: Path) -> None:
+def test_what_repeats_a_run_that_was_stopped_stops_there_too(paper: Run, folder: Path) -> None:
     longer = paper.topology.model_copy(update={"steps": 1000})
     path, *_ = report([replace(paper, topology=longer)], folder / "stopped-report", "gain")
     assert "orchestrator simulate paper.yaml --steps 30\n" in "".join(page(path).text)
 
 
-def test_names_are_text(paper: RecordedRun, folder: Path) -> None:
+def test_names_are_text(paper: Run, folder: Path) -> None:
     """A run whose folder is called like a script does not run, nor is it mathematics."""
     name = """<script>alert("$x$")&'"""
     shutil.copytree(paper.folder, folder / name)
@@ -472,29 +473,29 @@ def test_names_are_text(paper: RecordedRun, folder: Path) -> None:
     assert "orchestrator report '<script>alert(\"$x$\")&'\"'\"'' paper" in shown.text
 
 
-def test_faults_and_what_they_did(faulty: RecordedRun, folder: Path) -> None:
+def test_faults_and_what_they_did(faulty: Run, folder: Path) -> None:
     """Each with its account, and how much of D came about in its steps."""
     path, *_ = report([faulty], folder / "faulty-report", "faults")
     shown = page(path)
     D = faulty.regret_sum
-    for fault, (start, stop) in zip(faulty.verdict["faults"], ((0, 12), (22, 32), (42, 52)), strict=True):
+    for fault, (start, stop) in zip(faulty.verdict.content["faults"], ((0, 12), (22, 32), (42, 52)), strict=True):
         counts = [str(fault[name]) for name in ("scheduled", "fired", "masked", "seen", "beyond")]
         assert shown.row(fault["what"]) == [*counts, f"{D[stop] - D[start]:.4g}"]
 
 
-def test_a_run_without_a_verdict_is_reported_so_far(paper: RecordedRun, folder: Path) -> None:
+def test_a_run_without_a_verdict_is_reported_so_far(paper: Run, folder: Path) -> None:
     """`up` was killed, or goes on: the numbers are computed again, and nobody says that it is valid."""
     shutil.copytree(paper.folder, folder / "killed", ignore=shutil.ignore_patterns("verdict.json"))
     path, *_ = report([load_run(folder / "killed")], folder / "killed-report", "4")
     shown = page(path)
     assert "Verdict: none yet." in shown.text
-    assert shown.row(METRICS["regret"]) == [number(paper.verdict["metrics"]["regret"])]
+    assert shown.row(METRICS["regret"]) == [number(paper.verdict.content["metrics"]["regret"])]
 
 
 # Runs beside each other
 
 
-def test_two_laws_on_the_same_axes(paper: RecordedRun, fixed: RecordedRun, folder: Path) -> None:
+def test_two_laws_on_the_same_axes(paper: Run, fixed: Run, folder: Path) -> None:
     """A panel each with the same limits, totals over each other, numbers side by side, and what differs in words."""
     upper, lower = drawn("4", paper, fixed).axes
     np.testing.assert_array_equal(np.array(curves(upper)).T, paper.regret)
@@ -510,12 +511,12 @@ def test_two_laws_on_the_same_axes(paper: RecordedRun, fixed: RecordedRun, folde
     shown = page(path)
     for name, words in METRICS.items():
         if name != "nodes_right":
-            assert shown.row(words) == [number(run.verdict["metrics"][name]) for run in (paper, fixed)]
+            assert shown.row(words) == [number(run.verdict.content["metrics"][name]) for run in (paper, fixed)]
     assert "B differs from A in the law (nominal, not minimax)." in shown.text
     assert not [own for _, own in shown.elements if own.get("class") == "warning"]
 
 
-def test_other_networks_are_not_compared_without_a_warning(paper: RecordedRun, grid: RecordedRun, folder: Path) -> None:
+def test_other_networks_are_not_compared_without_a_warning(paper: Run, grid: Run, folder: Path) -> None:
     path, *_ = report([paper, grid], folder / "others", "2")
     text = " ".join(page(path).text)
     assert "These runs are not comparable" in text
@@ -532,7 +533,7 @@ def test_other_networks_are_not_compared_without_a_warning(paper: RecordedRun, g
         (["b=0.09"], "B is of another network than A: it has other b (0.09, not 0.1)."),
     ],
 )
-def test_what_differs_is_said(paper: RecordedRun, tmp_path: Path, overrides: Sequence[str], said: str) -> None:
+def test_what_differs_is_said(paper: Run, tmp_path: Path, overrides: Sequence[str], said: str) -> None:
     comparable, sentences = notices([paper, ran(resolve(load("paper7", overrides)), tmp_path / "run")])
     assert sentences[0].startswith(said)
     assert comparable == ("another network" not in said)
@@ -555,14 +556,14 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
         ("faults", "there is nothing to show of faults in paper; leave it out"),
     ],
 )
-def test_a_figure_that_there_is_not(paper: RecordedRun, tmp_path: Path, figures: str, said: str) -> None:
+def test_a_figure_that_there_is_not(paper: Run, tmp_path: Path, figures: str, said: str) -> None:
     with pytest.raises(UserError, match=re.escape(said)):
         report([paper], tmp_path / "out", figures)
     assert [*tmp_path.iterdir()] == []
 
 
 @pytest.mark.usefixtures("quick")
-def test_what_is_there_is_replaced_only_when_asked(paper: RecordedRun, tmp_path: Path) -> None:
+def test_what_is_there_is_replaced_only_when_asked(paper: Run, tmp_path: Path) -> None:
     """And what is of no report never is."""
     out = tmp_path / "deep" / "out"
     report([paper], out, "2")
@@ -578,7 +579,7 @@ def test_what_is_there_is_replaced_only_when_asked(paper: RecordedRun, tmp_path:
         report([paper], out / "thesis.tex", "4", force=True)
 
 
-def test_whole_or_not_at_all(paper: RecordedRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_whole_or_not_at_all(paper: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The disk fills up at the second figure: the old report stays, and nothing else is left."""
     out = tmp_path / "out"
     out.mkdir()
@@ -598,13 +599,13 @@ def test_whole_or_not_at_all(paper: RecordedRun, tmp_path: Path, monkeypatch: py
     assert (out / "report.html").read_text(encoding="utf-8") == "old"
 
 
-def test_too_many_runs(paper: RecordedRun, tmp_path: Path) -> None:
+def test_too_many_runs(paper: Run, tmp_path: Path) -> None:
     with pytest.raises(UserError, match="8 runs: a report is of 1 to 7"):
         report([paper] * 8, tmp_path / "out")
 
 
 def test_without_matplotlib_it_says_what_to_install(
-    paper: RecordedRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    paper: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name in [*sys.modules]:
         if name.partition(".")[0] == "matplotlib" or name.startswith("hedgerow.orchestrator.report."):
@@ -641,7 +642,7 @@ def test_every_figure_is_in_report_md() -> None:
     assert listed == [(kind.key, kind.file) for kind in FIGURES]
 
 
-def test_the_pictures_in_the_documents_are_fresh(paper: RecordedRun, tmp_path: Path) -> None:
+def test_the_pictures_in_the_documents_are_fresh(paper: Run, tmp_path: Path) -> None:
     """docs/make_report_images.py draws; what stands in the documents was drawn of today's numbers, and is small."""
     command = [
         sys.executable,
@@ -653,7 +654,7 @@ def test_the_pictures_in_the_documents_are_fresh(paper: RecordedRun, tmp_path: P
     ]
     made = subprocess.run(command, capture_output=True, text=True, check=False)
     assert made.returncode == 0, made.stderr
-    metrics = paper.verdict["metrics"]
+    metrics = paper.verdict.content["metrics"]
     of_paper = f"paper7: D {metrics['regret']:.6g}, nominal {metrics['regret_nominal']:.6g}"
     of_paper += f", gain {metrics['gain']:.6g}, {metrics['nodes_right']} right"
     expected = {"report-paper7": of_paper, "report-paper7-ours": of_paper}

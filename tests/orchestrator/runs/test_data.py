@@ -33,16 +33,17 @@ from hypothesis import given, settings
 from scipy.io import loadmat, whosmat
 from traitlets.config import Config
 
-import hedgerow.orchestrator as package
-from hedgerow.orchestrator import RecordedRun, load_run
+from hedgerow import simulate
 from hedgerow.orchestrator.ground.assignment import layout
 from hedgerow.orchestrator.launch.live import Live
-from hedgerow.orchestrator.launch.recording import Run, Watching
+from hedgerow.orchestrator.launch.recording import Recording, Watching
 from hedgerow.orchestrator.launch.simulation import simulate_into
 from hedgerow.orchestrator.metrics.observer import Batch, Observer
 from hedgerow.orchestrator.metrics.verdict import Ending
 from hedgerow.orchestrator.runs.export import FORMS, NAMES, PLACES, arrays, export
 from hedgerow.orchestrator.runs.folder import create
+from hedgerow.orchestrator.runs.reader import load_run
+from hedgerow.orchestrator.runs.run import Run
 from hedgerow.orchestrator.runs.writer import Recorder, to_parquet
 from hedgerow.orchestrator.views.screen import Quiet
 from hedgerow.topologies.errors import HedgerowError, UserError
@@ -78,20 +79,20 @@ NETWORKS: dict[str, Callable[[], Topology]] = {
 }
 
 
-def ran(topology: Topology, folder: Path) -> RecordedRun:
+def ran(topology: Topology, folder: Path) -> Run:
     """A run of a network in this process, to its end."""
     simulate_into(topology, create(topology, folder), layout(topology, 1), Watching(record=False), Quiet())
     return load_run(folder)
 
 
 @pytest.fixture(scope="module", params=NETWORKS)
-def run(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> RecordedRun:
+def run(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Run:
     """A run of each of the networks."""
     return ran(NETWORKS[request.param](), tmp_path_factory.mktemp("runs") / request.param)
 
 
 @pytest.fixture
-def paper7(here: Path) -> RecordedRun:
+def paper7(here: Path) -> Run:
     return ran(NETWORKS["paper7"](), here / "paper7")
 
 
@@ -110,7 +111,7 @@ def same(one: Any, other: Any) -> bool:
 # What is loaded is what was computed live.
 
 OBSERVED = ("x", "u", "w", "x_oracle", "x_nominal", "regret", "nominal_gap")
-"""Of these the RecordedRun may have the final state too."""
+"""Of these the Run may have the final state too."""
 COMPUTED = (
     "a",
     "ahat",
@@ -126,13 +127,13 @@ COMPUTED = (
 )
 
 
-def assert_as_live(run: RecordedRun, live: Batch, observer: Observer) -> None:
+def assert_as_live(run: Run, live: Batch, observer: Observer) -> None:
     """All that the run says of the steps of `live` are the bits that the observer computed."""
     for name in OBSERVED:
         assert same(getattr(run, name)[live.t], getattr(live, name)), name
     for name in (*COMPUTED, "u_edge", "cost_regret"):
         assert same(getattr(run, name)[live.t], getattr(live, name)), name
-    assert same(run.open[live.t], live.edge_open)
+    assert same(run.edge_open[live.t], live.edge_open)
     assert same(run.gain[live.t], live.gain())
     assert same(run.gain_less_x0[live.t], live.gain(observer.v0))
     assert same(run.regret_sum[live.t], live.regret_sum)
@@ -154,10 +155,10 @@ def test_every_array_is_what_was_computed_live(topology: Topology) -> None:
         assert (run.T, run.ids, list(run.lost)) == (topology.steps, topology.ids, [])
         assert_as_live(run, live, observer)
         ended = {name: None if value is None else float(value) for name, value in run.metrics.items()}
-        assert ended == run.verdict["metrics"]
+        assert ended == run.verdict.content["metrics"]
 
 
-def test_what_is_identifiable_is_estimated(paper7: RecordedRun) -> None:
+def test_what_is_identifiable_is_estimated(paper7: Run) -> None:
     """Where nothing is missing, (7) chooses the candidate nearest a_LS; and that is a + beta."""
     known = np.isfinite(paper7.a_ls)
     assert (paper7.identifiable == (paper7.ahat == paper7.a))[known].all()
@@ -166,15 +167,15 @@ def test_what_is_identifiable_is_estimated(paper7: RecordedRun) -> None:
     assert paper7.faultless
 
 
-def test_a_run_says_who_heard_whom(run: RecordedRun) -> None:
+def test_a_run_says_who_heard_whom(run: Run) -> None:
     """Arrays of edges have the ends where the file has them."""
     for k, (i, j) in enumerate(run.edges):
         assert (run.ids[i], run.ids[j]) == run.topology.pairs[k]
-        flows = np.where(run.open[:, k], run.u[:, j] - run.u[:, i], 0.0)
+        flows = np.where(run.edge_open[:, k], run.u[:, j] - run.u[:, i], 0.0)
         assert same(run.u_edge[:, k], flows)
-    if run.run == "named":
+    if run.name == "named":
         assert np.flatnonzero(~run.i_hears[:, 0]).tolist() == [2, 3, 4, 6, 7]  # what 3 says, until it is dead
-        assert np.flatnonzero(~run.open[:, 0]).tolist() == [4, 5, 6, 7]
+        assert np.flatnonzero(~run.edge_open[:, 0]).tolist() == [4, 5, 6, 7]
         assert (
             np.flatnonzero(np.isnan(run.u[:, 2])).tolist() == np.flatnonzero(run.index[:, 2] == -1).tolist() == [6, 7]
         )
@@ -183,7 +184,7 @@ def test_a_run_says_who_heard_whom(run: RecordedRun) -> None:
         assert run.j_hears.all()
 
 
-def test_a_run_cannot_be_changed(run: RecordedRun) -> None:
+def test_a_run_cannot_be_changed(run: Run) -> None:
     found = 0
     for name in dir(run):
         if not name.startswith("_") and isinstance(values := getattr(run, name), np.ndarray):
@@ -198,7 +199,7 @@ def test_a_run_cannot_be_changed(run: RecordedRun) -> None:
 # The tables as frames.
 
 
-def test_frames_hold_what_the_table_holds(run: RecordedRun) -> None:
+def test_frames_hold_what_the_table_holds(run: Run) -> None:
     """Whole numbers stay whole where some are missing, and what is null is missing in each library's own way."""
     pandas = importlib.import_module("pandas")
     for arrow, frames in (
@@ -222,7 +223,7 @@ def test_to_record_a_run_loads_no_library_of_frames(here: Path) -> None:
     assert not {"pandas", "polars"} & loaded
 
 
-def test_a_frame_of_a_library_that_is_not_there(paper7: RecordedRun, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_frame_of_a_library_that_is_not_there(paper7: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(UserError, match=r"pandas is not installed; install it with: pip install pandas"):
         paper7.telemetry("pandas")
@@ -233,7 +234,7 @@ def test_a_frame_of_a_library_that_is_not_there(paper7: RecordedRun, monkeypatch
 # What is exported is what is loaded.
 
 
-def test_csv_is_read_back_to_the_bit(run: RecordedRun, tmp_path: Path) -> None:
+def test_csv_is_read_back_to_the_bit(run: Run, tmp_path: Path) -> None:
     """By Arrow, polars and pandas, and each number by Python's float."""
     pandas, polars = importlib.import_module("pandas"), importlib.import_module("polars")
     files = export(run, "csv", tmp_path / "tables")
@@ -263,12 +264,12 @@ def test_a_number_in_csv_is_the_number(value: float, tmp_path: Path) -> None:
     assert float((tmp_path / "x.csv").read_text().splitlines()[1]).hex() == value.hex()
 
 
-def test_parquet_is_what_the_run_left(run: RecordedRun, tmp_path: Path) -> None:
+def test_parquet_is_what_the_run_left(run: Run, tmp_path: Path) -> None:
     for file in export(run, "parquet", tmp_path / "tables"):
         assert file.read_bytes() == (run.folder / file.name).read_bytes()
 
 
-def test_npz_is_read_back_to_the_bit(run: RecordedRun, tmp_path: Path) -> None:
+def test_npz_is_read_back_to_the_bit(run: Run, tmp_path: Path) -> None:
     (file,) = export(run, "npz", tmp_path / "run.npz")
     with np.load(file, allow_pickle=False) as content:
         assert tuple(content) == NAMES
@@ -277,14 +278,14 @@ def test_npz_is_read_back_to_the_bit(run: RecordedRun, tmp_path: Path) -> None:
             value = getattr(run, name)
             if isinstance(value, np.ndarray):
                 assert same(content[name], value), name
-        assert content["ids"].tolist() == [*run.ids] if run.run != "named" else ["upper_dam", "NA", "3"]
-        assert (content["run"], content["verdict"], content["T"]) == (run.run, run.verdict["verdict"], run.T)
+        assert content["ids"].tolist() == [*run.ids] if run.name != "named" else ["upper_dam", "NA", "3"]
+        assert (content["name"], content["verdict"], content["T"]) == (run.name, run.verdict.verdict, run.T)
         for k, node in enumerate(run.topology.nodes.values()):
             listed = content["candidates"][k]
             assert tuple(listed[~np.isnan(listed)]) == node.candidates
 
 
-def test_mat_is_read_back_to_the_bit(run: RecordedRun, tmp_path: Path) -> None:
+def test_mat_is_read_back_to_the_bit(run: Run, tmp_path: Path) -> None:
     """Numbers are doubles, flags logical, names cells of text; what counts places counts from 1."""
     (file,) = export(run, "mat", tmp_path / "run.mat")
     kinds = {name: kind for name, _, kind in whosmat(file)}
@@ -334,7 +335,7 @@ def lively(here: Path) -> Iterator[Orchestrator]:
         yield up
 
 
-def come_to(step: int) -> RecordedRun:
+def come_to(step: int) -> Run:
     """The latest run, once so many of its steps are recorded."""
     by, pause = time.monotonic() + DEADLINE_S, threading.Event()
     while time.monotonic() < by:
@@ -345,20 +346,20 @@ def come_to(step: int) -> RecordedRun:
     raise AssertionError(f"no step {step} after {DEADLINE_S:g} s")
 
 
-def continues(before: RecordedRun, after: RecordedRun) -> bool:
+def continues(before: Run, after: Run) -> bool:
     """Whether a later look at a run shows the same steps, and more."""
     states = ("x", "x_oracle", "x_nominal", "regret", "regret_sum")
     assert before.T <= after.T
     return all(
         same(getattr(before, name), getattr(after, name)[: before.T + (name in states)])
-        for name in (*states, "u", "w", "ahat", "index", "a", "a_ls", "cost", "gain", "u_edge", "open", "i_hears")
+        for name in (*states, "u", "w", "ahat", "index", "a", "a_ls", "cost", "gain", "u_edge", "edge_open", "i_hears")
     )
 
 
 def test_a_run_that_goes_on_and_then_is_killed(lively: Orchestrator, here: Path) -> None:
     """As far as it has come; then as far as it came: the numbers stay what they were, and the twins go on from them."""
     running = load_run("paper7")
-    assert (running.verdict, running.events[0]["event"]) == ({}, "start")
+    assert (running.verdict.content, running.events[0]["event"]) == ({}, "start")
     (file,) = export(running, "npz")
     with np.load(file) as exported:
         assert (exported["T"], exported["verdict"]) == (running.T, "")
@@ -369,7 +370,7 @@ def test_a_run_that_goes_on_and_then_is_killed(lively: Orchestrator, here: Path)
     killed = load_run()
     assert (killed.folder / "telemetry.arrows").exists()
     assert killed.T >= running.T + 50
-    assert (killed.verdict, len(killed.x), len(killed.u)) == ({}, killed.T + 1, killed.T)
+    assert (killed.verdict.content, len(killed.x), len(killed.u)) == ({}, killed.T + 1, killed.T)
     assert continues(running, killed)
     again = networks.simulate(killed.topology.model_copy(update={"steps": killed.T}))
     observer, live = observe(killed.topology, again)
@@ -387,8 +388,8 @@ def test_a_run_that_is_interrupted_after_a_jump(lively: Orchestrator, here: Path
     lively.send(signal.SIGINT)
     assert lively.wait() == 3
     run = load_run()
-    assert (run.verdict["verdict"], run.verdict["steps_done"]) == ("unknown", run.T)
-    assert run.metrics == run.verdict["metrics"]
+    assert (run.verdict.verdict, run.verdict.content["steps_done"]) == ("unknown", run.T)
+    assert run.metrics == run.verdict.content["metrics"]
     assert np.flatnonzero(run.a[:, run.ids.index(4)] == 0.3).tolist() == list(range(step, run.T))
     assert run.telemetry()["u"][-7:].null_count == 7
 
@@ -397,11 +398,11 @@ def test_a_simulation_that_is_interrupted(tmp_path: Path) -> None:
     """Its tables are closed, and the state after the last input never came."""
     topology = NETWORKS["named"]()
     ran, folder = networks.simulate(topology), create(topology, tmp_path / "run")
-    recording = Run(topology, folder, Watching(record=False), Ending("run", "in-process", 0, stopped="by SIGINT"))
+    recording = Recording(topology, folder, Watching(record=False), Ending("run", "in-process", 0, stopped="by SIGINT"))
     recording.take(ran.rows[:9])
     recording.close()
     run = load_run(folder.path)
-    assert (run.T, run.verdict["verdict"], run.telemetry()["u"][-3:].null_count) == (8, "unknown", 0)
+    assert (run.T, run.verdict.verdict, run.telemetry()["u"][-3:].null_count) == (8, "unknown", 0)
     assert same(run.x, ran.x[:9])
     assert same(run.u, ran.u[:8])
     assert (len(run.telemetry()), len(run.edges_table())) == (9 * 3, 9 * 2)
@@ -449,7 +450,7 @@ def test_a_table_that_is_behind_the_other(tmp_path: Path) -> None:
     ran, folder = streamed(NETWORKS["named"](), tmp_path / "run")
     os.truncate(folder / "edges.arrows", (folder / "edges.arrows").stat().st_size - 8)
     run = load_run(folder)
-    assert run.T == len(run.open) == len(run.u) == 10
+    assert run.T == len(run.edge_open) == len(run.u) == 10
     assert same(run.x, ran.x[:11])
 
 
@@ -458,7 +459,7 @@ def test_steps_whose_telemetry_was_lost(tmp_path: Path) -> None:
     topology = NETWORKS["named"]()
     ran = networks.simulate(topology)
     folder = create(topology, tmp_path / "run")
-    recording = Run(topology, folder, Watching(record=False), Ending("run", "in-process", 0))
+    recording = Recording(topology, folder, Watching(record=False), Ending("run", "in-process", 0))
     kept = [*ran.rows[:5], *ran.rows[8:]]
     recording.take(kept)
     recording.finish(ran.end)
@@ -467,7 +468,7 @@ def test_steps_whose_telemetry_was_lost(tmp_path: Path) -> None:
     assert (run.T, run.lost.tolist()) == (12, [5, 6, 7])
     for name in ("x", "regret", "u", "a", "cost", "gain", "u_edge"):
         assert np.isnan(getattr(run, name)[5:8]).all(), name
-    assert not run.open[5:8].any()
+    assert not run.edge_open[5:8].any()
     assert (run.index[5:8] == -1).all()
     assert (run.right[5:8] == -1).all()
     observer = Observer(topology)
@@ -490,8 +491,8 @@ def test_a_run_is_named_by_its_folder_its_name_or_its_network(here: Path) -> Non
     (here / "runs/latest").symlink_to("paper7-x", target_is_directory=True)
     assert load_run().T == 5
     assert load_run("runs/paper7-20260102-030405").T == load_run("paper7-20260102-030405").T == 3
-    assert load_run("paper7").run == "paper7-20260102-030405-2"
-    assert load_run(here / "runs" / "latest").run == "paper7-x"
+    assert load_run("paper7").name == "paper7-20260102-030405-2"
+    assert load_run(here / "runs" / "latest").name == "paper7-x"
     with pytest.raises(UserError, match=r"^paper: there is no such run; .*; runs/ has .*paper7-20260102-030405-2"):
         load_run("paper")
 
@@ -505,7 +506,7 @@ def without(folder: Path, *names: str) -> Path:
     return folder
 
 
-def test_what_is_no_run_says_so(paper7: RecordedRun, here: Path) -> None:
+def test_what_is_no_run_says_so(paper7: Run, here: Path) -> None:
     def copy() -> Path:
         shutil.rmtree(here / "copy", ignore_errors=True)
         return shutil.copytree(paper7.folder, here / "copy")
@@ -539,7 +540,7 @@ def test_what_is_no_run_says_so(paper7: RecordedRun, here: Path) -> None:
         load_run(folder).regret  # noqa: B018
 
 
-def test_a_file_that_is_not_of_this_run_is_noticed(paper7: RecordedRun, here: Path) -> None:
+def test_a_file_that_is_not_of_this_run_is_noticed(paper7: Run, here: Path) -> None:
     """Nobody gets numbers that were computed for another network."""
     text = (paper7.folder / "topology.yaml").read_text()
     (paper7.folder / "topology.yaml").write_text(text.replace("b: 0.1", "b: 0.101"))
@@ -551,7 +552,7 @@ def test_a_file_that_is_not_of_this_run_is_noticed(paper7: RecordedRun, here: Pa
         load_run(paper7.folder)
 
 
-def test_a_text_that_came_to_harm_is_not_read_from_elsewhere(paper7: RecordedRun) -> None:
+def test_a_text_that_came_to_harm_is_not_read_from_elsewhere(paper7: Run) -> None:
     """An Arrow stream says where each text begins: by a number that is too large, in memory that is somebody else's."""
     table, stream = paper7.telemetry(), paper7.folder / "telemetry.arrows"
     table = table.set_column(1, "node", table["node"].cast(pa.string()))  # as of nodes that have names
@@ -583,7 +584,7 @@ def refused(*arguments: str) -> str:
     return done.stderr
 
 
-def test_mistakes_at_the_command_line(paper7: RecordedRun, here: Path) -> None:
+def test_mistakes_at_the_command_line(paper7: Run, here: Path) -> None:
     assert refused("nix", "--to", "csv").startswith("error: nix: there is no such run; name its folder")
     with pytest.raises(UserError, match=r"--to xlsx: is no form of a run; there are csv, parquet, npz, mat"):
         export(paper7, "xlsx")
@@ -593,7 +594,7 @@ def test_mistakes_at_the_command_line(paper7: RecordedRun, here: Path) -> None:
     assert refused("paper7", "--to", "mat").startswith("error: paper7.mat: is there already; --force replaces it")
 
 
-def test_nothing_is_overwritten_unasked(paper7: RecordedRun, here: Path) -> None:
+def test_nothing_is_overwritten_unasked(paper7: Run, here: Path) -> None:
     (here / "tables").mkdir()
     (here / "tables/edges.csv").write_text("mine")
     with pytest.raises(UserError, match=r"tables/edges.csv: is there already"):
@@ -620,7 +621,7 @@ def small_files_only() -> None:
 
 
 @pytest.mark.parametrize("to", FORMS)
-def test_a_full_disk_leaves_nothing_half_written(to: str, paper7: RecordedRun, here: Path) -> None:
+def test_a_full_disk_leaves_nothing_half_written(to: str, paper7: Run, here: Path) -> None:
     """Neither a piece of a new file, nor the loss of an old one."""
     (here / "old").mkdir()
     for name in ("telemetry.csv", "edges.csv", "telemetry.parquet", "edges.parquet", "run.npz", "run.mat"):
@@ -639,15 +640,15 @@ def test_a_full_disk_leaves_nothing_half_written(to: str, paper7: RecordedRun, h
 # What it costs to have it.
 
 
-def test_a_run_is_made_as_by_the_command(paper7: RecordedRun, here: Path) -> None:
-    run = package.simulate("paper7", "steps=30", run_dir="mine")
+def test_a_run_is_made_as_by_the_command(paper7: Run, here: Path) -> None:
+    run = simulate("paper7", "steps=30", run_dir="mine")
     assert run.folder == here / "mine"
     assert all(
         (run.folder / name).read_bytes() == (paper7.folder / name).read_bytes()
         for name in ("topology.yaml", "telemetry.parquet", "edges.parquet")
     )
     with pytest.raises(UserError, match="mine: holds something already"):
-        package.simulate("paper7", run_dir="mine")
+        simulate("paper7", run_dir="mine")
 
 
 def test_a_run_of_no_step_is_none(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -658,9 +659,9 @@ def test_a_run_of_no_step_is_none(here: Path, monkeypatch: pytest.MonkeyPatch) -
     )
     monkeypatch.syspath_prepend(here)
     with pytest.raises(HedgerowError, match=r"stopped at step 0: law bad:Bad: act\(\) of node .* ValueError: no"):
-        package.simulate("paper7", "law=bad:Bad")
+        simulate("paper7", "law=bad:Bad")
     with pytest.raises(UserError, match=r"law bad:Good: cannot be loaded"):
-        package.simulate("paper7", "law=bad:Good", run_dir="never")
+        simulate("paper7", "law=bad:Good", run_dir="never")
     assert not (here / "never").exists()
 
 
@@ -669,15 +670,12 @@ def test_the_package_itself_loads_nothing() -> None:
     program = "import sys; before = set(sys.modules); import hedgerow.orchestrator; print({*sys.modules} - before)"
     loaded = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert set(eval(loaded.stdout)) <= {"hedgerow", "hedgerow.orchestrator", "__future__"}
-    assert package.__all__ == ["RecordedRun", "load_run", "simulate"]
-    with pytest.raises(AttributeError, match=r"module 'hedgerow\.orchestrator' has no attribute 'load_runs'"):
-        _ = package.load_runs
 
 
 # What docs/data.md and the notebook say of it.
 
 
-def test_the_page_names_every_array_and_its_shape(run: RecordedRun) -> None:
+def test_the_page_names_every_array_and_its_shape(run: Run) -> None:
     """The table of arrays is that of the files, and of load_run."""
     rows = {row["name"]: row["shape"] for row in table("data.md", "Arrays")}
     sizes = {
@@ -686,7 +684,7 @@ def test_the_page_names_every_array_and_its_shape(run: RecordedRun) -> None:
         "E": len(run.edges),
         "M": run.candidates.shape[1],
         "L": len(run.lost),
-        "K": len(run.steps),
+        "K": len(run.rows),
     }
     assert tuple(rows) == NAMES
     for name, values in arrays(run).items():
@@ -695,15 +693,15 @@ def test_the_page_names_every_array_and_its_shape(run: RecordedRun) -> None:
 
 
 def test_the_page_names_every_attribute() -> None:
-    """What a RecordedRun has beside the arrays."""
-    public = {name for name in vars(RecordedRun) if not name.startswith("_")}
-    public |= RecordedRun.__dataclass_fields__.keys()
-    tables = (table("data.md", "In Python"), table("data.md", "Runs of which not all is kept"))
+    """What a Run has beside the arrays."""
+    public = {name for name in vars(Run) if not name.startswith("_")}
+    public |= Run.__dataclass_fields__.keys()
+    tables = (table("data.md", "In Python"), table("data.md", "Runs with some rows only"))
     named = {row["attribute"].split("(")[0] for rows in tables for row in rows}
     assert named == public - set(NAMES)
 
 
-def test_the_examples_agree(paper7: RecordedRun, here: Path) -> None:
+def test_the_examples_agree(paper7: Run, here: Path) -> None:
     """All print the same of the same run; that for MATLAB too, where there is an Octave to run it."""
     page = list(blocks(ROOT / "docs/data.md"))
     said = [(code, text) for code, text in itertools.pairwise(page) if text.text.startswith("node ")]

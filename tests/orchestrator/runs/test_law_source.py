@@ -48,8 +48,8 @@ def test_a_run_keeps_the_files_of_its_law_and_their_digest(here: Path) -> None:
     kept = LawSource.read(run.folder / "law")
     assert set(kept.files) == {"kept_law.py", "gains_of_mine.py"}
     assert kept.files["kept_law.py"] == (here / "kept_law.py").read_bytes()
-    assert run.verdict["law_source"] == kept.digest
-    assert hg.simulate("paper7", steps=3).verdict["law_source"] is None
+    assert run.verdict.content["law_source"] == kept.digest
+    assert hg.simulate("paper7", steps=3).verdict.content["law_source"] is None
 
 
 @pytest.mark.parametrize("edited", [(0.7, 1.0), (0.5, 1.4)], ids=["law", "module that it uses"])
@@ -58,7 +58,7 @@ def test_an_edited_law_is_the_one_that_runs(here: Path, edited: tuple[float, flo
     edit(here, *edited)
     second = hg.simulate("paper7", law="kept_law:Mine", steps=3)
     assert second.u[0].tolist() != first.u[0].tolist()
-    assert second.verdict["law_source"] != first.verdict["law_source"]
+    assert second.verdict.content["law_source"] != first.verdict.content["law_source"]
 
 
 def test_a_class_of_a_notebook_is_the_one_that_runs(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,7 +16,6 @@ from hedgerow.orchestrator.runs.files import load_events, load_resolved, read_ve
 from hedgerow.orchestrator.runs.folder import create
 from hedgerow.orchestrator.runs.reader import load_run
 from hedgerow.orchestrator.runs.table import Table
-from hedgerow.orchestrator.testing.result import Result
 from hedgerow.orchestrator.views.rerun.watch import Happenings
 from hedgerow.orchestrator.views.screen import Quiet
 from hedgerow.topologies import budget
@@ -47,11 +46,11 @@ def happenings(folder: Path) -> object:
 
 
 READERS: dict[str, list[Callable[[Path], object]]] = {
-    "verdict.json": [read_verdict, load_run, Result.read],
-    "events.jsonl": [load_events, load_run, Result.read, happenings],
+    "verdict.json": [read_verdict, load_run],
+    "events.jsonl": [load_events, load_run, happenings],
     "topology.yaml": [load_resolved],
-    "telemetry.parquet": [load_run, Result.read],
-    "edges.parquet": [load_run, Result.read],
+    "telemetry.parquet": [load_run],
+    "edges.parquet": [load_run],
 }
 CASES = [(name, read) for name, readers in READERS.items() for read in readers]
 
@@ -94,7 +93,7 @@ def test_a_link_inside_the_folder_is_followed(run: Path) -> None:
 def test_a_folder_that_is_reached_by_a_link_is_read(run: Path) -> None:
     (run.parent / "latest").symlink_to(run.name)
     load_run(run.parent / "latest")
-    Result.read(run.parent / "latest")
+    load_run(run.parent / "latest")
 
 
 @pytest.mark.parametrize(("name", "read"), [case for case in CASES if case[0] in ("verdict.json", "events.jsonl")])
@@ -132,7 +131,7 @@ def test_an_unfinished_table_is_held_to_the_same(run: Path, monkeypatch: pytest.
 
 
 @pytest.mark.parametrize("content", [b"", b"{", b"[" * 100_000, b"\xff", b"null\n", b'{"verdict": 1}\n'])
-@pytest.mark.parametrize("read", [read_verdict, load_events, load_run, Result.read])
+@pytest.mark.parametrize("read", [read_verdict, load_events, load_run])
 def test_broken_json_is_refused(read: Callable[[Path], object], content: bytes, run: Path) -> None:
     for name in ("verdict.json", "events.jsonl"):
         (run / name).write_bytes(content + b"\n")
@@ -142,7 +141,7 @@ def test_broken_json_is_refused(read: Callable[[Path], object], content: bytes, 
 
 @pytest.mark.parametrize("content", [b"", b"PAR1", b"PAR1" * 100, b"hello"])
 @pytest.mark.parametrize("name", ["telemetry", "edges"])
-@pytest.mark.parametrize("read", [load_run, Result.read])
+@pytest.mark.parametrize("read", [load_run])
 def test_a_broken_table_is_refused(read: Callable[[Path], object], name: str, content: bytes, run: Path) -> None:
     (run / f"{name}.parquet").write_bytes(content)
     with pytest.raises(UserError) as error:

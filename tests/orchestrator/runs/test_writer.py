@@ -25,9 +25,9 @@ from hedgerow.orchestrator.metrics.verdict import Verdict
 from hedgerow.orchestrator.report import report
 from hedgerow.orchestrator.runs.export import export
 from hedgerow.orchestrator.runs.folder import create
-from hedgerow.orchestrator.runs.reader import RecordedRun, load_run
+from hedgerow.orchestrator.runs.reader import load_run
+from hedgerow.orchestrator.runs.run import Run
 from hedgerow.orchestrator.runs.selection import kept
-from hedgerow.orchestrator.testing.result import Result
 from hedgerow.orchestrator.views.screen import Quiet
 from hedgerow.topologies import hinf
 from hedgerow.topologies.errors import TopologyError, UserError
@@ -107,7 +107,7 @@ def load_text(name: str) -> str:
 
 
 @pytest.fixture
-def thin(tmp_path: Path) -> tuple[RecordedRun, RecordedRun]:
+def thin(tmp_path: Path) -> tuple[Run, Run]:
     """The same run, whole, and with every seventh step of two nodes."""
     topology = resolve(load("paper7"))
     ran(topology, tmp_path / "whole")
@@ -115,13 +115,13 @@ def thin(tmp_path: Path) -> tuple[RecordedRun, RecordedRun]:
     return load_run(tmp_path / "whole"), load_run(tmp_path / "thin")
 
 
-def test_what_is_there_is_read_and_the_sums_are_of_all(thin: tuple[RecordedRun, RecordedRun]) -> None:
+def test_what_is_there_is_read_and_the_sums_are_of_all(thin: tuple[Run, Run]) -> None:
     whole, some = thin
     assert (some.T, some.ids) == (30, (2, 6))
-    assert some.steps.tolist() == [0, 7, 14, 21, 28, 29, 30]
+    assert some.rows.tolist() == [0, 7, 14, 21, 28, 29, 30]
     columns = [whole.ids.index(2), whole.ids.index(6)]
     for name in ("x", "x_oracle", "regret"):
-        assert np.array_equal(getattr(some, name)[some.steps], getattr(whole, name)[some.steps][:, columns])
+        assert np.array_equal(getattr(some, name)[some.rows], getattr(whole, name)[some.rows][:, columns])
     assert np.isnan(some.x[1]).all()
     for name in ("a", "candidates", "nominal"):
         value = getattr(whole, name)
@@ -135,7 +135,7 @@ def test_what_is_there_is_read_and_the_sums_are_of_all(thin: tuple[RecordedRun, 
     assert shown == [tuple(end if end in (2, 6) else None for end in edge) for edge in touching]
 
 
-def test_what_takes_all_rows_says_how_to_have_them(thin: tuple[RecordedRun, RecordedRun], tmp_path: Path) -> None:
+def test_what_takes_all_rows_says_how_to_have_them(thin: tuple[Run, Run], tmp_path: Path) -> None:
     _, some = thin
     how = r"kept every 7th step and the last of 2 of 7 nodes.*orchestrator simulate .* --set 'record={nodes: all}'"
     with pytest.raises(UserError, match=how):
@@ -143,12 +143,12 @@ def test_what_takes_all_rows_says_how_to_have_them(thin: tuple[RecordedRun, Reco
     with pytest.raises(UserError, match=how):
         report([some], tmp_path / "report")
     with pytest.raises(UserError, match="kept every 7th step"):
-        Result.read(some.folder)
+        _ = some.heard
     export(some, "npz", tmp_path / "some.npz")
     with np.load(tmp_path / "some.npz") as arrays:
         assert "a_ls" not in arrays
         assert arrays["regret_sum"][-1] == some.regret_sum[-1]
-        assert arrays["steps"].tolist() == some.steps.tolist()
+        assert arrays["rows"].tolist() == some.rows.tolist()
 
 
 def test_a_run_is_made_whole_again_from_its_folder(here: Path) -> None:

@@ -1,0 +1,135 @@
+"""The quiet step of a few nodes in Python's floats: equations (6) and (7) without numpy.
+
+A step is quiet if every edge is open, every message of the step before is there, and nothing is learned late. Almost
+every step is. An array of one number costs as much as one of a hundred, so a shard of a few nodes makes its quiet steps
+here. All else, and laws of other classes, goes through the general path (agents.samples and the law itself): `settle`
+hands everything learned to it. Both ways give the same bits, because they do the same operations in the same order.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from math import inf, isfinite, nan
+from typing import NamedTuple
+
+import numpy as np
+
+from hedgerow.agents.law import Array, Law, Minimax
+from hedgerow.agents.view import View
+from hedgerow.wire.codec import Link
+
+FEW_NODES = 4
+MOST_INCIDENCES = 24
+"""with more, numpy is as fast"""
+PATIENCE = 4
+"""quiet steps in a row before floats take over; to change over costs as much as two general steps"""
+
+
+class _Node(NamedTuple):
+    """A node: its gain, its models in list order, and its incidences as (own place, neighbour's place, weight)."""
+
+    b: float
+    candidates: Sequence[float]
+    incidences: Sequence[tuple[int, int, float]]
+
+
+class Answer(NamedTuple):
+    """The answer of a quiet step."""
+
+    u: bytes
+    report: bytes
+    inputs: Sequence[float]
+    """of step t - 1, which the flow was summed of: our own, then the peers'"""
+    states: Sequence[float]
+    """our own, of step t - 1"""
+
+
+class QuietLaw:
+    """The law `Minimax` of a few nodes, and their last states and inputs, in floats."""
+
+    def __init__(self, view: View, law: Minimax) -> None:
+        k, weights = view.k, view.weights
+        w = [1.0] * len(view.row) if weights is None else weights.tolist()
+        incidences: list[list[tuple[int, int, float]]] = [[] for _ in range(k)]
+        for i, j, weight in zip(view.row.tolist(), view.column.tolist(), w, strict=True):
+            incidences[i].append((i, j, weight))
+        gains = np.broadcast_to(np.asarray(view.b, dtype=float), k).tolist()
+        columns = [column[~np.isnan(column)].tolist() for column in view.candidates.T]
+        self._nodes = [_Node(*one) for one in zip(gains, columns, incidences, strict=True)]
+        self._law, self._models = law, len(view.candidates)
+        self._own = struct.Struct(f"<{k}d")
+        self._report = struct.Struct(f"<{2 * k}d")
+        self._peers = [struct.Struct(f"<{peer.hear}d") for peer in view.peers]
+        self._J: list[list[float]] = []
+        self._x: Sequence[float] = ()
+        self._u: Sequence[float] = ()
+        self._quiet = 0
+        """number of quiet steps of the general path in a row"""
+
+    @classmethod
+    def of(cls, view: View, law: Law) -> QuietLaw | None:
+        """Return the quiet law of a view; None if its nodes are too many, or its law is of another class."""
+        if type(law) is not Minimax or view.k > FEW_NODES or len(view.row) > MOST_INCIDENCES:
+            return None
+        # Python raises an error where numpy divides by zero. Padding may stand only behind the models of a list.
+        listed = ~np.isnan(view.candidates)
+        if (view.candidates == 1).any() or (listed[1:] & ~listed[:-1]).any() or not listed[0].all():
+            return None
+        return cls(view, law)
+
+    @property
+    def holds(self) -> bool:
+        """Return True while the newest memory is here, and not in the law."""
+        return bool(self._J)
+
+    def after(self, was_quiet: bool, x: Array, u: Array) -> None:
+        """Count a step that the general path made; after some quiet ones, take over its memory, states and inputs."""
+        self._quiet = self._quiet + 1 if was_quiet else 0
+        if self._quiet < PATIENCE:
+            return
+        self._x, self._u = x.tolist(), u.tolist()
+        if isfinite(sum(self._x) + sum(self._u)):
+            memory = self._law.memory.T.tolist()
+            self._J = [J[: len(node.candidates)] for J, node in zip(memory, self._nodes, strict=True)]
+
+    def settle(self) -> None:
+        """Hand everything learned back to the law."""
+        J = np.full((self._models, len(self._nodes)), np.inf)
+        for column, own in zip(J.T, self._J, strict=True):
+            column[: len(own)] = own
+        self._law.memory = J
+        self._J, self._quiet = [], 0
+
+    def step(self, x_next: Array, links: Sequence[Link]) -> Answer | None:
+        """Learn the sample of t - 1, equation (7), and act at t, equation (6), for the states x(t), (k,).
+
+        `links` are the peers' messages of t - 1. Return None, and change nothing, if a number is missing or too large.
+        """
+        states, x = x_next.tolist(), self._x
+        row = [*self._u]
+        for peer, link in zip(self._peers, links, strict=False):
+            row += peer.unpack_from(link[3], len(link[3]) - peer.size)  # the newest row comes last
+        costs, inputs, estimates, margins = [], [], [], []
+        for (b, candidates, incidences), J, now, before in zip(self._nodes, self._J, states, x, strict=False):
+            flow = 0.0
+            for i, j, weight in incidences:
+                flow += weight * (row[i] - row[j])
+            moved = now - b * flow
+            learned = []
+            for cost, a in zip(J, candidates, strict=False):
+                residual = a * before - moved
+                learned.append(cost + residual * residual)
+            ordered = sorted(learned)
+            least = ordered[0]
+            # index() finds the first of equal costs, so a tie goes to the candidate listed first.
+            ahat = candidates[learned.index(least)] if isfinite(sum(learned)) else nan
+            u = b * now / (ahat - 1.0)
+            if not isfinite(u):
+                return None
+            costs.append(learned)
+            inputs.append(u)
+            estimates.append(ahat)
+            margins.append(ordered[1] - least if len(ordered) > 1 else inf)
+        self._J, self._x, self._u = costs, states, inputs
+        return Answer(self._own.pack(*inputs), self._report.pack(*estimates, *margins), row, x)

@@ -1,0 +1,79 @@
+"""Makes the pictures and the numbers of docs/gallery.md: python docs/make_gallery.py FOLDER
+
+It needs the extras `water` and `power`, and the package topohub, which ship the networks.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+import tempfile
+import warnings
+from pathlib import Path
+from typing import NamedTuple
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib import pyplot as plt
+
+import hedgerow as hg
+from hedgerow.orchestrator.views.drawing import draw
+from hedgerow.topologies.importing.options import Options
+from hedgerow.topologies.importing.written import import_file
+
+
+class Shown(NamedTuple):
+    """A network of the gallery: where it lies, and how it is imported."""
+
+    name: str
+    package: str
+    file: str
+    options: Options
+
+
+NETWORKS = (
+    Shown("net3", "wntr", "library/networks/Net3.inp", Options(junction_storage=5000.0)),
+    Shown("nobel-eu", "topohub", "data/sndlib/nobel-eu.json", Options(steps=300)),
+    Shown("case118", "pandapower", "networks/power_system_test_case_jsons/case118.json", Options(steps=300)),
+)
+
+
+def main(folder: Path) -> None:
+    """Import and run each network, draw it, and print a line of numbers."""
+    mpl.use("agg")
+    warnings.simplefilter("ignore")
+    print(f"{'network':9} nodes edges steps  gamma*  gain  right  peak |x| at")
+    for shown in NETWORKS:
+        spec = importlib.util.find_spec(shown.package)
+        if spec is None or spec.origin is None:
+            sys.exit(f"{shown.package} is not installed")
+        with tempfile.TemporaryDirectory() as scratch:
+            path = Path(scratch) / "network.yaml"
+            import_file(Path(spec.origin).parent / shown.file, shown.options).save(path)
+            run = hg.simulate(path, run_dir=Path(scratch) / "run")
+            show(shown, run, folder)
+
+
+def show(shown: Shown, run: hg.Run, folder: Path) -> None:
+    """Draw a run beside its network, and print its numbers."""
+    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.5), layout="constrained", width_ratios=[1.2, 1])
+    draw(run.topology, left)
+    steps = np.arange(run.T + 1)
+    right.plot(steps, np.abs(run.x), lw=0.6)
+    right.set(xlabel="t [steps]", ylabel="|x|", title=f"{shown.name}: state of every node")
+    figure.savefig(folder / f"gallery-{shown.name}.png", dpi=110)
+    plt.close(figure)
+    t, k = np.unravel_index(np.abs(run.x).argmax(), run.x.shape)
+    cost = (run.x[:-1] ** 2).sum() + (run.weights * run.u_edge**2).sum()
+    w = run.w
+    gain = np.sqrt(cost / (w**2).sum())
+    right_ = float((run.ahat[-1] == run.a[-1]).mean())
+    name = run.topology.network.title(int(k))
+    print(
+        f"{shown.name:9} {len(run.ids):5d} {len(run.edges):5d} {run.T:5d} {run.gamma_star:7.3f} {gain:5.3f}"
+        f"  {right_:4.2f}  {abs(run.x[t, k]):.3g} at step {t}, node {name}"
+    )
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

@@ -1,0 +1,35 @@
+"""The topology that the arguments of a command describe."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hedgerow.topologies.escape import echo
+
+# A topology takes most of a second to load: each function imports what it needs itself.
+if TYPE_CHECKING:
+    from hedgerow.topologies.schema import Topology
+
+
+def read(file: str, sets: list[str] | None, **replace: object) -> Topology:
+    """Return the resolved topology of `file` with some values replaced; a value of None replaces nothing."""
+    from hedgerow.topologies.load import find, load  # noqa: PLC0415
+    from hedgerow.topologies.override import Override  # noqa: PLC0415
+    from hedgerow.topologies.resolve import resolve  # noqa: PLC0415
+
+    options = [Override.of_option(key, value) for key, value in replace.items() if value is not None]
+    return resolve(load(file, [*options, *(sets or [])]), find(file).parent)
+
+
+def importable(topology: Topology, file: str = "") -> Topology:
+    """Return the topology with a checked law: a law that cannot be loaded ends the command before a run.
+
+    `file` is the name of the topology. If it is in the folder of a run that kept another source of the law, say so.
+    """
+    from hedgerow.orchestrator.ground.law_source import FOLDER, differs  # noqa: PLC0415
+    from hedgerow.orchestrator.ground.laws import checked  # noqa: PLC0415
+    from hedgerow.topologies.load import find  # noqa: PLC0415
+
+    if file and ":" in topology.law and (said := differs(topology.law, find(file).parent / FOLDER)):
+        echo(said, error=True)
+    return checked(topology)

@@ -1,0 +1,28 @@
+"""How good estimates are: their error, whether the nearest candidate is the truth, and how often they change."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hedgerow.topologies.graph import Array
+
+
+def judged(ahat: Array, a: Array, candidates: Array) -> dict[str, float | None]:
+    """Return how good the estimates are, (n,) each; `candidates` (M, n).
+
+    An estimate is right if the candidate nearest it is the truth. For an estimate from the list this is equality; for a
+    real number it says which candidate it speaks for. A node without an estimate is not right, and has no error.
+    """
+    there = np.isfinite(ahat)
+    apart = np.where(np.isnan(candidates), np.inf, np.abs(candidates - np.where(there, ahat, 0.0)))
+    nearest = candidates[apart.argmin(axis=0), np.arange(len(a))]
+    error = np.abs(ahat - a)[there]
+    return {
+        "share_right": float(((nearest == a) & there).mean()),
+        "error": float(error.mean()) if len(error) else None,
+    }
+
+
+def switches(before: Array, after: Array) -> Array:
+    """Return how many estimates change, summed over the last axis; a missing estimate changes nothing."""
+    return np.asarray(((before != after) & np.isfinite(before) & np.isfinite(after)).sum(axis=-1), dtype=float)

@@ -1,0 +1,486 @@
+"""A run as arrays and tables, read from its folder: complete, interrupted, killed, or still in progress.
+
+Each recorded array is read at its first use. The observer that computed the other arrays during the run computes them
+again from the same telemetry, with the same bits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hedgerow.orchestrator.metrics.certificate import storage
+from hedgerow.orchestrator.metrics.fault_accounts import at_ends
+from hedgerow.orchestrator.metrics.fault_schedule import Schedule
+from hedgerow.orchestrator.metrics.observer import Batch, Observer, gain
+from hedgerow.orchestrator.metrics.replay import Finding
+from hedgerow.orchestrator.metrics.verdict import Verdict
+from hedgerow.orchestrator.runs import guaranteed, replayed
+from hedgerow.orchestrator.runs.difference import Estimates, equal, explain_estimates, lost_messages
+from hedgerow.orchestrator.runs.rows import frozen, spread
+from hedgerow.orchestrator.runs.selection import Kept, kept
+from hedgerow.orchestrator.runs.table import Table
+from hedgerow.topologies.describe import describe
+from hedgerow.topologies.errors import Code, UserError
+from hedgerow.topologies.escape import command
+from hedgerow.topologies.graph import Array, Gain, Index, Mask
+from hedgerow.topologies.schema import Topology
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+NodeId = int | str
+Pair = tuple[NodeId, NodeId]
+
+
+def _states(name: str) -> cached_property[Array]:
+    """Return a property that reads a column of telemetry, (T + 1, n)."""
+    return cached_property(lambda run: run._of_nodes(name, run.T + 1, np.nan))
+
+
+def _actions(name: str) -> cached_property[Array]:
+    """Return a property that reads a column of telemetry without the final state, (T, n)."""
+    return cached_property(lambda run: run._of_nodes(name, run.T, np.nan))
+
+
+def _flags(name: str) -> cached_property[Mask]:
+    """Return a property that reads a column of flags of edges, (T, E)."""
+    return cached_property(lambda run: run._of_edges(name, False))
+
+
+def _recomputed(name: str) -> cached_property[Array]:
+    """Return a property that recomputes a field of `metrics.observer.Batch`, (T,) or (T, n)."""
+    return cached_property(lambda run: run._by_step(getattr(run._observed[0], name)))
+
+
+def _total(name: str) -> cached_property[Array]:
+    """Return a property that recomputes a total, (T,), or reads it from the summary if not all rows were kept."""
+    return cached_property(
+        lambda run: run._by_step(getattr(run._observed[0], name)) if run.whole else run._summed(name, run.T)
+    )
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Run:
+    """A run of T steps, n nodes and E edges, from a simulation, over Zenoh, from a test, or loaded from its folder.
+
+    Row t of every array is step t. A row that was not recorded holds NaN, -1 in `index` and `right`, and False in
+    flags. Columns are nodes or edges in the order of the file; `record:` may keep only some of them. Arrays are
+    read-only. Two runs are equal if all bits of their states, estimates, inputs and disturbances are equal.
+    docs/theory.md has the formulas.
+    """
+
+    folder: Path
+    """The run folder (docs/run-folder.md)."""
+    topology: Topology
+    """The resolved network, with every fault of the run."""
+    verdict: Verdict
+    """The verdict; its word is empty while the run is in progress, and after `up` was killed."""
+    events: Sequence[Mapping[str, Any]]
+    """The lines of events.jsonl, one mapping per event."""
+    tables: Mapping[str, Table]
+    """The tables telemetry and edges, and the summary if there is one."""
+
+    def __post_init__(self) -> None:
+        if self.topology.steps < self.T:
+            raise UserError(
+                f"{self.folder}: {self.T} steps of a run of {self.topology.steps}: the files are of two runs",
+                code=Code.FILE_FORMAT,
+            )
+        if not (self.recorded < self.T).any():
+            raise UserError(f"{self.folder}: no whole step of the run is recorded yet", code=Code.RUN_MISSING)
+
+    @cached_property
+    def kept(self) -> Kept:
+        """The steps, nodes and edges that have rows."""
+        return kept(self.topology)
+
+    @property
+    def whole(self) -> bool:
+        """Return True if every step of every node has rows."""
+        return self.kept.whole
+
+    def need_all(self, what: str) -> None:
+        """Raise UserError if some rows were not kept; `what` names the purpose that needs them."""
+        if not self.whole:
+            again = command(["orchestrator", "simulate", self.folder, "--set", "record={nodes: all}"])
+            raise UserError(
+                f"{self.folder}: {what} needs all rows, and the run kept {self.kept}; it can be run again with all of"
+                f" them, to the same bits: {again}",
+                code=Code.NOT_RECORDED,
+            )
+
+    def __repr__(self) -> str:
+        size = f"{self.T} steps of {len(self.ids)} nodes"
+        if not self.whole:
+            size = f"{self.T} steps, with rows for {self.kept}"
+        return f"<Run {self.name}: {size}, {self.verdict.verdict or 'no verdict'}>"
+
+    def __eq__(self, other: object) -> bool:
+        return equal(self, other) if isinstance(other, Run) else NotImplemented
+
+    __hash__ = None  # type: ignore[assignment]
+
+    @property
+    def name(self) -> str:
+        """The name of the run folder."""
+        return self.folder.name
+
+    @property
+    def law(self) -> str:
+        """The name of the law, or `package.module:Class`."""
+        return self.topology.law
+
+    @cached_property
+    def T(self) -> int:  # noqa: N802 (the paper's name)
+        """The number of steps whose inputs and following state are recorded: the last row of `x` is x(T)."""
+        steps, edges = self.recorded, len(self.edges)
+        if not edges or not len(steps):
+            return int(steps[-1]) if len(steps) else 0
+        behind = self.tables["edges"].steps(edges)
+        if self.whole:
+            return min(int(steps[-1]), int(behind[-1]) + 1 if len(behind) else 0)
+        # The rows of edges follow those of nodes: use the steps that have both, and the state of the next row.
+        return int(steps[min(len(behind), len(steps) - 1)]) if len(behind) else 0
+
+    @property
+    def steps(self) -> int:
+        """The number of steps, T."""
+        return self.T
+
+    @property
+    def b(self) -> Gain:
+        """The gain b of equation (1): one number, or one per node, (n,)."""
+        b = self.topology.network.b
+        return b if isinstance(b, float) else frozen(b[self.kept.nodes])
+
+    @cached_property
+    def weights(self) -> Array:
+        """The weight of each edge, (E,)."""
+        weights = self.topology.graph.weights
+        return frozen(np.ones(len(self.kept.edges)) if weights is None else weights[self.kept.edges])
+
+    @cached_property
+    def ids(self) -> tuple[int | str, ...]:
+        """Node ids in the order of the columns."""
+        every = self.topology.ids
+        return tuple(every) if self.kept.all_nodes else tuple(every[k] for k in self.kept.nodes.tolist())
+
+    @cached_property
+    def edges(self) -> Index:
+        """The positions in `ids` of the two ends of each edge, -1 for a node without rows, (E, 2)."""
+        places = np.full(self.topology.graph.n, -1)
+        places[self.kept.nodes] = np.arange(len(self.kept.nodes))
+        return frozen(places[self.topology.graph.edges[self.kept.edges]])
+
+    @cached_property
+    def candidates(self) -> Array:
+        """The candidates of each node, padded with NaN, (n, M)."""
+        return frozen(self.topology.network.candidates[:, self.kept.nodes].T.copy())
+
+    @cached_property
+    def nominal(self) -> Array:
+        """The a that the nominal controller assumes, (n,)."""
+        return frozen(self.topology.network.nominal[self.kept.nodes])
+
+    @cached_property
+    def gamma_star(self) -> float:
+        """The optimal gain of the oracle for the a of step 0."""
+        return self.topology.network.gamma_star
+
+    @cached_property
+    def rows(self) -> Index:
+        """The steps up to T that have rows, ascending, (K,)."""
+        return frozen(self.recorded[self.recorded <= self.T].copy())
+
+    @cached_property
+    def lost(self) -> Index:
+        """The steps before T whose telemetry was lost, (L,)."""
+        due = np.arange(self.T)
+        if not self.whole and "summary" in self.tables:
+            return frozen(np.setdiff1d(due, self.tables["summary"].steps(1)))
+        return frozen(np.setdiff1d(due[self.kept.rows(due)], self.recorded))
+
+    x = _states("x")
+    """States, (T + 1, n)."""
+    x_oracle = _states("x_oracle")
+    """States of the oracle, the twin that knows every a, (T + 1, n)."""
+    x_nominal = _states("x_nominal")
+    """States of the nominal twin, which assumes `nominal`, (T + 1, n)."""
+    u = _actions("u")
+    """Inputs, NaN where the plant received none, (T, n)."""
+    w = _actions("w")
+    """Disturbances, (T, n)."""
+    ahat = _actions("ahat")
+    """Estimates, NaN where the agent was absent, (T, n)."""
+
+    margin = _actions("margin")
+    """The margin J_(2) - J_(1) of the best candidate over the next, NaN where there is none, (T, n)."""
+
+    @cached_property
+    def index(self) -> NDArray[np.int32]:
+        """The position of ahat among the candidates, from 0; -1 where there is no estimate, (T, n)."""
+        return frozen(np.nan_to_num(self._of_nodes("index", self.T, np.nan), nan=-1.0).astype(np.int32))
+
+    @cached_property
+    def wrong(self) -> NDArray[np.bool_]:
+        """True where ahat is a candidate other than the truth, (T, n)."""
+        return frozen((self.index >= 0) & np.isfinite(self.ahat) & (self.ahat != self.a[: self.T]))
+
+    @property
+    def real_estimates(self) -> bool:
+        """Return True if some estimate is no candidate: the law estimates real numbers."""
+        return bool((np.isfinite(self.ahat) & (self.index < 0)).any())
+
+    @cached_property
+    def u_edge(self) -> Array:
+        """The input u_j - u_i of each edge (i, j), 0 where it was closed, (T, E)."""
+        return self._of_edges("u_edge", np.nan)
+
+    edge_open = _flags("open")
+    """True if an edge carried flow, (T, E)."""
+    i_hears = _flags("i_hears")
+    """True if the message of node j arrived at node i in its own step, (T, E)."""
+    j_hears = _flags("j_hears")
+    """True if the message of node i arrived at node j in its own step, (T, E)."""
+
+    @cached_property
+    def regret(self) -> Array:
+        """The regret r_i = |x_i - x_i*| of each node, the paper's figure 4, (T + 1, n)."""
+        return frozen(np.abs(self.x - self.x_oracle))
+
+    @cached_property
+    def nominal_gap(self) -> Array:
+        """The distance |x_i* - x_i^nom| of the two twins, the paper's figure 5, (T + 1, n)."""
+        return frozen(np.abs(self.x_oracle - self.x_nominal))
+
+    @cached_property
+    def a(self) -> Array:
+        """The true a of each step, jumps included, (T, n)."""
+        if self.whole:
+            return self._by_step(self._observed[0].a)
+        nodes = self.kept.nodes
+        a = np.repeat(self.topology.network.a[None, nodes], self.T, axis=0)
+        for jump in Schedule(self.topology).jumps(0):
+            a[jump.start :, nodes == jump.targets[0]] = jump.a
+        return frozen(a)
+
+    a_ls = _recomputed("a_ls")
+    """The least-squares a of all earlier steps, received by the node or not; NaN at first, (T, n)."""
+    beta = _recomputed("beta")
+    """The bias a_LS - a, (T, n)."""
+
+    @cached_property
+    def identifiable(self) -> Mask:
+        """True if the candidate nearest to a_LS is the truth; the first of equally near ones counts, (T, n)."""
+        nearest = np.broadcast_to(self.candidates[:, 0], self.a_ls.shape)
+        for rival in self.candidates.T[1:]:
+            nearest = np.where(np.abs(self.a_ls - rival) < np.abs(self.a_ls - nearest), rival, nearest)
+        return frozen((nearest == self.a) & np.isfinite(self.a_ls))
+
+    @cached_property
+    def faultless(self) -> bool:
+        """True if all edges were open and no a jumped at any step, as gamma* assumes."""
+        return bool(self.edge_open.all() and (self.a == self.a[:1]).all())
+
+    cost = _total("cost")
+    """The cost c = |x|^2 + sum_e k_e u_e^2, (T,)."""
+    cost_oracle = _total("cost_oracle")
+    """The cost c* of the oracle, (T,)."""
+    cost_sum = _total("cost_sum")
+    """The cumulative cost C, (T,)."""
+    cost_oracle_sum = _total("cost_oracle_sum")
+    """The cumulative cost C* of the oracle, (T,)."""
+    energy_sum = _total("energy_sum")
+    """The cumulative sum of |w|^2, (T,)."""
+
+    @cached_property
+    def cost_regret(self) -> Array:
+        """The cost regret R = C - C*, signed, (T,)."""
+        return frozen(self.cost_sum - self.cost_oracle_sum)
+
+    @cached_property
+    def right(self) -> NDArray[np.int64]:
+        """The number of estimates that are right, (T,)."""
+        if self.whole:
+            return self._by_step(self._observed[0].right)
+        return frozen(np.nan_to_num(self._summed("right", self.T), nan=-1.0).astype(np.int64))
+
+    @cached_property
+    def regret_sum(self) -> Array:
+        """The regret D(t), the cumulative sum of r_i^2 including the final state, (T + 1,)."""
+        if not self.whole:
+            return self._summed("regret_sum", self.T + 1)
+        batch, observer = self._observed
+        return frozen(np.append(self._by_step(batch.regret_sum), observer.regret_sum))
+
+    @cached_property
+    def nominal_regret_sum(self) -> Array:
+        """The regret D(t) of the nominal twin, (T + 1,)."""
+        if not self.whole:
+            return self._summed("nominal_regret_sum", self.T + 1)
+        batch, observer = self._observed
+        return frozen(np.append(self._by_step(batch.nominal_regret_sum), observer.nominal_regret_sum))
+
+    @cached_property
+    def gain(self) -> Array:
+        """The empirical gain sqrt(C / sum |w|^2), NaN until w is not 0, (T,)."""
+        return frozen(gain(self.cost_sum, self.energy_sum))
+
+    @cached_property
+    def gain_less_x0(self) -> Array:
+        """The empirical gain after subtracting V(x(0)), a bound on the oracle's cost of x(0), from C, (T,)."""
+        network = self.topology.network
+        return frozen(gain(self.cost_sum, self.energy_sum, float(storage(network.x0[None], network.a)[0])))
+
+    @cached_property
+    def ceiling(self) -> Array:
+        """The least bound on the gain of the law that holds at each step, NaN without one, (T,); docs/guarantee.md.
+
+        It bounds the gain from x(0) = 0.
+        """
+        return frozen(guaranteed.ceiling(self))
+
+    def certificate_slack(self, premise: str) -> Array:
+        """Return the slack of the certificate of the law at each step, NaN where `premise` fails, (T,).
+
+        `premise` is "estimates", "edges" or "jumps". Raises UserError if the verdict has no bound for it.
+        """
+        return frozen(guaranteed.slack(self, premise))
+
+    @property
+    def metrics(self) -> dict[str, float | int | None]:
+        """The final numbers, as in verdict.json."""
+        if not self.whole and self.verdict.content.get("metrics"):
+            return dict(self.verdict.content["metrics"])
+        return self._observed[1].summary()
+
+    def first_difference(self) -> Finding | None:
+        """Replay the tables by the file and the law, and return the first difference; None if there is none.
+
+        This loads and runs the code of the law. The tables do not hold the received messages, so those are not
+        compared. Raises UserError if the law cannot be loaded, and HedgerowError if a row is lost or the law fails.
+        """
+        return replayed.first_difference(self)
+
+    @cached_property
+    def heard(self) -> Mask:
+        """True if the message of a step arrived in that step, by incidence of `topology.graph`, (T, 2E)."""
+        self.need_all("the messages by incidence")
+        heard = np.empty((self.T, 2 * len(self.edges)), dtype=np.bool_)
+        ends = at_ends(self.topology.graph)
+        heard[:, ends[:, 0]], heard[:, ends[:, 1]] = self.i_hears, self.j_hears
+        return frozen(heard)
+
+    @cached_property
+    def truth(self) -> Array:
+        """The true a before any jump, (n,)."""
+        return frozen(self.topology.network.a[self.kept.nodes])
+
+    def column(self, node: NodeId) -> int:
+        """Return the column of a node in the arrays: `run.x[:, run.column(4)]`. Raises UserError."""
+        try:
+            return self.ids.index(node)
+        except ValueError:
+            raise UserError(
+                f"{node!r} is no node; the nodes are {', '.join(map(str, self.ids[:12]))}", code=Code.OPTION
+            ) from None
+
+    def estimates_at(self, t: int) -> Estimates:
+        """Return the estimate of every node at step t, from the samples of earlier steps, as a dict by node."""
+        if not 0 <= t < self.T:
+            raise UserError(f"estimates_at({t}): the run has steps 0 to {self.T - 1}", code=Code.OPTION)
+        return Estimates(self, t)
+
+    def missing(self, link: Pair) -> list[int]:
+        """Return the steps whose message from the first node of `link` to the second was lost or late."""
+        sender, receiver = map(self.column, link)
+        for column, (i, j) in enumerate(self.edges.tolist()):
+            if (i, j) in ((sender, receiver), (receiver, sender)):
+                arrived = self.j_hears if i == sender else self.i_hears
+                return [int(t) for t in np.flatnonzero(~arrived[:, column])]
+        raise UserError(f"missing({link}): {link[0]} and {link[1]} are not neighbours", code=Code.OPTION)
+
+    def open(self, edge: Pair) -> list[int]:
+        """Return the steps at which an edge carried flow."""
+        ends = {*map(self.column, edge)}
+        for column, pair in enumerate(self.edges.tolist()):
+            if {*pair} == ends:
+                return [int(t) for t in np.flatnonzero(self.edge_open[:, column])]
+        raise UserError(f"open({edge}): {edge[0]} and {edge[1]} are not neighbours", code=Code.OPTION)
+
+    def assert_same_estimates(self, other: Run, t: int | None = None) -> None:
+        """Assert that all estimates of two runs are equal at step t, or at every step if t is None."""
+        for step in range(min(self.T, other.T)) if t is None else [t]:
+            mine, others = self.estimates_at(step), other.estimates_at(step)
+            if mine != others:
+                raise AssertionError("\n".join(explain_estimates(mine, others)))
+
+    def describe(self) -> str:
+        """Return the folder, the faults, the lost messages and the verdict, as lines of text."""
+        faults = [f"fault {k}: {describe(fault)}" for k, fault in enumerate(self.topology.faults, start=1)]
+        verdict = self.verdict.line() if self.verdict.content else "no verdict"
+        return "\n  ".join([str(self.folder), *faults, lost_messages(self, self.T), verdict])
+
+    def plot(self, *names: str) -> Figure:
+        """Return a matplotlib figure with one panel per array, by default the states and the regret of each node.
+
+        `names` are attributes with a row per step, such as "x", "ahat", "regret" or "gain". Raises UserError.
+        """
+        from hedgerow.orchestrator.runs.plot import plot  # noqa: PLC0415 (matplotlib takes a while to load)
+
+        return plot(self, names or ("x", "regret"))
+
+    def telemetry(self, kind: str = "arrow") -> Any:
+        """Return the table of steps and nodes as a pyarrow.Table, or as a frame of "pandas" or "polars"."""
+        return self.tables["telemetry"].frame(kind)
+
+    def edges_table(self, kind: str = "arrow") -> Any:
+        """Return the table of steps and edges; `kind` as for `telemetry`."""
+        return self.tables["edges"].frame(kind)
+
+    def summary(self, kind: str = "arrow") -> Any:
+        """Return the table of steps; `kind` as for `telemetry`. Raises UserError if `record:` turned it off."""
+        return self._summary.frame(kind)
+
+    @property
+    def _summary(self) -> Table:
+        if "summary" not in self.tables:
+            raise UserError(f"{self.folder}: has no summary, by `record:` of its topology.yaml", code=Code.NOT_RECORDED)
+        return self.tables["summary"]
+
+    def _summed(self, name: str, rows: int) -> Array:
+        """Return a column of the summary, (rows,)."""
+        return spread(self._summary.column(name, 1)[:, 0].astype(np.float64), self._summary.steps(1), rows, np.nan)
+
+    @cached_property
+    def recorded(self) -> Index:
+        """The step of each row of telemetry; it may hold one step more than `rows`."""
+        return frozen(self.tables["telemetry"].steps(len(self.ids)) if self.ids else self._summary.steps(1))
+
+    def _of_nodes(self, name: str, rows: int, missing: float) -> Array:
+        if not self.ids:
+            return frozen(np.empty((rows, 0)))
+        return spread(self.tables["telemetry"].column(name, len(self.ids)), self.recorded, rows, missing)
+
+    def _of_edges(self, name: str, missing: Any) -> NDArray[Any]:
+        table, width = self.tables["edges"], len(self.edges)
+        if not width:
+            return frozen(np.empty((self.T, 0), type(missing)))
+        return spread(table.column(name, width), table.steps(width), self.T, missing)
+
+    def _by_step(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Return one row per step from one row per recorded step."""
+        missing = {"f": np.nan, "i": -1}[values.dtype.kind]
+        return spread(values, self.recorded, self.T, missing)
+
+    @cached_property
+    def _observed(self) -> tuple[Batch, Observer]:
+        """The result of the observer for this telemetry."""
+        return replayed.observe(self)

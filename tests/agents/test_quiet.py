@@ -1,0 +1,126 @@
+"""The quiet step in floats: the same bits as the general path, whatever happens between quiet steps."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+from unittest import mock
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hedgerow.agents import quiet
+from hedgerow.agents.law import Minimax
+from hedgerow.agents.quiet import QuietLaw
+from hedgerow.agents.shard import Shard
+from hedgerow.agents.view import Peer, View
+from hedgerow.orchestrator.ground.assignment import layout, views_of
+from hedgerow.topologies.load import load
+from hedgerow.topologies.resolve import resolve
+from hedgerow.topologies.schema import Topology
+from hedgerow.wire.codec import Link
+from tests.test_faults import faulty, harsh
+from tests.tools.networks import partitions, simulate
+
+
+@contextmanager
+def general_path() -> Iterator[None]:
+    """All shards made meanwhile use numpy for every step."""
+    with mock.patch.object(QuietLaw, "of", return_value=None):
+        yield
+
+
+@contextmanager
+def patience(steps: int) -> Iterator[None]:
+    """Floats take over after so many quiet steps."""
+    with mock.patch.object(quiet, "PATIENCE", steps):
+        yield
+
+
+@given(topology=faulty(steps=20), history=st.sampled_from([1, 2, 5, 100_000]), steps=st.integers(1, 4), data=st.data())
+@settings(max_examples=60, deadline=None)
+def test_quiet_steps_give_the_bits_of_the_general_path_under_faults(
+    topology: Topology, history: int, steps: int, data: st.DataObject
+) -> None:
+    topology = topology.model_copy(update={"history": history})
+    shards = data.draw(partitions(len(topology.ids)))
+    with general_path():
+        expected = simulate(topology, shards)
+    with patience(steps):
+        assert simulate(topology, shards).same_bits(expected)
+
+
+@pytest.mark.parametrize("processes", [2, 3, 7])
+@pytest.mark.parametrize("seed", range(6))
+def test_long_runs_with_crashes_and_lost_messages_have_the_same_bits(seed: int, processes: int) -> None:
+    topology = resolve(load("paper7", ["steps=60", "history=10", f"faults=[{', '.join(harsh(seed))}]"]))
+    with general_path():
+        expected = simulate(topology, layout(topology, processes))
+    with patience(1):
+        assert simulate(topology, layout(topology, processes)).same_bits(expected)
+
+
+def test_the_quiet_law_makes_almost_every_step_of_a_run_without_faults() -> None:
+    topology = resolve(load("paper7", ["steps=30"]))
+    made = 0
+    step = QuietLaw.step
+
+    def counted(self: QuietLaw, *given: Any) -> Any:
+        nonlocal made
+        made += 1
+        return step(self, *given)
+
+    with mock.patch.object(QuietLaw, "step", counted):
+        simulate(topology, layout(topology, 7))
+    assert made == 7 * (30 - 1 - quiet.PATIENCE)
+
+
+@given(
+    values=st.lists(st.floats(width=64), min_size=12, max_size=12),
+    b=st.sampled_from([0.1, 0.3]),
+    models=st.lists(st.sampled_from([0.2, 0.5, 0.7, 0.9]), min_size=1, max_size=4),
+)
+def test_any_numbers_give_the_bits_of_the_law_or_are_left_to_it(
+    values: list[float], b: float, models: list[float]
+) -> None:
+    """NaN, infinities and numbers whose squares overflow included."""
+    view = View(
+        shard=0,
+        b=b,
+        law="minimax",
+        ids=np.array([1]),
+        candidates=np.array(models)[:, None],
+        row=np.array([0, 0]),
+        column=np.array([1, 2]),
+        peers=[Peer(1, np.array([0]), 2)],
+        heard=np.array([2, 3]),
+        history=0,
+    )
+    law, other = Minimax(b, view.candidates), Minimax(b, view.candidates)
+    ours = QuietLaw.of(view, other)
+    assert ours is not None
+    x, u = np.zeros(1), np.zeros(1)
+    for _ in range(quiet.PATIENCE):
+        ours.after(True, x, u)
+    for one, two, now in zip(values[::3], values[1::3], values[2::3], strict=True):
+        answer = ours.step(np.array([now]), [Link(0, 0, bytes(16), struct.pack("<2d", one, two))])
+        if answer is None:
+            break
+        with np.errstate(all="ignore"):
+            law.learn(x, np.array([(u[0] - one) + (u[0] - two)]), np.array([now]))
+            x, u = np.array([now]), law.act(np.array([now]))
+        assert (answer.u, answer.report) == (u.tobytes(), law.report().tobytes())
+    ours.settle()
+    assert other.memory.tobytes() == law.memory.tobytes()
+
+
+@pytest.mark.parametrize("law", ["tests.tools.laws:Curious", "minimax"])
+def test_only_the_law_of_the_paper_and_few_nodes_are_quiet(law: str) -> None:
+    topology = resolve(load("paper7", [f"law={law}"]))
+    views = [views_of(topology, layout(topology, processes)) for processes in (7, 1)]
+    alone, together = (Shard(each[0])._quiet is not None for each in views)
+    assert (alone, together) == (law == "minimax", False)

@@ -1,0 +1,82 @@
+"""Limits and shells of real machines: too few processes, a terminal that closes, the environment of a notebook."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import pty
+import resource
+import select
+import subprocess
+import termios
+from pathlib import Path
+
+import psutil
+import pytest
+
+from hedgerow.topologies.errors import Exit
+from tests.tools.processes import COMMAND, DEADLINE_S
+
+NOTEBOOK = {"MPLBACKEND": "module://matplotlib_inline.backend_inline"}
+UP = ("--viewer", "none", "--no-record")
+
+
+def run(*arguments: str, more: dict[str, str] | None = None) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [*COMMAND, *arguments],
+        capture_output=True,
+        text=True,
+        timeout=DEADLINE_S * 3,
+        check=False,
+        env=os.environ | (more or {}),
+    )
+
+
+@pytest.mark.slow
+def test_a_report_and_a_sweep_from_a_notebook(here: Path) -> None:
+    """The backend that a notebook sets exists only in its own interpreter."""
+    assert run("simulate", "paper7", "--steps", "5", "--no-record", "--run-dir", "run").returncode == Exit.VALID
+    done = run("report", "run", "--figures", "gain", "--out", "report", more=NOTEBOOK)
+    assert done.returncode == Exit.VALID, done.stderr
+    assert list((here / "report").glob("*.png"))
+    done = run("sweep", "paper7", "--seeds", "0:2", "--set", "steps=5", "--out", "swept", "--jobs", "1", more=NOTEBOOK)
+    assert done.returncode == Exit.VALID, done.stdout + done.stderr
+    assert (here / "swept/sweep.parquet").is_file()
+
+
+def test_too_few_processes_are_named_in_one_line(here: Path) -> None:
+    """As with `ulimit -u`: the limit counts all processes and threads of the user."""
+    if os.geteuid() == 0:
+        pytest.skip("no limit holds for root")
+    mine = [one for one in psutil.process_iter(["uids"]) if one.info["uids"] and one.info["uids"].real == os.getuid()]
+    most = sum(one.num_threads() for one in mine) + 60
+    done = subprocess.run(
+        [*COMMAND, "up", "grid16", *UP],
+        capture_output=True,
+        text=True,
+        timeout=DEADLINE_S,
+        check=False,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_NPROC, (most, most)),
+    )
+    assert done.returncode == Exit.UNKNOWN
+    assert done.stdout.splitlines()[-1].count("ulimit -u") == 1
+    assert "Traceback" not in done.stdout + done.stderr
+
+
+@pytest.mark.slow
+def test_a_terminal_that_closes_under_a_viewer_is_no_mistake_of_the_users(here: Path) -> None:
+    """SIGHUP, and every write to the terminal fails: the run is stopped, and its verdict is there."""
+    leader, terminal = pty.openpty()
+    command = [*COMMAND, "up", "paper7", "--steps", "100000", "--rate", "50", "--viewer", "web", "--run-dir", "run"]
+    with subprocess.Popen(
+        command, stdin=terminal, stdout=terminal, stderr=terminal, start_new_session=True,
+        preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),  # noqa: PLW1509
+    ) as up:  # fmt: skip
+        os.close(terminal)
+        said, events = b"", here / "run/events.jsonl"
+        while not (events.exists() and "first_step" in events.read_text()):
+            said += os.read(leader, 4096) if select.select([leader], [], [], 0.05)[0] else b""
+            assert up.poll() is None, said
+        os.close(leader)
+        assert up.wait(DEADLINE_S) == Exit.UNKNOWN
+    assert (here / "run/verdict.json").is_file()

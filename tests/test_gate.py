@@ -1,0 +1,50 @@
+"""The gate between two revisions: its intervals, its verdict, and the one command that runs both."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from benchmarks.gate import lost, ratio, unpack
+from hedgerow.topologies.errors import Exit
+
+SPEEDS = st.floats(1e-3, 1e6)
+
+
+@given(factor=st.floats(0.1, 10), speeds=st.lists(SPEEDS, min_size=2, max_size=10))
+def test_a_constant_factor_is_found_whatever_the_load(factor: float, speeds: list[float]) -> None:
+    one = ratio([(speed, factor * speed) for speed in speeds])
+    assert one.mean == pytest.approx(factor)
+    assert one.low == pytest.approx(factor) == pytest.approx(one.high)
+
+
+@given(pairs=st.lists(st.tuples(SPEEDS, SPEEDS), min_size=2, max_size=10))
+def test_the_interval_holds_the_mean_and_the_other_way_round_is_the_inverse(pairs: list[tuple[float, float]]) -> None:
+    one, back = ratio(pairs), ratio([(b, a) for a, b in pairs])
+    assert one.low <= one.mean * (1 + 1e-9)
+    assert one.mean <= one.high * (1 + 1e-9)
+    assert one.mean * back.mean == pytest.approx(1)
+
+
+@pytest.mark.parametrize(
+    ("speeds", "expected"),
+    [([0.8, 0.81, 0.79], True), ([0.8, 0.81], False), ([0.8, 1.3, 0.7], False), ([1.0, 0.99, 1.02], False)],
+)
+def test_speed_is_lost_only_if_the_whole_interval_says_so(speeds: list[float], expected: bool) -> None:
+    assert lost(ratio([(1.0, speed) for speed in speeds]), 0.9) is expected
+
+
+def test_a_name_that_is_no_revision_is_refused(tmp_path: object) -> None:
+    with pytest.raises(SystemExit):
+        unpack("--no-such-revision", tmp_path)  # type: ignore[arg-type]
+
+
+@pytest.mark.slow
+def test_one_command_compares_two_revisions() -> None:
+    command = [sys.executable, "-m", "benchmarks.gate", "HEAD", "HEAD", "--quick", "--json", "--only", "simulate"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == Exit.VALID, done.stderr
+    assert {one["case"] for one in json.loads(done.stdout)["ratios"]} == {"simulate paper7", "simulate ring of 10^4"}
