@@ -11,7 +11,7 @@ with the true a as its only candidate. The nominal controller has the nominal va
 from __future__ import annotations
 
 from types import ModuleType
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,6 +74,8 @@ def two_smallest(rows: Array) -> tuple[Array, Array]:
 
 class Minimax:
     """The distributed minimax adaptive controller; it remembers M numbers per node and no history."""
+
+    equation: ClassVar[str] = "J <- J + r^2, r = a x + b f - x(t + 1) (7)"
 
     def __init__(self, b: Gain, candidates: Array) -> None:
         self.b = b

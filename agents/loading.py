@@ -12,34 +12,45 @@ from typing import Any
 
 import numpy as np
 
-from hedgerow.agents.law import Law, Minimax
+from hedgerow.agents.law import Law
+from hedgerow.agents.law_lines import line_of, place_in_module, place_of
+from hedgerow.agents.laws import LAWS, law_of_name
 from hedgerow.agents.local import Local, asks
 from hedgerow.agents.view import View
 from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.law_choice import LawChoice
+from hedgerow.wire import crash
 
 
 class LawError(UserError):
-    """A law that failed while it ran; a restart of its agent would not help."""
+    """A law that failed while it ran, or that breaks the contract of laws; a restart of its agent would not help."""
 
     default_code = Code.LAW
 
+    def __init__(self, text: str, *, method: str = "", node: int | str | None = None) -> None:
+        super().__init__(text)
+        self.method, self.node = method, node
+        """the method that failed, and the node if it is known"""
+
 
 def law_class(name: str) -> type[Law]:
-    """Return the class of a law: `minimax`, or `package.module:Class` (the working directory is searched too)."""
-    if name == "minimax":
-        return Minimax
+    """Return the class of a law of the project, or of `package.module:Class`, also in the working directory."""
+    if name in LAWS:
+        return law_of_name(name)
     module, _, attribute = name.partition(":")
     if (here := str(Path.cwd())) not in sys.path:
         sys.path.append(here)
     try:
-        law: type[Law] = getattr(importlib.import_module(module), attribute)
+        # A stale .pyc file would hide an edit within the second of its writing that keeps the size.
+        before, sys.dont_write_bytecode = sys.dont_write_bytecode, True
+        try:
+            law: type[Law] = getattr(importlib.import_module(module), attribute)
+        finally:
+            sys.dont_write_bytecode = before
     except Exception as error:
-        raise UserError(
-            f"law {name}: cannot be loaded: {type(error).__name__}: {error}; "
-            "give package.module:Class, importable here (docs/laws.md)",
-            code=Code.LAW,
-        ) from error
+        where = place_in_module(error)
+        cure = "Correct that line." if where else "Give package.module:Class, importable here (docs/laws.md)."
+        raise UserError(f"{where}law {name}: cannot be loaded: {crash.told(error)}. {cure}", code=Code.LAW) from error
     if missing := [method for method in ("act", "learn", "report") if not callable(getattr(law, method, None))]:
         raise UserError(
             f"law {name}: has no {', '.join(missing)}(); a law has act, learn and report (docs/laws.md)", code=Code.LAW
@@ -51,7 +62,7 @@ _OURS = ("self", "b", "candidates", "local", "parameters")
 """arguments of a constructor that are not parameters of the law"""
 
 
-def declared(law: type[Law]) -> dict[str, Any]:
+def declared(law: type[Any]) -> dict[str, Any]:
     """Return the default of every parameter that a class declares; `dataclasses.MISSING` for a required one.
 
     A class declares its parameters by a nested dataclass or pydantic model `Parameters`, which its constructor gets as
@@ -87,9 +98,11 @@ def new_law(view: View) -> Law:
         begun = law(view.b, view.candidates, **more)
         shape = np.shape(begun.memory)
     except Exception as error:
-        raise LawError(f"law {view.law}: cannot begin: {type(error).__name__}: {error}; mend it") from error
+        said = f"__init__() raised {crash.told(error)}. Correct that line."
+        raise LawError(f"{place_of(error, law)}law {view.law}: {said}", method="__init__") from error
     if shape[-1:] != (view.k,):
-        raise LawError(f"law {view.law}: its memory has the shape {shape}; its last axis is the {view.k} nodes")
+        said = f"memory has the shape {shape}. Make its last axis the {view.k} nodes."
+        raise LawError(f"{line_of(law, 'memory')}law {view.law}: {said}", method="memory")
     return begun
 
 

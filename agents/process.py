@@ -67,6 +67,20 @@ PATIENCE_S = 1.0
 """time that a step may take before the log names the missing messages"""
 
 
+SLOW_LAW = "has been running for"
+"""in the log: the words of a law that takes long; the operator finds them by this"""
+SLOW_EVERY_S = 5.0
+"""time between two such lines"""
+
+
+class _Answering(NamedTuple):
+    """The step that a thread answers now, since when by time.monotonic()."""
+
+    t: int
+    thread: int
+    since: float
+
+
 class Joined(NamedTuple):
     """A shard's place in a run."""
 
@@ -98,6 +112,9 @@ class Agent:
         self._since = time.monotonic()
         self._said: deque[list[tuple[Sender, bytes]]] = deque(maxlen=2)
         """The messages sent in the last two steps; a neighbour may still need those of the step before the last."""
+        self._answering: _Answering | None = None
+        self._slow_told = 0.0
+        """when the log last named a slow law, by time.monotonic()"""
         self._repeated = 0
         """number of repetitions of these messages"""
         self._lock = threading.Lock()
@@ -158,6 +175,8 @@ class Agent:
         while not self._wait(PATIENCE_S):
             if self._over:
                 break
+            if self._tell_slow_law():  # the law runs under the lock
+                continue
             with self._lock:
                 late = self._pending is not None and time.monotonic() - self._since > PATIENCE_S
                 if late and self._pending is not None and self._pending.t != said:
@@ -166,6 +185,19 @@ class Agent:
                     LOG.warning("step %d: no link message of step %d from shards %s", said, said - 1, missing)
         if self._failure is not None:
             raise self._failure
+
+    def _tell_slow_law(self) -> bool:
+        """Log the line that a law executes if it takes long; return True if the law runs now."""
+        answering, now = self._answering, time.monotonic()
+        if answering is None:
+            return False
+        if now - answering.since > PATIENCE_S and now - self._slow_told > SLOW_EVERY_S:
+            self._slow_told = now
+            where = self.shard.running(answering.thread)
+            LOG.warning(
+                "step %d: law %s %s %.1f s%s", answering.t, self._view.law, SLOW_LAW, now - answering.since, where
+            )
+        return True
 
     def _wait(self, timeout_s: float) -> bool:
         """Return True if the end comes within the timeout; meanwhile do the sends of the main thread."""
@@ -273,7 +305,9 @@ class Agent:
         if state is None or shard.awaits(state):
             return
         self._pending = None
+        self._answering = _Answering(state.t, threading.get_ident(), time.monotonic())
         u = shard.answer(state)
+        self._answering = None
         out = []
         for peers, link in shard.say(state):
             message = encode_link(link, shard.says[peers[0]])

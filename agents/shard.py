@@ -14,11 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hedgerow.agents.law import Array
+from hedgerow.agents.law_lines import line_of, place_of, running
 from hedgerow.agents.loading import LawError, new_law
 from hedgerow.agents.local import Heard, asks
 from hedgerow.agents.samples import LateRows, Samples
 from hedgerow.agents.view import View
 from hedgerow.topologies.graph import all_finite
+from hedgerow.wire import crash
 from hedgerow.wire.codec import ALL_UP, REPORT_ROWS, TAKEN, Flag, Link, Mask, Record, State, gather
 
 Index = NDArray[np.int64]
@@ -133,7 +135,7 @@ class Shard:
             if t > 0:
                 self._close(state, record.back if record is not None else None)
         except Exception as error:
-            raise self._failed("learn", f"raised {type(error).__name__}: {error}") from error
+            raise self._raised("learn", error) from error
         self._record = None
         return self._act(t, x)
 
@@ -241,7 +243,7 @@ class Shard:
             u = np.array(given, dtype=float)  # copy: the shard keeps it, and the law may reuse its array
             self.report = np.asarray(self._law.report(), dtype=float)
         except Exception as error:
-            raise self._failed("act", f"raised {type(error).__name__}: {error}") from error
+            raise self._raised("act", error) from error
         if u.shape != (self.k,) or not all_finite(u):
             u = self._without_blind(x, u)
         if self.report.shape != (REPORT_ROWS, self.k):
@@ -254,12 +256,22 @@ class Shard:
         blind = np.isnan(x)
         if u.shape != (self.k,) or not np.isfinite(u[~blind]).all():
             given, states = (np.array2string(one, threshold=8, max_line_width=2**16) for one in (u, x))
-            raise self._failed("act", f"gave {given} for the states {states}, and an input is a number a node")
+            raise self._failed("act", f"gave {given} for the states {states}, and an input is a finite number per node")
         return np.where(blind, np.nan, u)
 
-    def _failed(self, method: str, what: str) -> LawError:
-        nodes = ", ".join(map(str, self._view.ids[:8]))
-        return LawError(f"law {self._view.law}: {method}() of node {nodes} {what}")
+    def running(self, thread: int) -> str:
+        """Return `, at file:line` of the line of the law that a thread executes; empty if it executes none."""
+        where = running(thread, type(self._law))
+        return f", at {where}" if where else ""
+
+    def _failed(self, method: str, what: str, where: str | None = None) -> LawError:
+        nodes = self._view.ids[:8].tolist()
+        said = f"law {self._view.law}: {method}() of node {', '.join(map(str, nodes))} {what}. Correct the law."
+        where = line_of(type(self._law), method) if where is None else where
+        return LawError(where + said, method=method, node=nodes[0] if self.k == 1 else None)
+
+    def _raised(self, method: str, error: Exception) -> LawError:
+        return self._failed(method, f"raised {crash.told(error)}", place_of(error, type(self._law)))
 
     # Outgoing messages.
 

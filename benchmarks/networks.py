@@ -1,6 +1,7 @@
 """What big networks cost from file to processes: `python -m benchmarks.networks`, a row a graph and size.
 
-Each row is a process of its own: seconds of CPU for each stage, and the most memory that it ever had.
+Each row is a process of its own: seconds of CPU for each stage, and the most memory that it ever had. With `--unequal`
+each network also has a random gain for every node and a random weight for every edge, and a row of ratios follows.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from pathlib import Path
 from hedgerow.agents.shard import Shard
 from hedgerow.agents.view import View
 from hedgerow.orchestrator.ground.assignment import truth_of, views_of
+from hedgerow.orchestrator.runs.reference import run
 from hedgerow.plant.truth import Truth
 from hedgerow.plant.world import World
 from hedgerow.topologies.hinf import gamma_star
@@ -34,10 +36,14 @@ GRAPHS = {
     "random_tree": "kind: random_tree, max_degree: 3",
     "scale_free": "kind: scale_free, attach: 2, max_degree: 10",
 }
-STAGES = ("load", "resolve", "partition", "gamma*", "write", "read", "load again")
+STAGES = ("load", "resolve", "partition", "gamma*", "write", "read", "steps", "load again")
+STEPS = 20
+"""of all shards and of the plant, after two that are not counted"""
+UNEQUAL = (", weight: {random: [0.5, 1]}", "b: {random: [0.05, 0.1]}, ")
+"""under `graph:` and under `defaults:`"""
 
 
-def measure(graph: str, nodes: int, processes: int) -> dict[str, float]:
+def measure(graph: str, nodes: int, processes: int, unequal: bool = False) -> dict[str, float]:
     """Seconds of CPU by stage, MB at most, and the part of the edges that cross between processes."""
     spent: dict[str, float] = {}
 
@@ -50,9 +56,10 @@ def measure(graph: str, nodes: int, processes: int) -> dict[str, float]:
     with tempfile.TemporaryDirectory(prefix="hedgerow-") as scratch:
         folder = Path(scratch)
         file = folder / "big.yaml"
+        weight, gain = UNEQUAL if unequal else ("", "")
         file.write_text(
-            f"{{name: big, b: 0.1, steps: 100, seed: 1, graph: {{{graph}, nodes: {nodes}}}, "
-            "defaults: {x0: {random: [5, 15]}, disturbance: {kind: white, std: 0.1}}}\n"
+            f"{{name: big, b: 0.1, steps: 100, seed: 1, graph: {{{graph}, nodes: {nodes}{weight}}}, "
+            f"defaults: {{{gain}x0: {{random: [5, 15]}}, disturbance: {{kind: white, std: 0.1}}}}}}\n"
         )
         with stage("load"):
             written = load(str(file))
@@ -68,9 +75,17 @@ def measure(graph: str, nodes: int, processes: int) -> dict[str, float]:
             for view in views_of(network, shards):
                 view.write(folder / f"{view.shard}.npz")
         with stage("read"):
-            worlds = World(Truth.read(folder / "plant.npz"))
-            agents = [Shard(View.read(folder / f"{p}.npz")) for p in range(processes)]
-        del worlds, agents
+            truth = Truth.read(folder / "plant.npz")
+            views = [View.read(folder / f"{p}.npz") for p in range(processes)]
+            World(truth)
+            for view in views:
+                Shard(view)
+        rows = run(truth, views)
+        next(rows), next(rows)
+        with stage("steps"):
+            for _ in range(STEPS):
+                next(rows)
+        del rows
         with stage("load again"):
             load(str(folder))
         deliveries = cut(network.graph, shards) / max(1, len(network.edges))
@@ -83,24 +98,40 @@ def main() -> None:
     parser.add_argument("--sizes", type=int, nargs="+", default=[10**4, 10**5, 10**6])
     parser.add_argument("--graphs", nargs="+", choices=GRAPHS, default=[*GRAPHS])
     parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument("--unequal", action="store_true", help="also with gains and weights that differ, and ratios")
     parser.add_argument("--one", action="store_true", help="measure the first graph and size here, as JSON")
     known = parser.parse_args()
     if known.one:
-        print(json.dumps(measure(GRAPHS[known.graphs[0]], known.sizes[0], known.processes)))
+        print(json.dumps(measure(GRAPHS[known.graphs[0]], known.sizes[0], known.processes, known.unequal)))
         return
     print(f"| graph | nodes | {' | '.join(f'{stage} [s]' for stage in STAGES)} | all [s] | memory [MB] | edges cut |")
     print("|---|" + "---|" * (len(STAGES) + 4))
     for graph in known.graphs:
         for nodes in known.sizes:
-            command = [sys.executable, "-m", "benchmarks.networks", "--one", "--graphs", graph, "--sizes", str(nodes)]
-            # One thread, so that seconds of CPU are those that a machine with nothing else to do would need.
-            environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-            command += ["--processes", str(known.processes)]
-            output = subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
-            row = json.loads(output)
-            seconds = [row[stage] for stage in STAGES]
-            shown = " | ".join(f"{value:.2f}" for value in [*seconds, sum(seconds)])
-            print(f"| {graph} | {nodes:,} | {shown} | {row['MB']:.0f} | {row['cut']:.2%} |", flush=True)
+            uniform = _measured(graph, nodes, known.processes, unequal=False)
+            _show(graph, nodes, uniform)
+            if known.unequal:
+                unequal = _measured(graph, nodes, known.processes, unequal=True)
+                _show(f"{graph}, unequal", nodes, unequal)
+                _show("ratio", nodes, {key: unequal[key] / max(uniform[key], 1e-3) for key in unequal})
+
+
+def _measured(graph: str, nodes: int, processes: int, unequal: bool) -> dict[str, float]:
+    """The numbers of one network, by a process of its own."""
+    command = [sys.executable, "-m", "benchmarks.networks", "--one", "--graphs", graph, "--sizes", str(nodes)]
+    command += ["--processes", str(processes), *(["--unequal"] if unequal else [])]
+    # One thread, so that seconds of CPU are those that a machine with nothing else to do would need.
+    environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    output = subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
+    row: dict[str, float] = json.loads(output)
+    return row | {"all": sum(row[stage] for stage in STAGES)}
+
+
+def _show(name: str, nodes: int, row: dict[str, float]) -> None:
+    shown = " | ".join(f"{row[stage]:.2f}" for stage in (*STAGES, "all"))
+    memory = f"{row['MB']:.2f}" if name == "ratio" else f"{row['MB']:.0f}"
+    crossing = f"{row['cut']:.2f}" if name == "ratio" else f"{row['cut']:.2%}"
+    print(f"| {name} | {nodes:,} | {shown} | {memory} | {crossing} |", flush=True)
 
 
 if __name__ == "__main__":

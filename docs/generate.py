@@ -41,7 +41,7 @@ WRITTEN = {
     "graph": "[a rule](#graphs-by-a-rule)",
     "table": "[a file](#tables)",
     "processes": "whole number (at least 1), `auto` or `per-node`",
-    "law": "`minimax`, `hinf`, `nominal` or `package.module:Class`",
+    "law": "[a name](zoo.md) or `package.module:Class`, alone or in a mapping",
     "disturbance": "[`worst_case`](#worst_case)",
     "faults": "list of [faults](#faults)",
     "record": "[mapping](#what-is-written-down)",
@@ -71,6 +71,8 @@ EXAMPLES: dict[str, Any] = {
     "sinusoid": {"kind": "sinusoid", "amplitude": 0.5, "omega": 0.3, "phase": 1.57},
     "constant": {"kind": "constant", "value": -0.05},
     "white": {"kind": "white", "std": {"random": [0.1, 0.5]}},
+    "ar1": {"kind": "ar1", "phi": 0.9, "std": 0.1},
+    "confuse": {"kind": "confuse", "candidate": 0.9},
     "impulse": {"kind": "impulse", "at": 20, "value": 10},
     "samples": {"kind": "samples", "values": [0.1, 0.0, -0.1]},
     "none": "none",
@@ -283,7 +285,8 @@ def random() -> str:
             places += [_place(owner, name) for name in owner.model_fields if model in _members(hints[name])]
         rows.append(f"| `{{random: {inside}}}` | {', '.join(places)} | {(model.__doc__ or '').strip()} |")
     rows.insert(2, "| `random` | `a` | The truth: one of the node's candidates, each as likely. |")
-    rows.insert(3, "| `random` | `jump.a` | The new truth: a candidate that is not the old truth, if there is one. |")
+    rows.insert(3, "| `random` | `confuse.candidate` | A candidate that is not the truth, if there is one. |")
+    rows.insert(4, "| `random` | `jump.a` | The new truth: a candidate that is not the old truth, if there is one. |")
     return "\n".join(rows)
 
 

@@ -19,8 +19,10 @@ from __future__ import annotations
 TYPE_CHECKING = False  # the constant of `typing` costs an import
 if TYPE_CHECKING:
     from hedgerow.agents.law import Law, Minimax
-    from hedgerow.orchestrator.facade import bound, load, report, run, simulate, start, sweep
+    from hedgerow.orchestrator import testing
+    from hedgerow.orchestrator.facade import bound, load, report, run, simulate, start, sweep, worst
     from hedgerow.orchestrator.launch.live import Live
+    from hedgerow.orchestrator.network import Network, from_adjacency, from_edges, from_networkx
     from hedgerow.orchestrator.runs.reader import load_run
     from hedgerow.orchestrator.runs.run import Run
     from hedgerow.topologies.errors import Code, HedgerowError, TopologyError, UserError
@@ -34,11 +36,15 @@ _HOMES = {
     "Law": "agents.law",
     "Live": "orchestrator.launch.live",
     "Minimax": "agents.law",
+    "Network": "orchestrator.network",
     "Run": "orchestrator.runs.run",
     "Topology": "topologies.schema",
     "TopologyError": "topologies.errors",
     "UserError": "topologies.errors",
     "bound": "orchestrator.facade",
+    "from_adjacency": "orchestrator.network",
+    "from_edges": "orchestrator.network",
+    "from_networkx": "orchestrator.network",
     "load": "orchestrator.facade",
     "load_run": "orchestrator.runs.reader",
     "report": "orchestrator.facade",
@@ -46,6 +52,7 @@ _HOMES = {
     "simulate": "orchestrator.facade",
     "start": "orchestrator.facade",
     "sweep": "orchestrator.facade",
+    "worst": "orchestrator.facade",
 }
 __all__ = [
     "Code",
@@ -53,11 +60,15 @@ __all__ = [
     "Law",
     "Live",
     "Minimax",
+    "Network",
     "Run",
     "Topology",
     "TopologyError",
     "UserError",
     "bound",
+    "from_adjacency",
+    "from_edges",
+    "from_networkx",
     "load",
     "load_run",
     "report",
@@ -65,6 +76,8 @@ __all__ = [
     "simulate",
     "start",
     "sweep",
+    "testing",
+    "worst",
 ]
 NEEDED = frozenset(
     ("cryptography", "matplotlib", "psutil", "pyarrow", "pydantic", "rerun", "rich", "scipy", "typer", "yaml")
@@ -86,6 +99,10 @@ def __getattr__(name: str) -> object:
         from hedgerow.wire.release import release  # noqa: PLC0415
 
         return release("hedgerow")
+    if name == "testing":
+        from hedgerow.orchestrator import testing  # noqa: PLC0415
+
+        return testing
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module  # noqa: PLC0415

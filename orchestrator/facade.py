@@ -16,6 +16,9 @@ from typing import TYPE_CHECKING, Any
 
 from hedgerow.agents.law import Minimax
 from hedgerow.orchestrator.experiments import bounds
+from hedgerow.orchestrator.experiments.worst import Found
+from hedgerow.orchestrator.experiments.worst import worst as search
+from hedgerow.orchestrator.ground.laws import checked
 from hedgerow.orchestrator.launch import simulation
 from hedgerow.orchestrator.launch.running import Running, run_to_the_end
 from hedgerow.orchestrator.metrics.guarantee import Guarantee
@@ -31,7 +34,7 @@ from hedgerow.topologies.schema import Topology
 if TYPE_CHECKING:
     import pyarrow as pa
 
-__all__ = ["bound", "load", "load_run", "report", "run", "simulate", "start", "sweep"]
+__all__ = ["bound", "load", "load_run", "report", "run", "simulate", "start", "sweep", "worst"]
 
 _PLAIN = re.compile(r"[A-Za-z_][\w.:-]*")
 
@@ -51,8 +54,10 @@ def load(network: Named, *settings: str, **overrides: object) -> Topology:
 def simulate(network: Named, *settings: str, run_dir: str | Path | None = None, **overrides: object) -> Run:
     """Run a network in this process, without Zenoh, and return the run.
 
-    `network`, `settings` and `overrides` are those of `load`. `run_dir` is a new folder for the run, by default one
-    in runs/. Raises UserError for a mistake, and HedgerowError if no step was made.
+    `network`, `settings` and `overrides` are those of `load`. If the file of a law changed since it was loaded, it is
+    loaded again. `run_dir` is a new folder for the run, by default one in runs/. Warns if `network` is the folder of a
+    run that kept another source of the law. Raises UserError for a mistake, LawError if the law fails, and
+    HedgerowError if no step was made.
     """
     return simulation.simulate(network, *settings, *_settings(overrides), run_dir=run_dir)
 
@@ -201,6 +206,25 @@ def bound(network: Named, *, full: bool = False, **overrides: object) -> Guarant
     cannot be computed is in `not_computed`, with the reason.
     """
     return bounds.bound(load(network, **overrides), full=full)
+
+
+def worst(
+    network: Named,
+    *,
+    budget: float = 60.0,
+    faults: bool = False,
+    seed: int = 0,
+    out: str | Path | None = None,
+    **overrides: object,
+) -> Found:
+    """Search for `budget` seconds the disturbance with the largest gain, and return it with a network that repeats it.
+
+    `network` and `overrides` are those of `load`; `law="hinf"` attacks another law. `faults` searches cuts and drops
+    too. `out` is the file of the network, beside which the search keeps its state, to go on later; by default nothing
+    is written. Raises HedgerowError if no disturbance was found.
+    """
+    topology = checked(load(network, **overrides))
+    return search(topology, budget, faults, seed, out=None if out is None else user_path(str(out)))
 
 
 def _settings(overrides: Mapping[str, object]) -> list[str]:

@@ -1,8 +1,12 @@
-"""Disturbances w(t) of all nodes at once: a function of (specification, seed, t), never of what ran before."""
+"""Disturbances w(t) of all nodes at once: a function of (specification, seed, t), never of what ran before.
+
+One kind, `confuse`, is a function of the state x(t) and the true a of its step as well.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,44 +21,59 @@ BLOCK = 2**14
 AHEAD = 64
 """steps of white noise that are drawn at once, where the nodes are few"""
 
-Component = Callable[[int], Array]
-"""The values at step t of the nodes that have this component."""
+Component = Callable[[int, Array | None, Array | None], Array]
+"""The values at step t, for x(t) and a of all nodes, of the nodes that have this component."""
 
 
 class Disturbance:
     """The sum of all groups, over n nodes; they are ordered, so that a node's are added in the order of its list."""
 
-    def __init__(self, groups: Iterable[Group], ids: Sequence[int | str] | NDArray[Any], seed: int) -> None:
+    def __init__(
+        self, groups: Iterable[Group], ids: Sequence[int | str] | NDArray[Any], seed: int | lots.Words
+    ) -> None:
+        """`seed` is one, or one per node, (n,)."""
         self._n, self._ids = len(ids), ids
-        self._groups: list[tuple[Index, Component]] = [(group.nodes, self._component(group, seed)) for group in groups]
+        self._groups: list[tuple[Index, Component]] = []
+        self.sees_state = False
+        """w(t) depends on x(t) and on a: `at` needs both"""
+        for group in groups:
+            self._groups.append((group.nodes, self._component(group, seed)))
+            self.sees_state |= group.kind == "confuse"
 
-    def at(self, t: int) -> Array:
-        """w(t), (n,)."""
+    def at(self, t: int, x: Array | None = None, a: Array | None = None) -> Array:
+        """w(t), (n,); x(t) and the true a, (n,), are for a disturbance that sees the state."""
         w = None
         for nodes, component in self._groups:
             if len(nodes) == self._n:  # in order, so that they are all of them
-                w = component(t) + (0.0 if w is None else w)
+                w = component(t, x, a) + (0.0 if w is None else w)
             else:
                 w = np.zeros(self._n) if w is None else w
-                w[nodes] += component(t)
+                w[nodes] += component(t, x, a)
         return np.zeros(self._n) if w is None else w
 
-    def _component(self, group: Group, seed: int) -> Component:
+    def _component(self, group: Group, seed: int | lots.Words) -> Component:
         columns = group.values
         match group.kind:
             case "samples":
                 values = columns["values"]
-                return lambda t: np.asarray(values[:, t])
+                return lambda t, *_: np.asarray(values[:, t])
             case "sinusoid":
                 amplitude, omega, phase = columns["amplitude"], columns["omega"], columns["phase"]
-                return lambda t: _sinusoid(amplitude, omega, phase, t)
+                return lambda t, *_: _sinusoid(amplitude, omega, phase, t)
             case "constant":
-                return lambda _: columns["value"]
+                return lambda *_: columns["value"]
             case "impulse":
-                return lambda t: np.where(columns["at"] == t, columns["value"], 0.0)
-            case _:
+                return lambda t, *_: np.where(columns["at"] == t, columns["value"], 0.0)
+            case "confuse":
+                return partial(_confuse, group.nodes, columns["candidate"])
+            case kind:
                 words = lots.words_of(self._ids)[group.nodes]
-                return _White(white_keys(seed, group.number, words), columns["std"]).at
+                own = seed if isinstance(seed, int) else seed[group.nodes]
+                keys = noise_keys(kind, own, group.number, words)
+                noise = (
+                    _White(keys, columns["std"]) if kind == "white" else _Coloured(keys, columns["phi"], columns["std"])
+                )
+                return lambda t, *_: noise.at(t)
 
 
 def _sinusoid(amplitude: Array, omega: Array, phase: Array, t: int) -> Array:
@@ -69,12 +88,24 @@ def _sinusoid(amplitude: Array, omega: Array, phase: Array, t: int) -> Array:
     return w
 
 
+def _confuse(nodes: Index, candidate: Array, _: int, x: Array | None, a: Array | None) -> Array:
+    """Return (a' - a_i) x_i of these nodes, (k,)."""
+    if x is None or a is None:
+        raise ValueError("a disturbance that sees the state needs x and a")
+    return np.asarray((candidate - a[nodes]) * x[nodes])
+
+
 def white_keys(seed: int | lots.Words, number: int, words: lots.Words) -> lots.Words:
     """Return the keys of the white noise at one place of the list of nodes with these words; docs/topology.md.
 
     `seed` is one, or an array that broadcasts with `words`: (S, 1) gives (S, n).
     """
-    return lots.keys(seed, f"disturbance.{number}.white", words)
+    return noise_keys("white", seed, number, words)
+
+
+def noise_keys(kind: str, seed: int | lots.Words, number: int, words: lots.Words) -> lots.Words:
+    """Return the keys of a kind of noise, as `white_keys` does."""
+    return lots.keys(seed, f"disturbance.{number}.{kind}", words)
 
 
 class _White:
@@ -93,3 +124,26 @@ class _White:
             steps = np.arange(self._first, self._first + self._steps)
             self._drawn = self._std * lots.normals(lots.at(self._keys, steps[:, None]))
         return np.asarray(self._drawn[row])
+
+
+class _Coloured:
+    """Noise of k nodes with w(t) = phi w(t - 1) + sqrt(1 - phi^2) std e(t), e(t) standard white noise, w(0) = std e(0).
+
+    Every w(t) comes from all steps before it, in their order: a step asked for again begins at 0 again, and has the
+    same bits.
+    """
+
+    def __init__(self, keys: lots.Words, phi: Array, std: Array) -> None:
+        self._e = _White(keys, np.ones(len(keys)))
+        self._phi, self._std = phi, std
+        self._fresh = np.sqrt(1.0 - phi * phi) * std
+        self._t, self._w = -1, np.empty(0)
+
+    def at(self, t: int) -> Array:
+        """Return w(t) of the nodes, (k,); the caller must not change it."""
+        if t < self._t or self._t < 0:
+            self._t, self._w = 0, self._std * self._e.at(0)
+        while self._t < t:
+            self._t += 1
+            self._w = self._phi * self._w + self._fresh * self._e.at(self._t)
+        return self._w

@@ -223,7 +223,12 @@ class World:
 
     def look_ahead(self) -> None:
         """Compute w(t) while the inputs of t are awaited: it needs none of them."""
-        self._next_w = self._disturbance.at(self.t)
+        self._next_w = self._w()
+
+    def _w(self) -> Array:
+        if self._disturbance.sees_state:
+            return self._disturbance.at(self.t, self.x, self.a)
+        return self._disturbance.at(self.t)
 
     # The second half: the inputs, and on to t + 1.
 
@@ -241,7 +246,7 @@ class World:
         if now.flags is not None or gone is not None or not all_finite(u):
             u, report, taken, edge_open, deliveries, up = self._what_acts(u, report, taken, gone)
         self.links.commit(t, deliveries)
-        w = self._disturbance.at(t) if self._next_w is None else self._next_w
+        w = self._w() if self._next_w is None else self._next_w
         self._next_w = None
         closed = None if edge_open is self._all_open else edge_open.view(np.bool_)
         self.x = dynamics(self.a, self.b, graph, x, u, w, closed)

@@ -19,8 +19,23 @@ from typing import Any
 
 _NAME = re.compile(r"[A-Za-z][\w-]*|[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*")
 _KEY = re.compile(r"[A-Za-z_]\w*", re.ASCII)
-NAMES = ("minimax", "hinf", "nominal")
-"""the laws of the project"""
+NAMES = (
+    *("minimax", "hinf", "nominal", "forgetting", "hysteresis", "rls", "bayes", "thompson"),
+    *("set-membership", "centred", "notch", "either", "robust"),
+)
+"""the laws of the project, each a module of agents.laws"""
+LISTED: tuple[str, ...] = (
+    "minimax",
+    "hinf",
+    "nominal",
+    "forgetting",
+    "hysteresis",
+    "thompson",
+    "set-membership",
+    "centred",
+)
+LISTED += ("notch", "either")
+"""those that act by equation (6) on an estimate from the node's list, at every step"""
 MOST_PARAMETERS = 64
 LONGEST = 4096
 """characters of a choice"""
@@ -71,6 +86,11 @@ class LawChoice:
         if not self.parameters:
             return self.name
         return f"{self.name}({', '.join(f'{key}={value!r}' for key, value in sorted(self.parameters.items()))})"
+
+
+def is_listed(text: str) -> bool:
+    """Return True if a law acts by equation (6) on an estimate from the node's list, whatever it learns."""
+    return text.partition("(")[0].strip() in LISTED
 
 
 def _is_plain(value: object, depth: int = 0) -> bool:

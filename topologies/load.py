@@ -10,7 +10,7 @@ import json
 import operator
 import re
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
 from importlib import resources
 from itertools import chain, islice
@@ -97,9 +97,15 @@ def content(path: FilePath) -> bytes:
         ) from None
 
 
-def parse(text: bytes, name: str, folder: FilePath, overrides: Sequence[str] = ()) -> Topology:
-    """A topology from YAML text; `name` stands in messages, `folder` is where its CSV files lie."""
+def parse(
+    text: bytes, name: str, folder: FilePath, overrides: Sequence[str] = (), named: Collection[str] = ()
+) -> Topology:
+    """A topology from YAML text; `name` stands in messages, `folder` is where its CSV files lie.
+
+    named: files of samples that may lie elsewhere, because the user named them and not the text.
+    """
     source = read_source(name, text)
+    source.named.update(named)
     found = _read(source, name, folder, overrides)
     if isinstance(found, Topology):
         return found
@@ -136,6 +142,8 @@ def _read(source: Source, name: str, folder: FilePath, overrides: Sequence[str])
     source.problems.extend(odd_numbers(source))
     topology, problems = _validate(source)
     source.problems.extend(problems)
+    if topology is not None and source.named:
+        topology = topology.naming(source.named)
     if topology is not None and topology.table is not None:
         try:
             topology = _with_table(topology, topology.table, folder)
@@ -199,7 +207,10 @@ def _override(source: Source, override: str) -> None:
         found = [replace(problem, line=0, column=0, origin=origin) for problem in error.problems]
         raise TopologyError(source.name, found) from None
     source.problems.extend(replace(problem, line=0, column=0, origin=origin) for problem in given.problems)
-    value = given.value
+    # What an option names lies where the user is, not where the topology is.
+    value = _with_named(given.value, source.named)
+    if isinstance(value, str) and steps_of(where)[-1].text == "file":
+        value = _named(value, source.named)
     rest = steps_of(where)
     if len(rest) > 1 and rest[0].text == "law":
         _law_as_mapping(source)
@@ -226,6 +237,27 @@ def _override(source: Source, override: str) -> None:
     for inside, mark in given.marks.items():
         source.marks[*path, *inside] = mark._replace(line=0, column=0, origin=origin)
     source.odd |= {(*path, *inside): text for inside, text in given.odd.items()}
+
+
+def _with_named(value: Any, named: set[str]) -> Any:
+    """Return a value whose files of samples have whole paths, which are added to `named`."""
+    if isinstance(value, list):
+        return [_with_named(one, named) for one in value]
+    if not isinstance(value, dict):
+        return value
+    own = {key: _with_named(one, named) for key, one in value.items()}
+    if own.get("kind") == "samples" and isinstance(own.get("file"), str):
+        own["file"] = _named(own["file"], named)
+    return own
+
+
+def _named(file: str, named: set[str]) -> str:
+    path = user_path(file)
+    whole = str(FilePath.cwd() / path)
+    if not path.is_absolute() and not FilePath(whole).exists():
+        return file  # it may lie beside the topology
+    named.add(whole)
+    return whole
 
 
 def _nodes_as_mapping(source: Source) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,8 @@ def text_of(network: Named) -> tuple[bytes, str, Path]:
     if isinstance(network, Topology):
         return to_yaml(network).encode(), network.name, Path()
     if isinstance(network, Mapping):
-        return json.dumps(network).encode(), "network", Path()
+        # A network of hg.Network has a folder if its table or samples lie in files.
+        return json.dumps(dict(network)).encode(), "network", getattr(network, "folder", None) or Path()
     if isinstance(network, str) and ("\n" in network or network.lstrip().startswith("{")):
         return network.encode(), "network", Path()
     path = find(str(network))
@@ -34,4 +35,18 @@ def text_of(network: Named) -> tuple[bytes, str, Path]:
 def resolved(network: Named, overrides: Sequence[str] = ()) -> Topology:
     """Return a network with all numbers drawn; arguments and errors are those of `text_of` and `load.load`."""
     text, name, folder = text_of(network)
-    return resolve(parse(text, name, folder, overrides), folder)
+    # A dictionary is the user's own, and so are the paths in it.
+    named = set(_files(network)) if isinstance(network, Mapping) else ()
+    return resolve(parse(text, name, folder, overrides, named), folder)
+
+
+def _files(content: Any) -> Iterator[str]:
+    """Return the whole paths that a dictionary gives for samples."""
+    if isinstance(content, Mapping):
+        if content.get("kind") == "samples" and isinstance(content.get("file"), str):
+            yield content["file"]
+        for value in content.values():
+            yield from _files(value)
+    elif isinstance(content, list | tuple):
+        for value in content:
+            yield from _files(value)

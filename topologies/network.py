@@ -21,6 +21,8 @@ PARAMETERS: dict[str, tuple[str, ...]] = {
     "sinusoid": ("amplitude", "omega", "phase"),
     "constant": ("value",),
     "white": ("std",),
+    "ar1": ("phi", "std"),
+    "confuse": ("candidate",),
     "impulse": ("at", "value"),
     "samples": ("values",),
 }
@@ -62,6 +64,15 @@ class Network:
     """a text for each node, empty where it has none; None if no node has one"""
     positions: Array | None = None
     """where pictures draw each node, (n, 2), NaN where the file does not say; None if no node has one"""
+
+    def name(self, k: int) -> str:
+        """The name of node k in pictures: its label, or its id if it has none."""
+        return self.labels[k] if self.labels is not None and self.labels[k] else str(self.ids[k])
+
+    def title(self, k: int) -> str:
+        """The name of node k in tables: its id, by which commands know it, and its label if it has one."""
+        label = self.labels[k] if self.labels is not None else ""
+        return f"{self.ids[k]} {label}".rstrip()
 
     @cached_property
     def gamma_star(self) -> float:

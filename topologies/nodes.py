@@ -7,7 +7,7 @@ from typing import Any, overload
 
 import numpy as np
 
-from hedgerow.topologies.edges import Edge
+from hedgerow.topologies.edges import Edge, Ends
 from hedgerow.topologies.network import Group, Network
 from hedgerow.topologies.schema import COMPONENTS, Component, Node, Nothing
 
@@ -70,7 +70,7 @@ def _component(group: Group, row: int) -> Component:
     return COMPONENTS[group.kind](**values)
 
 
-class Edges(Sequence[tuple[NodeId, NodeId]]):
+class Pairs(Sequence[Ends]):
     """Pairs of ids, in the order of `Graph.edges`."""
 
     def __init__(self, network: Network) -> None:
@@ -80,29 +80,58 @@ class Edges(Sequence[tuple[NodeId, NodeId]]):
         return len(self._network.graph.edges)
 
     @overload
-    def __getitem__(self, k: int) -> tuple[NodeId, NodeId]: ...
+    def __getitem__(self, k: int) -> Ends: ...
 
     @overload
-    def __getitem__(self, k: slice) -> list[tuple[NodeId, NodeId]]: ...
+    def __getitem__(self, k: slice) -> list[Ends]: ...
 
-    def __getitem__(self, k: int | slice) -> tuple[NodeId, NodeId] | list[tuple[NodeId, NodeId]]:
+    def __getitem__(self, k: int | slice) -> Ends | list[Ends]:
         ids = self._network.ids
         pairs = self._network.graph.edges[k].tolist()
         return [(ids[i], ids[j]) for i, j in pairs] if isinstance(k, slice) else (ids[pairs[0]], ids[pairs[1]])
 
-    def __iter__(self) -> Iterator[tuple[NodeId, NodeId]]:
+    def __iter__(self) -> Iterator[Ends]:
         ids = self._network.ids
         return ((ids[i], ids[j]) for i, j in self._network.graph.edges.tolist())
-
-    def weighted(self) -> Iterator[tuple[NodeId, NodeId] | Edge]:
-        """The same as a file writes them: with the weights of those whose weight is not 1."""
-        weights = self._network.graph.weights
-        if weights is None:
-            return iter(self)
-        pairs = zip(self, weights.tolist(), strict=True)
-        return (ends if weight == 1 else Edge(ends=ends, weight=weight) for ends, weight in pairs)
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Sequence) and tuple(self) == tuple(other)
 
     __hash__ = None  # type: ignore[assignment]  # as of a list
+
+
+class Edges(Sequence[Ends | Edge]):
+    """The edges as a file writes them, in the order of `Graph.edges`: a pair, or an `Edge` if its weight is not 1."""
+
+    def __init__(self, network: Network) -> None:
+        self.pairs = Pairs(network)
+        """the ends alone"""
+        self._weights = network.graph.weights
+
+    def __len__(self) -> int:
+        return len(self.pairs)
+
+    @overload
+    def __getitem__(self, k: int) -> Ends | Edge: ...
+
+    @overload
+    def __getitem__(self, k: slice) -> list[Ends | Edge]: ...
+
+    def __getitem__(self, k: int | slice) -> Ends | Edge | list[Ends | Edge]:
+        if isinstance(k, slice):
+            return [self[place] for place in range(*k.indices(len(self)))]
+        return _written(self.pairs[k], 1.0 if self._weights is None else float(self._weights[k]))
+
+    def __iter__(self) -> Iterator[Ends | Edge]:
+        if self._weights is None:
+            return iter(self.pairs)
+        return map(_written, self.pairs, self._weights.tolist())
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Sequence) and tuple(self) == tuple(other)
+
+    __hash__ = None  # type: ignore[assignment]  # as of a list
+
+
+def _written(ends: Ends, weight: float) -> Ends | Edge:
+    return ends if weight == 1 else Edge(ends=ends, weight=weight)

@@ -17,8 +17,10 @@ IN_ORDER = 64
 def partition(graph: Graph, processes: int) -> tuple[Index, ...]:
     """Positions of nodes by process, ascending; a function of the graph alone.
 
-    Blocks of the order, among three, that the fewest edges cross: the file's own; reverse Cuthill-McKee, which cuts a
-    band across; and depth first, in which all that hangs below a node of a tree stands together.
+    The parts, among four, that the fewest edges cross. Three are blocks of an order: the file's own; reverse
+    Cuthill-McKee, which cuts a band across; and depth first, in which all that hangs below a node of a tree stands
+    together. The fourth are those of METIS, on machines for which it is built: on random graphs, half as many edges
+    cross.
     """
     in_order = _blocks(np.arange(graph.n), processes)
     if graph.n <= IN_ORDER or processes in (1, graph.n) or not cut(graph, in_order):
@@ -28,7 +30,53 @@ def partition(graph: Graph, processes: int) -> tuple[Index, ...]:
 
     banded = reverse_cuthill_mckee(_beside(graph), symmetric_mode=True)
     deep = depth_first_order(_beside(graph, pieces(graph)), graph.n, return_predecessors=False)
-    return min((in_order, *(_blocks(order, processes) for order in (banded, deep[1:]))), key=partial(cut, graph))
+    ours = (in_order, *(_blocks(order, processes) for order in (banded, deep[1:])))
+    return min((*ours, *_by_metis(graph, processes)), key=partial(cut, graph))
+
+
+def _by_metis(graph: Graph, processes: int) -> list[tuple[Index, ...]]:
+    """Return the parts of METIS, made equal, the one with the first node first; none if it is not installed."""
+    try:
+        import pymetis  # noqa: PLC0415
+    except ImportError:
+        return []
+    adjacency = pymetis.CSRAdjacency(graph.first.astype(np.int32), graph.neighbour.astype(np.int32))
+    # METIS draws: with a seed, its parts are a function of the graph.
+    found = pymetis.part_graph(processes, adjacency, options=pymetis.Options(seed=0))
+    home = _levelled(graph, np.array(found.vertex_part, dtype=np.int64), processes)
+    nodes = home.argsort(kind="stable")
+    parts = np.split(nodes, np.cumsum(np.bincount(home, minlength=processes))[:-1])
+    return [tuple(sorted(parts, key=lambda part: int(part[0])))]
+
+
+def _levelled(graph: Graph, home: Index, processes: int) -> Index:
+    """Return the part of each node, (n,), moved so that no two parts differ by more than one node.
+
+    METIS allows itself some per cent. Of a part that is too large, those nodes move whose edges suffer least.
+    """
+    home = home.copy()
+    size = np.bincount(home, minlength=processes)
+    least, more = divmod(graph.n, processes)
+    # The largest parts have the one node more.
+    room = np.full(processes, least)
+    room[np.argsort(-size, kind="stable")[:more]] += 1
+    for p in np.flatnonzero(size > room).tolist():
+        inside = home[graph.neighbour] == home[graph.node]
+        kept = np.bincount(graph.node, inside, graph.n)
+        short = np.flatnonzero(size < room)
+        # Prefer nodes with an edge to a part that has room, and few edges within their own.
+        towards = np.bincount(graph.node, np.isin(home[graph.neighbour], short), graph.n)
+        own = np.flatnonzero(home == p)
+        moved = own[np.lexsort((own, (kept - towards)[own]))][: size[p] - room[p]]
+        for node in moved.tolist():
+            near = home[graph.neighbour[graph.first[node] : graph.first[node + 1]]]
+            open_ = np.flatnonzero(size < room)
+            beside = np.bincount(near, minlength=processes)[open_]
+            q = int(open_[beside.argmax()])
+            home[node] = q
+            size[p] -= 1
+            size[q] += 1
+    return home
 
 
 def pieces(graph: Graph) -> Index:

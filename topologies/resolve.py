@@ -22,16 +22,17 @@ from hedgerow.topologies.edges import Edge
 from hedgerow.topologies.errors import TopologyError
 from hedgerow.topologies.faults import Fault, Jump
 from hedgerow.topologies.graph import Array, Index
-from hedgerow.topologies.header import Header
 from hedgerow.topologies.hinf import allowed_intervals, smallest_eigenpair
 from hedgerow.topologies.network import PARAMETERS, Group, Network, gains, labels
 from hedgerow.topologies.nodes import SPELLED_OUT, Edges, Nodes
+from hedgerow.topologies.reading import Reading
 from hedgerow.topologies.rules import broken_faults
 from hedgerow.topologies.samples import columns
 from hedgerow.topologies.schema import (
     PER_NODE,
     SAMPLED,
     WHOLE,
+    Confuse,
     Defaults,
     Disturbance,
     Drawn,
@@ -45,33 +46,41 @@ from hedgerow.topologies.table import Table
 
 
 class _Draws:
-    """Uniform numbers in [0, 1), one or more for each node, by the field that they are drawn for."""
+    """Uniform numbers in [0, 1), one or more for each node, by the field that they are drawn for.
 
-    def __init__(self, topology: Topology) -> None:
-        self._seed, self._words = topology.seed, lots.words_of(topology.ids)
+    With S seeds there are S copies of the n nodes, one after the other, each drawn from its own seed.
+    """
+
+    def __init__(self, topology: Topology, seeds: Sequence[int]) -> None:
+        self._words = lots.words_of(topology.ids)
+        self._seeds = np.array(seeds, dtype=np.uint64)[:, None]
         given = topology.lots
-        self._given = {} if given is None or given.seed != topology.seed else given.nodes
-        self._position = {node: topology.position(node) for node in self._given if topology.has(node)}
+        known = given is not None and given.seed in seeds and [k for k, seed in enumerate(seeds) if seed == given.seed]
+        self._given = {} if given is None or not known else given.nodes
+        n = len(self._words)
+        self._position = {
+            node: [topology.position(node) + n * k for k in known or ()] for node in self._given if topology.has(node)
+        }
         self._drawn: dict[tuple[str, int], Array] = {}
 
     def of(self, field: str, nodes: Index, width: int = 1) -> Array:
         """For these nodes, (k, width)."""
         if (field, width) not in self._drawn:
-            keys = lots.keys(self._seed, field, self._words)
+            keys = lots.keys(self._seeds, field, self._words).ravel()
             drawn = np.empty((len(keys), width))
             for start in range(0, len(keys), lots.BLOCK):
                 some = slice(start, start + lots.BLOCK)
                 for member in range(width):
                     drawn[some, member] = lots.uniforms(lots.at(keys[some], np.array([member])))
-            for node, k in self._position.items():
+            for node, places in self._position.items():
                 given = self._given[node].get(field, ())[:width]
-                drawn[k, : len(given)] = given
+                drawn[places, : len(given)] = given
             self._drawn[field, width] = drawn
         return self._drawn[field, width][nodes]
 
     def at(self, field: str, node: int, step: int) -> float:
         """For the node at this position, at a step."""
-        keys = lots.keys(self._seed, field, self._words[node : node + 1])
+        keys = lots.keys(self._seeds[0], field, self._words[node : node + 1])
         return float(lots.uniforms(lots.at(keys, np.array([step])))[0])
 
     def value(self, value: float | Uniform, field: str, nodes: Index) -> Array:
@@ -87,13 +96,13 @@ def resolve(topology: Topology, folder: Path = Path()) -> Topology:
     `folder` is where the CSV files of `samples` lie. The topology must have passed `topologies.rules`.
     Raises TopologyError for a fault that breaks them; that of a jump may show only now, with the candidates drawn.
     """
-    draws = _Draws(topology)
+    draws = _Draws(topology, [topology.seed])
     network = topology.network if isinstance(topology.nodes, Nodes) else _Drawing(topology, draws, folder).network()
     if topology.disturbance is not None:
         network = _worst_case(network, topology.disturbance.energy)
     if len(network.ids) <= SPELLED_OUT:
         network = replace(network, ids=tuple(network.ids))
-        whole: dict[str, Any] = {"nodes": dict(Nodes(network)), "edges": tuple(Edges(network).weighted())}
+        whole: dict[str, Any] = {"nodes": dict(Nodes(network)), "edges": tuple(Edges(network))}
     else:
         whole = {"nodes": Nodes(network), "edges": Edges(network)}
     whole |= {"generator": None, "table": None, "table_nodes": None, "lots": None}
@@ -110,29 +119,40 @@ def resolve(topology: Topology, folder: Path = Path()) -> Topology:
     return drawn
 
 
-class _Drawing:
-    """The columns of a network, filled for all nodes of equal settings at once."""
+def copies(topology: Topology, seeds: Sequence[int], folder: Path = Path()) -> Network:
+    """Return S copies of a network as one network of S n nodes, each copy as `resolve` draws it from its seed.
 
-    def __init__(self, topology: Topology, draws: _Draws, folder: Path) -> None:
-        self._topology, self._draws, self._folder = topology, draws, folder
-        n = len(topology.ids)
+    The copies lie one after the other, and `graph` is the graph of one of them. The topology must have a graph, gains
+    and weights that do not depend on the seed.
+    """
+    return _Drawing(topology, _Draws(topology, seeds), folder, len(seeds)).network()
+
+
+class _Drawing:
+    """The columns of a network, or of several copies of it, filled for all nodes of equal settings at once."""
+
+    def __init__(self, topology: Topology, draws: _Draws, folder: Path, copies: int = 1) -> None:
+        self._topology, self._draws, self._folder, self._copies = topology, draws, folder, copies
+        self._n = len(topology.ids)
+        n = self._n * copies
         self._b, self._a, self._x0, self._nominal = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
         self._parts = np.empty(n, dtype=np.int64)
         self._lists: list[tuple[Index, Array]] = []
         """(nodes, candidates (M, k)), NaN-padded"""
         self._groups: dict[tuple[int, str], list[Group]] = defaultdict(list)
-        self._files: dict[tuple[str, Header | None], dict[int | str, list[float]]] = {}
+        self._files: dict[Reading, dict[int | str, list[float]]] = {}
 
     def network(self) -> Network:
         """All of it."""
         topology, table = self._topology, self._topology.given
         written = [(node, own) for node, own in topology.nodes.items() if own != Node()]
         own_nodes = np.array([topology.position(node) for node, _ in written], dtype=np.int64)
-        others = np.ones(len(topology.ids), dtype=bool)
-        others[own_nodes] = False
+        others = np.ones(self._n * self._copies, dtype=bool)
+        each = self._n * np.arange(self._copies)
+        others[(own_nodes[:, None] + each).ravel()] = False
         self._fill(Node(), np.flatnonzero(others), table)
         for (_, own), k in zip(written, own_nodes, strict=True):
-            self._fill(own, np.array([k]), table)
+            self._fill(own, k + each, table)
         candidates = np.full((max(len(listed) for _, listed in self._lists), len(others)), np.nan)
         for nodes, listed in self._lists:
             candidates[: len(listed), nodes] = listed
@@ -146,8 +166,8 @@ class _Drawing:
             candidates=candidates,
             disturbance=[_joined(found) for _, found in sorted(self._groups.items(), key=lambda item: item[0])],
             parts=self._parts,
-            labels=self._labels(table),
-            positions=self._positions(table),
+            labels=self._labels(table) if self._copies == 1 else None,
+            positions=self._positions(table) if self._copies == 1 else None,
         )
 
     def _labels(self, table: Table | None) -> Sequence[str] | None:
@@ -178,7 +198,7 @@ class _Drawing:
 
         def column(key: str) -> Array | None:
             found: Array | None = getattr(table, key) if table is not None and getattr(own, key) is None else None
-            return None if found is None else found[..., nodes]
+            return None if found is None else found[..., nodes % self._n]
 
         x0, nominal, listed, a, b = (column(key) for key in ("x0", "nominal", "candidates", "a", "b"))
         self._b[nodes] = self._draws.value(settings.b, "b", nodes) if b is None else b
@@ -189,14 +209,17 @@ class _Drawing:
         self._model(nodes, settings.candidates, listed, a)
         if table is not None and table.disturbance is not None and own.disturbance is None:
             assert table.parts is not None
-            self._parts[nodes] = table.parts[nodes]
+            self._parts[nodes] = table.parts[nodes % self._n]
+            steps = self._topology.steps
             for group in table.disturbance:
-                here = np.isin(group.nodes, nodes)
-                steps = self._topology.steps
+                # Positions of `nodes` whose node is in the group, and the rows of the group that they have.
+                row = np.searchsorted(group.nodes, nodes % self._n).clip(max=len(group.nodes) - 1)
+                here = group.nodes[row] == nodes % self._n if len(group.nodes) else np.zeros(len(nodes), dtype=bool)
                 values = {
-                    key: array[here, :steps] if key == "values" else array[here] for key, array in group.values.items()
+                    key: array[row[here], :steps] if key == "values" else array[row[here]]
+                    for key, array in group.values.items()
                 }
-                self._add(group.number, group.kind, group.nodes[here], values)
+                self._add(group.number, group.kind, nodes[here], values)
         else:
             self._disturb(nodes, settings.disturbance)
 
@@ -208,7 +231,7 @@ class _Drawing:
             lengths: Any = (~np.isnan(listed)).sum(axis=0)
         elif isinstance(asked, Drawn):
             lengths = asked.random
-            low, high = allowed_intervals(self._b[nodes], self._topology.graph.weighted_degree[nodes])
+            low, high = allowed_intervals(self._b[nodes], self._topology.graph.weighted_degree[nodes % self._n])
             listed = low + (high - low) * self._draws.of("candidates", nodes, lengths).T
             if a is not None:
                 apart = np.flatnonzero(~(listed == a).any(axis=0))
@@ -225,6 +248,8 @@ class _Drawing:
         for number, part in enumerate(parts):
             if isinstance(part, Samples):
                 values = {"values": self._samples(part, nodes)}
+            elif isinstance(part, Confuse) and part.candidate == "random":
+                values = {"candidate": self._wrong(nodes, f"disturbance.{number}.candidate")}
             else:
                 field = f"disturbance.{number}"
                 values = {
@@ -236,16 +261,30 @@ class _Drawing:
             if not isinstance(part, Nothing):
                 self._add(number, part.kind, nodes, values)
 
+    def _wrong(self, nodes: Index, field: str) -> Array:
+        """Return a candidate of each node that is not its truth, each as likely; the truth if there is no other.
+
+        Call it after `_model` of the same nodes.
+        """
+        of, listed = self._lists[-1]
+        assert of is nodes, "the candidates of these nodes were just drawn"
+        a = self._a[nodes]
+        wrong = ~np.isnan(listed) & (listed != a)
+        count = wrong.sum(axis=0)
+        pick = (self._draws.of(field, nodes)[:, 0] * count).astype(np.int64)
+        place = (wrong & (wrong.cumsum(axis=0) == pick + 1)).argmax(axis=0)
+        return np.where(count > 0, listed[place, np.arange(len(nodes))], a)
+
     def _samples(self, part: Samples, nodes: Index) -> Array:
         steps = self._topology.steps
         if part.values is not None:
             return np.repeat(np.array(part.values[:steps])[None], len(nodes), axis=0)
         assert part.file is not None
-        key = part.file, part.header
-        if key not in self._files:
-            self._files[key] = columns(part.file, self._folder, self._topology.ids, part.header)
+        if (key := part.reading) not in self._files:
+            ids, named = self._topology.ids, self._topology.named_files
+            self._files[key] = columns(key.file, self._folder, ids, key.header, key.times, named)
         table = self._files[key]
-        return np.array([table[self._topology.ids[k]][:steps] for k in nodes.tolist()])
+        return np.array([table[self._topology.ids[k]][:steps] for k in (nodes % self._n).tolist()])
 
     def _add(self, number: int, kind: str, nodes: Index, values: Mapping[str, NDArray[Any]]) -> None:
         if len(nodes):
@@ -301,12 +340,12 @@ def to_yaml(topology: Topology) -> str:
         written["table"] = table.NAME
     else:
         nodes = {node: own.model_dump(mode="json", exclude_none=True) for node, own in topology.nodes.items()}
-        edges = [_Line(edge.model_dump()) if isinstance(edge, Edge) else list(edge) for edge in topology.edges]
+        edges = [Line(edge.model_dump()) if isinstance(edge, Edge) else list(edge) for edge in topology.edges]
         written |= {"nodes": nodes, "edges": edges}
     whole = {key: written[key] for key in type(topology).model_fields if key in written}
     if topology.faults:
         whole["faults"] = [_lines(fault.written()) for fault in topology.faults]
-    return yaml.dump(whole, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=10**6)
+    return yaml.dump(whole, Dumper=Dumper, sort_keys=False, default_flow_style=None, width=10**6)
 
 
 def save(topology: Topology, path: Path) -> None:
@@ -317,20 +356,20 @@ def save(topology: Topology, path: Path) -> None:
 
 
 @dataclass(frozen=True)
-class _Line:
+class Line:
     """What stands on one line of the file, whatever is in it."""
 
     value: Any
 
 
-def _lines(fault: dict[str, Any]) -> _Line | dict[str, Any]:
+def _lines(fault: dict[str, Any]) -> Line | dict[str, Any]:
     """A line for a fault, or one for each step of its table."""
     if isinstance(table := fault.get("at"), dict):
-        return {**fault, "at": {step: _Line(struck) for step, struck in table.items()}}
-    return _Line(fault)
+        return {**fault, "at": {step: Line(struck) for step, struck in table.items()}}
+    return Line(fault)
 
 
-class _Dumper(yaml.CSafeDumper):
+class Dumper(yaml.CSafeDumper):
     """Without aliases, and with floats that YAML 1.1 readers take for floats too."""
 
     def ignore_aliases(self, data: object) -> bool:  # noqa: ARG002
@@ -344,13 +383,13 @@ def _float(dumper: yaml.CSafeDumper, value: float) -> yaml.ScalarNode:
     return dumper.represent_scalar("tag:yaml.org,2002:float", text)
 
 
-def _line(dumper: yaml.CSafeDumper, line: _Line) -> yaml.Node:
+def _line(dumper: yaml.CSafeDumper, line: Line) -> yaml.Node:
     node = cast("yaml.CollectionNode", dumper.represent_data(line.value))
     node.flow_style = True
     return node
 
 
-_Dumper.add_representer(float, _float)
-_Dumper.add_representer(_Line, _line)
+Dumper.add_representer(float, _float)
+Dumper.add_representer(Line, _line)
 # YAML 1.1 reads `1e5` and `08` as text and leaves them bare; to our reader they are numbers.
-_Dumper.add_implicit_resolver("tag:yaml.org,2002:float", FLOAT, list("-+.0123456789"))
+Dumper.add_implicit_resolver("tag:yaml.org,2002:float", FLOAT, list("-+.0123456789"))

@@ -16,9 +16,9 @@ from hedgerow.topologies.coupling import Couplings, largest_couplings, largest_g
 from hedgerow.topologies.errors import Code, FileRefusedError, Problem
 from hedgerow.topologies.faults import Crash, Cut, Delay, Drop, Fault, Jump, Partition
 from hedgerow.topologies.graph import Index
-from hedgerow.topologies.header import Header
 from hedgerow.topologies.hinf import allowed_interval, satisfies_condition
 from hedgerow.topologies.nodes import Edges, Nodes
+from hedgerow.topologies.reading import Reading
 from hedgerow.topologies.samples import columns
 from hedgerow.topologies.schema import Samples, Topology
 from hedgerow.topologies.source import Path, Source, place_of
@@ -203,9 +203,9 @@ def _disturbances(topology: Topology, source: Source, folder: FilePath) -> Itera
         places.append((("defaults",), topology.defaults.disturbance, inherits))
 
     @cache  # every node may name the same file
-    def table(file: str, header: Header | None) -> dict[int | str, list[float]] | FileRefusedError:
+    def table(reading: Reading) -> dict[int | str, list[float]] | FileRefusedError:
         try:
-            return columns(file, folder, topology.ids, header)
+            return columns(reading.file, folder, topology.ids, reading.header, reading.times, topology.named_files)
         except ValueError as error:
             return FileRefusedError.of(error)
 
@@ -221,12 +221,12 @@ def _samples(
     part: Samples,
     nodes: list[int | str],
     steps: int,
-    read: Callable[[str, Header | None], dict[int | str, list[float]] | FileRefusedError],
+    read: Callable[[Reading], dict[int | str, list[float]] | FileRefusedError],
 ) -> Iterator[tuple[str, str, Code]]:
     if part.values is not None:
         yield from _long_enough(len(part.values), steps)
     elif part.file is not None:
-        table = read(part.file, part.header)
+        table = read(part.reading)
         if isinstance(table, FileRefusedError):
             yield table.what, table.cure, table.code
             return

@@ -1,17 +1,18 @@
-"""Disturbance samples from a CSV file: one column a node."""
+"""Disturbance samples from a CSV or Parquet file: one column a node."""
 
 from __future__ import annotations
 
 import csv
 import io
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
-from hedgerow.topologies import budget
-from hedgerow.topologies.errors import Code, FileRefusedError
+from hedgerow.topologies import budget, frames
+from hedgerow.topologies.errors import Code, FileRefusedError, UserError
 from hedgerow.topologies.graph import LARGEST
-from hedgerow.topologies.header import Header, split
+from hedgerow.topologies.header import Header, Row, split
+from hedgerow.topologies.reading import Times
 from hedgerow.topologies.regular_file import open_regular
 
 MAX_BYTES = 512 * 2**20
@@ -42,34 +43,67 @@ def _memory(path: Path) -> int:
 
 
 def columns(
-    file: str, folder: Path, ids: Sequence[int | str], header: Header | None = None
+    file: str,
+    folder: Path,
+    ids: Sequence[int | str],
+    header: Header | None = None,
+    times: Times | None = None,
+    named: Collection[str] = (),
 ) -> dict[int | str, list[float]]:
     """Return the columns of `file` by node id; a header names them, without one they are in the order of `ids`.
 
-    header: `ids` if the first row names the nodes, `none` if it holds samples, None if the file has to decide. Raises
-    ValueError for a file that lies outside `folder` or is no such table, FileRefusedError if it has two readings.
+    header: `ids` if the first row names the nodes, `none` if it holds samples, None if the file has to decide. times:
+    the column of times, None if a row is a step. named: paths that may lie outside `folder`. Raises ValueError for a
+    file that lies outside `folder` or is no such table, FileRefusedError if it has two readings.
     """
     try:
-        path = beside(folder, file)
+        path = Path(file) if file in named else beside(folder, file)
         if path.stat().st_size > MAX_BYTES:
             raise FileRefusedError(f"{file}: larger than {MAX_BYTES // 2**20} MB", code=Code.FILE_TOO_LARGE)
+        if path.suffix.lower() == ".parquet":
+            return frames.by_steps(file, frames.parquet(path), ids, times)
         if why := budget.excess(_memory(path)):
             raise FileRefusedError(f"{file}: {why}", code=Code.FILE_TOO_LARGE)
         with io.TextIOWrapper(open_regular(path), "utf-8-sig", newline="") as lines:
             reader = csv.reader(lines)
             rows = [(reader.line_num, row) for row in reader if row]
+    except UserError as error:
+        raise FileRefusedError(str(error), code=error.code) from None
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise ValueError(f"{file}: cannot be read: {error}") from None
     if not rows:
         raise ValueError(f"{file}: is empty")
-    named, above = split(file, rows, ids, header)
-    table: dict[int | str, list[float]] = {node: [] for node in named}
-    for line, row in rows[above:]:
-        if len(row) != len(named):
+    if times is None:
+        return _table(file, rows, ids, header)
+    rows, stamps = _without_times(file, rows, times.column)
+    return frames.by_steps(file, {times.column: stamps, **_table(file, rows, ids, "ids")}, ids, times)
+
+
+def _without_times(file: str, rows: list[Row], time: str) -> tuple[list[Row], list[str]]:
+    """Return the rows without the column of times, and that column without its name."""
+    line, first = rows[0]
+    cells = [cell.strip() for cell in first]
+    if cells.count(time) != 1:
+        listed = ",".join(cells[:8])[:80]
+        raise FileRefusedError(f"{file}:{line}: no column, or several, are named {time!r}", f"the header is `{listed}`")
+    at = cells.index(time)
+    for number, row in rows:
+        if len(row) != len(first):
             raise FileRefusedError(
-                f"{file}:{line}: has {len(row)} cells, not {len(named)}", "write one cell per column"
+                f"{file}:{number}: has {len(row)} cells, not {len(first)}", "write one cell per column"
             )
-        for column, (node, cell) in enumerate(zip(named, row, strict=True), 1):
+    return [(number, row[:at] + row[at + 1 :]) for number, row in rows], [row[at].strip() for _, row in rows[1:]]
+
+
+def _table(file: str, rows: list[Row], ids: Sequence[int | str], header: Header | None) -> dict[int | str, list[float]]:
+    order, above = split(file, rows, ids, header)
+    table: dict[int | str, list[float]] = {node: [] for node in order}
+    for line, row in rows[above:]:
+        if len(row) != len(order):
+            raise FileRefusedError(
+                f"{file}:{line}: has {len(row)} cells, not {len(order)}", "write one cell per column"
+            )
+        for column, (node, cell) in enumerate(zip(order, row, strict=True), 1):
             try:
                 value = float(cell)
             except ValueError:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import difflib
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from typing import Annotated, Any, ClassVar, Literal, Self, cast
 
@@ -50,6 +50,7 @@ from hedgerow.topologies.graph import Gain, Graph
 from hedgerow.topologies.header import Header
 from hedgerow.topologies.law_choice import NAMES, LawChoice
 from hedgerow.topologies.network import Network, gains, groups_of, labels, padded, positions
+from hedgerow.topologies.reading import Reading, Times
 from hedgerow.topologies.table import NodesBy, Table
 
 LAWS = ("minimax", "hinf", "nominal")
@@ -139,6 +140,36 @@ class White(Model):
     ] = Field(description="standard deviation")
 
 
+class AR1(Model):
+    """Coloured Gaussian noise, w(t) = phi w(t - 1) + sqrt(1 - phi^2) std e(t) with e(t) white and w(0) = std e(0).
+
+    A function of (seed, node id, step), stationary from t = 0.
+    """
+
+    kind: Literal["ar1"] = "ar1"
+    phi: Annotated[float, Field(gt=-1, lt=1), BeforeValidator(number)] = Field(
+        description="correlation of two steps that follow each other"
+    )
+    std: Annotated[
+        Annotated[NonNegative, Tag("number")] | Annotated[NonNegativeUniform, Tag("random")],
+        _mapping_or("number"),
+    ] = Field(description="standard deviation of w(t)")
+
+
+class Confuse(Model):
+    """w_i(t) = (candidate - a_i) x_i(t): the node moves exactly as if `candidate` were its true a.
+
+    It sees the state, so every law meets its own w. From x(0) = 0 it is 0 forever, unless another disturbance moves x.
+    """
+
+    kind: Literal["confuse"] = "confuse"
+    candidate: Annotated[
+        Annotated[float, Field(gt=0, lt=1), BeforeValidator(number), Tag("number")]
+        | Annotated[Literal["random"], Tag("word")],
+        Discriminator(lambda value: "word" if isinstance(value, str) else "number"),
+    ] = Field(description="the a that looks true; or `random`: a wrong candidate of the node, drawn")
+
+
 class Impulse(Model):
     """w(at) = value, and 0 at every other step."""
 
@@ -154,16 +185,35 @@ class Samples(Model):
     values: tuple[Number, ...] | None = Field(None, description="one value a step")
     file: str | None = Field(
         None,
-        description="a CSV file beside the topology, a column a node: named by a header of node ids, or in their order",
+        description="a CSV or Parquet file beside the topology, a column a node: named by node ids, or in CSV in their"
+        " order",
     )
     header: Header | None = Field(
         None, description="the first row of `file`: `ids`, or `none` if it holds samples; for files that leave it open"
     )
+    time: str | None = Field(None, description="the column of `file` that holds times, numbers or dates, which ascend")
+    step: Positive | None = Field(
+        None,
+        description="the time of one step, in the unit of `time`, seconds for dates; the first difference if absent",
+    )
+    resample: Literal["hold", "linear", "mean"] | None = Field(
+        None, description="how steps between two times are filled: `hold` (default), `linear` or `mean`"
+    )
+
+    @property
+    def reading(self) -> Reading:
+        """What decides on the content of the file."""
+        times = None if self.time is None else Times(self.time, self.step, self.resample)
+        return Reading(self.file or "", self.header, times)
 
     @model_validator(mode="after")
     def _one_of_both(self) -> Self:
         if self.header is not None and self.file is None:
             raise PydanticCustomError("samples", "`header:` is about a `file:`; remove it, or give the file")
+        if self.file is None and (self.time, self.step, self.resample) != (None, None, None):
+            raise PydanticCustomError("samples", "`time:`, `step:` and `resample:` are about a `file:`; give the file")
+        if self.time is None and (self.step is not None or self.resample is not None):
+            raise PydanticCustomError("samples", "`step:` and `resample:` are about times; name their column, `time:`")
         if (self.values is None) == (self.file is None):
             raise PydanticCustomError("samples", "samples have either `values:` or `file:`; give exactly one of them")
         return self
@@ -184,20 +234,33 @@ Component = Annotated[
     Annotated[Sinusoid, Tag("sinusoid")]
     | Annotated[Constant, Tag("constant")]
     | Annotated[White, Tag("white")]
+    | Annotated[AR1, Tag("ar1")]
+    | Annotated[Confuse, Tag("confuse")]
     | Annotated[Impulse, Tag("impulse")]
     | Annotated[Samples, Tag("samples")]
     | Annotated[Nothing, Tag("none")],
     Discriminator(
         kind_of,
         custom_error_type="kind",
-        custom_error_message="a disturbance has `kind:` sinusoid, constant, white, impulse, samples or none",
+        custom_error_message="a disturbance has `kind:` sinusoid, constant, white, ar1, confuse, impulse, samples"
+        " or none",
     ),
     BeforeValidator(
-        _bare_kind, json_schema_input_type=Sinusoid | Constant | White | Impulse | Samples | Nothing | Literal["none"]
+        _bare_kind,
+        json_schema_input_type=Sinusoid
+        | Constant
+        | White
+        | AR1
+        | Confuse
+        | Impulse
+        | Samples
+        | Nothing
+        | Literal["none"],
     ),
 ]
-COMPONENTS: dict[str, type[Sinusoid | Constant | White | Impulse | Samples | Nothing]] = {
-    model.model_fields["kind"].default: model for model in (Sinusoid, Constant, White, Impulse, Samples, Nothing)
+COMPONENTS: dict[str, type[Sinusoid | Constant | White | AR1 | Confuse | Impulse | Samples | Nothing]] = {
+    model.model_fields["kind"].default: model
+    for model in (Sinusoid, Constant, White, AR1, Confuse, Impulse, Samples, Nothing)
 }
 Disturbance = Annotated[
     Annotated[Component, Tag("one")] | Annotated[tuple[Component, ...], Tag("sum")],
@@ -365,7 +428,8 @@ class Topology(Model):
         ),
     ] = Field(
         "minimax",
-        description="minimax (6)-(7), hinf (8), nominal, or package.module:Class; with parameters as"
+        description="minimax (6)-(7), hinf (8), nominal, another name that `orchestrator laws` lists, or"
+        " package.module:Class; with parameters as"
         " `{name: …, key: value}` or `{class: …, key: value}`",
     )
     defaults: Defaults = Field(Defaults(), description="what holds for every node that does not say otherwise")
@@ -411,6 +475,8 @@ class Topology(Model):
     record: Record = Field(Record(), description="what of a run is written down, where all of it would be too much")
     _table: Table | None = PrivateAttr(None)
     """what stands in the file of `table:`"""
+    _named: frozenset[str] = PrivateAttr(frozenset())
+    """files of samples that may lie outside the topology's folder"""
 
     @cached_property
     def origin_of_law(self) -> str:
@@ -434,20 +500,19 @@ class Topology(Model):
             return Graph(len(self._table.ids), self._table.edges, self._table.weights)
         pairs = [(self.position(i), self.position(j)) for i, j in self.pairs]
         edges = np.array(pairs, dtype=np.int64).reshape(-1, 2)
-        written = [weight_of(edge) for edge in self.edges] if len(self.pairs) and self._weighted else 1.0
+        written = [weight_of(edge) for edge in self.edges] if self._weighted else 1.0
         return Graph(len(self.ids), edges, weights_of(written, self.seed, self.ids, edges))
 
     @property
     def pairs(self) -> Sequence[Ends]:
         """The ends of every edge that the file writes, in its order."""
-        if not self._weighted:
-            return cast("Sequence[Ends]", self.edges)
-        return [ends_of(edge) for edge in self.edges]
+        if not isinstance(self.edges, tuple):
+            return cast("Sequence[Ends]", self.edges.pairs)  # topologies.nodes.Edges, of a network in columns
+        return [ends_of(edge) for edge in self.edges] if self._weighted else cast("Sequence[Ends]", self.edges)
 
     @property
     def _weighted(self) -> bool:
-        # Those of a large network are pairs in columns: looking at each would make it.
-        return isinstance(self.edges, tuple) and any(isinstance(edge, Edge) for edge in self.edges)
+        return any(isinstance(edge, Edge) for edge in self.edges)
 
     @cached_property
     def _places(self) -> dict[int | str, int]:
@@ -476,6 +541,11 @@ class Topology(Model):
         if self.processes == "per-node" or (self.processes is None and n <= PER_NODE):
             return n
         return min(n, os.cpu_count() or 1)
+
+    @property
+    def is_drawn(self) -> bool:
+        """Return True if all numbers of the network are drawn."""
+        return "network" in self.__dict__
 
     @cached_property
     def network(self) -> Network:
@@ -514,6 +584,17 @@ class Topology(Model):
     def given(self) -> Table | None:
         """What stands in the file of `table:`."""
         return self._table
+
+    @property
+    def named_files(self) -> frozenset[str]:
+        """Paths of files of samples that an option or Python names: they may lie outside the topology's folder."""
+        return self._named
+
+    def naming(self, files: Iterable[str]) -> Self:
+        """The same, whose samples may lie in these files wherever they are."""
+        copy = self.model_copy()
+        copy._named = frozenset(files)
+        return copy
 
     def with_table(self, table: Table) -> Self:
         """The same with what the file of `table:` holds."""

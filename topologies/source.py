@@ -71,6 +71,8 @@ class Source:
     problems: Problems = field(default_factory=Problems)
     odd: dict[Path, str] = field(default_factory=dict)
     """whole numbers, values or keys, that are not in their shortest form, such as 007 and 1e3"""
+    named: set[str] = field(default_factory=set)
+    """paths of files that an option or Python names: they may lie outside the topology's folder"""
 
     def mark(self, path: Path) -> Mark:
         """Return the mark of `path`, or of the nearest thing above it that has one."""

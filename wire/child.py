@@ -92,6 +92,9 @@ def run_alone(body: Callable[[], None], logged: bool = False) -> NoReturn:
         body()
     except HedgerowError as error:
         code = Exit.USER_MISTAKE if isinstance(error, UserError) else Exit.UNKNOWN
+        if logged and error.__cause__ is not None:  # a law raised it: its user needs all of its lines
+            with contextlib.suppress(Exception):
+                logging.error("the traceback of the error below", exc_info=error.__cause__)
         _say(str(error))
     except BaseException as error:  # a panic of a Rust library is no Exception
         if (reached := limit_reached(error)) is not None:

@@ -3,20 +3,32 @@
 from __future__ import annotations
 
 import json
+import re
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from hedgerow.orchestrator.cli.names import EXPERIMENT
-from hedgerow.orchestrator.cli.options import AsJson, File, Sets
+from hedgerow.orchestrator.cli.options import AsJson, File, Law, Sets
+from hedgerow.topologies.errors import UserError
 from hedgerow.topologies.escape import echo
+from hedgerow.topologies.paths import user_path
 
 Full = Annotated[bool, typer.Option("--full", help="a full storage matrix P, for networks of up to 30 nodes")]
+Budget = Annotated[str, typer.Option(metavar="TIME", help="how long to search, as 90, 60s or 5m")]
+Faults = Annotated[bool, typer.Option("--faults", help="search cuts and drops too")]
+SearchSeed = Annotated[int, typer.Option("--seed", min=0, help="seed of the search")]
+Length = Annotated[
+    int, typer.Option("--steps", min=100, max=10**6, help="steps of a disturbance that holds its last value")
+]
+Out = Annotated[Path, typer.Option(parser=user_path, metavar="FILE", help="the network that repeats the gain")]
 
 
 def register(app: typer.Typer) -> None:
     """Add these commands to the operator's."""
     app.command(rich_help_panel=EXPERIMENT)(bound)
+    app.command(rich_help_panel=EXPERIMENT)(worst)
 
 
 def bound(file: File, full: Full = False, sets: Sets = None, as_json: AsJson = False) -> int:
@@ -27,3 +39,43 @@ def bound(file: File, full: Full = False, sets: Sets = None, as_json: AsJson = F
     found = bounds_of(read(file, sets), full=full)
     echo(json.dumps(found.to_dict()) if as_json else found.text())
     return 0
+
+
+def worst(
+    file: File,
+    budget: Budget = "60s",
+    law: Law = None,
+    faults: Faults = False,
+    seed: SearchSeed = 0,
+    steps: Length = 4000,
+    out: Out = Path("worst.yaml"),
+    sets: Sets = None,
+    as_json: AsJson = False,
+) -> int:
+    """Search the disturbance with the largest gain, and write a network whose run repeats it; run again to go on."""
+    from hedgerow.orchestrator.cli.topology import read  # noqa: PLC0415
+    from hedgerow.orchestrator.experiments.worst import worst as search  # noqa: PLC0415
+    from hedgerow.orchestrator.ground.laws import checked  # noqa: PLC0415
+    from hedgerow.orchestrator.ground.signals import Interrupts  # noqa: PLC0415
+    from hedgerow.orchestrator.views.progress import Progress  # noqa: PLC0415
+
+    seconds = seconds_of(budget)
+    topology = checked(read(file, sets, law=law))
+    with Interrupts() as interrupts, Progress(f"worst {topology.name}", seconds, quiet=as_json) as progress:
+
+        def quit_now() -> bool:
+            progress.update()
+            return bool(interrupts.count)
+
+        found = search(topology, seconds, faults, seed, steps, out, progress.say, quit_now)
+    echo(json.dumps(found.to_dict()) if as_json else f"{found.text()}\nagain with: orchestrator up {out}")
+    return 0
+
+
+def seconds_of(text: str) -> float:
+    """Return a time in seconds; raises UserError."""
+    match = re.fullmatch(r"(\d+(?:\.\d+)?)\s*(s|m|h|)", text.strip())
+    seconds = float(match[1]) * {"": 1, "s": 1, "m": 60, "h": 3600}[match[2]] if match else 0.0
+    if not 0 < seconds <= 7 * 86400:
+        raise UserError(f"--budget {text}: is no time. Write 90, 60s or 5m.")
+    return seconds

@@ -10,7 +10,7 @@ import typer
 
 from hedgerow.orchestrator.cli.names import DEPLOY
 from hedgerow.orchestrator.cli.options import File, Law, Processes, Seed, Sets, Steps
-from hedgerow.topologies.errors import UserError, check_options
+from hedgerow.topologies.errors import Code, UserError, check_options
 from hedgerow.topologies.escape import echo
 from hedgerow.topologies.paths import user_path
 
@@ -123,6 +123,12 @@ def compose(
 
     check_options(rate=rate)
     topology = read(file, sets, steps=steps, seed=seed, law=law, processes=processes, secure=secure)
+    if ":" in topology.law:
+        raise UserError(
+            f"law {topology.law}: the images of these containers hold the laws of the project only. Choose one of them,"
+            " or carry the network with `orchestrator bundle`, which takes the source of the law along.",
+            code=Code.LAW,
+        )
     shards = layout(topology, topology.process_count)
     meet, docker, folder = namespace_of(topology) if namespace is None else namespace, form is Format.COMPOSE, None
     check_namespace(meet)

@@ -17,10 +17,13 @@ from typing import TYPE_CHECKING, Annotated, TextIO
 
 import typer
 
+from hedgerow.orchestrator.cli import compare as cli_compare
 from hedgerow.orchestrator.cli import detached
 from hedgerow.orchestrator.cli import files as cli_files
 from hedgerow.orchestrator.cli import gain as cli_gain
+from hedgerow.orchestrator.cli import importing as cli_importing
 from hedgerow.orchestrator.cli import keys as cli_keys
+from hedgerow.orchestrator.cli import laws as cli_laws
 from hedgerow.orchestrator.cli import live as cli_live
 from hedgerow.orchestrator.cli import machines as cli_machines
 from hedgerow.orchestrator.cli import report as cli_report
@@ -162,7 +165,7 @@ def up(
 
     check_options(rate=rate, deadline=deadline, wait=wait)
     count_of: object = int(processes) if processes and processes.lstrip("-").isdecimal() else processes
-    topology = importable(read(file, sets, steps=steps, seed=seed, law=law, processes=count_of, secure=secure))
+    topology = importable(read(file, sets, steps=steps, seed=seed, law=law, processes=count_of, secure=secure), file)
     shards = layout(topology, topology.process_count)
     where = places(views_of(topology, shards))
     check_security(topology.secure, router, keys, where, external is not None, listen, namespace)
@@ -292,7 +295,7 @@ def simulate(
     from hedgerow.orchestrator.runs.selection import told  # noqa: PLC0415
     from hedgerow.orchestrator.views.screen import screen  # noqa: PLC0415
 
-    topology = importable(read(file, sets, steps=steps, seed=seed, law=law))
+    topology = importable(read(file, sets, steps=steps, seed=seed, law=law), file)
     folder = folders.create(topology, run_dir)
     viewer = _viewer(viewer)
     with contextlib.closing(screen(topology, as_json, plain, quiet, watched=viewer != "none")) as display:
@@ -405,11 +408,14 @@ def chaos(
     return 1
 
 
+cli_compare.register(app)
 cli_live.register(app)
 cli_machines.register(app)
 cli_files.register(app)
 cli_gain.register(app)
+cli_importing.register(app)
 cli_keys.register(app)
+cli_laws.register(app)
 cli_report.register(app)
 cli_runs.register(app)
 cli_soak.register(app)

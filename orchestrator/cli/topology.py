@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from hedgerow.topologies.escape import echo
+
 # A topology takes most of a second to load: each function imports what it needs itself.
 if TYPE_CHECKING:
     from hedgerow.topologies.schema import Topology
@@ -19,8 +21,15 @@ def read(file: str, sets: list[str] | None, **replace: object) -> Topology:
     return resolve(load(file, [*options, *(sets or [])]), find(file).parent)
 
 
-def importable(topology: Topology) -> Topology:
-    """Return the topology with a checked law: a law that cannot be loaded ends the command before a run."""
-    from hedgerow.orchestrator.ground.laws import checked  # noqa: PLC0415
+def importable(topology: Topology, file: str = "") -> Topology:
+    """Return the topology with a checked law: a law that cannot be loaded ends the command before a run.
 
+    `file` is the name of the topology. Print a line if it is the folder of a run that kept another source of the law.
+    """
+    from hedgerow.orchestrator.ground.law_source import FOLDER, differs  # noqa: PLC0415
+    from hedgerow.orchestrator.ground.laws import checked  # noqa: PLC0415
+    from hedgerow.topologies.load import find  # noqa: PLC0415
+
+    if file and ":" in topology.law and (difference := differs(topology.law, find(file).parent / FOLDER)):
+        echo(difference, error=True)
     return checked(topology)

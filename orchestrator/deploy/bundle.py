@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from hedgerow.orchestrator.ground.law_source import source_of
 from hedgerow.orchestrator.launch.certificates import host_of, to_carry, write_private
 from hedgerow.topologies.escape import command, escape
 from hedgerow.topologies.resolve import to_yaml
@@ -75,6 +76,12 @@ router, with that folder:
 """
 
 
+LAW = """
+The law is {name}. Carry its source ({files}) to every machine as well, and start each process in the folder that holds
+it. An agent imports it from there.
+"""
+
+
 def write(folder: Path, topology: Topology, configs: Sequence[Config]) -> None:
     """Write the configs, the resolved topology and a README into `folder`; raises OSError."""
     for config in configs:
@@ -99,6 +106,8 @@ def write_secure(
 def _write_rest(
     folder: Path, topology: Topology, configs: Sequence[Config], readme: str, ending: str, **words: object
 ) -> None:
+    source = source_of(topology.law)
+    source.write(folder)
     (folder / "topology.yaml").write_text(to_yaml(topology), encoding="utf-8")
     told = [f"{config.process}{ending}" for config in configs if config.process != keys.PLANT]
     agents = [f"$ {command(['hedgerow-agent', '--config', name])}" for name in told]
@@ -113,6 +122,8 @@ def _write_rest(
         commands="\n".join(shown),
         **words,
     )
+    if source.files:
+        text += LAW.format(name=escape(topology.law, keep=""), files=", ".join(f"`{one}`" for one in source.files))
     (folder / "README.md").write_text(text, encoding="utf-8")
 
 

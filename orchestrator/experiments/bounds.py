@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
+from hedgerow.orchestrator.experiments.worst import at_least
 from hedgerow.orchestrator.metrics.guarantee import Guarantee, guarantee, plant_of
 from hedgerow.topologies.named import Named, resolved
 
@@ -15,4 +17,5 @@ def bound(network: Named, full: bool = False) -> Guarantee:
     """
     topology = resolved(network)
     found = topology.network
-    return replace(guarantee(plant_of(found), found.gamma_star, full))
+    plant = plant_of(found)
+    return replace(guarantee(plant, found.gamma_star, full), at_least=at_least(plant, Path()))

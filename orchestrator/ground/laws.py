@@ -5,15 +5,20 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import inspect
+import threading
+import time
 import typing
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError, create_model
 
+from hedgerow.agents.contract import Trial, check_law
 from hedgerow.agents.law import Law
-from hedgerow.agents.loading import declared, law_class
+from hedgerow.agents.law_lines import running
+from hedgerow.agents.loading import LawError, declared, law_class
 from hedgerow.orchestrator.ground.assignment import law_of
+from hedgerow.orchestrator.ground.law_source import refresh
 from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.law_choice import LawChoice
 from hedgerow.topologies.schema import LAWS, Topology
@@ -22,34 +27,107 @@ from hedgerow.topologies.schema import LAWS, Topology
 def checked(topology: Topology) -> Topology:
     """Return a topology whose law names all of its parameters, the defaults included.
 
-    Raises UserError if the class cannot be loaded, or a parameter is unknown, missing or of the wrong type. The message
-    names the file and line.
+    If the file of the law changed since it was loaded, it is loaded again. Raises UserError if the class cannot be
+    loaded, or a parameter is unknown, missing or of the wrong type. The message names the file and line. Raises
+    LawError if the law breaks its contract (agents/contract.py).
     """
     choice = LawChoice.parse(law_of(topology))
+    refresh(str(choice))
     law = law_class(choice.name)
     if topology.law in LAWS:
         return topology
-    known = declared(law)
     where = f"{topology.origin_of_law}law {choice.name}"
-    for key in choice.parameters:
+    given = with_defaults(law, choice.parameters, where)
+    try:
+        full = LawChoice.of(choice.name, given)
+    except ValueError as error:
+        raise UserError(f"{where}: {error}. Declare parameters of these types only.", code=Code.LAW) from None
+    _keeps_contract(law, full, topology)
+    return completed(topology.model_copy(update={"law": str(full)}))
+
+
+def with_defaults(law: type[Any], parameters: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """Return the parameters of a law and the defaults of the others.
+
+    Raises UserError, with `where` first, if a parameter is unknown, missing or of the wrong type.
+    """
+    known = declared(law)
+    for key in parameters:
         if key not in known:
             near = difflib.get_close_matches(key, known, 1)
             cure = f"Did you mean {near[0]}?" if near else f"Its parameters are {', '.join(known) or 'none'}."
             raise UserError(f"{where}: has no parameter {key}. {cure}", code=Code.LAW)
     for key, default in known.items():
-        if default is dataclasses.MISSING and key not in choice.parameters:
+        if default is dataclasses.MISSING and key not in parameters:
             raise UserError(f"{where}: needs the parameter {key}. Write `law: {{…, {key}: …}}`.", code=Code.LAW)
     defaults = {key: value for key, value in known.items() if value is not dataclasses.MISSING}
-    given = {**defaults, **choice.parameters}
+    given = {**defaults, **parameters}
     _check_types(law, given, where)
+    return given
+
+
+_KEPT: dict[tuple[type[Law], str, bytes], None] = {}
+"""laws that passed the contract test, on these candidates; a sweep checks one law in many settings"""
+
+
+def _keeps_contract(law: type[Law], choice: LawChoice, topology: Topology) -> None:
+    """Raise LawError if a law breaks its contract on nodes of this network, or of a default one before it is drawn."""
     try:
-        full = LawChoice.of(choice.name, given)
-    except ValueError as error:
-        raise UserError(f"{where}: {error}. Declare parameters of these types only.", code=Code.LAW) from None
+        network = topology.network
+        trial = Trial.of(network.ids, network.b, network.candidates)
+    except (TypeError, ValueError, AttributeError):  # numbers are still left to chance
+        trial = Trial.default()
+    key = law, str(choice), trial.candidates.tobytes()
+    if key not in _KEPT:
+        name = str(choice)
+        _within_deadline(law, name, lambda called: check_law(law, trial, choice.parameters, name, on_call=called))
+        _KEPT[key] = None
+
+
+def completed(topology: Topology) -> Topology:
+    """Return a topology whose law has the parameters that the operator computes, once all numbers are drawn.
+
+    This is theta of the law `robust`, unless the file gives it.
+    """
+    choice = LawChoice.parse(topology.law)
+    if choice.name != "robust" or choice.parameters.get("theta") is not None or not topology.is_drawn:
+        return topology
+    from hedgerow.orchestrator.ground.robust import theta_of  # noqa: PLC0415 (scipy takes a while to load)
+
+    full = LawChoice.of(choice.name, {**choice.parameters, "theta": theta_of(topology.network)})
     return topology.model_copy(update={"law": str(full)})
 
 
-def _check_types(law: type[Law], given: Mapping[str, Any], where: str) -> None:
+CALL_DEADLINE_S = 10.0
+"""time that one call of a law may take in the contract test"""
+
+
+def _within_deadline(law: type[Law], name: str, test: Callable[[Callable[[], None]], None]) -> None:
+    """Make a test of a law on another thread; LawError with its line if one call takes longer than the deadline."""
+    began, failure = [time.monotonic()], list[BaseException]()
+
+    def called() -> None:
+        began[0] = time.monotonic()
+
+    def body() -> None:
+        try:
+            test(called)
+        except BaseException as error:
+            failure.append(error)
+
+    thread = threading.Thread(target=body, name="contract", daemon=True)
+    thread.start()
+    while thread.is_alive():
+        thread.join(1.0)
+        if thread.is_alive() and time.monotonic() - began[0] > CALL_DEADLINE_S:
+            where = running(thread.ident or 0, law)
+            said = f"one call in the contract test takes longer than {CALL_DEADLINE_S:g} s. Make the law end."
+            raise LawError(f"{where}{': ' if where else ''}law {name}: {said}")
+    if failure:
+        raise failure[0]
+
+
+def _check_types(law: type[Any], given: Mapping[str, Any], where: str) -> None:
     """Raise UserError for a value that the declaration of the class does not allow."""
     group = getattr(law, "Parameters", None)
     try:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import itertools
 import time
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hedgerow.agents.loading import LawError
 from hedgerow.orchestrator.ground.assignment import Layout, layout, truth_of, views_of
+from hedgerow.orchestrator.ground.law_source import FOLDER, differs
 from hedgerow.orchestrator.ground.laws import checked
 from hedgerow.orchestrator.ground.signals import Interrupts
 from hedgerow.orchestrator.launch.recording import Recording, Watching
@@ -18,7 +20,7 @@ from hedgerow.orchestrator.runs import reference
 from hedgerow.orchestrator.runs.folder import RunFolder, create
 from hedgerow.orchestrator.views.screen import Quiet, Screen
 from hedgerow.topologies.errors import HedgerowError
-from hedgerow.topologies.named import Named, resolved
+from hedgerow.topologies.named import Named, resolved, text_of
 from hedgerow.topologies.paths import user_path
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire.codec import End, Telemetry
@@ -31,17 +33,28 @@ def simulate(network: Named, *settings: str, run_dir: str | Path | None = None) 
     """Run a network in this process, and read back what it left: `simulate("paper7", "steps=300", "law=hinf")`.
 
     network: as of `topologies.named.text_of`. settings: `path=value`, as for `--set` on the command line.
-    run_dir: a new folder for the run, else one in runs/. Raises HedgerowError for a mistake, or if no step was made.
+    run_dir: a new folder for the run, else one in runs/. Raises HedgerowError for a mistake, or if no step was made,
+    and LawError if the law fails; its `__cause__` is the exception of the law, and the folder has the steps before it.
     """
     # `up` comes by here, and has no use for what reads runs.
     from hedgerow.orchestrator.runs.reader import load_run  # noqa: PLC0415
 
-    topology = checked(resolved(network, settings))  # a mistake in its law is better known before there is a folder
+    topology = resolved(network, settings)
+    if isinstance(network, str | Path) and ":" in topology.law:
+        _warn_of_another_source(topology.law, text_of(network)[2] / FOLDER)
+    topology = checked(topology)  # a mistake in its law is better known before there is a folder
     folder = create(topology, None if run_dir is None else user_path(str(run_dir)))
     verdict = simulate_into(topology, folder, layout(topology, 1), Watching(record=False), Quiet())
+    if verdict.error is not None:
+        raise verdict.error
     if not verdict.content["steps_done"]:
         raise HedgerowError(verdict.line())
     return load_run(folder.path)
+
+
+def _warn_of_another_source(law: str, kept: Path) -> None:
+    if kept.is_dir() and (said := differs(law, kept)):
+        warnings.warn(said, UserWarning, stacklevel=4)
 
 
 def simulate_into(

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from hedgerow.agents.process import SLOW_LAW
 from hedgerow.agents.view import View
 from hedgerow.orchestrator.ground.assignment import process_name
 from hedgerow.orchestrator.launch.endpoints import Connection
@@ -218,6 +219,16 @@ class Processes:
             if code and (name not in self._agents or code == USER_ERROR)
         ]
 
+    def slow_law(self, step: int, shard: int | None = None) -> str:
+        """Return the line of the law that an agent is busy with at a step, from its log; empty if there is none."""
+        for name, agent in self._agents.items():
+            if shard is not None and agent.shard != shard:
+                continue
+            said = self._last_line(name, lambda line: SLOW_LAW in line and f"step {step}: law " in line)
+            if said:
+                return f"{name}: {said[said.index('law ') :]}"
+        return ""
+
     def ended(self, name: str) -> bool:
         """Whether that process is gone, in good order or not."""
         return name in self._fork_client.codes or "fork server" in self._fork_client.codes
@@ -234,9 +245,12 @@ class Processes:
         return self._folder.logs / f"{name}.log"
 
     def _last_error(self, name: str) -> str:
+        return self._last_line(name, lambda line: line.startswith(ERROR_PREFIX)).removeprefix(ERROR_PREFIX)
+
+    def _last_line(self, name: str, wanted: Callable[[str], bool]) -> str:
+        """Return the last line of a log that is wanted; empty if there is none."""
         try:
             lines = self._log(name).read_text(encoding="utf-8", errors="replace").splitlines()
         except OSError:
             return ""
-        errors = [line for line in lines if line.startswith(ERROR_PREFIX)]
-        return errors[-1].removeprefix(ERROR_PREFIX) if errors else ""
+        return next((line for line in reversed(lines) if wanted(line)), "")

@@ -38,6 +38,7 @@ from hedgerow.orchestrator.views.screen import Screen
 from hedgerow.topologies.errors import Code, Exit, HedgerowError
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire import keys
+from hedgerow.wire.child import USER_ERROR
 from hedgerow.wire.codec import (
     Kind,
     MessageError,
@@ -144,6 +145,8 @@ class Network:
         self._cut_off = False
         """it has been gone for too long"""
         self._down: list[Dead] = []
+        self._slow = ""
+        """the law that an agent was busy with at the end"""
         self._refused = 0
         """messages on `telemetry` that no plant sends"""
         self.interrupted = False
@@ -185,6 +188,8 @@ class Network:
                             processes.wait(PLANT_END_DEADLINE_S, AGENTS_END_DEADLINE_S)
                     finally:
                         dead = processes.dead()
+                        self._ending.mistaken = any(one.code == USER_ERROR for one in dead)
+                        self._slow = processes.slow_law(run.observer.next_step)
                         self._ending.restarts = processes.restarts
                         self._down = processes.down
                         self._ending.down = [str(one) for one in processes.down]
@@ -413,7 +418,9 @@ class Network:
                 nodes = [topology.ids[k] for k in self._shards[event["shard"]]]
                 self._ending.losses.add(event["fault"])
                 run.change(with_loss(topology, event["shard"], nodes, step))
-                self._say(run, f"step {step}: going on without {event['who']}: {event['cause']}", "WARN", step)
+                slow = processes.slow_law(step, event["shard"])
+                why = f"{event['cause']}; {slow}" if slow else event["cause"]
+                self._say(run, f"step {step}: going on without {event['who']}: {why}", "WARN", step)
             case "refused":
                 self._screen.say(f"{event['who']} is refused: {event['cause']}")
             case "back":
@@ -481,4 +488,6 @@ class Network:
         self._ending.crashed |= any(one.code == Exit.CRASH for one in [*dead, *self._down])
         if done < self._topology.steps:
             reason = self._ending.stopped or (cause(dead) if dead else "stopped on request")
+            if self._slow and "no input from" in reason:
+                reason += f"; {self._slow}"
             self._ending.stopped = f"stopped at step {done}: {reason}"

@@ -62,7 +62,7 @@ class Guarantee:
             " of the adaptive law"
         ]
         if self.at_least is not None:
-            lines.append(f"at least    {self.at_least:8.4g}  a disturbance that `orchestrator worst` found reaches it")
+            lines.append(f"at least    {rounded_down(self.at_least):>8}  reached by what `orchestrator worst` found")
         for premise in Premise:
             if (found := self.bounds.get(premise)) is not None:
                 how = {Method.FULL: ", full P", Method.SPLIT: "", Method.WHOLE: ""}[found.method]
@@ -137,3 +137,9 @@ def rounded_up(value: float, digits: int = 5) -> str:
     """Return an upper bound in some digits, rounded up."""
     places = digits - 1 - math.floor(math.log10(value)) if value > 0 else 0
     return f"{math.ceil(value * 10**places) / 10**places:.{max(0, places)}f}"
+
+
+def rounded_down(value: float, digits: int = 4) -> str:
+    """Return a lower bound in some digits, rounded down."""
+    places = digits - 1 - math.floor(math.log10(value)) if value > 0 else 0
+    return f"{math.floor(value * 10**places) / 10**places:.{max(0, places)}f}"

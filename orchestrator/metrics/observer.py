@@ -85,6 +85,15 @@ class Batch:
     """how far the certificate of that bound is from being violated, (B,)"""
 
     @property
+    def wrong(self) -> Mask:
+        """True where ahat is a candidate other than the truth, (B, n).
+
+        An estimate that is no candidate is an estimate of a real number: it has an error, and no right or wrong.
+        """
+        wrong: Mask = (self.index >= 0) & (self.ahat != self.a) & np.isfinite(self.ahat)
+        return wrong
+
+    @property
     def size(self) -> int:
         """Bytes, about."""
         return sum(getattr(self, one.name).nbytes for one in fields(self))
@@ -146,6 +155,10 @@ class Observer:
         self._sums = np.zeros(5)
         self._sxx, self._sxd = np.zeros(self.graph.n), np.zeros(self.graph.n)
         self._right = 0
+        self._error = np.full(self.graph.n, np.nan)
+        """|ahat - a| of every node at the last step, (n,)"""
+        self.real_estimates = False
+        """some estimate is no candidate: the law estimates real numbers"""
         self.next_step = 0
         self.end: End | None = None
         self.x_oracle_end = self.x_nominal_end = self.x0
@@ -206,6 +219,7 @@ class Observer:
         ahat, margin = report[:, 0], report[:, 1]
         right = (ahat == a).sum(axis=1)
         self._right = int(right[-1])
+        self._error = np.abs(ahat[-1] - a[-1])
 
         rho = self._contraction(a) if turns else self._contraction(self._a)
         self.rho = max(self.rho, float(rho.max()))
@@ -214,6 +228,7 @@ class Observer:
         self._dynamics.take(t, x, x_next, bound)
         index = self._named(ahat)
         self._check_estimates(t, x, u, ahat, index)
+        self.real_estimates |= bool((np.isfinite(ahat) & (index < 0)).any())
         is_open = np.asarray(edge_open.all(axis=1))
         ceiling, ceiling_slack = self._certified(t, x, u, x_next, is_open, turns, sums[:, [2, 4]])
         changed: NDArray[np.bool_] = ~is_open
@@ -322,6 +337,12 @@ class Observer:
             good |= (listed & np.isnan(u)) | self.schedule.absent(t)
         self._estimates.see_exact(good.all(axis=1), t)
 
+    @property
+    def _mean_error(self) -> float | None:
+        """Return the mean of |ahat - a| at the last step over the nodes with an estimate; None if there is none."""
+        known = np.isfinite(self._error)
+        return float(self._error[known].mean()) if known.any() else None
+
     def summary(self) -> dict[str, float | int | None]:
         """The metrics at the end, as verdict.json holds them; None for what is undefined."""
         _, _, cost, cost_oracle, energy = (float(value) for value in self._sums)
@@ -338,6 +359,7 @@ class Observer:
             "gamma_star": self.gamma_star,
             "rho": self.rho,
             "nodes_right": self._right,
+            "estimate_error": self._mean_error,
         }
 
 

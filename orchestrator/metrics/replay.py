@@ -58,6 +58,8 @@ class Replay:
         self._receipts = receipts
         network = topology.network
         self._topology, self._graph = topology, network.graph
+        self._a = network.a.copy()
+        """the truth at the step replayed, of all nodes: a disturbance that sees the state sees it too"""
         self._part = part = _Part(network.graph, topology.seed, audited)
         self._x0, self._disturbance = network.x0, Disturbance(network.disturbance, network.ids, topology.seed)
         history = history_of(topology)
@@ -107,7 +109,7 @@ class Replay:
         """Go by the faults of this topology from the next step on."""
         self._topology = topology
         faults = Faults(effects(topology.faults, topology), self._graph, topology.network.ids, topology.seed)
-        self._world.faults = self._part.of(faults)
+        self._faults, self._world.faults = faults, self._part.of(faults)
 
     def take(self, rows: Sequence[Telemetry]) -> None:
         """Replay some rows, which follow those taken before."""
@@ -160,7 +162,7 @@ class Replay:
         part, t = self._part, row.t
         if t == 0 and row.x.tobytes() != self._x0.tobytes():
             self._find_numbers(PLAN, t, "x(0)", row.x, self._x0)
-        w = self._disturbance.at(t)
+        w = self._w(row)
         if row.w.tobytes() != w.tobytes():
             self._find_numbers(PLAN, t, "w", row.w, w)
         if not part.whole:
@@ -193,6 +195,14 @@ class Replay:
             ("u", row.u, expected.u),
         ):
             self._find_numbers(LAW, t, name, np.where(own, seen, 0.0), np.where(own, right, 0.0), part.nodes)
+
+    def _w(self, row: Telemetry) -> Array:
+        """Return w(t), (n,), on the recorded x(t)."""
+        if not self._disturbance.sees_state:
+            return self._disturbance.at(row.t)
+        for node, a in self._faults.jumps(row.t):
+            self._a[node] = a
+        return self._disturbance.at(row.t, row.x, self._a)
 
     def _find_numbers(
         self, check: str, t: int, name: str, seen: Array, right: Array, nodes: Index | None = None

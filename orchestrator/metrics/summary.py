@@ -10,10 +10,11 @@ from rich.table import Table
 
 from hedgerow.orchestrator.ground.assignment import candidates_of
 from hedgerow.topologies.hinf import allowed_interval, contraction, gamma_star
+from hedgerow.topologies.law_choice import is_listed
 from hedgerow.topologies.network import span
 from hedgerow.topologies.partition import cut, cut_weight, partition, pieces
 from hedgerow.topologies.resolve import truth
-from hedgerow.topologies.schema import LAWS, Component, Topology
+from hedgerow.topologies.schema import Component, Topology
 
 MAX_ROWS = 200
 
@@ -29,11 +30,11 @@ def table(topology: Topology) -> str:
         rows.add_column(heading, overflow="fold")
     gains, degrees = np.broadcast_to(b, graph.n), graph.weighted_degree
     of_nodes = zip(topology.nodes.items(), gains, graph.degree, degrees, strict=True)
-    for (node, own), gain, degree, weighted in itertools.islice(of_nodes, MAX_ROWS):
+    for k, ((_, own), gain, degree, weighted) in enumerate(itertools.islice(of_nodes, MAX_ROWS)):
         interval = allowed_interval(float(gain), float(weighted))
         parts = own.disturbance if isinstance(own.disturbance, tuple) else (own.disturbance,)
         rows.add_row(
-            str(node),
+            topology.network.title(k),
             str(degree),
             *((f"{gain:.4g}", f"{weighted:.4g}") if unequal else ()),
             "({:.4f}, {:.4f})".format(*interval) if interval else "none",
@@ -52,7 +53,7 @@ def table(topology: Topology) -> str:
         if graph.weights is not None:
             size += f", weights {span(graph.weights)}"
         gamma, rho = gamma_star(a, b, graph), contraction(a, candidates_of(topology))
-        held = f"; rho = {rho:.6g}, the contraction whatever is estimated" if topology.law in LAWS else ""
+        held = f"; rho = {rho:.6g}, the contraction whatever is estimated" if is_listed(topology.law) else ""
         processes = topology.process_count
         shards = partition(graph, processes)
         crossing = f"{cut(graph, shards)} of {count(len(graph.edges), 'edge')} from one to another"

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+import traceback
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from hedgerow.orchestrator.ground.law_source import source_of
 from hedgerow.orchestrator.ground.versions import versions
 from hedgerow.orchestrator.metrics.checks import Worst
 from hedgerow.orchestrator.metrics.deaths import CLAIM as DEATHS
@@ -21,10 +24,11 @@ from hedgerow.orchestrator.metrics.observer import Observer
 from hedgerow.orchestrator.metrics.replay import CLAIMS as REPLAYED
 from hedgerow.orchestrator.metrics.replay import Replay
 from hedgerow.topologies.describe import describe
-from hedgerow.topologies.errors import Code, Exit, HedgerowError
+from hedgerow.topologies.errors import Code, Exit, HedgerowError, UserError
 from hedgerow.topologies.escape import escape
+from hedgerow.topologies.law_choice import is_listed
 from hedgerow.topologies.partition import cut, partition
-from hedgerow.topologies.schema import LAWS, Topology
+from hedgerow.topologies.schema import Topology
 from hedgerow.wire import crash
 from hedgerow.wire.limits import limit_reached
 
@@ -42,7 +46,7 @@ CLAIMS = {
     "faults": "every fault fired as scheduled, was seen where it struck, and nothing else went wrong",
 }
 _OF_THE_LAW = {"estimates", "contraction"}
-"""Checks that hold for the paper's law and not for any other."""
+"""Checks that hold for the laws that act by (6) on an estimate from the list, and not for any other."""
 
 
 @dataclass(frozen=True)
@@ -88,6 +92,10 @@ class Ending:
     """processes that ended, unplanned, and were not started again, each in words"""
     crashed: bool = False
     """the run ended by a defect of this project"""
+    mistaken: bool = False
+    """the run ended by a mistake of the user, in the law"""
+    error: HedgerowError | None = None
+    """the error of the law that ended a run in this process"""
 
     def end_by(self, error: BaseException, log: Path) -> None:
         """Record that an exception ended the run; the traceback of one that nobody expected goes to `log`."""
@@ -96,6 +104,9 @@ class Ending:
             self.crashed = True
             self.stopped = crash.report(error, log)
         else:
+            if isinstance(error, UserError) and error.code == Code.LAW:
+                self.mistaken, self.error = True, error
+                log_cause(error, log)
             self.crashed |= getattr(error, "code", None) == Code.CRASH
             self.stopped = str(reached or error)
 
@@ -106,6 +117,8 @@ class Verdict:
 
     verdict: str
     content: dict[str, Any]
+    error: HedgerowError | None = None
+    """the error of the law that ended a run in this process"""
 
     @property
     def exit_code(self) -> int:
@@ -139,12 +152,19 @@ class Verdict:
                     c["checks"]["oracle_certificate"]["steps"] == c["steps_done"],
                     ceiling(c),
                 ),
-                f"{m['nodes_right']} of {c['nodes']} estimates right",
+                estimates_text(c["real_estimates"], m["nodes_right"], c["nodes"], m["estimate_error"]),
             ]
         if "law" in c["checks"] and (replayed := c["checks"]["law"]["nodes"]) < c["nodes"]:
             numbers.append(f"{replayed} of {c['nodes']} nodes replayed")
         why = f" ({'; '.join(c['reasons'])})" if c["reasons"] else ""
         return f"{self.verdict}{why}: {', '.join(numbers)}"
+
+
+def estimates_text(real: bool, right: int, nodes: int, error: float | None) -> str:
+    """Return how good the estimates are: how many are right, or the mean error of a law that estimates real numbers."""
+    if real and error is not None:
+        return f"mean |ahat - a| {error:.4g}"
+    return f"{right} of {nodes} estimates right"
 
 
 def ceiling(content: Mapping[str, Any]) -> float:
@@ -174,7 +194,7 @@ def _number(value: float | None, sign: str = "") -> str:
 def judge(topology: Topology, observer: Observer, ending: Ending) -> Verdict:
     """The verdict of a run: INVALID if any check failed, unknown if it ended early or lost rows, else valid."""
     claimed = {
-        name: worst for name, worst in observer.checks.items() if topology.law in LAWS or name not in _OF_THE_LAW
+        name: worst for name, worst in observer.checks.items() if is_listed(topology.law) or name not in _OF_THE_LAW
     }
     checks = {name: _check(name, worst, topology) for name, worst in claimed.items()}
     if ending.replay is not None:
@@ -226,11 +246,13 @@ def judge(topology: Topology, observer: Observer, ending: Ending) -> Verdict:
     elapsed_s = observer.end.elapsed_s if observer.end is not None else None
     content = {
         "verdict": verdict,
-        "exit_code": Exit.CRASH if ending.crashed else EXIT_CODES[verdict],
+        "exit_code": _exit_code(verdict, ending),
         "reasons": [escape(why) for why in (doubts + failed if ending.crashed else failed + doubts)],
         "run": ending.run,
         "name": topology.name,
         "law": topology.law,
+        "law_source": source_of(topology.law).digest or None,
+        "real_estimates": observer.real_estimates,
         "seed": topology.seed,
         "engine": ending.engine,
         "processes": ending.processes,
@@ -257,7 +279,21 @@ def judge(topology: Topology, observer: Observer, ending: Ending) -> Verdict:
         "metrics": {name: _finite(value) for name, value in observer.summary().items()} if done else {},
         "versions": versions(),
     }
-    return Verdict(verdict, content)
+    return Verdict(verdict, content, ending.error)
+
+
+def _exit_code(verdict: str, ending: Ending) -> int:
+    """Return the exit code of a run; a law that failed is a mistake of its user."""
+    if ending.crashed:
+        return Exit.CRASH
+    return Exit.USER_MISTAKE if ending.mistaken and verdict == UNKNOWN else EXIT_CODES[verdict]
+
+
+def log_cause(error: BaseException, log: Path) -> None:
+    """Append the traceback of the exception that an error came from to a log, if the disk has room."""
+    if error.__cause__ is not None:
+        with contextlib.suppress(OSError), log.open("a", encoding="utf-8", errors="backslashreplace") as file:
+            file.write("".join(traceback.format_exception(error.__cause__)))
 
 
 def _faults(topology: Topology, observer: Observer) -> list[dict[str, Any]]:

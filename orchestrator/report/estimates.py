@@ -70,7 +70,7 @@ def _by_node(run: Run) -> Figure:
 def _mark_wrong(axis: Axes, run: Run, i: int, shown: dict[str, Artist]) -> None:
     """A bar below where the estimate is wrong, which may be by too little to be seen; and by how much it ends so."""
     off = run.ahat[:, i] - run.a[:, i]
-    wrong = np.isfinite(off) & (off != 0)
+    wrong = run.wrong[:, i]
     if wrong.any():
         bars = axis.broken_barh(stretches(wrong), (0, 0.09), color=RED, lw=0, zorder=3)
         shown["wrong"] = bars

@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 from hedgerow.orchestrator.report.curves import Entries, called, legend, plain, short
 from hedgerow.orchestrator.report.style import BLACK, GREY, RED, sheet, width_in
 from hedgerow.orchestrator.runs.run import Run
-from hedgerow.orchestrator.views.layout import positions
+from hedgerow.orchestrator.views.layout import placed
 from hedgerow.orchestrator.views.palette import thickness
 from hedgerow.topologies.graph import Array, Mask
 
@@ -27,7 +27,7 @@ _MARGIN = 0.6
 
 def network(runs: Sequence[Run]) -> Figure:
     """The graph of each run, laid out by itself: the same file gives the same places."""
-    places = [positions(run.topology.graph) for run in runs]
+    places = [placed(run.topology) for run in runs]
     heights = [float(np.clip((width_in() - 0.2) * _aspect(own), 0.7, 3.3)) for own in places]
     figure = sheet(0.3 + sum(heights) + 0.2 * (len(runs) - 1))
     axes = figure.subplots(len(runs), 1, squeeze=False, height_ratios=heights)[:, 0]
@@ -75,8 +75,8 @@ def _draw(axis: Axes, run: Run, places: Array) -> None:
         linewidths=0.6 if n <= NAMED else 0.2,
         zorder=2,
     )
-    for node, (x, y), own in zip(run.ids, places.tolist(), wrong(run), strict=True):
-        name = plain(short(str(node)))
+    for k, ((x, y), own) in enumerate(zip(places.tolist(), wrong(run), strict=True)):
+        name = plain(short(run.topology.network.name(k)))
         if n <= NAMED and len(name) <= _INSIDE:
             ink = "#FFFFFF" if own else BLACK
             axis.text(x, y, name, ha="center", va="center_baseline", color=ink, fontsize="x-small", zorder=3)

@@ -81,6 +81,14 @@ def _size(run: Run) -> str:
     return said + (f" The telemetry of {len(run.lost)} steps was lost." if len(run.lost) else "")
 
 
+def _ends(last: float, truth: float, wrong: bool) -> str:
+    """Return the last estimate of a node, and right or wrong; or the error, if it is no candidate."""
+    if np.isnan(last):
+        return "—"
+    word = "wrong" if wrong else "right" if last == truth else f"off by {last - truth:+.2g}".replace("-", "−")
+    return f"{last:.4f}, {word}"
+
+
 def _numbers(runs: Runs) -> list[Markup]:
     of_runs = [metrics(run) for run in runs]
     names = [letter(k) for k in range(len(runs))] if len(runs) > 1 else ["value"]
@@ -156,10 +164,10 @@ def _nodes(run: Run) -> list[Markup]:
         node, own = run.ids[k], topology.nodes[run.ids[k]]
         parts = own.disturbance if isinstance(own.disturbance, tuple) else (own.disturbance,)
         last = run.ahat[-1, k]
-        ends = "—" if np.isnan(last) else f"{last:.4f}, {'right' if last == run.a[-1, k] else 'wrong'}"
+        ends = _ends(last, run.a[-1, k], run.wrong[-1, k])
         rows.append(
             [
-                node,
+                topology.network.title(k),
                 ", ".join(neighbours[node]) or "none",
                 *([f"{gains[k]:.4g}"] if unequal else []),
                 _truth(run, k),

@@ -13,6 +13,7 @@ from hedgerow.orchestrator.runs.run import Run
 
 METRICS = {
     "nodes_right": "estimates that are the truth at the end",
+    "estimate_error": "mean |â − a| at the end, over the nodes with an estimate",
     "regret": "D = Σ |x − x*|², trajectory regret",
     "regret_nominal": "D of the nominal controller",
     "cost": "C = Σ |x|² + Σ k_e u_e², cost",
@@ -42,7 +43,11 @@ def number(value: Any) -> str:
 def sentences(run: Run) -> list[str]:
     """What the numbers of a run say, and what they do not."""
     m, n, right = metrics(run), len(run.ids), run.right[run.right >= 0]
-    said = [_estimates(int(m["nodes_right"]), n, int(right.max()), run.T)] if np.isfinite(run.ahat).any() else []
+    said = []
+    if run.real_estimates:
+        said.append(f"The law estimates real numbers: the mean of |â − a| is {number(m['estimate_error'])} at the end.")
+    elif np.isfinite(run.ahat).any():
+        said.append(_estimates(int(m["nodes_right"]), n, int(right.max()), run.T))
     if run.law == "hinf":
         said.append("The law is the oracle's: there is nothing to regret.")
     elif m["regret"] is None:

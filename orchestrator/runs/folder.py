@@ -12,6 +12,8 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, TypeVar
 
+from hedgerow.orchestrator.ground.law_source import FOLDER as LAW
+from hedgerow.orchestrator.ground.law_source import source_of
 from hedgerow.orchestrator.ground.spelling import shown
 from hedgerow.topologies.errors import Code, HedgerowError, UserError
 from hedgerow.topologies.resolve import save
@@ -32,6 +34,8 @@ class RunFolder:
         self.logs = path / "logs"
         self.processes = path / "processes"
         """what each process was told"""
+        self.law = path / LAW
+        """a copy of the source of the law, if it is not one of the project"""
         self.made = True
         """`create` made the folder; else it was there, and empty."""
         self.latest_before: str | None = None
@@ -98,6 +102,8 @@ def create(topology: Topology, directory: Path | None) -> RunFolder:
         try:
             folder.logs.mkdir()
             folder.processes.mkdir()
+            if (source := source_of(topology.law)).files:
+                source.write(folder.law)
             save(topology, folder.topology)
         except BaseException:
             _empty(folder.path)
@@ -157,6 +163,7 @@ def withdraw(folder: RunFolder) -> None:
 
 def _empty(folder: Path) -> None:
     """Remove what `create` has put into a folder."""
+    shutil.rmtree(folder / LAW, ignore_errors=True)
     for path in (folder / "topology.yaml", folder / "logs", folder / "processes"):
         with contextlib.suppress(OSError):
             path.rmdir() if path.is_dir() else path.unlink(missing_ok=True)

@@ -227,6 +227,16 @@ class Run:
         return frozen(np.nan_to_num(self._of_nodes("index", self.T, np.nan), nan=-1.0).astype(np.int32))
 
     @cached_property
+    def wrong(self) -> Mask:
+        """True where ahat is a candidate other than the truth, (T, n)."""
+        return frozen((self.index >= 0) & np.isfinite(self.ahat) & (self.ahat != self.a[: self.T]))
+
+    @property
+    def real_estimates(self) -> bool:
+        """True if some estimate is no candidate: the law estimates real numbers."""
+        return bool((np.isfinite(self.ahat) & (self.index < 0)).any())
+
+    @cached_property
     def u_edge(self) -> Array:
         """The input u_j - u_i of each edge (i, j), 0 where it was closed, (T, E)."""
         return self._of_edges("u_edge", np.nan)

@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from hedgerow.orchestrator.launch.running import Running
     from hedgerow.orchestrator.runs.difference import Estimates
     from hedgerow.orchestrator.runs.run import Run
+    from hedgerow.orchestrator.testing.laws import check_law
     from hedgerow.orchestrator.testing.scenario import Networks, Scenario
 
 _HOMES = {
@@ -18,8 +19,9 @@ _HOMES = {
     "Run": "runs.run",
     "Running": "launch.running",
     "Scenario": "testing.scenario",
+    "check_law": "testing.laws",
 }
-__all__ = ["Estimates", "Networks", "Run", "Running", "Scenario"]
+__all__ = ["Estimates", "Networks", "Run", "Running", "Scenario", "check_law"]
 
 
 def __getattr__(name: str) -> object:

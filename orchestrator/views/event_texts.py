@@ -10,8 +10,9 @@ import numpy as np
 from hedgerow.orchestrator.metrics.observer import Batch, Observer
 from hedgerow.orchestrator.runs.selection import kept
 from hedgerow.topologies.graph import Index, Mask
+from hedgerow.topologies.law_choice import is_listed
 from hedgerow.topologies.network import span
-from hedgerow.topologies.schema import LAWS, Topology
+from hedgerow.topologies.schema import Topology
 
 _AGENTS = {
     "minimax": "Its agent does not know a_i and acts on an\nestimate â_i.",
@@ -51,7 +52,7 @@ class Now:
     def _text(self, batch: Batch, k: int, gain: float, less: float) -> str:
         x, regret = np.abs(batch.x[k]), batch.regret[k]
         top, worst = int(x.argmax()), int(regret.argmax())
-        missing, wrong = np.isnan(batch.u[k]), batch.ahat[k] != batch.a[k]
+        missing, wrong = np.isnan(batch.u[k]), batch.wrong[k]
         dead = missing & np.isnan(batch.ahat[k])
         down = [
             *_those("edge cut:", self._edge, ~batch.edge_open[k]),
@@ -121,7 +122,9 @@ and nodes with a fault; the counts beside it have all.
     k, edge_cost = ("", "|u_e|²") if edge_weights is None else ("k_ij ", "Σ k_e u_e²")
     gain, norm = ("b", "Σ |x_i|") if isinstance(b, float) else ("b_i", "Σ |x_i| / b_i")
     flow = f"{gain} Σ {k}(u_i − u_j)"
-    bound = f"Whatever the estimates: |x(t+1)| ≤ ρ |x(t)| + |w(t)|, |x| = {norm}.\n\n" if topology.law in LAWS else ""
+    bound = (
+        f"Whatever the estimates: |x(t+1)| ≤ ρ |x(t)| + |w(t)|, |x| = {norm}.\n\n" if is_listed(topology.law) else ""
+    )
     return f"""\
 # {topology.name}
 

@@ -23,6 +23,7 @@ class Scene(NamedTuple):
     x: NDArray[np.float64]
     u: NDArray[np.float64]
     ahat: NDArray[np.float64]
+    wrong: Mask
     u_edge: NDArray[np.float64]
     edge_open: Mask
     link_up: Mask
@@ -68,10 +69,11 @@ class Groups:
         missing = np.isnan(u)
         silent, dead = of(missing, np.logical_or), of(missing & np.isnan(ahat), np.logical_or)
         size = np.diff(np.append(self._starts, len(self._nodes)))
-        wrong = of((ahat != batch.a[rows]).astype(np.int64), np.add) > size / 2
+        wrong = of(batch.wrong[rows].astype(np.int64), np.add) > size / 2
         return Scene(
             t=batch.t[rows],
             a=np.zeros(wrong.shape),
+            wrong=wrong,
             x=of(x),
             u=np.where(silent, np.nan, 0.0),
             ahat=np.where(dead, np.nan, wrong),

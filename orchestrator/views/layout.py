@@ -16,6 +16,7 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components, shortest_path
 
 from hedgerow.topologies.graph import Graph, Index
+from hedgerow.topologies.schema import Topology
 
 Places = NDArray[np.float64]
 
@@ -27,6 +28,34 @@ WIDE = 1.5
 APART = 1.0
 """between components"""
 _GOLDEN = np.pi * (3 - 5**0.5)
+
+
+def placed(topology: Topology) -> Places:
+    """The place of each node of a resolved topology, (n, 2): those of the file, where y points up, or a layout.
+
+    A node without a position stands between its neighbours, if others have one.
+    """
+    network = topology.network
+    graph, given = network.graph, network.positions
+    if given is None or not len(graph.edges):
+        return positions(graph)
+    known = ~np.isnan(given[:, 0])
+    places = np.where(known[:, None], given, given[known].mean(axis=0)) * np.array([1.0, -1.0])
+    if not known.all():
+        # A leaf would stand on its neighbour: a little apart, it can be seen.
+        count = np.maximum(graph.degree, 1)[:, None]
+        for _ in range(200):
+            sums = np.stack([np.bincount(graph.node, axis[graph.neighbour], graph.n) for axis in places.T], axis=1)
+            places = np.where(known[:, None], places, sums / count)
+        k = np.arange(graph.n)
+        apart = 0.05 * _mean_length(places, graph) * np.stack([np.cos(_GOLDEN * k), np.sin(_GOLDEN * k)], axis=1)
+        places = np.where(known[:, None], places, places + apart)
+    return np.asarray((places - places.min(axis=0)) / _mean_length(places, graph))
+
+
+def _mean_length(places: Places, graph: Graph) -> float:
+    step = places[graph.edges[:, 0]] - places[graph.edges[:, 1]]
+    return max(float(np.hypot(*step.T).mean()), 1e-9)
 
 
 def positions(graph: Graph) -> Places:

@@ -38,7 +38,7 @@ from rich.text import Text
 from hedgerow.orchestrator.metrics.certificate import storage
 from hedgerow.orchestrator.metrics.fault_accounts import at_ends
 from hedgerow.orchestrator.metrics.observer import Batch
-from hedgerow.orchestrator.metrics.verdict import INVALID, VALID, Verdict, gain_text
+from hedgerow.orchestrator.metrics.verdict import INVALID, VALID, Verdict, estimates_text, gain_text
 from hedgerow.orchestrator.views.outlet import Outlet, left_behind
 from hedgerow.topologies.describe import describe, window
 from hedgerow.topologies.escape import escape
@@ -125,7 +125,7 @@ class Standing:
             return []
         x, ahat, missing = batch.x[-1], batch.ahat[-1], np.isnan(batch.u[-1])
         dead = missing & np.isnan(ahat) & np.isnan(batch.margin[-1]) & (batch.index[-1] < 0)
-        silent, wrong = missing & ~dead, ~np.isnan(ahat) & (ahat != batch.a[-1])
+        silent, wrong = missing & ~dead, batch.wrong[-1]
         rank = np.select([dead, silent, wrong], [0, 1, 2], 3)
         hidden: list[Text] = []
         if room - 1 < len(rank):
@@ -139,13 +139,13 @@ class Standing:
             hidden = [Text(f"... {len(rank) - len(shown)} more: |x| <= {most:.4g}, {said}")]
         else:
             shown = np.argsort(rank, kind="stable")
-        names = [escape(str(self._ids[k]), keep="") for k in shown]
+        names = [escape(self._topology.network.title(k), keep="") for k in shown]
         broad = min(max(map(cell_len, [*names, "node"])), max(4, width // 4))
         columns: list[tuple[str, list[Cell]]] = [
             (set_cell_size("node", broad), [(set_cell_size(name, broad), "") for name in names]),
             ("          x", [(f"{x[k]:11.4g}", "") for k in shown]),
             ("    ahat", [("       -" if np.isnan(ahat[k]) else f"{ahat[k]:8.4g}", "") for k in shown]),
-            ("model", [_model(bool(np.isnan(ahat[k])), bool(wrong[k])) for k in shown]),
+            ("model", [_model(bool(ahat[k] == batch.a[-1, k]), bool(wrong[k])) for k in shown]),
             ("missing", [(f"{self._missing[k]:7d}", "yellow" if self._missing[k] else "") for k in shown]),
             ("now", [_now(bool(dead[k]), bool(silent[k])) for k in shown]),
         ]
@@ -182,7 +182,11 @@ class Standing:
 
     def _sums(self, batch: Batch) -> list[str]:
         gain, less = (float(batch.gain(v0)[-1]) for v0 in (0.0, self._v0))
-        said = [f"{batch.right[-1]} of {len(self._ids)} estimates right"]
+        off = np.abs(batch.ahat[-1] - batch.a[-1])
+        known = np.isfinite(off)
+        real = bool((known & (batch.index[-1] < 0)).any())
+        error = float(off[known].mean()) if known.any() else None
+        said = [estimates_text(real, int(batch.right[-1]), len(self._ids), error)]
         losses = ((self._missing.sum(), "missing inputs"), (self._lost, "lost messages"))
         return [
             *said,
@@ -211,8 +215,8 @@ def _worst(rank: Index, x: NDArray[np.float64], some: int) -> Index:
     return np.concatenate(chosen)
 
 
-def _model(unknown: bool, wrong: bool) -> Cell:
-    return ("-    ", "") if unknown else ("WRONG", "bold red") if wrong else ("right", "green")
+def _model(right: bool, wrong: bool) -> Cell:
+    return ("WRONG", "bold red") if wrong else ("right", "green") if right else ("-    ", "")
 
 
 def _now(dead: bool, silent: bool) -> Cell:

@@ -29,3 +29,44 @@ class Curious:
 
     def report(self) -> Array:
         return self.memory
+
+
+class LeastSquares:
+    """Acts by equation (6) on the least-squares a itself, as far as the candidates reach."""
+
+    def __init__(self, b: float, candidates: Array) -> None:
+        self.b = b
+        self.low, self.high = np.nanmin(candidates, axis=0), np.nanmax(candidates, axis=0)
+        self.memory = np.zeros((2, candidates.shape[1]))
+
+    @property
+    def a(self) -> Array:
+        sxx, sxy = self.memory
+        return np.asarray(np.clip(np.divide(sxy, sxx, out=self.low.copy(), where=sxx > 0), self.low, self.high))
+
+    def act(self, x: Array) -> Array:
+        return control(self.b, x, self.a)
+
+    def learn(self, x: Array, flow: Array, x_next: Array) -> None:
+        y = x_next - self.b * flow
+        self.memory += np.where(np.isfinite(flow), [x * x, x * y], 0.0)
+
+    def report(self) -> Array:
+        return np.stack([self.a, np.full(len(self.a), np.nan)])
+
+
+class Damped:
+    """Acts half as hard as equation (6) would on the smallest candidate, and learns nothing."""
+
+    def __init__(self, b: float, candidates: Array) -> None:
+        self.gain = 0.5 * b / (1.0 - np.nanmin(candidates, axis=0))
+        self.memory = np.empty((0, candidates.shape[1]))
+
+    def act(self, x: Array) -> Array:
+        return np.asarray(-self.gain * x)
+
+    def learn(self, x: Array, flow: Array, x_next: Array) -> None:
+        pass
+
+    def report(self) -> Array:
+        return np.full((2, len(self.gain)), np.nan)

@@ -361,7 +361,7 @@ class _Changed(World):
 
     def at_w(self, change: Callable[[Array, int], Array]) -> None:
         at = self._disturbance.at
-        self._disturbance.at = lambda t: change(at(t), t)  # type: ignore[method-assign]
+        self._disturbance.at = lambda t, x=None, a=None: change(at(t, x, a), t)  # type: ignore[method-assign]
 
 
 class StartOff(_Changed):
@@ -390,7 +390,7 @@ class LateW(_Changed):
 
     def disturb(self, _: Truth, /) -> None:
         at = self._disturbance.at
-        self._disturbance.at = lambda t: at(max(0, t - 1))  # type: ignore[method-assign]
+        self._disturbance.at = lambda t, x=None, a=None: at(max(0, t - 1), x, a)  # type: ignore[method-assign]
 
 
 class OneUlpMotion(_Changed):

@@ -24,7 +24,7 @@ from hedgerow.topologies.generators import GENERATORS, Generator, GraphRule
 from hedgerow.topologies.graph import Graph, Index
 from hedgerow.topologies.load import load
 from hedgerow.topologies.network import Network
-from hedgerow.topologies.partition import cut, partition
+from hedgerow.topologies.partition import _levelled, cut, partition
 from hedgerow.topologies.schema import Topology
 from tests.tools.networks import read, simulate
 
@@ -363,3 +363,19 @@ def test_products_with_q_give_what_its_factors_give(kind: str, monkeypatch: pyte
     monkeypatch.setattr(hinf, "FACTORED", 500)
     assert hinf.gamma_star(network.a, network.b, network.graph) == pytest.approx(exact, rel=hinf.EIGENVALUE_RTOL)
     np.testing.assert_allclose(hinf.q_solver(network.a, network.b, network.graph)(w), solved, rtol=1e-7)
+
+
+def test_a_random_regular_graph_is_cut_at_few_edges() -> None:
+    """Orders of the nodes cut a fifth of its edges, and METIS a tenth."""
+    pytest.importorskip("pymetis")
+    graph = Graph(20_000, rule("random_regular", 20_000).edges(1))
+    assert cut(graph, partition(graph, 2)) < 0.11 * len(graph.edges)
+
+
+@given(st.lists(st.integers(0, 4), min_size=30, max_size=60))
+@settings(deadline=None, max_examples=30)
+def test_parts_of_any_sizes_are_made_equal(home: list[int]) -> None:
+    graph = Graph(len(home), rule("random_tree", len(home)).edges(1))
+    found = np.bincount(_levelled(graph, np.array(home), 5), minlength=5)
+    assert found.max() - found.min() <= 1
+    assert found.sum() == len(home)

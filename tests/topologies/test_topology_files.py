@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from datetime import timedelta
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -125,7 +126,7 @@ edges:
             "seed: 4",
             "law: min",
             4,
-            "law: a law is minimax, hinf, nominal or package.module:Class; did you mean nominal?",
+            "law: a law is minimax, hinf, nominal, ",
         ),
         ("seed: 4", "~: 4", 4, "~ is no key; known keys are name, b,"),
         ("x0: 1", "x0: .nan", 5, "defaults: x0: .nan is not a finite number"),
@@ -470,10 +471,10 @@ def test_a_table_that_each_node_names_is_read_once_to_be_checked(
     reads = []
 
     def counted(
-        file: str, folder: Path, ids: Sequence[int | str], header: Header | None
+        file: str, folder: Path, ids: Sequence[int | str], header: Header | None, *more: Any
     ) -> dict[int | str, list[float]]:
         reads.append(file)
-        return columns(file, folder, ids, header)
+        return columns(file, folder, ids, header, *more)
 
     monkeypatch.setattr(rules, "columns", counted)
     nodes = "".join(f"  {k}: {{disturbance: {{kind: samples, file: w.csv}}}}\n" for k in range(5))

@@ -28,6 +28,9 @@ def sweep(plan: Plan, out: Path | None = None, jobs: int | None = None, on: str 
     """
     with SweepFolder(plan, out or default_out(plan)) as folder:
         there = folder.there
+        if plan.engine == "in-process" and (why := sorted({one for one in plan.one_by_one if one})):
+            some = sum(map(bool, plan.one_by_one))
+            echo(f"{some} of {len(plan.settings)} settings run one by one, which is slower: {'; '.join(why)}")
         echo(f"{plan.name}: {_counted(plan)}, into {folder.path}" + (f"; {there} were there" if there else ""))
         if stopped := there < plan.runs and _run(plan, folder, jobs, on):
             echo(f"stopped: {stopped}: {folder.there} of {plan.runs} runs are there; the same command goes on")

@@ -13,6 +13,7 @@ from typing import Any
 
 from hedgerow.orchestrator.experiments.sweep.plan import Plan, typed
 from hedgerow.orchestrator.experiments.sweep.runs import METRICS, Row
+from hedgerow.orchestrator.ground.law_source import FOLDER as LAW
 from hedgerow.orchestrator.ground.spelling import spelled
 from hedgerow.orchestrator.runs.folder import write_json
 from hedgerow.topologies.errors import UserError
@@ -49,6 +50,8 @@ class SweepFolder:
         try:
             if not self._about.exists():
                 write_json(self._about, self.plan.identity)
+                for source in self.plan.sources:
+                    source.write(self.path / LAW)
             self._read()
         except BaseException as error:
             self._file.close()
@@ -124,7 +127,7 @@ class SweepFolder:
         columns["seed"] = pa.array([row["seed"] for row in rows], pa.int64())
         for name in (*METRICS, "share_right"):
             kind = pa.int64() if name == "nodes_right" else pa.float64()
-            columns[name] = pa.array([row[name] for row in rows], kind)
+            columns[name] = pa.array([row.get(name) for row in rows], kind)
         for name in ("verdict", "reasons"):
             columns[name] = pa.array([row[name] for row in rows], pa.string())
         part = self.table.with_name(self.table.name + ".part")
@@ -141,9 +144,11 @@ def _difference(there: dict[str, Any], wanted: dict[str, Any]) -> str:
     there, wanted = ({**about, **{f"`{key}`": own for key, own in about["set"].items()}} for about in (there, wanted))
     for key in dict.fromkeys((*wanted, *there)):
         one, other = there.get(key), wanted.get(key)
-        if one != other and key not in ("set", "versions", "networks"):
+        if one != other and key not in ("set", "versions", "networks", "laws"):
             apart = f"its {key} is {_said(one)}, not {_said(other)}"
             return f"only one of the two sets {key}" if None in (one, other) else apart
+    if there.get("laws") != wanted.get("laws"):
+        return "the source of its law was another, which it keeps in the folder law"
     if there["versions"] != wanted["versions"]:
         return "other versions made it"
     return "its topology file was another" if there["networks"] != wanted["networks"] else ""

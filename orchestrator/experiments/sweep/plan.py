@@ -11,7 +11,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from hedgerow.orchestrator.ground import laws
+from hedgerow.orchestrator.ground.law_source import LawSource, source_of
 from hedgerow.orchestrator.ground.versions import versions
+from hedgerow.orchestrator.runs import batch
 from hedgerow.topologies.errors import TopologyError, UserError
 from hedgerow.topologies.load import find, load
 from hedgerow.topologies.override import split_setting
@@ -71,7 +73,9 @@ class Plan:
     def identity(self) -> dict[str, Any]:
         """What two sweeps have in common whose runs may stand in one table: all but the seeds, which may grow."""
         values = zip(*(setting.values for setting in self.settings), strict=True)
+        sources = {k: source.digest for k, source in enumerate(self.sources) if source.files}
         return {
+            **({"laws": [sources.get(k, "") for k in range(len(self.settings))]} if sources else {}),
             "name": self.name,
             "engine": self.engine,
             "set": {key: list(dict.fromkeys(own)) for key, own in zip(self.keys, values, strict=True)},
@@ -80,10 +84,26 @@ class Plan:
             "networks": [_digest(to_yaml(resolve(one.topology, self.folder))) for one in self.settings],
         }
 
+    @cached_property
+    def one_by_one(self) -> tuple[str, ...]:
+        """Return, by setting, why its runs are made one by one; empty where they are made in batches."""
+        if self.engine == "zenoh":
+            return ("they run over Zenoh",) * len(self.settings)
+        return tuple(batch.why_not(setting.topology) for setting in self.settings)
+
+    @cached_property
+    def sources(self) -> list[LawSource]:
+        """Return the source of the law of each setting."""
+        laws = {setting.topology.law for setting in self.settings}
+        known = {law: source_of(law) for law in laws}
+        return [known[setting.topology.law] for setting in self.settings]
+
     def chunks(self, done: Container[tuple[int, int]]) -> Iterator[Chunk]:
         """The runs, less those that are `done`: (place of the setting, seed)."""
         for k, setting in enumerate(self.settings):
             size = 1 if self.engine == "zenoh" else max(1, _STEPS_A_CHUNK // setting.topology.steps)
+            if not self.one_by_one[k]:
+                size = batch.seeds_at_once(setting.topology)
             lacking = (seed for seed in self.seeds if (k, seed) not in done)
             while seeds := tuple(itertools.islice(lacking, size)):
                 yield Chunk(k, seeds)
@@ -93,7 +113,7 @@ def plan(file: str, seeds: str, sets: Sequence[str], engine: str) -> Plan:
     """The plan of a command line; raises UserError for a mistake in it, TopologyError for one in the file."""
     if engine not in ENGINES:
         raise UserError(f"--engine {engine}: is neither {' nor '.join(ENGINES)}; choose one of them")
-    asked, values = _seeds(seeds), _values(sets)
+    asked, values = seeds_of(seeds), _values(sets)
     load(file)
     settings = [
         Setting(combination, _with(file, dict(zip(values, combination, strict=True))))
@@ -105,7 +125,8 @@ def plan(file: str, seeds: str, sets: Sequence[str], engine: str) -> Plan:
     return Plan(tuple(values), tuple(settings), asked, engine, find(file).parent)
 
 
-def _seeds(text: str) -> range:
+def seeds_of(text: str) -> range:
+    """Return the seeds of FIRST:STOP; raise UserError for a text that is none."""
     first, _, stop = text.partition(":")
     if not (first.isdecimal() and stop.isdecimal()):
         raise UserError(f"--seeds {text}: is not FIRST:STOP; write for example 0:1000, which ends with 999")

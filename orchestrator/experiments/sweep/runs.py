@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import math
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,9 +13,11 @@ from typing import Any
 from hedgerow.agents.loading import LawError
 from hedgerow.orchestrator.experiments.sweep.plan import Chunk, Plan
 from hedgerow.orchestrator.ground.assignment import layout, truth_of, views_of
+from hedgerow.orchestrator.ground.law_source import need_same
+from hedgerow.orchestrator.ground.laws import completed
 from hedgerow.orchestrator.metrics.observer import Observer, rows_at_once
-from hedgerow.orchestrator.metrics.verdict import Ending, judge
-from hedgerow.orchestrator.runs import reference
+from hedgerow.orchestrator.metrics.verdict import VALID, Ending, judge
+from hedgerow.orchestrator.runs import batch, reference
 from hedgerow.topologies.errors import Code, HedgerowError, TopologyError, UserError
 from hedgerow.topologies.resolve import resolve
 from hedgerow.topologies.schema import Topology
@@ -25,7 +28,7 @@ from hedgerow.wire.limits import limit_reached
 Row = dict[str, Any]
 METRICS = (
     *("regret", "regret_nominal", "cost", "cost_oracle", "cost_regret", "cost_ratio", "disturbance_energy"),
-    *("gain", "gain_less_x0", "gamma_star", "rho", "nodes_right"),
+    *("gain", "gain_less_x0", "gamma_star", "rho", "nodes_right", "estimate_error"),
 )
 """Of verdict.json."""
 
@@ -51,9 +54,11 @@ def answer(plan: Plan, chunk: Chunk) -> Answer:
     """Return the rows of a chunk; an error is text, because the caller may be on another machine."""
     seed = chunk.seeds[0]
     try:
+        there = {} if plan.one_by_one[chunk.setting] or len(chunk.seeds) == 1 else _batch(plan, chunk)
         rows = []
         for seed in chunk.seeds:
-            rows.append({"setting": chunk.setting, "seed": seed, **_row(_content(plan, chunk.setting, seed))})
+            row = there.get(seed) or _row(_content(plan, chunk.setting, seed))
+            rows.append({"setting": chunk.setting, "seed": seed, **row})
         return rows
     except TopologyError as error:
         return Failure(f"seed {seed}, {plan.says(chunk.setting)}: {error.problems[0]}", users=True)
@@ -65,9 +70,31 @@ def answer(plan: Plan, chunk: Chunk) -> Answer:
         return Failure(f"{where}: {reached or crash.report(error)}", users=False, code=code)
 
 
+def _batch(plan: Plan, chunk: Chunk) -> dict[int, Row]:
+    """Return the rows of the runs of a chunk that pass every check; the others are made by themselves, with reasons."""
+    topology = plan.settings[chunk.setting].topology
+    try:
+        found, n = batch.run(topology, chunk.seeds, plan.folder), len(topology.ids)
+    except Exception:
+        if ":" not in topology.law:
+            raise
+        return {}  # a law of the user's failed; run by itself, each run says where
+    columns = [found.metrics[name].tolist() for name in METRICS]
+    rows: dict[int, Row] = {}
+    for seed, good, *values in zip(chunk.seeds, found.good.tolist(), *columns, strict=True):
+        if good:
+            metrics = {
+                name: value if math.isfinite(value) else None for name, value in zip(METRICS, values, strict=True)
+            }
+            share = float(metrics["nodes_right"] or 0) / n
+            rows[seed] = {**metrics, "share_right": share, "verdict": VALID, "reasons": ""}
+    return rows
+
+
 def _content(plan: Plan, setting: int, seed: int) -> dict[str, Any]:
     """What verdict.json holds, or would hold."""
-    topology = resolve(plan.settings[setting].topology.model_copy(update={"seed": seed}), plan.folder)
+    need_same(plan.settings[setting].topology.law, plan.sources[setting].digest)
+    topology = completed(resolve(plan.settings[setting].topology.model_copy(update={"seed": seed}), plan.folder))
     return _over_zenoh(topology) if plan.engine == "zenoh" else run_here(topology)
 
 

@@ -33,7 +33,7 @@ class Spread(NamedTuple):
 
 def values_of(rows: Sequence[Row], metric: str) -> Array:
     """A metric of some runs, less those in which it is undefined."""
-    return np.array([row[metric] for row in rows if row[metric] is not None], dtype=float)
+    return np.array([row[metric] for row in rows if row.get(metric) is not None], dtype=float)
 
 
 def spread(values: Array) -> Spread:

@@ -12,7 +12,7 @@ import os
 import signal
 import threading
 from collections import deque
-from collections.abc import Generator, Iterable
+from collections.abc import Callable, Generator, Iterable
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 
@@ -25,13 +25,15 @@ TRIES = 3
 """A chunk during which so many workers died is not begun again."""
 END_DEADLINE_S = 30.0
 """A network of real processes takes a while to end."""
+Answering = Callable[[Plan, Chunk], Answer]
+"""makes the runs of a chunk"""
 _SPAWN = multiprocessing.get_context("spawn")  # a fork would share our pipes, and threads that hold locks
 
 
 class _Worker:
-    def __init__(self, plan: Plan) -> None:
+    def __init__(self, plan: Plan, answer: Answering) -> None:
         self.connection, theirs = _SPAWN.Pipe()
-        self.process = _SPAWN.Process(target=_serve, args=(theirs, plan), daemon=True)
+        self.process = _SPAWN.Process(target=_serve, args=(theirs, plan, answer), daemon=True)
         # A Ctrl-C in the terminal is for us: it finds the worker deaf from its first instruction on. The tracker, which
         # the first start would start, leaves SIGINT unblocked.
         resource_tracker.ensure_running()
@@ -54,7 +56,9 @@ class _Worker:
         self.process.join()
 
 
-def over_processes(plan: Plan, chunks: Iterable[Chunk], jobs: int) -> Generator[Answer | None, None, None]:
+def over_processes(
+    plan: Plan, chunks: Iterable[Chunk], jobs: int, answer: Answering = answer
+) -> Generator[Answer | None, None, None]:
     """The answer to each chunk, in no order; None when for a while there is none. No process outlives this."""
     waiting, again = iter(chunks), deque[tuple[Chunk, int]]()
     workers: dict[Connection, _Worker] = {}
@@ -68,7 +72,7 @@ def over_processes(plan: Plan, chunks: Iterable[Chunk], jobs: int) -> Generator[
     try:
         while True:
             while len(workers) < jobs and (todo := task()):
-                worker = _Worker(plan)
+                worker = _Worker(plan, answer)
                 workers[worker.connection] = worker
                 worker.begin(*todo)
             if not workers:
@@ -120,7 +124,7 @@ def _died(plan: Plan, worker: _Worker, again: deque[tuple[Chunk, int]]) -> Answe
     )
 
 
-def _serve(connection: Connection, plan: Plan) -> None:
+def _serve(connection: Connection, plan: Plan, answer: Answering) -> None:
     """Be a worker."""
     let_numbers_overflow()
     signal.signal(signal.SIGTERM, _leave)

@@ -1,0 +1,145 @@
+"""The worst disturbance of a network under its law: a lower bound on the gain, beside the upper bounds.
+
+`worst` searches under a budget and writes three files: worst.yaml, a network whose run repeats the gain; worst.json,
+the result; and worst.npz, from which the same search goes on.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hedgerow.orchestrator.experiments.worst.hunt import Attack, Hunt
+from hedgerow.orchestrator.metrics.gain_bound import Plant, Premise
+from hedgerow.orchestrator.metrics.guarantee import (
+    Guarantee,
+    fingerprint,
+    guarantee,
+    plant_of,
+    rounded_down,
+    rounded_up,
+)
+from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.resolve import to_yaml
+from hedgerow.topologies.schema import Topology
+
+NAME = "worst.yaml"
+
+
+@dataclass(frozen=True)
+class Found:
+    """The result of a search."""
+
+    topology: Topology
+    """a network whose run has the gain"""
+    attack: Attack
+    guarantee: Guarantee
+    law: str
+    faults: dict[str, float]
+    """by single fault: the best gain with it; empty unless faults were searched"""
+    seconds: float
+    """of search, those before an interruption included"""
+
+    @property
+    def gain(self) -> float:
+        """Return the gain of a run of `topology`, sqrt(sum cost / sum |w|^2)."""
+        return self.attack.gain
+
+    @property
+    def limit(self) -> float:
+        """Return the gain that longer runs come near, if the disturbance holds its last value; else `gain`."""
+        return self.attack.limit
+
+    @property
+    def premise(self) -> Premise:
+        """Return the premise of the upper bound that the run obeys."""
+        return Premise.EDGES if self.attack.breaks.cuts else Premise.ESTIMATES
+
+    def sandwich(self) -> str:
+        """Return the bounds on both sides in one line."""
+        above = self.guarantee.bounds.get(self.premise)
+        most = f"at most {rounded_up(above.gain, 4)}" if above else "no upper bound is known"
+        return f"oracle {self.guarantee.gamma_star:.4g} <= {self.law}: at least {rounded_down(self.limit)}, {most}"
+
+    def text(self) -> str:
+        """Return the result in words."""
+        held = f"; {rounded_down(self.limit)} is the limit of longer runs" if self.attack.holds else ""
+        lines = [
+            self.sandwich(),
+            f"a run of {self.attack.steps} steps from x(0) = 0 reaches {self.gain:.10g}{held}",
+        ]
+        if self.faults:
+            worst = sorted(self.faults.items(), key=lambda one: -one[1])[:5]
+            lines += [
+                "single faults that hurt most:",
+                *(f"  {gain:.4f}  {what}" for what, gain in worst),
+            ]
+        return "\n".join(lines)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the result as worst.json holds it."""
+        return {
+            "network": fingerprint(plant_of(self.topology.network)),
+            "law": self.law,
+            "gain": self.gain,
+            "limit": self.limit,
+            "steps": self.attack.steps,
+            "faulty": bool(len(self.attack.breaks)),
+            "faults": self.faults,
+            "seconds": self.seconds,
+            "guarantee": self.guarantee.to_dict(),
+        }
+
+
+def worst(
+    topology: Topology,
+    budget_s: float = 60.0,
+    faults: bool = False,
+    seed: int = 0,
+    steps: int = 4000,
+    out: Path | None = None,
+    say: Callable[[str], None] = lambda _: None,
+    quit_now: Callable[[], bool] = lambda: False,
+) -> Found:
+    """Search the worst disturbance of a network for `budget_s` seconds, and write it if `out` names a file.
+
+    `faults` searches cuts and drops too. `steps` is the length of the run of a disturbance that holds its last value.
+    A search that was stopped goes on where `out` was written. Raises UserError for a network that is too large.
+    """
+    hunt = Hunt(topology, seed, faults, steps)
+    kept = None if out is None else out.with_suffix(".npz")
+    if kept is not None and kept.exists() and hunt.resume(kept):
+        say(f"goes on after {hunt.state.seconds:.0f} s, with gain {hunt.best_score() ** 0.5:.4f}")
+    hunt.run(budget_s, say, quit_now)
+    attack, network = hunt.proved()
+    found = Found(
+        network,
+        attack,
+        guarantee(plant_of(topology.network), topology.network.gamma_star),
+        topology.law,
+        {hunt.named(breaks): gain for breaks, gain in hunt.fault_gains.items()},
+        hunt.state.seconds,
+    )
+    if out is not None and kept is not None:
+        try:
+            hunt.save(kept)
+            out.write_text(to_yaml(network), encoding="utf-8")
+            out.with_suffix(".json").write_text(json.dumps(found.to_dict(), indent=1) + "\n", encoding="utf-8")
+        except OSError as error:
+            raise UserError(f"{out}: cannot be written: {error.strerror}. Choose another --out.") from None
+    return found
+
+
+def at_least(plant: Plant, folder: Path) -> float | None:
+    """Return the gain that `worst` found for minimax on a network without faults, by a worst.json; None if none."""
+    try:
+        with (folder / NAME).with_suffix(".json").open(encoding="utf-8") as file:
+            told = json.loads(file.read(2**20))
+        if told["network"] == fingerprint(plant) and told["law"] == "minimax" and not told["faulty"]:
+            return float(told["limit"])
+    except (OSError, ValueError, KeyError, TypeError):
+        pass
+    return None

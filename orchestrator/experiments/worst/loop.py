@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
+from hedgerow.agents.loading import new_law
+from hedgerow.agents.local import Heard, asks
+from hedgerow.agents.view import View
+from hedgerow.orchestrator.ground.assignment import views_of
 from hedgerow.topologies.graph import Array, Graph, Index, Mask
+from hedgerow.topologies.schema import Topology
 
 TIE = 1e-7
 """A model must win by this share of the disturbance's energy so far: else it may win by rounding, and not again."""
@@ -25,22 +30,51 @@ class Breaks:
     drops: tuple[tuple[int, int], ...] = ()
     """(incidence, first step): its node no longer hears the neighbour, and learns nothing"""
 
+    def __add__(self, other: Breaks) -> Breaks:
+        return Breaks(self.cuts + other.cuts, self.drops + other.drops)
+
+    def __len__(self) -> int:
+        return len(self.cuts) + len(self.drops)
+
 
 NONE = Breaks()
 
 
 @dataclass(frozen=True)
 class Scene:
-    """The network that is attacked."""
+    """The network that is attacked, and the view of one process that runs all of its nodes."""
 
     graph: Graph
     a: Array
-    b: float | Array
-    candidates: Array
-    """(M, n), NaN behind the end of a list"""
-    law: Callable[[Any, Array], Any]
-    """constructs the law of k nodes from their gains and candidates, as a shard does"""
+    view: View
     _laplacians: dict[Any, Any] = field(default_factory=dict, repr=False)
+
+    @classmethod
+    def of(cls, topology: Topology) -> Scene:
+        """Return the scene of a topology, under its law."""
+        (view,) = views_of(topology, [range(len(topology.ids))])
+        return cls(topology.network.graph, topology.network.a, view)
+
+    @property
+    def b(self) -> float | Array:
+        """Return the gain, or the gains of the nodes."""
+        return self.view.b
+
+    def law(self, count: int) -> Any:
+        """Return one law for `count` disjoint copies of the network: nodes never mix in a law."""
+        n, view = self.graph.n, self.view
+        first = n * np.arange(count)[:, None]
+        return new_law(
+            replace(
+                view,
+                b=view.b if np.ndim(view.b) == 0 else np.tile(view.b, count),
+                ids=np.tile(view.ids, count),
+                candidates=np.tile(view.candidates, (1, count)),
+                row=(view.row + first).ravel(),
+                column=(view.column + first).ravel(),
+                weights=None if view.weights is None else np.tile(view.weights, count),
+            )
+        )
 
     def laplacian(self, cut: frozenset[int]) -> Any:
         """Return the weighted Laplacian without some edges."""
@@ -106,9 +140,11 @@ def play(scene: Scene, w: Array, breaks: Breaks = NONE, steps: int | None = None
     if steps > given:
         w = np.concatenate([w, np.repeat(w[:, -1:], steps - given, axis=1)], axis=1)
     b = np.asarray(scene.b, dtype=float)
-    law = scene.law(scene.b if b.ndim == 0 else np.tile(b, count), np.tile(scene.candidates, (1, count)))
-    single = (~np.isnan(scene.candidates)).sum(axis=0) < 2
-    deaf = {}
+    law = scene.law(count)
+    neighbours = (scene.view.column + n * np.arange(count)[:, None]).ravel()
+    act, learn = asks(law.act, "now"), asks(law.learn, "sample")
+    single = (~np.isnan(scene.view.candidates)).sum(axis=0) < 2
+    deaf: dict[int, int] = {}
     for incidence, first in breaks.drops:
         node = int(scene.graph.node[incidence])
         deaf[node] = min(first, deaf.get(node, first))
@@ -117,10 +153,12 @@ def play(scene: Scene, w: Array, breaks: Breaks = NONE, steps: int | None = None
     theta, cost = np.full((steps, count, n), 2.0), np.empty((steps, count))
     sound = np.empty((steps, count), dtype=bool)
     energy, seen, fine = np.zeros(count), np.zeros((count, n)), np.ones(count, dtype=bool)
+    none = np.full(len(neighbours), np.nan)
+    heard = Heard(0, np.ones(count * n, dtype=bool), none, none, np.full(len(neighbours), -1))
     with np.errstate(all="ignore"):
         for t in range(steps):
             now = x[t]
-            u = np.asarray(law.act(now.reshape(-1))).reshape(count, n)
+            u = np.asarray(law.act(now.reshape(-1), *([heard] if act else []))).reshape(count, n)
             margin = np.asarray(law.report())[1].reshape(count, n)
             tied = (margin < TIE * energy[:, None]) & (seen > 0) & ~single
             fine = fine & ~tied.any(axis=1) & np.isfinite(u).all(axis=1)
@@ -132,11 +170,15 @@ def play(scene: Scene, w: Array, breaks: Breaks = NONE, steps: int | None = None
             x[t + 1] = scene.a * now + b * flow + w[:, t]
             energy += np.square(w[:, t]).sum(axis=1)
             seen += now * now
-            heard = flow
+            if act or learn:
+                own = now.reshape(-1)[neighbours], u.reshape(-1)[neighbours]
+                heard = Heard(t, np.ones(count * n, dtype=bool), *own, np.full(len(neighbours), t))
+            known = flow
             if lost := [node for node, first in deaf.items() if first <= t]:
-                heard = flow.copy()
-                heard[:, lost] = np.nan
-            law.learn(now.reshape(-1), heard.reshape(-1), x[t + 1].reshape(-1))
+                known = flow.copy()
+                known[:, lost] = np.nan
+            law.learn(now.reshape(-1), known.reshape(-1), x[t + 1].reshape(-1), *([heard] if learn else []))
+            heard = heard._replace(t=t + 1)
     return Played(w, x, theta, np.nan_to_num(cost, nan=0.0, posinf=0.0), sound)
 
 

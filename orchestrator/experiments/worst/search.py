@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,30 +12,36 @@ from hedgerow.topologies.graph import Array
 
 SETTLING = 150
 """Steps in which the run of a constant disturbance settles."""
-CONSTANT = 0
-"""The length of an attack that stays constant."""
+
+
+class Kind(NamedTuple):
+    """The kind of a disturbance."""
+
+    length: int
+    """number of its values"""
+    holds: bool
+    """True if the last value stays"""
 
 
 @dataclass
 class Island:
-    """One population: disturbances of some steps, or constant ones, under some faults."""
+    """One population: disturbances of some steps, under some faults."""
 
-    length: int
-    """number of steps of each disturbance; CONSTANT for constant ones"""
+    holds: bool
+    """True if a disturbance keeps its last value for ever; with one step it is constant"""
     members: Array
-    """(P, T, n); of constant ones T is 1"""
+    """(P, T, n)"""
     breaks: Breaks = NONE
     score: Array = field(default_factory=lambda: np.empty(0))
-    """gain squared: of constant ones the settled value"""
+    """gain squared: of one that holds the settled value"""
     steps: Array = field(default_factory=lambda: np.empty(0))
     """number of steps after which a run has that gain"""
     generation: int = 0
 
     @classmethod
-    def new(cls, scene: Scene, length: int, size: int, rng: np.random.Generator, breaks: Breaks = NONE) -> Island:
+    def new(cls, scene: Scene, kind: Kind, size: int, rng: np.random.Generator, breaks: Breaks = NONE) -> Island:
         """Return a population that was drawn at random; localised disturbances are among them."""
-        n = len(scene.a)
-        steps = max(1, length)
+        n, steps = len(scene.a), kind.length
         members = rng.standard_normal((size, steps, n))
         # Half of them are one pattern of the nodes with a time course, which is sparse; some of one sign.
         half = size // 2
@@ -43,7 +49,12 @@ class Island:
         members[:half] = course * rng.standard_normal((half, 1, n)) + 0.01 * members[:half]
         members[: half // 2] *= rng.random((half // 2, 1, n)) < 0.5
         members[::3] = np.abs(members[::3])
-        return cls(length, members, breaks)
+        return cls(kind.holds, members, breaks)
+
+    @property
+    def kind(self) -> Kind:
+        """Return the kind of the disturbances."""
+        return Kind(self.members.shape[1], self.holds)
 
     @property
     def best(self) -> int:
@@ -62,16 +73,17 @@ class Island:
 
     def judge(self, scene: Scene, members: Array) -> tuple[Array, Array, Any]:
         """Return the gains squared, the steps after which they are reached, and the runs."""
-        if self.length != CONSTANT:
+        if not self.holds:
             played = play(scene, members, self.breaks)
-            return *played.gains(), played
+            gains, steps = played.gains()
+            return gains, steps.astype(float), played
         played = play(scene, members, self.breaks, SETTLING)
-        energy = np.square(members[:, 0]).sum(axis=1)
+        energy = np.square(members[:, -1]).sum(axis=1)
         third = played.theta[-SETTLING // 3 :]
         spread = (third.max(axis=0) - third.min(axis=0)).max(axis=1)
         settled = played.sound[-1] & (spread < 1e-6) & (energy > 0)
         with np.errstate(invalid="ignore", divide="ignore"):
-            return np.where(settled, played.cost[-1] / energy, 0.0), np.full(len(members), SETTLING), played
+            return np.where(settled, played.cost[-1] / energy, 0.0), np.full(len(members), float(SETTLING)), played
 
     def _trials(self, scene: Scene, rng: np.random.Generator) -> Array:
         size = len(self.members)
@@ -88,7 +100,7 @@ class Island:
                 typical = np.sqrt(np.square(base).mean(axis=(1, 2), keepdims=True))
                 few = rng.random(base.shape) < rng.choice([0.15, 0.5, 1.0], size)[:, None, None]
                 return np.asarray(base + scale * typical * few * rng.standard_normal(base.shape))
-            case 2 if self.length != CONSTANT:
+            case 2 if not self.holds:
                 return self._echoes(rng)
             case _:
                 one, two, three = (rng.permutation(size) for _ in range(3))
@@ -102,26 +114,28 @@ class Island:
 
     def _echoes(self, rng: np.random.Generator) -> Array:
         """Return members, or the best, with the sign, size or time of a part changed, or with a later copy added."""
-        size, steps, _ = self.members.shape
-        base = np.where(rng.random(size)[:, None, None] < 0.5, self.members[self.best], self.members)
-        time = np.arange(steps)
-        later = time[None, :] - rng.integers(0, steps, size)[:, None]
-        echo = np.where(later[:, :, None] >= 0, np.take_along_axis(base, later.clip(0)[:, :, None], axis=1), 0.0)
-        own, copied = (rng.choice([-1.0, 0.0, 0.3, 1.0], size) * rng.uniform(0.3, 1.5, size) for _ in range(2))
+        size, steps = len(self.members), self.members.shape[1]
+        each = (size, 1, 1)
+        base = np.where(rng.random(each) < 0.5, self.members[self.best], self.members)
+        time = np.arange(steps)[None, :, None]
+        later = time - rng.integers(0, steps, each)
+        echo = np.where(later >= 0, np.take_along_axis(base, later.clip(0), axis=1), 0.0)
+        own, copied = (rng.choice([-1.0, 0.0, 0.3, 1.0], each) * rng.uniform(0.3, 1.5, each) for _ in range(2))
         own[::2] = 1.0
-        added = own[:, None, None] * base + copied[:, None, None] * echo
-        since = time[None, :] >= rng.integers(0, steps, size)[:, None]
-        factor = rng.choice([-1.0, 0.0, 0.5, 2.0], size)[:, None]
-        scaled = base * np.where(since, factor, 1.0)[:, :, None]
-        return np.where(rng.random(size)[:, None, None] < 0.6, added, scaled)
+        since = time >= rng.integers(0, steps, each)
+        scaled = base * np.where(since, rng.choice([-1.0, 0.0, 0.5, 2.0], each), 1.0)
+        return np.where(rng.random(each) < 0.6, own * base + copied * echo, scaled)
 
     def _power(self, scene: Scene, played: Any, steps: Array) -> Array:
-        if self.length != CONSTANT:
+        if not self.holds:
             return ascend(scene, played, steps.astype(np.int64), self.breaks)
-        # Of a constant disturbance the sum over the steps is what counts, and it tends to G'G w.
+        # The settled cost is a function of the last value alone, and its gradient tends to the sum over the steps.
         along = ascend(scene, played, np.full(len(self.members), SETTLING), self.breaks)
-        total = along.sum(axis=1, keepdims=True)
-        size = np.sqrt(np.square(total).sum(axis=2, keepdims=True))
-        own = np.sqrt(np.square(self.members).sum(axis=2, keepdims=True))
+        total = along.sum(axis=1)
+        size = np.sqrt(np.square(total).sum(axis=1))
+        own = np.sqrt(np.square(self.members[:, -1]).sum(axis=1))
         with np.errstate(invalid="ignore", divide="ignore"):
-            return np.where(size > 0, total * own / size, self.members)
+            last = total * (own / size)[:, None]
+        trials = self.members.copy()
+        trials[:, -1] = np.where(np.isfinite(last), last, self.members[:, -1])
+        return trials

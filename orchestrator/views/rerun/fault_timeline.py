@@ -132,7 +132,7 @@ class Lanes:
         self._a = batch.a[-1].copy()
         missing, nobody = np.isnan(batch.u), np.isnan(batch.ahat)
         # At step 0 an estimate is the first of a list: nobody has learned anything.
-        nodes = np.where((batch.ahat != batch.a) & self._models & (batch.t > 0)[:, None], MISTAKEN, THERE)
+        nodes = np.where(batch.wrong & self._models & (batch.t > 0)[:, None], MISTAKEN, THERE)
         nodes = np.where(turned, TURNED, nodes)
         nodes = np.where(missing, np.where(nobody, GONE, NO_INPUT), nodes)
         return np.concatenate([links, nodes], axis=1).astype(np.uint8)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from hedgerow.orchestrator.metrics.observer import Batch
 from hedgerow.orchestrator.views import palette
 from hedgerow.orchestrator.views.groups import Groups, Scene
-from hedgerow.orchestrator.views.layout import Places, positions
+from hedgerow.orchestrator.views.layout import Places, placed, positions
 from hedgerow.orchestrator.views.palette import Packed, flow_colors, packed, state_colors, thickness
 from hedgerow.topologies.graph import Graph, Index, Mask
 from hedgerow.topologies.schema import WHOLE, Topology
@@ -115,11 +115,11 @@ class Picture:
     """Draws the steps of a network's run."""
 
     def __init__(self, topology: Topology) -> None:
-        self._ids = topology.ids
+        self._topology, self._ids = topology, topology.ids
         self.groups = Groups(topology.graph) if len(topology.ids) > WHOLE else None
         """of so many nodes that they cannot be told apart"""
         self._graph: Graph = topology.graph if self.groups is None else self.groups.graph
-        self.places = positions(self._graph)
+        self.places = placed(topology) if self.groups is None else positions(self._graph)
         self._large = self._graph.n > NAMED
         self._radius = _radius(self.places)
         self._width = 1.2 if self._large else 2.5
@@ -176,7 +176,7 @@ class Picture:
         self.legend.log_static(stream)
 
     def _name(self, k: int) -> str:
-        return str(self._ids[k]) if self.groups is None else self.groups.name(k, self._ids)
+        return self._topology.network.name(k) if self.groups is None else self.groups.name(k, self._ids)
 
     def frames(self, whole: Batch, rows: Index, wall: NDArray[np.float64]) -> Frames:
         """Draw some rows of a batch; all of it counts for the scales, but where nodes are drawn in groups."""
@@ -195,7 +195,7 @@ class Picture:
         dead = missing & np.isnan(ahat)
         rings = np.full(x.shape, packed(palette.RIGHT))
         rings[missing] = packed(palette.NO_INPUT)
-        rings[ahat != batch.a[rows]] = packed(palette.WRONG)
+        rings[batch.wrong[rows]] = packed(palette.WRONG)
         rings[dead] = packed(palette.DEAD)
         part = (flow / np.maximum(flow_peak, 1e-300))[:, self._graph.edge]
         cut, lost = ~batch.edge_open[rows][:, self._graph.edge], ~batch.link_up[rows]

@@ -315,7 +315,7 @@ def steady_state(topology: Topology) -> float:
 
 def peak_of(kind: str, values: Mapping[str, NDArray[Any]]) -> Matrix:
     """Return how large |w_i| of a group of disturbances gets: of noise, in all but a few of a thousand steps."""
-    if kind == "white":
+    if kind in ("white", "ar1"):
         return np.asarray(3 * np.abs(values["std"]))
     if kind == "samples":
         return np.asarray(np.abs(values["values"]).max(axis=1, initial=0.0))

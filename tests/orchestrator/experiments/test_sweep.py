@@ -160,7 +160,9 @@ def test_a_law_that_fails_makes_its_runs_unknown_and_no_others(here: Path) -> No
 
 # Stopped, killed, gone on with.
 
-LONG = ("sweep", "paper7", "--seeds", "0:24", "--set", "steps=300", "--set", "law=minimax,hinf")
+DROP = "faults=[{kind: drop, link: [2, 4], steps: [0, 300]}]"
+"""a network with faults is run one by one, so that a sweep of it takes a while"""
+LONG = ("sweep", "paper7", "--seeds", "0:24", "--set", "steps=300", "--set", "law=minimax,hinf", "--set", DROP)
 
 
 @pytest.fixture(scope="module")
@@ -265,7 +267,7 @@ def test_seeds_may_grow(tmp_path: Path) -> None:
         ("-3:2", [], "write for example 0:1000"),
         ("0:2", ["stepz=3"], "did you mean|known keys are"),
         ("0:2", ["defaults.x1=3,4"], "did you mean `x0`"),
-        ("0:2", ["b=0.1,3"], "b below"),
+        ("0:2", ["b=0.1,3"], "the largest b that fits all nodes"),
         ("0:2", ["law=minimax,guess"], "a law is minimax, hinf, nominal"),
         ("0:2", ["law=minimax,minimax"], "stands there twice; give each value once"),
         ("0:2", ["law=minimax,"], "a value is empty; give each value once"),

@@ -1,0 +1,31 @@
+"""The laws of the project, by name; each is a small file of its own, loaded when it is first used."""
+
+from __future__ import annotations
+
+from importlib import import_module
+
+from hedgerow.agents.law import Law
+
+LAWS: dict[str, str] = {
+    "minimax": "Minimax",
+    "hinf": "HInf",
+    "nominal": "Nominal",
+    "forgetting": "Forgetting",
+    "hysteresis": "Hysteresis",
+    "rls": "RLS",
+    "bayes": "Bayes",
+    "thompson": "Thompson",
+    "set-membership": "SetMembership",
+    "centred": "Centred",
+    "notch": "Notch",
+    "either": "Either",
+    "robust": "Robust",
+}
+"""By the name that a file gives: the class, in the module of that name."""
+
+
+def law_of_name(name: str) -> type[Law]:
+    """Return the class of a law of the project; KeyError if there is none of that name."""
+    attribute = LAWS[name]
+    law: type[Law] = getattr(import_module(f"{__name__}.{name.replace('-', '_')}"), attribute)
+    return law

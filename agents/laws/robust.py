@@ -1,0 +1,45 @@
+"""One fixed model for every node: the one of the least worst gain over the candidates.
+
+    u_i = b x_i / (theta - 1),    theta = argmin over theta of max over a in the lists of the gain from w
+
+Zhou, Doyle and Glover, Robust and Optimal Control, Prentice-Hall 1996, for the worst case over a set of plants.
+It is the price of not learning: right if nothing can be learned in time, and beaten by a law that learns if something
+can. `theta` is a number of the whole network, so the operator computes it and gives it as a parameter. A file that
+leaves it out gets it computed when the run begins.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from hedgerow.agents.law import Array, control
+from hedgerow.topologies.graph import Gain
+
+
+class Robust:
+    """Equation (6) on one number, whatever happens."""
+
+    equation: ClassVar[str] = "ahat = theta, of the least worst gain over the lists"
+
+    def __init__(self, b: Gain, candidates: Array, *, theta: float | None = None) -> None:
+        if theta is None:
+            raise ValueError("theta is not given, and the operator did not compute it")
+        if not theta < 1:
+            raise ValueError(f"theta {theta} is not below 1")
+        self.b = b
+        k = candidates.shape[1]
+        self._report = np.stack([np.full(k, float(theta)), np.full(k, np.nan)])
+        self.memory = np.empty((0, k))
+
+    def act(self, x: Array) -> Array:
+        """Return the inputs of equation (6)."""
+        return control(self.b, x, self._report[0])
+
+    def learn(self, x: Array, flow: Array, x_next: Array) -> None:
+        """Learn nothing."""
+
+    def report(self) -> Array:
+        """Return theta; it has no margin."""
+        return self._report

@@ -1,0 +1,31 @@
+"""The candidate that needs the smallest bound on the disturbance.
+
+    ahat_i = first candidate that minimises J_i,m = max over samples of |a_m x_i + b f_i - x_i(t + 1)|
+
+Fogel and Huang, "On the value of information in system identification: bounded noise case", Automatica 18(2), 1982;
+Milanese and Vicino, "Optimal estimation theory for dynamic systems with set membership uncertainty: an overview",
+Automatica 27(6), 1991.
+It is right if w is bounded and its bound is often reached. It fails if w has outliers: one large residual of the true
+model counts forever. All samples that are equally bad tie, and the first candidate wins.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from hedgerow.agents.law import Array
+from hedgerow.agents.laws.listed import Listed
+
+
+class SetMembership(Listed):
+    """The least largest residual."""
+
+    equation: ClassVar[str] = "J = max |r|"
+
+    def update(self, memory: Array, candidates: Array, x: Array, y: Array, t: int) -> None:  # noqa: ARG002
+        """Keep the larger residual."""
+        residual = candidates * x
+        residual -= y
+        np.maximum(memory, np.abs(residual), out=memory)

@@ -1,0 +1,138 @@
+"""Laws compared on one network: the same seeds for all, intervals, paired tests, one table and one figure."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+from hedgerow.orchestrator.experiments.compare import words
+from hedgerow.orchestrator.experiments.compare.plan import Comparison
+from hedgerow.orchestrator.experiments.compare.runs import METRICS, answer
+from hedgerow.orchestrator.experiments.compare.statistics import Cell, Test, cells, tests
+from hedgerow.orchestrator.experiments.sweep import cores
+from hedgerow.orchestrator.experiments.sweep.folder import SweepFolder
+from hedgerow.orchestrator.experiments.sweep.progress import progress
+from hedgerow.orchestrator.experiments.sweep.runs import Failure, Row
+from hedgerow.orchestrator.experiments.sweep.workers import over_processes
+from hedgerow.orchestrator.ground.signals import Interrupts
+from hedgerow.orchestrator.metrics.verdict import EXIT_CODES, INVALID, UNKNOWN, VALID
+from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.escape import echo
+
+
+@dataclass(frozen=True)
+class Compared:
+    """A finished comparison; `print` shows its tables and its findings."""
+
+    plan: Comparison
+    rows: Sequence[Sequence[Row]]
+    """the runs of each setting of the plan, by seed"""
+    folder: Path
+
+    @cached_property
+    def cells(self) -> list[Cell]:
+        """Return every metric of every law under every disturbance, with its values by seed."""
+        return cells(self.plan, self.rows)
+
+    @cached_property
+    def tests(self) -> list[Test]:
+        """Return the paired tests."""
+        return tests(self.cells)
+
+    @property
+    def method(self) -> str:
+        """Return how the numbers were made, in one line."""
+        return words.method(len(self.plan.seeds), len(self.tests))
+
+    @property
+    def markdown(self) -> str:
+        """Return tables and findings in Markdown."""
+        return f"# {self.plan.name}\n\n{self.method}.\n\n{words.markdown(self.cells, self.tests)}"
+
+    def __str__(self) -> str:
+        return "\n\n".join([words.text(self.cells), words.words(self.cells, self.tests), self.method])
+
+    def mean(self, law: str, metric: str, disturbance: str = "") -> float:
+        """Return a mean over seeds; `disturbance` may be left out if there is one. KeyError if there is no such."""
+        where = disturbance or self.plan.disturbances[0]
+        found = [one for one in self.cells if (one.disturbance, one.law, one.metric) == (where, law, metric)]
+        if not found:
+            raise KeyError((where, law, metric))
+        return found[0].mean
+
+    @property
+    def exit_code(self) -> int:
+        """Return 0 if all runs are valid, 1 if one is not, 3 if one is unknown."""
+        verdicts = Counter(str(row["verdict"]) for own in self.rows for row in own)
+        return int(EXIT_CODES[next(one for one in (INVALID, UNKNOWN, VALID) if verdicts[one])])
+
+
+def compare(plan: Comparison, out: Path | None = None, jobs: int | None = None, quiet: bool = False) -> Compared | None:
+    """Make the runs that lack, then table, findings and figure; None if it was stopped, which keeps what is there.
+
+    Raises UserError for a mistake, and HedgerowError if a run cannot be made.
+    """
+    with SweepFolder(plan, out or plan.default_out) as folder:
+        there = folder.there
+        if not quiet:
+            count = f"{len(plan.laws)} laws, {len(plan.disturbances)} disturbances, {len(plan.seeds)} seeds"
+            echo(f"{plan.name}: {count}, into {folder.path}" + (f"; {there} of {plan.runs} were there" * (there > 0)))
+        if there < plan.runs and (stopped := _run(plan, folder, jobs or cores(), quiet)):
+            echo(f"stopped: {stopped}: {folder.there} of {plan.runs} runs are there; the same command goes on")
+            return None
+        found = Compared(plan, [folder.asked(k) for k in range(len(plan.settings))], folder.path)
+        try:
+            _write(found)
+        except OSError as error:
+            raise UserError(f"{folder.path}: {error.strerror}; make room, then the same command goes on") from None
+        return found
+
+
+def _run(plan: Comparison, folder: SweepFolder, jobs: int, quiet: bool) -> str:
+    """Make the runs that lack; return the signal that stopped it, or nothing."""
+    answers = over_processes(plan, plan.chunks(frozenset(folder.rows)), jobs, answer)
+    with contextlib.ExitStack() as stack:
+        interrupts = stack.enter_context(Interrupts())
+        shown = None if quiet else stack.enter_context(contextlib.closing(progress(folder.there, plan.runs)))
+        stack.enter_context(contextlib.closing(answers))
+        for rows in answers:
+            if isinstance(rows, Failure):
+                raise rows.error()
+            if rows:
+                folder.append(rows)
+                if shown is not None:
+                    shown.advance(len(rows))
+            if interrupts.count:
+                return interrupts.name
+    return ""
+
+
+def _write(found: Compared) -> None:
+    """Write the table of runs, the means, the tests, the page and the figure."""
+    from hedgerow.orchestrator.experiments.compare.figure import write  # noqa: PLC0415
+
+    folder, plan = found.folder, found.plan
+    with (folder / "runs.csv").open("w", newline="", encoding="utf-8") as file:
+        line = csv.writer(file).writerow
+        line(["disturbance", "law", "seed", *METRICS, "verdict"])
+        for setting, own in zip(plan.settings, found.rows, strict=True):
+            for row in own:
+                line([*setting.values, row["seed"], *(row[metric] for metric in METRICS), row["verdict"]])
+    with (folder / "means.csv").open("w", newline="", encoding="utf-8") as file:
+        line = csv.writer(file).writerow
+        line(["disturbance", "law", "metric", "seeds", "mean", "low", "high"])
+        for cell in found.cells:
+            low, high = cell.mean - cell.half, cell.mean + cell.half
+            line([cell.disturbance, cell.law, cell.metric, cell.n, cell.mean, low, high])
+    with (folder / "tests.csv").open("w", newline="", encoding="utf-8") as file:
+        line = csv.writer(file).writerow
+        line(["disturbance", "metric", "one", "other", "pairs", "better", "p", "holm"])
+        for test in found.tests:
+            line([test.disturbance, test.metric, test.one, test.other, test.pairs, test.better, test.p, test.holm])
+    (folder / "compare.md").write_text(found.markdown, encoding="utf-8")
+    write(folder, found.cells, f"{plan.name}: {plan.runs} runs")

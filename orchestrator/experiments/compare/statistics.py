@@ -1,0 +1,115 @@
+"""Means with their intervals over seeds, and paired tests of which law is better, corrected for their number."""
+
+from __future__ import annotations
+
+import itertools
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from hedgerow.orchestrator.experiments.compare.plan import Comparison
+from hedgerow.orchestrator.experiments.compare.runs import METRICS
+from hedgerow.orchestrator.experiments.sweep.runs import Row
+from hedgerow.topologies.graph import Array
+
+LEVEL = 0.95
+"""of every interval, and 1 - LEVEL of all tests together"""
+HIGHER_IS_BETTER = frozenset({"share_right"})
+ORACLE = "hinf"
+"""It knows the truth: it is shown, and never wins."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A metric of one law under one disturbance."""
+
+    disturbance: str
+    law: str
+    metric: str
+    values: Array
+    """by seed, NaN where it is undefined, (S,)"""
+
+    @property
+    def n(self) -> int:
+        """Return the number of seeds that have the number."""
+        return int(np.isfinite(self.values).sum())
+
+    @property
+    def mean(self) -> float:
+        """Return the mean over seeds; NaN if there is none."""
+        return float(np.nanmean(self.values)) if self.n else np.nan
+
+    @property
+    def half(self) -> float:
+        """Return half the width of the interval of the mean, by Student's t over seeds; NaN for one seed."""
+        if self.n < 2:
+            return np.nan
+        error = float(np.nanstd(self.values, ddof=1)) / self.n**0.5
+        return float(stats.t.ppf(0.5 + LEVEL / 2, self.n - 1)) * error
+
+
+@dataclass(frozen=True)
+class Test:
+    """A paired Wilcoxon signed-rank test of two laws, over the seeds in which both have the number."""
+
+    disturbance: str
+    metric: str
+    one: str
+    other: str
+    pairs: int
+    better: str
+    """the law whose median difference is better; empty if neither is"""
+    p: float
+    holm: float
+    """p corrected for all tests of the comparison"""
+
+    @property
+    def decided(self) -> bool:
+        """Return True if one law is better."""
+        return bool(self.better) and self.holm < 1 - LEVEL
+
+
+def cells(plan: Comparison, rows: Sequence[Sequence[Row]]) -> list[Cell]:
+    """Return every cell; `rows` are the runs of each setting, by seed."""
+    return [
+        Cell(*setting.values, metric, np.array([np.nan if row[metric] is None else row[metric] for row in own], float))
+        for setting, own in zip(plan.settings, rows, strict=True)
+        for metric in METRICS
+    ]
+
+
+def tests(found: Sequence[Cell]) -> list[Test]:
+    """Return a test for every pair of laws but the oracle, under every disturbance, for every metric but `switches`."""
+    of: dict[tuple[str, str], list[Cell]] = {}
+    for cell in found:
+        if cell.law != ORACLE and cell.metric != "switches":
+            of.setdefault((cell.disturbance, cell.metric), []).append(cell)
+    made = [_tested(one, other) for own in of.values() for one, other in itertools.combinations(own, 2)]
+    corrected = holm(np.array([test.p for test in made]))
+    return [Test(**{**vars(test), "holm": float(p)}) for test, p in zip(made, corrected, strict=True)]
+
+
+def _tested(one: Cell, other: Cell) -> Test:
+    apart = one.values - other.values
+    apart = apart[np.isfinite(apart)]
+    sign = 1.0 if one.metric in HIGHER_IS_BETTER else -1.0
+    p, better = 1.0, ""
+    if apart.any():
+        ranks = stats.rankdata(np.abs(apart[apart != 0])) * np.sign(apart[apart != 0])
+        better = "" if ranks.sum() == 0 else one.law if sign * ranks.sum() > 0 else other.law
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # it says that few pairs decide little, and p says so too
+            p = float(stats.wilcoxon(apart).pvalue)
+    return Test(one.disturbance, one.metric, one.law, other.law, len(apart), better, p if np.isfinite(p) else 1.0, 1.0)
+
+
+def holm(p: Array) -> Array:
+    """Return p-values corrected by Holm's step-down method, which holds whatever depends on what."""
+    order = p.argsort(kind="stable")
+    left = len(p) - np.arange(len(p))
+    corrected = np.empty_like(p)
+    corrected[order] = np.minimum(1.0, np.maximum.accumulate(p[order] * left)) if len(p) else p
+    return corrected

@@ -1,0 +1,127 @@
+"""A comparison in words and in tables, all of it computed from its numbers."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+
+from hedgerow.orchestrator.experiments.compare.runs import METRICS
+from hedgerow.orchestrator.experiments.compare.statistics import HIGHER_IS_BETTER, LEVEL, ORACLE, Cell, Test
+
+TITLES = {
+    "share_right": "nodes right",
+    "error": "|ahat - a|",
+    "regret": "regret D",
+    "cost_regret": "cost regret",
+    "gain": "gain",
+    "switches": "switches",
+}
+"""By metric: the heading of its column."""
+
+
+def number(cell: Cell) -> str:
+    """Return the mean of a cell and half of its interval."""
+    if math.isnan(cell.mean):
+        return "undefined"
+    return _figure(cell.mean) + ("" if math.isnan(cell.half) else f" ± {_figure(cell.half)}")
+
+
+def _figure(value: float) -> str:
+    return f"{value:.2f}" if 0.005 <= abs(value) < 10 or value == 0 else f"{value:.3g}"
+
+
+def grid(cells: Sequence[Cell], disturbance: str) -> list[list[str]]:
+    """Return the table of one disturbance: headings, then a row per law."""
+    own = [cell for cell in cells if cell.disturbance == disturbance]
+    laws = list(dict.fromkeys(cell.law for cell in own))
+    of = {(cell.law, cell.metric): cell for cell in own}
+    return [
+        ["law", *(TITLES[metric] for metric in METRICS)],
+        *([law, *(number(of[law, metric]) for metric in METRICS)] for law in laws),
+    ]
+
+
+def text(cells: Sequence[Cell]) -> str:
+    """Return every table for the screen."""
+    return "\n\n".join(f"{disturbance}\n{_aligned(grid(cells, disturbance))}" for disturbance in _disturbances(cells))
+
+
+def markdown(cells: Sequence[Cell], tests: Sequence[Test]) -> str:
+    """Return every table and the words as a page in Markdown."""
+    parts = []
+    for disturbance in _disturbances(cells):
+        heading, *rows = grid(cells, disturbance)
+        lines = [heading, ["---"] * len(heading), *rows]
+        table = "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
+        said = "\n".join(f"- {line}" for line in findings(cells, tests, disturbance))
+        parts.append(f"## {disturbance}\n\n{table}\n\n{said}\n")
+    return "\n".join(parts)
+
+
+def words(cells: Sequence[Cell], tests: Sequence[Test]) -> str:
+    """Return the findings under every disturbance."""
+    return "\n".join(
+        f"{disturbance}: {line}" for disturbance in _disturbances(cells) for line in findings(cells, tests, disturbance)
+    )
+
+
+def findings(cells: Sequence[Cell], tests: Sequence[Test], disturbance: str) -> list[str]:
+    """Return a sentence per metric: which law is best, which laws it beats, and which it does not.
+
+    A law beats another one if the test says so after its correction. The best law is the one with the best mean among
+    those that no other law beats.
+    """
+    found = []
+    for metric in METRICS:
+        if metric == "switches":
+            continue
+        own = [
+            cell
+            for cell in cells
+            if (cell.disturbance, cell.metric) == (disturbance, metric) and cell.law != ORACLE and cell.n
+        ]
+        if not own:
+            found.append(f"{TITLES[metric]} is undefined")
+            continue
+        beaten = {
+            (test.better, test.other if test.better == test.one else test.one)
+            for test in tests
+            if (test.disturbance, test.metric) == (disturbance, metric) and test.decided
+        }
+        losers = {law for _, law in beaten}
+        sign = 1.0 if metric in HIGHER_IS_BETTER else -1.0
+        best = max(own, key=lambda cell: (cell.law not in losers, sign * cell.mean))
+        under = [cell.law for cell in own if (best.law, cell.law) in beaten]
+        level = [cell.law for cell in own if cell.law != best.law and cell.law not in under]
+        sentence = f"{TITLES[metric]}: {best.law} is best ({number(best)})"
+        if not under:
+            sentence = f"{TITLES[metric]}: no law is distinguishably best; {best.law} has {number(best)}"
+        else:
+            sentence += f", better than {_listed(under)}"
+            if level:
+                sentence += f"; not distinguishable from {_listed(level)}"
+        found.append(sentence)
+    return found
+
+
+def method(seeds: int, count: int) -> str:
+    """Return how the numbers were made."""
+    return (
+        f"mean over {seeds} seeds ± half of its {LEVEL:.0%} interval; {count} paired Wilcoxon tests over seeds,"
+        " corrected by Holm"
+    )
+
+
+def _disturbances(cells: Sequence[Cell]) -> list[str]:
+    return list(dict.fromkeys(cell.disturbance for cell in cells))
+
+
+def _listed(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def _aligned(lines: Sequence[Sequence[str]]) -> str:
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    padded = (itertools.starmap(str.ljust, zip(line, widths, strict=True)) for line in lines)
+    return "\n".join("  ".join(row).rstrip() for row in padded)

@@ -1,0 +1,49 @@
+"""A progress bar on the screen for work that takes a known time, and lines where there is no terminal."""
+
+from __future__ import annotations
+
+import sys
+import time
+from types import TracebackType
+
+from rich.console import Console
+from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
+from rich.progress import Progress as Bar
+
+from hedgerow.topologies.escape import escape
+
+
+class Progress:
+    """The share of a budget of time that has passed, and the last thing to say."""
+
+    def __init__(self, title: str, seconds: float, quiet: bool = False) -> None:
+        """`quiet` shows nothing at all."""
+        self._quiet, self._began = quiet, time.monotonic()
+        console = Console(stderr=True)
+        columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeRemainingColumn())
+        self._bar = Bar(*columns, console=console, transient=True) if console.is_terminal and not quiet else None
+        self._title = escape(title)
+        self._task = self._bar.add_task(self._title, total=seconds) if self._bar is not None else None
+
+    def __enter__(self) -> Progress:
+        if self._bar is not None:
+            self._bar.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+    def update(self) -> None:
+        """Show how much time has passed."""
+        if self._bar is not None and self._task is not None:
+            self._bar.update(self._task, completed=time.monotonic() - self._began)
+
+    def say(self, text: str) -> None:
+        """Show a text beside the bar, or as a line on standard error."""
+        if self._bar is not None and self._task is not None:
+            self._bar.update(self._task, description=f"{self._title}: {escape(text)}")
+        elif not self._quiet:
+            print(f"{time.monotonic() - self._began:6.1f} s  {escape(text)}", file=sys.stderr)

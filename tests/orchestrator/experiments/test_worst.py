@@ -1,0 +1,160 @@
+"""The search for the worst disturbance: its loop is the engine's, its steps climb, and its claims repeat."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import hedgerow as hg
+from hedgerow.orchestrator.cli.gain import seconds_of
+from hedgerow.orchestrator.experiments.sweep.runs import run_here
+from hedgerow.orchestrator.experiments.worst import at_least, worst
+from hedgerow.orchestrator.experiments.worst.hunt import Attack, Hunt
+from hedgerow.orchestrator.experiments.worst.loop import NONE, Breaks, Scene, ascend, play
+from hedgerow.orchestrator.experiments.worst.search import Island, Kind
+from hedgerow.orchestrator.launch.running import run_to_the_end
+from hedgerow.orchestrator.metrics.guarantee import plant_of
+from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.schema import Topology
+from tests.tools.networks import VECTORS, from_vector, networks, read
+
+EAGER = read(
+    "{name: eager, b: 0.1, steps: 8, defaults: {a: 0.3, candidates: [0.3, 0.979]}, nodes: [1, 2], edges: [[1, 2]]}"
+)
+
+
+def vector(name: str) -> Topology:
+    (path,) = (path for path in VECTORS if path.stem == name)
+    return from_vector(path)[0]
+
+
+@settings(max_examples=15, deadline=None, suppress_health_check=list(HealthCheck))
+@given(data=st.data())
+def test_the_loop_of_the_search_is_the_engine(data: st.DataObject) -> None:
+    """Under any cuts and drops that last to the end."""
+    hunt = Hunt(data.draw(networks(steps=12)))
+    graph, steps = hunt.scene.graph, 12
+    first = st.integers(0, steps - 1)
+    cuts = data.draw(st.lists(st.tuples(st.integers(0, max(0, len(graph.edges) - 1)), first), max_size=2))
+    drops = data.draw(st.lists(st.tuples(st.integers(0, max(0, len(graph.node) - 1)), first), max_size=2))
+    breaks = Breaks(tuple(cuts), tuple(drops)) if len(graph.edges) else NONE
+    w = np.random.default_rng(data.draw(st.integers(0, 99))).standard_normal((2, steps, graph.n))
+    played = play(hunt.scene, w, breaks)
+    for k in range(2):
+        content = run_here(hunt.topology_of(Attack(w[k], False, breaks, 0.0, 0.0, steps)))
+        assert not [reason for reason in content["reasons"] if "could not fire" not in reason]
+        if played.sound[-1, k]:
+            gain = math.sqrt(played.cost[:, k].sum() / np.square(w[k]).sum())
+            assert content["metrics"]["gain"] == pytest.approx(gain, rel=1e-9)
+
+
+def test_a_climb_is_along_the_gradient_of_the_cost() -> None:
+    """Under hinf the loop is linear, so that a step of the power method is half the gradient."""
+    scene = Scene.of(hg.load("paper7", law="hinf"))
+    w = np.random.default_rng(0).standard_normal((1, 6, 7))
+    breaks = Breaks(cuts=((1, 3),))
+    found = ascend(scene, play(scene, w, breaks), [6], breaks)[0]
+    gradient = np.zeros((6, 7))
+    for t, i in np.ndindex(6, 7):
+        moved = [w.copy(), w.copy()]
+        moved[0][0, t, i] += 1e-6
+        moved[1][0, t, i] -= 1e-6
+        more, less = (float(play(scene, one, breaks).cost.sum()) for one in moved)
+        gradient[t, i] = (more - less) / 2e-6
+    scaled = gradient * np.linalg.norm(w) / np.linalg.norm(gradient)
+    np.testing.assert_allclose(found, scaled, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("topology", "kind", "generations", "least"),
+    [
+        (EAGER, Kind(8, False), 120, 8.2),
+        (hg.load("paper7"), Kind(1, True), 25, 3.36),
+        (vector("v1_path2"), Kind(1, True), 25, 5.63),
+        (vector("v2_tree7"), Kind(1, True), 25, 5.63),
+        (hg.load("paper7", law="hinf"), Kind(1, True), 25, 2.973),
+    ],
+)
+def test_gains_of_the_table_are_reached(topology: Topology, kind: Kind, generations: int, least: float) -> None:
+    scene, best = Scene.of(topology), 0.0
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        island = Island.new(scene, kind, 32, rng)
+        for _ in range(generations):
+            island.evolve(scene, rng)
+        best = max(best, math.sqrt(island.score.max()))
+        if best > least:
+            return
+    pytest.fail(f"the best gain is {best}")
+
+
+def test_a_model_that_wins_by_rounding_is_no_attack() -> None:
+    """Two candidates, equally near a + w/x: the first wins in exact arithmetic, and rounding may choose either."""
+    scene = Scene.of(read("{name: one, b: 0.1, steps: 9, nodes: {1: {a: 0.5, candidates: [0.25, 0.75, 0.5]}}}"))
+    w = np.zeros((2, 6, 1))
+    w[:, 0] = 1.0
+    w[0, 1] = 0.125  # x(1) = 1, and a + w/x is midway between two candidates
+    w[1, 1] = 0.120
+    played = play(scene, w)
+    assert not played.sound[-1, 0]
+    assert played.sound[-1, 1]
+
+
+def test_a_search_writes_a_network_that_repeats_its_gain_and_goes_on(tmp_path: Path) -> None:
+    out = tmp_path / "worst.yaml"
+    said: list[str] = []
+    first = worst(EAGER, 1.0, out=out, say=said.append)
+    assert run_here(hg.load(out))["metrics"]["gain"] == pytest.approx(first.gain, rel=1e-9)
+    told = json.loads((tmp_path / "worst.json").read_text())
+    assert told["gain"] == first.gain
+    assert at_least(plant_of(EAGER.network), tmp_path) == first.limit
+    assert first.gain <= first.guarantee.bounds[first.premise].gain
+    again = worst(EAGER, 0.5, out=out, say=said.append)
+    assert again.limit >= first.limit * (1 - 1e-9)
+    assert again.seconds == pytest.approx(1.5)
+    assert any("goes on" in line for line in said)
+    other = worst(hg.load("line5"), 0.5, out=out)
+    assert other.seconds == pytest.approx(0.5)
+    assert at_least(plant_of(EAGER.network), tmp_path) is None
+
+
+def test_faults_are_part_of_the_network_that_repeats_the_gain(tmp_path: Path) -> None:
+    found = hg.worst(EAGER, budget=3.0, faults=True, out=tmp_path / "w.yaml")
+    content = run_here(hg.load(tmp_path / "w.yaml"))
+    assert content["verdict"] == "valid"
+    assert content["metrics"]["gain"] == pytest.approx(found.gain, rel=1e-9)
+    assert found.faults
+    assert len(content["faults"]) == len(found.attack.breaks)
+
+
+@pytest.mark.parametrize("law", ["hinf", "nominal", "minimax"])
+def test_a_gain_repeats_over_zenoh(law: str, tmp_path: Path) -> None:
+    found = worst(hg.load("line5", law=law), 1.0, steps=150)
+    run_to_the_end(found.topology, tmp_path / "run", "--viewer", "none", "--no-record", listed=False)
+    content: dict[str, Any] = json.loads((tmp_path / "run/verdict.json").read_text())
+    assert content["verdict"] == "valid"
+    assert content["metrics"]["gain"] == pytest.approx(found.gain, rel=1e-9)
+
+
+def test_a_state_that_is_no_state_is_left_alone(tmp_path: Path) -> None:
+    for text in (b"", b"no zip", b"PK\x03\x04"):
+        (tmp_path / "worst.npz").write_bytes(text)
+        assert not Hunt(EAGER).resume(tmp_path / "worst.npz")
+
+
+@pytest.mark.parametrize(("text", "seconds"), [("90", 90), ("60s", 60), ("5m", 300), ("0.5 h", 1800)])
+def test_a_budget_is_a_time(text: str, seconds: float) -> None:
+    assert seconds_of(text) == seconds
+
+
+@pytest.mark.parametrize("text", ["", "0", "-1", "60x", "s", "1e9"])
+def test_what_is_no_time_is_refused(text: str) -> None:
+    with pytest.raises(UserError):
+        seconds_of(text)

@@ -1,0 +1,66 @@
+"""The reader of a file, by its ending and, where that leaves it open, by its first characters."""
+
+from __future__ import annotations
+
+import json
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from hedgerow.topologies.errors import Code, UserError
+from hedgerow.topologies.importing.found import Found, refuse
+from hedgerow.topologies.importing.options import Options
+from hedgerow.topologies.regular_file import open_regular, read_regular
+
+_TEXT = (".csv", ".tsv", ".txt", ".edges", ".edgelist", ".edge", ".dat", ".adj")
+_BY_ENDING: dict[str, tuple[str, str, str | None]] = {
+    ".graphml": ("graphs", "read", "graphml"),
+    ".xml": ("graphs", "read", "graphml"),
+    ".gml": ("graphs", "read", "gml"),
+    ".gexf": ("graphs", "read", "gexf"),
+    ".net": ("graphs", "read", "pajek"),
+    ".paj": ("graphs", "read", "pajek"),
+    ".mtx": ("matrices", "read_market", None),
+    ".npz": ("matrices", "read_sparse", None),
+    ".m": ("power", "read_m", None),
+    ".mat": ("power", "read_mat", None),
+    ".inp": ("water", "read", None),
+    **dict.fromkeys(_TEXT, ("tables", "read", None)),
+}
+"""by ending: the module, its function, and the kind that it is told"""
+
+
+def read(path: Path, options: Options) -> Found:
+    """Return what is found in a file; raise UserError if no reader knows it, or the reader refuses it."""
+    try:
+        with open_regular(path) as file:
+            head = file.read(512)
+        module, function, kind = _reader(path, head)
+        reader: Any = getattr(import_module(f"hedgerow.topologies.importing.{module}"), function)
+        found: Found = reader(path, options) if kind is None else reader(path, options, kind)
+    except OSError as error:
+        code = Code.FILE_MISSING if isinstance(error, FileNotFoundError) else Code.FILE_UNREADABLE
+        raise UserError(f"{path}: {error.strerror or error}. Check the path and its permissions.", code=code) from None
+    return found
+
+
+def _reader(path: Path, head: bytes) -> tuple[str, str, str | None]:
+    ending = path.suffix.lower()
+    if ending == ".json":
+        return _json(path)
+    if ending in _BY_ENDING and not head.startswith(b"%%MatrixMarket"):
+        return _BY_ENDING[ending]
+    if head.startswith(b"%%MatrixMarket"):
+        return _BY_ENDING[".mtx"]
+    known = ", ".join(sorted([*_BY_ENDING, ".json"]))
+    raise refuse(path, "no reader knows this ending", f"Known endings are {known}", Code.OPTION)
+
+
+def _json(path: Path) -> tuple[str, str, str | None]:
+    try:
+        content = json.loads(read_regular(path, growth=15))
+    except (ValueError, RecursionError) as error:
+        raise refuse(path, f"is no JSON: {error}", "Check its format") from None
+    if isinstance(content, dict) and content.get("_class") == "pandapowerNet":
+        return "power", "read_pandapower", None
+    return "graphs", "read", "node-link"

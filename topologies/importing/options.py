@@ -1,0 +1,47 @@
+"""Options of an import, which the command line and Python share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from hedgerow.topologies.errors import Code, UserError
+
+
+@dataclass(frozen=True)
+class Options:
+    """How a source becomes a topology; None leaves the choice to the reader, which reports it."""
+
+    name: str | None = None
+    """of the run"""
+    weight: str | None = None
+    """an edge attribute, or a number for all edges"""
+    storage: str | float | None = None
+    """a node attribute, or a number for all nodes: b_i = b/sqrt(storage)"""
+    junction_storage: float | None = None
+    """of nodes that have none of their own; of the junctions of a water network [m^2]"""
+    largest_component: bool = False
+    max_degree: int | None = None
+    b: float | None = None
+    steps: int | None = None
+    seed: int = 1
+    time_step: float | None = None
+    """[s], for sources with physical units"""
+    leak: float | None = None
+    """the rate [1/h] at which a node loses its content: a = exp(-leak * time step)"""
+    reservoirs: float | None = None
+    """the storage [m^2] of reservoirs; they are dropped if it is None"""
+
+    def __post_init__(self) -> None:
+        """Raise UserError for a number that cannot be."""
+        for option, value in (
+            ("--junction-storage", self.junction_storage),
+            ("--b", self.b),
+            ("--time-step", self.time_step),
+            ("--leak", self.leak),
+            ("--reservoir-storage", self.reservoirs),
+        ):
+            if value is not None and not 0 < value < 1e100:
+                raise UserError(f"{option} {value:g}: is not above 0. Give a number above 0.", code=Code.OPTION)
+        for option, whole in (("--max-degree", self.max_degree), ("--steps", self.steps)):
+            if whole is not None and whole < 1:
+                raise UserError(f"{option} {whole}: is below 1. Give a whole number from 1.", code=Code.OPTION)

@@ -1,0 +1,213 @@
+"""Power grids: MATPOWER cases, .m and .mat, and pandapower networks.
+
+A node is a bus, an edge a branch that is in service. Its weight is the susceptance 1/(x tap) per unit, by which a
+difference of angles makes a flow of power.
+"""
+
+from __future__ import annotations
+
+import json
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hedgerow.topologies.errors import Code, UserError
+from hedgerow.topologies.graph import Array
+from hedgerow.topologies.importing import matrices
+from hedgerow.topologies.importing.found import Found, as_number, places, refuse, storage_of
+from hedgerow.topologies.importing.options import Options
+from hedgerow.topologies.importing.simple import only
+from hedgerow.topologies.regular_file import read_regular
+
+if TYPE_CHECKING:
+    import pandapower
+
+GROWTH = 60
+"""bytes of memory for a byte of a file"""
+F_BUS, T_BUS, BR_X, TAP, BR_STATUS = 0, 1, 3, 8, 10
+BUS_I, BUS_TYPE, BASE_KV = 0, 1, 9
+ISOLATED = 4
+BUS_COLUMNS = ("BUS_I", "BUS_TYPE", "PD", "QD", "GS", "BS", "BUS_AREA", "VM", "VA", "BASE_KV")
+TRUSTED = {"pandapower", "pandas", "numpy", "networkx", "shapely", "geopandas"}
+"""modules whose objects a pandapower file may hold: its reader imports the modules that the file names"""
+
+
+def read_m(path: Path, options: Options) -> Found:
+    """Return the grid of a MATPOWER case, .m."""
+    text = read_regular(path, growth=GROWTH)
+    if b"mpc" not in text:
+        raise refuse(path, "is no MATPOWER case: it sets no field of `mpc`", "Name a case file")
+    try:
+        from matpowercaseframes import CaseFrames  # noqa: PLC0415
+    except ImportError:
+        raise missing("matpowercaseframes", "power") from None
+    try:
+        case = CaseFrames(str(path.resolve()))
+        bus, branch = case.bus, case.branch
+        names = getattr(case, "bus_name", None)
+    except Exception as error:  # the reader raises what its expressions and pandas raise
+        raise refuse(path, f"is no MATPOWER case that can be read: {str(error)[:200]}", "Check its format") from None
+    labels = None if names is None else [str(name).strip() or None for name in names]
+    return of_case(path, np.asarray(bus, dtype=float), np.asarray(branch, dtype=float), options, labels)
+
+
+def read_mat(path: Path, options: Options) -> Found:
+    """Return the grid of a MATPOWER case, .mat, or the graph of the one square matrix in the file."""
+    import io  # noqa: PLC0415
+
+    from scipy.io import loadmat  # noqa: PLC0415 (half a second to load)
+
+    data = read_regular(path, growth=GROWTH)
+    try:
+        content = loadmat(io.BytesIO(data))
+    except Exception as error:  # damaged files raise many kinds
+        raise refuse(path, f"is no MATLAB file that SciPy can read: {str(error)[:200]}", "Save it with -v7") from None
+    mpc = content.get("mpc")
+    if mpc is None or mpc.dtype.names is None or not {"bus", "branch"} <= set(mpc.dtype.names):
+        return matrices.of_mat(content, path, options)
+    bus, branch = (np.asarray(mpc[key].item(), dtype=float) for key in ("bus", "branch"))
+    return of_case(path, bus, branch, options)
+
+
+def of_case(
+    path: Path, bus: Array, branch: Array, options: Options, labels: Sequence[str | None] | None = None
+) -> Found:
+    """Return the grid of the tables `bus` and `branch` of a case."""
+    if bus.ndim != 2 or branch.ndim != 2 or bus.shape[1] <= BASE_KV or branch.shape[1] <= TAP:
+        raise refuse(path, "has no tables `bus` and `branch` of a MATPOWER case", "Name a case file")
+    place = {int(number): k for k, number in enumerate(bus[:, BUS_I])}
+    ends = [(int(i), int(j)) for i, j in branch[:, [F_BUS, T_BUS]]]
+    for i, j in ends:
+        if i not in place or j not in place:
+            raise refuse(path, f"branch {i} - {j} leads to a bus that is not in `bus`", "Add the bus")
+    edges = np.array([(place[i], place[j]) for i, j in ends], dtype=np.int64).reshape(-1, 2)
+    closed = branch[:, BR_STATUS] > 0 if branch.shape[1] > BR_STATUS else np.ones(len(branch), dtype=bool)
+    changes = []
+    if (open_ := int((~closed).sum())) > 0:
+        changes.append(f"{open_} branch{'es' if open_ > 1 else ''} out of service dropped")
+    tap = np.where(branch[:, TAP] == 0, 1.0, branch[:, TAP])
+    with np.errstate(divide="ignore"):
+        weights = 1 / (branch[:, BR_X] * tap)
+    fact = "The weight of a branch is its susceptance 1/(x tap) [p.u.]"
+    if options.weight is not None:
+        if (number := as_number(options.weight)) is None:
+            raise refuse(f"--weight {options.weight}", "a branch has its susceptance", "Give a number", Code.OPTION)
+        weights, fact = np.full(len(branch), number), f"Every branch has the weight {number:g}, as the command says"
+    attributes = [dict(zip(BUS_COLUMNS, row, strict=False)) for row in bus.tolist()]
+    storage, of_storage = storage_of(str(path), options.storage, attributes, options.junction_storage, "bus")
+    found = Found(
+        source=str(path),
+        names=list(place),
+        edges=edges[closed],
+        labels=labels if labels is not None and len(labels) == len(place) else None,
+        weights=weights[closed],
+        storage=storage,
+        edge_names=[f"branch {k + 1}" for k in np.flatnonzero(closed)],
+        sign=_sign,
+        facts=[fact, *([of_storage] if of_storage else [])],
+        changes=changes,
+    )
+    if storage is None:
+        found.assumptions.append("Every bus has the same storage: a case has no inertia; --storage gives one")
+    if not (connected := bus[:, BUS_TYPE] != ISOLATED).all():
+        found.changes.append(f"{int((~connected).sum())} isolated buses (type 4) dropped")
+        found = only(found, np.flatnonzero(connected))
+    return found
+
+
+def _sign(weight: float) -> str:
+    """Return what a branch is whose weight is not above 0."""
+    if np.isinf(weight):
+        return "a branch without reactance: a bus tie or a switch"
+    return "a series capacitor, or the star point of a three-winding transformer" if weight < 0 else "no reactance"
+
+
+def read_pandapower(path: Path, options: Options) -> Found:
+    """Return the grid of a pandapower file, .json, by pandapower's own conversion to a MATPOWER case."""
+    content = read_regular(path, growth=GROWTH)
+    _check_modules(path, content)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            import pandapower  # noqa: PLC0415 (a second)
+            from pandapower.converter.pypower.to_ppc import to_ppc  # noqa: PLC0415
+    except ImportError:
+        raise missing("pandapower", "power") from None
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            net = pandapower.from_json_string(content.decode())
+            case = to_ppc(net, init="flat", calculate_voltage_angles=True, mode="pf")
+    except Exception as error:  # the conversion raises what its parts raise
+        raise refuse(
+            path, f"pandapower cannot read it: {str(error)[:200]}", "Open and save it with pandapower"
+        ) from None
+    bus, branch = (np.asarray(case[key]).real.astype(float) for key in ("bus", "branch"))
+    lookup = net._pd2ppc_lookups["bus"]
+    first = {int(number): k for k, number in enumerate(bus[:, BUS_I])}
+    members: dict[int, list[Any]] = {}
+    for index in net.bus.index:
+        members.setdefault(first[int(lookup[index])], []).append(index)
+    labels = [_label(net, members.get(k, []), k) for k in range(len(bus))]
+    found = of_case(path, bus, branch, options, None)
+    kept = [first[int(str(name))] for name in found.names]
+    found.labels = [labels[k] for k in kept]
+    found.names = [members[k][0] if members.get(k) else f"aux_{k}" for k in kept]
+    found.positions = places([_place(net, members.get(k, [])) for k in kept])
+    fused = sum(len(own) - 1 for own in members.values())
+    if fused:
+        found.changes.append(f"{fused} bus{'es' if fused > 1 else ''} fused with others: closed switches join them")
+    return found
+
+
+def _label(net: pandapower.pandapowerNet, buses: Sequence[Any], k: int) -> str | None:
+    if not buses:
+        return f"star point {k}"
+    name = net.bus.at[buses[0], "name"]
+    return str(name) if name is not None and name == name and str(name).strip() else None  # noqa: PLR0124
+
+
+def _place(net: pandapower.pandapowerNet, buses: Sequence[Any]) -> tuple[float, float] | None:
+    """Return the position of a bus, which pandapower holds as a GeoJSON point."""
+    if not buses or "geo" not in net.bus or not isinstance(geo := net.bus.at[buses[0], "geo"], str):
+        return None
+    try:
+        x, y = json.loads(geo)["coordinates"][:2]
+        return float(x), float(y)
+    except (ValueError, KeyError, TypeError):
+        return None
+
+
+def _check_modules(path: Path, content: bytes) -> None:
+    """Raise UserError for a file that names modules other than those of its own tools: its reader imports them all."""
+    try:
+        waiting = [json.loads(content)]
+    except (ValueError, RecursionError):
+        raise refuse(path, "is no JSON", "Check its format") from None
+    while waiting:
+        at = waiting.pop()
+        if isinstance(at, dict):
+            module = at.get("_module")
+            if module is not None and str(module).partition(".")[0] not in TRUSTED:
+                raise refuse(
+                    path, f"names the module {str(module)[:60]!r}, which its reader would import", "Remove that object"
+                )
+            waiting += at.values()
+        elif isinstance(at, list):
+            waiting += at
+        elif isinstance(at, str) and "_module" in at:
+            try:
+                waiting.append(json.loads(at))
+            except (ValueError, RecursionError):
+                continue
+
+
+def missing(package: str, extra: str) -> UserError:
+    """Return the error for a reader that is not installed, for the caller to raise."""
+    return UserError(
+        f"{package}: is not installed, and reads this file. Install it: pip install 'hedgerow[{extra}]'.",
+        code=Code.OPTION,
+    )

@@ -1,0 +1,266 @@
+"""Edges and matrices as text: edge lists, CSV files with or without a header, adjacency matrices, data frames."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Hashable, Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hedgerow.topologies.base import node_id
+from hedgerow.topologies.graph import Array, Index
+from hedgerow.topologies.importing.found import Found, as_number, refuse, weights_of
+from hedgerow.topologies.importing.options import Options
+from hedgerow.topologies.regular_file import read_regular
+
+GROWTH = 25
+"""bytes of memory for a byte of a file: every cell is text first"""
+COMMENTS = ("#", "%", "//")
+FROM = ("source", "from", "src", "node1", "u", "i", "a", "start", "from_node", "node_from", "tail")
+TO = ("target", "to", "dst", "node2", "v", "j", "b", "end", "to_node", "node_to", "head")
+_SEPARATORS = ",;\t| "
+
+
+def read(path: Path, options: Options) -> Found:
+    """Return the graph in a text of edges, one per row, or of an adjacency matrix.
+
+    A matrix is a square of numbers, with or without a row and a column of names. A row of edges begins with the two
+    ends, if no header names the columns.
+    """
+    rows = _rows(path)
+    if not rows:
+        raise refuse(path, "has no rows", "Write an edge per row, such as `1,2`")
+    matrix = _matrix(rows)
+    if matrix is not None:
+        names, values = matrix
+        return of_matrix(values, options, str(path), names)
+    return _edges(path, rows, options)
+
+
+def _rows(path: Path) -> list[tuple[int, list[str]]]:
+    """Return the rows of a file, without comments, and their lines."""
+    try:
+        text = read_regular(path, growth=GROWTH).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise refuse(path, f"byte {error.start} is not UTF-8 text", "Save the file as UTF-8") from None
+    lines = [(k, line) for k, line in enumerate(text.splitlines(), 1)]
+    lines = [(k, line) for k, line in lines if line.strip() and not line.lstrip().startswith(COMMENTS)]
+    separator = _separator([line for _, line in lines[:50]])
+    try:
+        if separator == " ":
+            return [(k, line.split()) for k, line in lines]
+        reader = csv.reader(
+            io.StringIO("\n".join(line for _, line in lines)), delimiter=separator, skipinitialspace=True
+        )
+        return [(k, [cell.strip() for cell in row]) for (k, _), row in zip(lines, reader, strict=False)]
+    except csv.Error as error:
+        raise refuse(path, f"is no table: {error}", "Write an edge per row") from None
+
+
+def _separator(lines: Sequence[str]) -> str:
+    """Return the character that separates the cells: the first of `,;TAB|` that every line has, else blanks."""
+    return next((sign for sign in _SEPARATORS[:-1] if lines and all(sign in line for line in lines)), " ")
+
+
+def _number(cell: str) -> float | None:
+    return 0.0 if not cell else as_number(cell)
+
+
+def _matrix(rows: Sequence[tuple[int, list[str]]]) -> tuple[list[Hashable] | None, Array] | None:
+    """Return the names and the values of an adjacency matrix, or None if the rows are no square of numbers."""
+    cells = [row for _, row in rows]
+    widths = {len(row) for row in cells}
+    names: list[Hashable] | None = None
+    if len(cells) == max(widths) == len(cells[0]) and len(cells) > 2 and not cells[0][0] and len(widths) == 1:
+        names = [node_id(cell) for cell in cells[0][1:]]  # the corner is empty
+        cells = [row[1:] for row in cells[1:]]
+    elif len(cells) > 2 and len(widths) == 1 and len(cells) == len(cells[0]) + 1 and _named(cells[0]):
+        names, cells = [node_id(cell) for cell in cells[0]], cells[1:]
+    elif len(cells) > 2 and len(widths) == 1 and len(cells) == len(cells[0]) and _named(cells[0][1:]):
+        names, cells = [node_id(cell) for cell in cells[0][1:]], [row[1:] for row in cells[1:]]
+    n = len(cells)
+    # Two edges of two columns look like a matrix of two nodes: edges are meant far more often.
+    if n < 3 or any(len(row) != n for row in cells):
+        return None
+    values = np.empty((n, n))
+    for k, row in enumerate(cells):
+        for column, cell in enumerate(row):
+            if (value := _number(cell)) is None:
+                return None
+            values[k, column] = value
+    # Three edges of a triangle, with weights, are a square as well: a matrix of an undirected graph is symmetric.
+    if names is None and n == 3 and not np.array_equal(values, values.T):
+        return None
+    return names, values
+
+
+def _named(cells: Sequence[str]) -> bool:
+    return len(set(cells)) == len(cells) and all(cell and as_number(cell) is None for cell in cells)
+
+
+def _edges(path: Path, rows: Sequence[tuple[int, list[str]]], options: Options) -> Found:
+    header: list[str] | None = None
+    first = rows[0][1]
+    lower = [cell.lower() for cell in first]
+    known = [cell for cell in lower if cell in (*FROM, *TO, "weight")]
+    if len(known) >= 2 or (
+        len(first) > 2 and all(_number(cell) is None for cell in first) and _numeric_column(rows[1:])
+    ):
+        header, rows = first, rows[1:]
+    i, j = _columns(header)
+    for line, row in rows:
+        if len(row) <= max(i, j) or not row[i] or not row[j]:
+            raise refuse(f"{path}:{line}", "has no two ends of an edge", "Write an edge per row, such as `1,2`")
+    others = _attributes(header, rows, (i, j))
+    named = [f"{path}:{line}" for line, _ in rows]
+    return of_pairs([row[i] for _, row in rows], [row[j] for _, row in rows], others, options, str(path), named)
+
+
+def _numeric_column(rows: Sequence[tuple[int, list[str]]]) -> bool:
+    return any(len(row) > 2 and all(_number(cell) is not None for cell in row[2:]) for _, row in rows[:1])
+
+
+def _columns(header: Sequence[str] | None) -> tuple[int, int]:
+    """Return the columns of the two ends."""
+    if header is None:
+        return 0, 1
+    lower = [cell.lower() for cell in header]
+    i = next((lower.index(name) for name in FROM if name in lower), 0)
+    j = next((lower.index(name) for name in TO if name in lower and lower.index(name) != i), 1 if i == 0 else 0)
+    return i, j
+
+
+def _attributes(
+    header: Sequence[str] | None, rows: Sequence[tuple[int, list[str]]], ends: tuple[int, int]
+) -> dict[str, list[Any]]:
+    """Return the other columns by name; without a header, the third one is `weight` if it holds numbers."""
+    width = max((len(row) for _, row in rows), default=0)
+    found: dict[str, list[Any]] = {}
+    for column in range(width):
+        if column in ends:
+            continue
+        if header is None:
+            name = "weight" if column == 2 else f"column{column + 1}"
+        else:
+            name = header[column] if column < len(header) else f"column{column + 1}"
+        cells = [row[column] if column < len(row) and row[column] else None for _, row in rows]
+        values = [
+            None if cell is None else number if (number := as_number(cell)) is not None else cell for cell in cells
+        ]
+        found[name] = values
+    return found
+
+
+def of_pairs(
+    tails: Iterable[Hashable],
+    heads: Iterable[Hashable],
+    columns: dict[str, list[Any]],
+    options: Options,
+    source: str,
+    edge_names: Sequence[str] | None = None,
+) -> Found:
+    """Return the graph of edges that are given by the names of their ends; `columns` are their attributes."""
+    place: dict[Hashable, int] = {}
+
+    def position(name: Hashable) -> int:
+        return place.setdefault(node_id(name) if isinstance(name, str) else name, len(place))
+
+    ends = [(position(i), position(j)) for i, j in zip(tails, heads, strict=True)]
+    edges = np.array(ends, dtype=np.int64).reshape(-1, 2)
+    names = list(place)
+    attributes = (
+        [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)] if columns else []
+    )
+
+    def named(k: int) -> str:
+        return edge_names[k] if edge_names is not None else f"edge {names[edges[k, 0]]} - {names[edges[k, 1]]}"
+
+    weights, fact = weights_of(source, options.weight, attributes or [{}] * len(edges), named)
+    if isinstance(options.storage, str) and as_number(options.storage) is None:
+        raise refuse(f"--storage {options.storage}", "a list of edges has no attributes of nodes", "Give a number")
+    storage = None if options.storage is None else np.full(len(names), float(options.storage))
+    return Found(
+        source, names, edges, directed=False, weights=weights, storage=storage, edge_names=edge_names, facts=[fact]
+    )
+
+
+def of_matrix(
+    matrix: Any, options: Options, source: str, names: Sequence[Hashable] | None = None, first: int = 0
+) -> Found:
+    """Return the graph of an adjacency matrix, dense or sparse: an entry that is not 0 is an edge of this weight.
+
+    Nodes are numbered from `first` if they have no names. A symmetric matrix names every edge twice, which is once.
+    """
+    from scipy.sparse import coo_array  # noqa: PLC0415 (half a second to load)
+
+    try:
+        entries = coo_array(matrix)
+    except (TypeError, ValueError) as error:
+        raise refuse(source, f"is no matrix of numbers: {error}", "Give an array (n, n)") from None
+    if entries.ndim != 2 or entries.shape[0] != entries.shape[1]:
+        raise refuse(source, f"has the shape {entries.shape}, which is no square", "Give an adjacency matrix (n, n)")
+    n = entries.shape[0]
+    if names is not None and len(names) != n:
+        raise refuse(source, f"{len(names)} names for {n} nodes", "Give a name per node")
+    if entries.data.dtype.kind not in "biuf":
+        raise refuse(source, f"holds {entries.data.dtype}, not numbers", "Give an array of numbers")
+    entries.sum_duplicates()
+    edges: Index = np.stack(entries.coords, axis=1).astype(np.int64)
+    values = entries.data.astype(float)
+    kept = values != 0
+    edges, values = edges[kept], values[kept]
+    if edges.size and (options.weight is not None):
+        number = as_number(options.weight)
+        if number is None:
+            raise refuse(f"--weight {options.weight}", "a matrix has no attributes of edges", "Give a number")
+        values = np.full(len(edges), number)
+    ones = bool((values == 1).all())
+    storage = None
+    if options.storage is not None:
+        if (size := as_number(options.storage)) is None:
+            raise refuse(f"--storage {options.storage}", "a matrix has no attributes of nodes", "Give a number")
+        storage = np.full(n, size)
+    return Found(
+        source,
+        names=list(range(first, first + n)) if names is None else list(names),
+        edges=edges,
+        directed=True,
+        weights=None if ones else values,
+        storage=storage,
+        facts=["Every edge has the weight 1" if ones else "The weights are the entries of the matrix"],
+    )
+
+
+def of_frame(frame: Any, options: Options, source: str, tail: str | None, head: str | None) -> Found:
+    """Return the graph of a data frame of edges: pandas, polars, pyarrow, or anything that dict() makes columns of."""
+    if hasattr(frame, "to_pydict"):
+        columns = frame.to_pydict()
+    elif hasattr(frame, "to_dict"):
+        columns = frame.to_dict("list") if hasattr(frame, "iloc") else frame.to_dict(as_series=False)
+    else:
+        columns = {key: list(values) for key, values in dict(frame).items()}
+    columns = {str(key): list(values) for key, values in columns.items()}
+    listed = list(columns)
+    if len(listed) < 2:
+        raise refuse(source, "has fewer than two columns", "Give a column for each end of an edge")
+    i, j = _columns(listed)
+    ends = []
+    for given, default in ((tail, listed[i]), (head, listed[j])):
+        if given is not None and given not in columns:
+            raise refuse(source, f"has no column {given!r}", f"Its columns are {', '.join(listed)}")
+        ends.append(given or default)
+    return of_pairs(
+        columns[ends[0]],
+        columns[ends[1]],
+        {key: [_missing(one) for one in values] for key, values in columns.items() if key not in ends},
+        options,
+        source,
+    )
+
+
+def _missing(value: Any) -> Any:
+    """Return None for a missing value of pandas, which is NaN."""
+    return None if isinstance(value, float) and value != value else value  # noqa: PLR0124
