@@ -22,7 +22,7 @@ SAYS = {
     Premise.JUMPS: "any estimates, any closed edges, and any a within its list at any step (jump)",
 }
 TIME_LIMIT_S = 600.0
-RUN_LIMIT_S = 10.0
+RUN_LIMIT_S = 30.0
 """of the bounds that certify a run, all three together: the end of the run waits for them"""
 REMEMBERED = 64
 

@@ -78,7 +78,7 @@ def compare(plan: Comparison, out: Path | None = None, jobs: int | None = None, 
     `jobs` is the number of processes, all cores by default; with 1, the runs are made in this process.
     Raises UserError for a mistake, and HedgerowError if a run cannot be made.
     """
-    with SweepFolder(plan, out or plan.default_out) as folder:
+    with SweepFolder(plan, out or plan.default_out, METRICS) as folder:
         there = folder.there
         if not quiet:
             count = f"{len(plan.laws)} laws, {len(plan.disturbances)} disturbances, {len(plan.seeds)} seeds"

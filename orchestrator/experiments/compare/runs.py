@@ -14,6 +14,7 @@ from hedgerow.orchestrator.experiments.compare.estimates import judged, switches
 from hedgerow.orchestrator.experiments.sweep.plan import Chunk, Plan
 from hedgerow.orchestrator.experiments.sweep.runs import Answer, Failure, Row
 from hedgerow.orchestrator.ground.assignment import layout, truth_of, views_of
+from hedgerow.orchestrator.ground.law_source import need_same
 from hedgerow.orchestrator.ground.laws import completed
 from hedgerow.orchestrator.metrics.observer import Batch, Observer, rows_at_once
 from hedgerow.orchestrator.metrics.verdict import VALID, Ending, judge
@@ -34,6 +35,7 @@ def answer(plan: Plan, chunk: Chunk) -> Answer:
     where = f"seed {chunk.seeds[0]} and on, {plan.says(chunk.setting)}"
     try:
         setting = plan.settings[chunk.setting].topology
+        need_same(setting.law, plan.sources[chunk.setting].digest)
         drawn = [completed(resolve(setting.model_copy(update={"seed": seed}), plan.folder)) for seed in chunk.seeds]
         made = simulate_many(drawn)
         return [{"setting": chunk.setting, "seed": seed, **row} for seed, row in zip(chunk.seeds, made, strict=True)]

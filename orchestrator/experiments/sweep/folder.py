@@ -6,7 +6,7 @@ import contextlib
 import fcntl
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -31,8 +31,10 @@ def default_out(plan: Plan) -> Path:
 class SweepFolder:
     """Holds the rows of a sweep while the block runs, and lets no other write there; UserError for a wrong one."""
 
-    def __init__(self, plan: Plan, path: Path) -> None:
+    def __init__(self, plan: Plan, path: Path, metrics: Sequence[str] = (*METRICS, "share_right")) -> None:
+        """`metrics` are the numbers of a row."""
         self.plan, self.path = plan, path
+        self._keys = _keys(metrics)
         self.table = path / "sweep.parquet"
         self._about, self._lines = path / "sweep.json", path / "runs.jsonl"
         self.rows: dict[tuple[int, int], Row] = {}
@@ -103,7 +105,7 @@ class SweepFolder:
             if not line.endswith(b"\n"):
                 break
             try:
-                row = _row(json.loads(line), len(self.plan.settings))
+                row = _row(json.loads(line), len(self.plan.settings), self._keys)
                 self.rows[row["setting"], row["seed"]] = row
             except (ValueError, LookupError, TypeError, RecursionError):
                 raise UserError(
@@ -163,23 +165,26 @@ class SweepFolder:
 
 _GROWTH = 4
 """bytes of memory for a byte of runs.jsonl, whose lines hold the same few keys"""
-_KEYS = {
-    **dict.fromkeys(("setting", "seed"), int),
-    **dict.fromkeys((*METRICS, "share_right"), int | float | None),
-    "nodes_right": int | None,
-    **dict.fromkeys(("verdict", "reasons"), str),
-}
 
 
-def _row(row: Any, settings: int) -> Row:
+def _keys(metrics: Sequence[str]) -> dict[str, Any]:
+    """Return the keys of a row, each with the type of its value."""
+    return {
+        **dict.fromkeys(("setting", "seed"), int),
+        **{name: int | None if name == "nodes_right" else int | float | None for name in metrics},
+        **dict.fromkeys(("verdict", "reasons"), str),
+    }
+
+
+def _row(row: Any, settings: int, keys: Mapping[str, Any]) -> Row:
     """Return a run that a line holds, its known keys; raise an error of a lookup, a type or a value if it is none."""
-    if not all(isinstance(row[key], kind) and not isinstance(row[key], bool) for key, kind in _KEYS.items()):
+    if not all(isinstance(row[key], kind) and not isinstance(row[key], bool) for key, kind in keys.items()):
         raise TypeError("a value is of another type")
     if row["setting"] not in range(settings) or any(
-        isinstance(row[key], int) and abs(row[key]) >= 2**63 for key in _KEYS
+        isinstance(row[key], int) and abs(row[key]) >= 2**63 for key in keys
     ):
         raise ValueError("a number is out of range")
-    return {key: row[key] for key in _KEYS}
+    return {key: row[key] for key in keys}
 
 
 def _difference(there: dict[str, Any], wanted: dict[str, Any]) -> str:
