@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import functools
+import importlib
 import inspect
 import re
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -89,18 +89,23 @@ def test_settings_are_those_of_the_command_line(here: Path) -> None:
     assert hg.simulate(PAIR, "defaults.x0=2", steps=4).x[0].tolist() == [2.0, 2.0]
 
 
-class Still(hg.Minimax):
-    """A law that acts on a share of the state."""
+STILL = """from hedgerow.agents.law import Minimax
 
-    def __init__(self, b: Any, candidates: Any, *, share: float = 0.0) -> None:
+
+class Still(Minimax):
+    def __init__(self, b, candidates, *, share=0.0):
         super().__init__(b, candidates)
         self.share = share
 
-    def act(self, x: Any) -> Any:
+    def act(self, x):
         return self.share * x
+"""
 
 
-def test_a_law_is_a_name_or_a_class(here: Path) -> None:
+def test_a_law_is_a_name_or_a_class(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    Path("still.py").write_text(STILL)
+    monkeypatch.syspath_prepend(here)
+    Still = importlib.import_module("still").Still
     assert hg.load(PAIR, law=hg.Minimax).law == "minimax"
     still = hg.simulate(PAIR, "defaults.x0=1", law=Still)
     assert not still.u.any()
