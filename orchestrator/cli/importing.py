@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from hedgerow.orchestrator.cli.names import INSPECT
 from hedgerow.orchestrator.cli.options import Seed
 from hedgerow.topologies.escape import command, echo
 from hedgerow.topologies.paths import user_path
@@ -18,7 +19,7 @@ _NUMBER = "NAME|NUMBER"
 
 def register(app: typer.Typer) -> None:
     """Add this command to the operator's."""
-    app.command(name="import")(import_)
+    app.command(name="import", rich_help_panel=INSPECT)(import_)
 
 
 def import_(
