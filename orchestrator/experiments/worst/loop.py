@@ -17,6 +17,8 @@ from hedgerow.topologies.schema import Topology
 
 TIE = 1e-7
 """A model must win by this share of the disturbance's energy so far: else it may win by rounding, and not again."""
+UNSCORED = 3
+"""Up to this step a law that needs several samples, as notch does, has no scores, which is no tie."""
 DENSE = 400
 """Number of nodes up to which a product with the dense Laplacian is quicker."""
 
@@ -144,6 +146,7 @@ def play(scene: Scene, w: Array, breaks: Breaks = NONE, steps: int | None = None
     neighbours = (scene.view.column + n * np.arange(count)[:, None]).ravel()
     act, learn = asks(law.act, "now"), asks(law.learn, "sample")
     single = (~np.isnan(scene.view.candidates)).sum(axis=0) < 2
+    minimax = scene.view.law == "minimax"
     deaf: dict[int, int] = {}
     for incidence, first in breaks.drops:
         node = int(scene.graph.node[incidence])
@@ -161,6 +164,8 @@ def play(scene: Scene, w: Array, breaks: Breaks = NONE, steps: int | None = None
             u = np.asarray(law.act(now.reshape(-1), *([heard] if act else []))).reshape(count, n)
             margin = np.asarray(law.report())[1].reshape(count, n)
             tied = (margin < TIE * energy[:, None]) & (seen > 0) & ~single
+            if t <= UNSCORED and not minimax:
+                tied &= margin != 0
             fine = fine & ~tied.any(axis=1) & np.isfinite(u).all(axis=1)
             sound[t] = fine
             flow = product(over[t], u)
