@@ -82,7 +82,10 @@ __all__ = [
     "worst",
 ]
 NEEDED = frozenset(
-    ("cryptography", "matplotlib", "psutil", "pyarrow", "pydantic", "rerun", "rich", "scipy", "typer", "yaml")
+    (
+        *("clarabel", "cryptography", "matplotlib", "networkx", "psutil", "pyarrow", "pydantic", "pymetis", "rerun"),
+        *("rich", "scipy", "typer", "yaml"),
+    )
 )
 """Packages that every part except a lone agent or plant needs; pyproject.toml lists them with their versions."""
 

@@ -57,8 +57,10 @@ def load(network: Named, *settings: str, **overrides: object) -> Topology:
 def simulate(network: Named, *settings: str, run_dir: str | Path | None = None, **overrides: object) -> Run:
     """Run a network in this process, without Zenoh, and return the run.
 
-    `network`, `settings` and `overrides` are those of `load`. `run_dir` is a new folder for the run, by default one
-    in runs/. Raises UserError for a mistake, and HedgerowError if no step was made.
+    `network`, `settings` and `overrides` are those of `load`. If the file of a law changed since it was loaded, it is
+    loaded again. `run_dir` is a new folder for the run, by default one in runs/. Warns if `network` is the folder of a
+    run that kept another source of the law. Raises UserError for a mistake, LawError if the law fails, and
+    HedgerowError if no step was made.
     """
     return simulation.simulate(network, *settings, *_settings(overrides), run_dir=run_dir)
 

@@ -283,15 +283,15 @@ class Plant:
             self.changed.notify_all()
 
     def _advance(self) -> None:
-        """Every input(t) is here: act, start t + 1, and only then tell the observer of t."""
+        """Every input(t) is here: act, start t + 1, and only then take the rest of the messages in and tell of t."""
         inputs = self._inputs
-        said = gather([*[one.u for one in inputs], *[one.ahat for one in inputs], *[one.margin for one in inputs]])
-        said = said.reshape(1 + REPORT_ROWS, -1)
-        # The history keeps u, and of a view all that it is a view of.
-        row = self.world.step(said[0].copy(), said[1:], [one.took for one in inputs])
+        self.world.advance(gather([one.u for one in inputs]))
         self._elapsed_s = time.monotonic() - self.clock.began
         tell = self._stopwatch.end_step()
         self._prepare()
+        # The states of t + 1 have left, and the agents work on them.
+        report = gather([*[one.ahat for one in inputs], *[one.margin for one in inputs]]).reshape(REPORT_ROWS, -1)
+        row = self.world.account(report, [one.took for one in inputs])
         if self.running:
             self.world.look_ahead()
         self._send_row(*encode_telemetry(row, self.world.whole))

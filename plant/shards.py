@@ -19,7 +19,7 @@ from hedgerow.plant.truth import Truth
 from hedgerow.plant.world import World
 from hedgerow.topologies.effects import FOREVER, Effect
 from hedgerow.wire import keys
-from hedgerow.wire.codec import encode_record, encode_state
+from hedgerow.wire.codec import encode_quiet_states, encode_record, encode_state
 from hedgerow.wire.session import Sender
 
 
@@ -86,6 +86,7 @@ class Shards:
             Shard(_name(p, truth), nodes.tolist(), int(degree[nodes].sum()), Sender(session, keys.state(p)))
             for p, nodes in enumerate(truth.shards)
         ]
+        self._sizes = [len(shard.nodes) for shard in self.all]
         self.missing: set[int] = set()
         """those whose input(t) has not come"""
         self.deserted = False
@@ -116,6 +117,11 @@ class Shards:
     def prepare(self) -> None:
         """At the beginning of step t: what each is told, and who is waited for."""
         self._until.clear()
+        if (x := self._world.quiet_states) is not None:
+            self.missing.update(range(len(self.all)))
+            for shard, message in zip(self.all, encode_quiet_states(self._world.t, x, self._sizes), strict=True):
+                shard.messages = [message]
+            return
         for p, (shard, (state, record)) in enumerate(zip(self.all, self._world.states(), strict=True)):
             shard.messages = [] if record is None else [encode_record(record)]
             if state is not None:

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import repeat
+from typing import NamedTuple
 
 import numpy as np
 
@@ -72,6 +73,20 @@ class _Step:
     mute: Mask | None
     flags: Flags | None
     """Flag bits by incidence, (2E,); None if all are set, and there is nothing else to tell"""
+
+
+class _Made(NamedTuple):
+    """A step that was made: its telemetry as far as the plant knows it, and what else the account of it needs."""
+
+    t: int
+    x: Array
+    u: Array
+    w: Array
+    edge_open: Flags
+    deliveries: Deliveries
+    gone: Mask | None
+    now: _Step | None
+    """what held at it; None if nothing was missing"""
 
 
 class World:
@@ -175,6 +190,13 @@ class World:
         ends = [one.stop for one in self.faults.effects if one.kind == "crash"]
         return any(self.wanted(p, stop) for stop in ends if self.t < stop < self.steps)
 
+    @property
+    def quiet_states(self) -> Array | None:
+        """Return x(t) in the order of the shards, (n,), if there is nothing else to tell them; None if there is."""
+        if self._now.flags is not None:
+            return None
+        return self._now.told if self._in_order else self._now.told.take(self.order)
+
     def states(self) -> list[tuple[State | None, Record | None]]:
         """Return, by shard, its state of t, None if the shard is absent, and the record of its nodes that come back."""
         now, t = self._now, self.t
@@ -237,14 +259,19 @@ class World:
 
         u (n,), report (REPORT_ROWS, n) and, by shard, the Flag bits taken in are in the order of the shards.
         """
+        self.advance(u)
+        return self.account(report, took)
+
+    def advance(self, u: Array) -> None:
+        """Advance from t to t + 1 under u(t), (n,), in the order of the shards; `account` for t after that."""
         now, graph, x, t = self._now, self.graph, self.x, self.t
         if not self._in_order:
-            u, report = u.take(self._place), report.take(self._place, axis=1)
-        taken = self._taken(took)
+            u = u.take(self._place)
         gone = self.faults.absent(t)
-        edge_open, deliveries, up = self._all_open, now.deliveries, self._all_up
-        if now.flags is not None or gone is not None or not all_finite(u):
-            u, report, taken, edge_open, deliveries, up = self._what_acts(u, report, taken, gone)
+        edge_open, deliveries = self._all_open, now.deliveries
+        quiet = now.flags is None and gone is None and all_finite(u)
+        if not quiet:
+            u, edge_open, deliveries = self._what_acts(u, gone)
         self.links.commit(t, deliveries)
         w = self._w() if self._next_w is None else self._next_w
         self._next_w = None
@@ -252,14 +279,25 @@ class World:
         self.x = dynamics(self.a, self.b, graph, x, u, w, closed)
         self._record.append(now.read, u, edge_open)
         self._open, self._heard = edge_open, deliveries
-        self.whole = edge_open is self._all_open and up is self._all_up and taken is self._all_taken
+        self._made = _Made(t, x, u, w, edge_open, deliveries, gone, None if quiet else now)
         self.t += 1
+
+    def account(self, report: Array, took: Sequence[Buffer]) -> Telemetry:
+        """Return the telemetry of the step that `advance` made last, also if the next one has begun since.
+
+        report (REPORT_ROWS, n) and, by shard, the Flag bits taken in are in the order of the shards.
+        """
+        t, x, u, w, edge_open, deliveries, gone, now = self._made
+        if not self._in_order:
+            report = report.take(self._place, axis=1)
+        taken, up = self._taken(took), self._all_up
+        if now is not None:
+            report, taken, up = self._what_is_told(report, taken, deliveries, gone, now)
+        self.whole = edge_open is self._all_open and up is self._all_up and taken is self._all_taken
         return Telemetry(t, x, u, w, report, edge_open, up, taken)
 
-    def _what_acts(
-        self, u: Array, report: Array, taken: Flags, gone: Mask | None
-    ) -> tuple[Array, Array, Flags, Flags, Deliveries, Flags]:
-        """Inputs, reports, what was taken in, open edges, what crosses, links up: where something is missing."""
+    def _what_acts(self, u: Array, gone: Mask | None) -> tuple[Array, Flags, Deliveries]:
+        """Inputs, open edges, and what crosses, where something is missing."""
         now, graph = self._now, self.graph
         edge_open, deliveries = self._all_open, now.deliveries
         missing = ~np.isfinite(u)
@@ -276,14 +314,22 @@ class World:
             if closed.any():
                 edge_open = np.where(closed, np.uint8(0), np.uint8(1))
         if absent.any():
-            report = np.where(absent, np.nan, report)
-            taken = np.where(absent[graph.node], np.uint8(0), taken)
             some = deliveries.some & ~absent[graph.neighbour] & ~died[graph.node]
             deliveries = Deliveries(some, np.where(some, deliveries.late, 0), np.where(some, deliveries.back, 0))
+        return u, edge_open, deliveries
+
+    def _what_is_told(
+        self, report: Array, taken: Flags, deliveries: Deliveries, gone: Mask | None, now: _Step
+    ) -> tuple[Array, Flags, Flags]:
+        """Reports, what was taken in, and links up, where something is missing."""
+        graph, absent = self.graph, self._nobody if gone is None else gone
+        if absent.any():
+            report = np.where(absent, np.nan, report)
+            taken = np.where(absent[graph.node], np.uint8(0), taken)
         up = self._all_up if deliveries is self.links.whole else (deliveries.fresh & ~absent[graph.node]).view(np.uint8)
         if now.back.any():  # what was said to them before they were there is made up for, and not heard in time
             taken = np.where(now.back[graph.node], taken & np.uint8(~Flag.HEAR & 0xFF), taken)
-        return u, report, taken, edge_open, deliveries, up
+        return report, taken, up
 
     @cached_property
     def _in_order(self) -> bool:

@@ -59,6 +59,7 @@ SLOW = {
     "security.md",
     "theory.md",
     "watching.md",
+    "zoo.md",
 }
 """Documents whose blocks take more than five seconds."""
 GENERATED = "topology.md"

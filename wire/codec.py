@@ -249,6 +249,16 @@ def encode_state(t: int, x: Buffer, flags: Buffer, spans: Sequence[Span] = ()) -
     return _pack(_STATE, _count(x), t, x, flags)
 
 
+def encode_quiet_states(t: int, x: Array, sizes: Iterable[int]) -> list[bytes]:
+    """Return the State messages of all shards, of so many nodes each, that are told nothing but their part of x."""
+    whole, pack, start, messages = x.tobytes(), _HEADER.pack, 0, list[bytes]()
+    for k in sizes:
+        stop = start + 8 * k
+        messages.append(pack(VERSION, _STATE, 0, k, t) + whole[start:stop])
+        start = stop
+    return messages
+
+
 def decode_state(message: bytes, k: int, m: int) -> State:
     """Return the State of k nodes and m incidences."""
     end = _SIZE + 8 * k

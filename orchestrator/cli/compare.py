@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from hedgerow.orchestrator.cli.names import EXPERIMENT
 from hedgerow.orchestrator.cli.options import File, Sets
 from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.escape import echo
@@ -33,7 +34,7 @@ Jobs = Annotated[int | None, typer.Option(metavar="N", help="processes that run 
 
 def register(app: typer.Typer) -> None:
     """Add this command to the operator's."""
-    app.command()(compare)
+    app.command(rich_help_panel=EXPERIMENT)(compare)
 
 
 def compare(

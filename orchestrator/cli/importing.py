@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from hedgerow.orchestrator.cli.names import INSPECT
 from hedgerow.orchestrator.cli.options import Seed
 from hedgerow.topologies.escape import command, echo
 from hedgerow.topologies.paths import user_path
@@ -18,7 +19,7 @@ _NUMBER = "NAME|NUMBER"
 
 def register(app: typer.Typer) -> None:
     """Add this command to the operator's."""
-    app.command(name="import")(import_)
+    app.command(name="import", rich_help_panel=INSPECT)(import_)
 
 
 def import_(
@@ -73,8 +74,11 @@ def import_(
     )
     network = import_file(file, options)
     target = out or Path(f"{network.content['name']}.yaml")
+    if not network.arrays:
+        network.topology(target)  # before anything is written
     written = network.save(target, force)
-    network.topology(target)
+    if network.arrays:
+        network.topology(target)
     nodes, edges = network.size
     echo(f"{file}: {nodes:,} nodes, {edges:,} edges; wrote {', '.join(map(str, written))}")
     for title, sentences in (

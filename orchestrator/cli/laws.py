@@ -9,13 +9,14 @@ from typing import Any
 
 import typer
 
+from hedgerow.orchestrator.cli.names import INSPECT
 from hedgerow.orchestrator.cli.options import AsJson
 from hedgerow.topologies.escape import echo
 
 
 def register(app: typer.Typer) -> None:
     """Add this command to the operator's."""
-    app.command()(laws)
+    app.command(rich_help_panel=INSPECT)(laws)
 
 
 def laws(as_json: AsJson = False) -> int:

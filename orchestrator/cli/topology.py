@@ -24,12 +24,12 @@ def read(file: str, sets: list[str] | None, **replace: object) -> Topology:
 def importable(topology: Topology, file: str = "") -> Topology:
     """Return the topology with a checked law: a law that cannot be loaded ends the command before a run.
 
-    `file` is the name of the topology. If it is in the folder of a run that kept another source of the law, say so.
+    `file` is the name of the topology. Print a line if it is the folder of a run that kept another source of the law.
     """
     from hedgerow.orchestrator.ground.law_source import FOLDER, differs  # noqa: PLC0415
     from hedgerow.orchestrator.ground.laws import checked  # noqa: PLC0415
     from hedgerow.topologies.load import find  # noqa: PLC0415
 
-    if file and ":" in topology.law and (said := differs(topology.law, find(file).parent / FOLDER)):
-        echo(said, error=True)
+    if file and ":" in topology.law and (difference := differs(topology.law, find(file).parent / FOLDER)):
+        echo(difference, error=True)
     return checked(topology)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -337,12 +338,6 @@ class Observer:
             good |= (listed & np.isnan(u)) | self.schedule.absent(t)
         self._estimates.see_exact(good.all(axis=1), t)
 
-    @property
-    def _mean_error(self) -> float | None:
-        """Return the mean of |ahat - a| at the last step over the nodes with an estimate; None if there is none."""
-        known = np.isfinite(self._error)
-        return float(self._error[known].mean()) if known.any() else None
-
     def summary(self) -> dict[str, float | int | None]:
         """The metrics at the end, as verdict.json holds them; None for what is undefined."""
         _, _, cost, cost_oracle, energy = (float(value) for value in self._sums)
@@ -359,8 +354,14 @@ class Observer:
             "gamma_star": self.gamma_star,
             "rho": self.rho,
             "nodes_right": self._right,
-            "estimate_error": self._mean_error,
+            "estimate_error": error if math.isfinite(error := mean_error(self._error)) else None,
         }
+
+
+def mean_error(error: Array) -> float:
+    """Return the mean of |ahat - a|, (n,), over the nodes with an estimate; NaN if there is none."""
+    known = np.isfinite(error)
+    return float(error[known].mean()) if known.any() else math.nan
 
 
 def _rows(rows: Sequence[Telemetry], name: str) -> NDArray[Any]:

@@ -21,6 +21,7 @@ from hedgerow.agents.local import asks
 from hedgerow.agents.view import View
 from hedgerow.orchestrator.ground.assignment import law_of
 from hedgerow.orchestrator.metrics.checks import ROUNDING, TINY
+from hedgerow.orchestrator.metrics.observer import mean_error
 from hedgerow.plant.disturbance import Disturbance
 from hedgerow.plant.world import dynamics
 from hedgerow.topologies.archive import id_array
@@ -190,7 +191,7 @@ class _Batch:
                 "gamma_star": self._gamma_star,
                 "rho": self._rho,
                 "nodes_right": (ahat == self._a).sum(axis=1),
-                "estimate_error": _mean_error(np.abs(ahat - self._a)),
+                "estimate_error": np.array([mean_error(row) for row in np.abs(ahat - self._a)]),
             }
 
 
@@ -210,15 +211,6 @@ def _q(a: Array, b: float, graph: Any) -> Array:
     Q[:, np.arange(n), np.arange(n)] = (1 - a) ** 2 + b * b * graph.weighted_degree
     Q[:, graph.node, graph.neighbour] += -b * b
     return Q
-
-
-def _mean_error(error: Array) -> Array:
-    """Return the mean over the nodes with an estimate, (S,); NaN where no node has one."""
-    mean, some = np.asarray(error.mean(axis=1)), ~np.isfinite(error).all(axis=1)
-    for k in np.flatnonzero(some).tolist():
-        known = error[k][np.isfinite(error[k])]
-        mean[k] = known.mean() if len(known) else np.nan
-    return mean
 
 
 def _energy(values: Array) -> Array:

@@ -398,11 +398,10 @@ class LateW(_Changed):
 class OneUlpMotion(_Changed):
     """Moves one node to the next float, once."""
 
-    def step(self, u: Array, report: Array, took: Sequence[Any]) -> Telemetry:
-        row = super().step(u, report, took)
-        if row.t == 9:
+    def advance(self, u: Array) -> None:
+        super().advance(u)
+        if self.t == 10:
             self.x = np.where(np.arange(self.graph.n) == NODE - 1, np.nextafter(self.x, np.inf), self.x)
-        return row
 
 
 class OtherA(_Changed):
@@ -503,12 +502,11 @@ class OtherLots(_Changed):
 class OneSidedCut(_Changed):
     """Cuts the edge at one of its ends."""
 
-    def step(self, u: Array, report: Array, took: Sequence[Any]) -> Telemetry:
-        row = super().step(u, report, took)
-        if row.t == 17:
-            one_sided = self.b * (row.u[0] - row.u[1])
+    def advance(self, u: Array) -> None:
+        super().advance(u)
+        if self.t == 18:
+            one_sided = self.b * (self._made.u[0] - self._made.u[1])
             self.x = self.x + np.where(np.arange(self.graph.n) == NODE - 1, -one_sided, 0.0)
-        return row
 
 
 class HeldInput(_Changed):
@@ -518,17 +516,16 @@ class HeldInput(_Changed):
         super().__init__(truth)
         self._last = np.zeros(self.graph.n)
 
-    def step(self, u: Array, report: Array, took: Sequence[Any]) -> Telemetry:
-        held = np.where(np.isfinite(u), u, self._last)
-        self._last = held
-        return super().step(held, report, took)
+    def advance(self, u: Array) -> None:
+        self._last = np.where(np.isfinite(u), u, self._last)
+        super().advance(self._last)
 
 
 class EdgeToldOpen(_Changed):
     """Tells that a closed edge was open."""
 
-    def step(self, u: Array, report: Array, took: Sequence[Any]) -> Telemetry:
-        row = super().step(u, report, took)
+    def account(self, report: Array, took: Sequence[Any]) -> Telemetry:
+        row = super().account(report, took)
         return row._replace(edge_open=np.ones_like(row.edge_open))
 
 

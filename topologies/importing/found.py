@@ -113,8 +113,8 @@ def weights_of(
         return numbers(source, "the", asked, [own.get(asked) for own in attributes], named), (
             f"The weights are the attribute `{asked}` of the edges"
         )
-    if "weight" in keys:
-        return numbers(source, "the", "weight", [own["weight"] for own in attributes], named), (
+    if any(own.get("weight") is not None for own in attributes):
+        return numbers(source, "the", "weight", [own.get("weight") for own in attributes], named), (
             "The weights are the attribute `weight` of the edges"
         )
     whole = sorted(str(key) for key, count in keys.items() if count == len(attributes))

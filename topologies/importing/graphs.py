@@ -22,7 +22,7 @@ _PLACES = (("x", "y"), ("Longitude", "Latitude"), ("longitude", "latitude"), ("l
 
 
 def read(path: Path, options: Options, kind: str) -> Found:
-    """Return the graph in a file of the kind graphml, gml, gexf, pajek or node-link."""
+    """Return the graph in a file of the kind graphml, gml, gexf, pajek, node-link, or edgelist with attributes."""
     import networkx as nx  # noqa: PLC0415 (a third of a second)
 
     data = read_regular(path, growth=GROWTH)
@@ -31,6 +31,7 @@ def read(path: Path, options: Options, kind: str) -> Found:
         "gml": lambda: _gml(data),
         "gexf": lambda: nx.read_gexf(io.BytesIO(data)),
         "pajek": lambda: nx.parse_pajek(data.decode()),
+        "edgelist": lambda: nx.parse_edgelist(data.decode("utf-8-sig").splitlines(), data=True),
         "node-link": lambda: _node_link(json.loads(data)),
     }
     try:

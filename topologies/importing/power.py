@@ -6,7 +6,10 @@ difference of angles makes a flow of power.
 
 from __future__ import annotations
 
+import io
 import json
+import subprocess
+import sys
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
@@ -54,22 +57,51 @@ def read_m(path: Path, options: Options) -> Found:
     return of_case(path, np.asarray(bus, dtype=float), np.asarray(branch, dtype=float), options, labels)
 
 
+_MAT = """
+import io, sys
+import numpy as np
+import scipy.sparse
+from scipy.io import loadmat
+content = loadmat(io.BytesIO(sys.stdin.buffer.read()))
+mpc = content.get("mpc")
+if mpc is not None and mpc.dtype.names and {"bus", "branch"} <= set(mpc.dtype.names):
+    arrays = {"mpc " + key: np.asarray(mpc[key].item(), dtype=float) for key in ("bus", "branch")}
+else:
+    arrays = {}
+    for name, value in content.items():
+        if not name.startswith("__") and getattr(value, "ndim", 0) == 2 and value.shape[0] == value.shape[1] > 1:
+            coo = scipy.sparse.coo_array(value)
+            arrays[name] = np.stack([*coo.coords, coo.data], axis=1).astype(float)
+            arrays["n " + name] = np.array(value.shape[0])
+file = io.BytesIO()
+np.savez(file, **arrays)
+sys.stdout.buffer.write(file.getvalue())
+"""
+"""Reads a MATLAB file, and writes its arrays: damaged ones can end the process of SciPy."""
+DEADLINE_S = 120.0
+
+
 def read_mat(path: Path, options: Options) -> Found:
     """Return the grid of a MATPOWER case, .mat, or the graph of the one square matrix in the file."""
-    import io  # noqa: PLC0415
-
-    from scipy.io import loadmat  # noqa: PLC0415 (half a second to load)
-
     data = read_regular(path, growth=GROWTH)
     try:
-        content = loadmat(io.BytesIO(data))
-    except Exception as error:  # damaged files raise many kinds
-        raise refuse(path, f"is no MATLAB file that SciPy can read: {str(error)[:200]}", "Save it with -v7") from None
-    mpc = content.get("mpc")
-    if mpc is None or mpc.dtype.names is None or not {"bus", "branch"} <= set(mpc.dtype.names):
-        return matrices.of_mat(content, path, options)
-    bus, branch = (np.asarray(mpc[key].item(), dtype=float) for key in ("bus", "branch"))
-    return of_case(path, bus, branch, options)
+        done = subprocess.run(
+            [sys.executable, "-I", "-W", "ignore", "-c", _MAT],
+            input=data,
+            capture_output=True,
+            timeout=DEADLINE_S,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        raise refuse(path, f"was not read within {DEADLINE_S:g} s", "Save it with -v7") from None
+    if done.returncode:
+        lines = done.stderr.decode(errors="replace").strip().splitlines() or ["it is damaged"]
+        raise refuse(path, f"is no MATLAB file that SciPy can read: {lines[-1][:200]}", "Save it with -v7")
+    with np.load(io.BytesIO(done.stdout)) as archive:
+        arrays = dict(archive)
+    if "mpc bus" in arrays:
+        return of_case(path, arrays["mpc bus"], arrays["mpc branch"], options)
+    return matrices.of_mat(arrays, path, options)
 
 
 def of_case(

@@ -45,7 +45,7 @@ def _check_weights(found: Found) -> None:
     weights = found.weights
     if weights is None or not len(weights):
         return
-    good = (weights > 0) & (weights < LARGEST)
+    good = (weights > 1 / LARGEST) & (weights < LARGEST)
     if not good.all():
         bad = np.flatnonzero(~good)
         k = int(bad[0])

@@ -19,8 +19,8 @@ from hedgerow.topologies.regular_file import read_regular
 GROWTH = 25
 """bytes of memory for a byte of a file: every cell is text first"""
 COMMENTS = ("#", "%", "//")
-FROM = ("source", "from", "src", "node1", "u", "i", "a", "start", "from_node", "node_from", "tail")
-TO = ("target", "to", "dst", "node2", "v", "j", "b", "end", "to_node", "node_to", "head")
+FROM = ("source", "from", "src", "node1", "start", "from_node", "node_from", "tail")
+TO = ("target", "to", "dst", "node2", "end", "to_node", "node_to", "head")
 _SEPARATORS = ",;\t| "
 
 
@@ -33,6 +33,10 @@ def read(path: Path, options: Options) -> Found:
     rows = _rows(path)
     if not rows:
         raise refuse(path, "has no rows", "Write an edge per row, such as `1,2`")
+    if rows[0][1][-1].endswith("}"):
+        from hedgerow.topologies.importing import graphs  # noqa: PLC0415
+
+        return graphs.read(path, options, "edgelist")
     matrix = _matrix(rows)
     if matrix is not None:
         names, values = matrix
@@ -91,8 +95,8 @@ def _matrix(rows: Sequence[tuple[int, list[str]]]) -> tuple[list[Hashable] | Non
             if (value := _number(cell)) is None:
                 return None
             values[k, column] = value
-    # Three edges of a triangle, with weights, are a square as well: a matrix of an undirected graph is symmetric.
-    if names is None and n == 3 and not np.array_equal(values, values.T):
+    # Three edges of a triangle, with weights, are a square as well: an adjacency matrix is symmetric, without loops.
+    if names is None and n == 3 and (not np.array_equal(values, values.T) or values.diagonal().any()):
         return None
     return names, values
 
@@ -168,6 +172,9 @@ def of_pairs(
     def position(name: Hashable) -> int:
         return place.setdefault(node_id(name) if isinstance(name, str) else name, len(place))
 
+    tails, heads = list(tails), list(heads)
+    if len({len(tails), len(heads), *map(len, columns.values())}) > 1:
+        raise refuse(source, "its columns differ in length", "Give every column a value per edge")
     ends = [(position(i), position(j)) for i, j in zip(tails, heads, strict=True)]
     edges = np.array(ends, dtype=np.int64).reshape(-1, 2)
     names = list(place)
@@ -199,7 +206,7 @@ def of_matrix(
     try:
         entries = coo_array(matrix)
     except (TypeError, ValueError) as error:
-        raise refuse(source, f"is no matrix of numbers: {error}", "Give an array (n, n)") from None
+        raise refuse(source, f"is no matrix of numbers: {str(error)[:60]}", "Give an array (n, n)") from None
     if entries.ndim != 2 or entries.shape[0] != entries.shape[1]:
         raise refuse(source, f"has the shape {entries.shape}, which is no square", "Give an adjacency matrix (n, n)")
     n = entries.shape[0]

@@ -95,8 +95,9 @@ class Imported:
         return written
 
     def topology(self, path: Path) -> Topology:
-        """Return the checked topology of the file that was saved."""
-        return parse(read_regular(path), str(path), path.parent)
+        """Return the checked topology of the file that was saved, or will be if it needs no table."""
+        text = read_regular(path) if self.arrays else self.text().encode()
+        return parse(text, str(path), path.parent)
 
 
 def imported(found: Found, options: Options) -> Imported:

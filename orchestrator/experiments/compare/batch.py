@@ -28,7 +28,8 @@ from hedgerow.topologies.schema import Topology
 
 LARGEST = 500
 """Networks of more nodes are run one by one: their time goes into the arithmetic."""
-_ABOUT_NEIGHBOURS = np.empty(0)
+_NOBODY = np.empty(0)
+"""what a law of the project that asks gets of neighbours: it asks for the step only"""
 
 
 def why_not(topologies: Sequence[Topology]) -> str:
@@ -112,8 +113,7 @@ class Many:
         """Make every step; return the metrics of each network, all None where a number grew beyond all bounds."""
         (S, n), graph, b, law = self._shape, self._graph, self._b, self._law
         x = x_oracle = self._x
-        none = _ABOUT_NEIGHBOURS
-        nothing = Heard(0, np.ones(S * n, dtype=bool), none, none, np.empty(0, dtype=np.int64))
+        nothing = Heard(0, np.ones(S * n, dtype=bool), _NOBODY, _NOBODY, np.empty(0, dtype=np.int64))
         regret, cost, cost_oracle, energy, changed = np.zeros((5, S))
         ahat, finite = np.full(S * n, np.nan), np.ones(S, dtype=bool)
         steps = self._topologies[0].steps

@@ -54,6 +54,7 @@ def answer(plan: Plan, chunk: Chunk) -> Answer:
     """Return the rows of a chunk; an error is text, because the caller may be on another machine."""
     seed = chunk.seeds[0]
     try:
+        need_same(plan.settings[chunk.setting].topology.law, plan.sources[chunk.setting].digest)
         there = {} if plan.one_by_one[chunk.setting] or len(chunk.seeds) == 1 else _batch(plan, chunk)
         rows = []
         for seed in chunk.seeds:
@@ -93,7 +94,6 @@ def _batch(plan: Plan, chunk: Chunk) -> dict[int, Row]:
 
 def _content(plan: Plan, setting: int, seed: int) -> dict[str, Any]:
     """What verdict.json holds, or would hold."""
-    need_same(plan.settings[setting].topology.law, plan.sources[setting].digest)
     topology = completed(resolve(plan.settings[setting].topology.model_copy(update={"seed": seed}), plan.folder))
     return _over_zenoh(topology) if plan.engine == "zenoh" else run_here(topology)
 

@@ -147,7 +147,8 @@ def test_a_metric_that_is_undefined_is_null(tmp_path: Path) -> None:
 def test_a_law_that_fails_makes_its_runs_unknown_and_no_others(here: Path) -> None:
     (here / "mine.py").write_text(
         "from hedgerow.agents.law import Minimax\n\nclass Tired(Minimax):\n"
-        "    def learn(self, x, flow, x_next): raise RuntimeError('tired')\n",
+        "    def learn(self, x, flow, x_next, sample):\n"
+        "        if sample.t == 20: raise RuntimeError('tired')\n",
         encoding="utf-8",
     )
     said = orchestrator("sweep", "paper7", "--seeds", "0:2", "--set", "law=minimax,mine:Tired", "--out", "out")
