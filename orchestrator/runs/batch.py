@@ -39,6 +39,7 @@ LARGEST = 500
 
 def why_not(topology: Topology) -> str:
     """Return why a topology cannot be run in batches, in words; empty if it can."""
+    computed = LawChoice.parse(topology.law).name == "robust"
     reasons = (
         (bool(topology.faults), "it has faults"),
         (len(topology.ids) > LARGEST, f"it has more than {LARGEST} nodes"),
@@ -46,8 +47,8 @@ def why_not(topology: Topology) -> str:
         (topology.generator is not None, "its graph is made by a rule"),
         (_unequal(topology), "its gains or weights differ"),
         (_sees_state(topology), "its disturbance sees the state"),
-        (LawChoice.parse(topology.law).name == "robust", "its law has a parameter that is computed for every seed"),
-        (_asks(topology), "its law asks for local knowledge"),
+        (computed, "its law has a parameter that is computed for every seed"),
+        (not computed and _asks(topology), "its law asks for local knowledge"),
     )
     return next((why for holds, why in reasons if holds), "")
 

@@ -177,6 +177,13 @@ def test_a_mistake_is_refused(laws: list[str], disturbances: list[str], code: Co
     assert caught.value.code == code
 
 
+def test_a_sweep_computes_the_theta_of_every_seed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    ran = orchestrator("sweep", "paper7", "--seeds=0:2", "--set=law=robust,notch", "--set=steps=5", "--out=s")
+    assert ran.returncode == 0, ran.stdout + ran.stderr
+
+
+@pytest.mark.slow
 def test_the_command_compares_and_names_the_winner(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     ran = orchestrator(
