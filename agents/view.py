@@ -128,7 +128,7 @@ class View:
         ]
         b = self.b if isinstance(self.b, float) else self.b.tolist()
         told = {"shard": self.shard, "b": b, "law": self.law, "nodes": nodes, "peers": peers}
-        return {**told, "history": self.history, "seed": self.seed}
+        return {**told, "history": self.history, **({"seed": self.seed} if self.seed else {})}
 
     @classmethod
     def from_dict(cls, told: Mapping[str, Any]) -> View:

@@ -31,6 +31,7 @@ from hedgerow.orchestrator.runs.run import Run
 from hedgerow.topologies.errors import Code, HedgerowError, UserError, check_options
 from hedgerow.topologies.named import Named, resolved
 from hedgerow.topologies.paths import user_path
+from hedgerow.topologies.regular_file import read_regular
 from hedgerow.topologies.resolve import to_yaml
 from hedgerow.topologies.schema import Topology
 
@@ -160,7 +161,7 @@ def sweep(
     table = folder / "sweep.parquet"
     if not table.exists():
         raise HedgerowError(output.getvalue().strip().splitlines()[-1])
-    return pq.read_table(table)
+    return pq.ParquetFile(io.BytesIO(read_regular(table))).read()
 
 
 def report(

@@ -22,6 +22,9 @@ READERS = {
     "orchestrator/experiments/worst/hunt.py": "numpy reads what `open_regular` opened; and YAML in memory",
     "wire/start.py": "/dev/null, in place of a closed standard stream",
     "orchestrator/report/page.py": "a style sheet of the package",
+    "orchestrator/facade.py": "Parquet in memory",
+    "topologies/importing/matrices.py": "numbers in memory",
+    "topologies/importing/power.py": "arrays in memory, from a child process",
 }
 NAMES = {
     "read_text",

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from hedgerow.topologies import lots, table
 from hedgerow.topologies.base import Uniform
 from hedgerow.topologies.edges import Edge
-from hedgerow.topologies.errors import TopologyError
+from hedgerow.topologies.errors import Code, HedgerowError, TopologyError
 from hedgerow.topologies.faults import Fault, Jump
 from hedgerow.topologies.graph import Array, Index
 from hedgerow.topologies.hinf import allowed_intervals, smallest_eigenpair
@@ -267,7 +267,8 @@ class _Drawing:
         Call it after `_model` of the same nodes.
         """
         of, listed = self._lists[-1]
-        assert of is nodes, "the candidates of these nodes were just drawn"
+        if of is not nodes:
+            raise HedgerowError("the candidates of these nodes are not drawn yet", code=Code.CRASH)
         a = self._a[nodes]
         wrong = ~np.isnan(listed) & (listed != a)
         count = wrong.sum(axis=0)

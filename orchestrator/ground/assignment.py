@@ -14,7 +14,7 @@ from hedgerow.topologies.errors import UserError
 from hedgerow.topologies.faults import effects
 from hedgerow.topologies.graph import Array, Index
 from hedgerow.topologies.partition import partition
-from hedgerow.topologies.schema import Topology
+from hedgerow.topologies.schema import LAWS, Topology
 from hedgerow.wire import keys
 from hedgerow.wire.access import Place
 from hedgerow.wire.codec import REPORT_ROWS
@@ -79,7 +79,12 @@ def candidates_of(topology: Topology) -> Array:
 
 
 def law_seed(topology: Topology) -> int:
-    """Return the seed of the laws: a function of the seed of the run, from which the truth cannot be found."""
+    """Return the seed of the laws: a function of the seed of the run, from which the truth cannot be found.
+
+    It is 0 for the laws of the paper, which draw nothing: an agent is given what its law may need, and no more.
+    """
+    if topology.law in LAWS:
+        return 0
     return int(lots.keys(topology.seed, "law", lots.words_of(["seed"]))[0] >> np.uint64(1))
 
 

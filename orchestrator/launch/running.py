@@ -27,6 +27,7 @@ from hedgerow.orchestrator.runs.reader import load_run
 from hedgerow.orchestrator.runs.registry import Entry
 from hedgerow.orchestrator.runs.run import Run
 from hedgerow.topologies.errors import Code, DeadlineError, Exit, HedgerowError, UserError
+from hedgerow.topologies.regular_file import last_text
 from hedgerow.topologies.resolve import to_yaml
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire.session import WireError
@@ -80,12 +81,12 @@ class UpProcess:
     def _failure(self, how: str) -> HedgerowError:
         """Return the error for a network that ended without a run; a mistake of the user has the words of `up`."""
         if self.process.poll() == Exit.USER_MISTAKE:
-            refused = self._output.read_text(encoding="utf-8", errors="replace").strip()
+            refused = last_text(self._output).strip()
             return UserError(refused.removeprefix("error: "), code=Code.OPTION)
         return HedgerowError(f"{self.folder.name}: {how}{self._last_lines()}")
 
     def _last_lines(self) -> str:
-        lines = self._output.read_text(encoding="utf-8", errors="replace").splitlines()
+        lines = last_text(self._output).splitlines()
         return "".join(f"\n    {line}" for line in lines[-8:])
 
     def entry(self) -> Entry:

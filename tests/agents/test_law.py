@@ -184,7 +184,7 @@ def test_an_agent_is_told_of_its_own_nodes_and_neighbours_alone(topology: Topolo
     assert [nodes.tolist() for nodes in truth_of(topology, shards).shards] == shards
     for view, nodes in zip(views, shards, strict=True):
         told = json.loads(view.to_json())
-        assert set(told) == {"shard", "b", "law", "nodes", "peers", "history", "seed"}
+        assert set(told) == {"shard", "b", "law", "nodes", "peers", "history"}
         weights = topology.graph.weights
         weighed = set() if weights is None else {"weights"}
         assert [set(node) for node in told["nodes"]] == [{"id", "candidates", "neighbours"} | weighed] * len(nodes)
