@@ -335,11 +335,10 @@ def test_a_run_that_takes_too_long_is_ended_and_named(tmp_path: Path) -> None:
 
 
 def test_a_law_that_cannot_be_loaded_is_said_by_both_engines(network: Networks) -> None:
-    scenario = network("paper7", "law=no.such:Law")
     engines: tuple[Literal["in-process"], Literal["zenoh"]] = "in-process", "zenoh"
     for engine in engines:
         with pytest.raises(HedgerowError, match=r"law no\.such:Law: cannot be loaded"):
-            scenario.run(engine=engine)
+            network("paper7", "law=no.such:Law").run(engine=engine)
 
 
 @pytest.mark.slow
