@@ -534,7 +534,7 @@ def test_who_does_not_come_is_named(here: Path, endpoint: str) -> None:
         (("--external", "9"), "there is no 9; name nodes, `plant` or `all`; the processes are plant, agent-1"),
         (("--external", "3"), "--external: how do they reach us? --listen tcp/0.0.0.0:7447"),
         (("--external", "plant"), "--external plant: say where it is with --router"),
-        (("--listen", "tcp/0.0.0.0:7447"), "name them, --external"),
+        (("--listen", "tcp/0.0.0.0:7447"), "--external"),
     ],
 )
 def test_what_cannot_work_is_said_at_once(here: Path, arguments: tuple[str, ...], said: str) -> None:

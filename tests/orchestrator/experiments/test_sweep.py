@@ -236,8 +236,11 @@ def test_a_killed_worker_costs_nothing(here: Path, undisturbed: bytes) -> None:
 
 def test_a_sweep_whose_workers_cannot_live_says_so(here: Path) -> None:
     (here / "deadly.py").write_text(
-        "import os, signal\nfrom hedgerow.agents.law import Minimax\n\nclass Deadly(Minimax):\n"
-        "    def learn(self, x, flow, x_next): os.kill(os.getpid(), signal.SIGKILL)\n",
+        "import multiprocessing, os, signal\nfrom hedgerow.agents.law import Minimax\n\nclass Deadly(Minimax):\n"
+        "    def learn(self, x, flow, x_next):\n"
+        "        if multiprocessing.parent_process():  # a worker, and not the process that tests the contract\n"
+        "            os.kill(os.getpid(), signal.SIGKILL)\n"
+        "        super().learn(x, flow, x_next)\n",
         encoding="utf-8",
     )
     said = orchestrator("sweep", "paper7", "--seeds", "0:2", "--set", "law=deadly:Deadly", "--jobs", "1")

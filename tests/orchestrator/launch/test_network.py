@@ -48,6 +48,9 @@ CHECKS = {
     "law",
     "deaths",
     "information",
+    "gain_estimates",
+    "gain_edges",
+    "gain_jumps",
 }
 LONG = ("up", "paper7", "--steps", "1000000", "--rate", "200", *QUIET)
 
@@ -147,7 +150,7 @@ def test_an_agent_is_a_process_that_knows_its_own_view_only(here: Path, paper7: 
     assert len(pids) == 8
     assert all(Path(f"/proc/{pid}").exists() for pid in pids)
     view = json.loads(View.read(here / "runs/latest/processes/agent-3.npz").to_json())
-    assert set(view) == {"shard", "b", "law", "nodes", "peers", "history", "seed"}
+    assert set(view) == {"shard", "b", "law", "nodes", "peers", "history"}
     assert [set(node) for node in view["nodes"]] == [{"id", "candidates", "neighbours"}]
     assert view["nodes"][0]["neighbours"] == [2, 5]
     command = Path(f"/proc/{start['pids']['agent-3']}/cmdline").read_text()

@@ -46,7 +46,7 @@ from hedgerow.orchestrator.runs.reader import load_run
 from hedgerow.orchestrator.runs.run import Run
 from hedgerow.orchestrator.runs.writer import Recorder, to_parquet
 from hedgerow.orchestrator.views.screen import Quiet
-from hedgerow.topologies.errors import HedgerowError, UserError
+from hedgerow.topologies.errors import Code, HedgerowError, UserError
 from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import resolve, to_yaml
 from hedgerow.topologies.schema import Topology
@@ -641,14 +641,15 @@ def test_a_full_disk_leaves_nothing_half_written(to: str, paper7: Run, here: Pat
 
 
 def test_a_run_is_made_as_by_the_command(paper7: Run, here: Path) -> None:
-    run = simulate("paper7", "steps=30", run_dir="mine")
+    bundled = str(ROOT / "topologies/paper7.yaml")  # a run of the same name lies here
+    run = simulate(bundled, "steps=30", run_dir="mine")
     assert run.folder == here / "mine"
     assert all(
         (run.folder / name).read_bytes() == (paper7.folder / name).read_bytes()
         for name in ("topology.yaml", "telemetry.parquet", "edges.parquet")
     )
     with pytest.raises(UserError, match="mine: holds something already"):
-        simulate("paper7", run_dir="mine")
+        simulate(bundled, run_dir="mine")
 
 
 def test_a_run_of_no_step_is_none(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -658,10 +659,11 @@ def test_a_run_of_no_step_is_none(here: Path, monkeypatch: pytest.MonkeyPatch) -
         encoding="utf-8",
     )
     monkeypatch.syspath_prepend(here)
-    with pytest.raises(HedgerowError, match=r"stopped at step 0: law bad:Bad: act\(\) of node .* ValueError: no"):
-        simulate("paper7", "law=bad:Bad")
+    with pytest.raises(HedgerowError, match=r"law bad:Bad: act\(\) raised ValueError: no") as failed:
+        simulate("ring6", "law=bad:Bad")
+    assert failed.value.code == Code.LAW
     with pytest.raises(UserError, match=r"law bad:Good: cannot be loaded"):
-        simulate("paper7", "law=bad:Good", run_dir="never")
+        simulate("ring6", "law=bad:Good", run_dir="never")
     assert not (here / "never").exists()
 
 
