@@ -415,7 +415,7 @@ def test_the_page_has_the_numbers_of_the_verdict(paper: Run, written: dict[str, 
         assert shown.row(name)[:2] == ["holds", check["claim"]]
     assert METRICS.keys() == paper.verdict.content["metrics"].keys()
     (verdict,) = (text for text in shown.text if text.startswith('{\n  "verdict"'))
-    assert json.loads(verdict) == paper.verdict
+    assert json.loads(verdict) == paper.verdict.content
     text = " ".join(shown.text)
     for said in (
         "Verdict: valid.",
