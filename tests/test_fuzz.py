@@ -152,6 +152,7 @@ def test_a_disk_that_fills_up_ends_the_run_with_what_was_recorded(record: bool, 
 
 WALL_CLOCK = {
     "orchestrator/launch/certificates.py": "from when to when a certificate is good",
+    "orchestrator/ground/law_source.py": "whether a file changed since it was loaded",
     "orchestrator/runs/registry.py": "since when a network runs, for people",
     "orchestrator/runs/folder.py": "names of folders and times of events, for people",
     "orchestrator/launch/recording.py": "the wall clock's timeline in Rerun",
@@ -200,8 +201,8 @@ def test_nobody_waits_by_a_clock_that_may_jump() -> None:
 def test_the_command_line_is_what_is_fuzzed() -> None:
     """Should a command be added that reads files, the fuzzer is to know it."""
     names = {command.name or getattr(command.callback, "__name__", "") for command in cli.app.registered_commands}
-    reading = {"check", "simulate", "up", "export", "report", "open", "watch", "soak"}
-    as_check_does = {"audit", "keys", "bundle", "compose", "sweep"}
+    reading = {"check", "simulate", "up", "export", "report", "open", "watch", "soak", "import", "runs"}
+    as_check_does = {"audit", "keys", "bundle", "compose", "sweep", "compare", "bound", "worst", "laws"}
     speaking = {"schema", "ps", "status", "stop", "chaos", "heal", "pause", "resume", "step", "rate"}
     assert names - speaking <= reading | as_check_does, names
     assert shutil.which("python")

@@ -231,7 +231,8 @@ class Running(Live):
     def _pid(self, name: str) -> int:
         processes = self.processes
         if name not in processes:
-            raise UserError(f"{name}: no such process; there are {', '.join(sorted(processes)) or 'none'}")
+            known = ", ".join(sorted(processes)) or "none"
+            raise UserError(f"{name}: no such process; there are {known}", code=Code.OPTION)
         return processes[name]
 
     def stop(self, deadline_s: float = END_DEADLINE_S) -> Run:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hedgerow.orchestrator.metrics.gain_bound import Premise
-from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.graph import Array
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ def slack(run: Run, premise: str) -> Array:
     bound = _bound(run, premise)
     run.need_all("the slack of a certificate")
     if not isinstance(bound.get("p"), list) or len(bound["p"]) != len(run.ids):
-        raise UserError(f"{run.folder}: verdict.json has no bound under the premise {premise!r}")
+        raise UserError(f"{run.folder}: verdict.json has no bound under the premise {premise!r}", code=Code.FILE_FORMAT)
     p, steps = np.array(bound["p"]), bound["steps"]
     end, start = (run.x[1:] ** 2 * p).sum(axis=1), float((run.x[0] ** 2 * p).sum())
     whole: Array = bound["g"] * run.energy_sum + start - end - run.cost_sum

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 
-from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.errors import Code, UserError
 
 if TYPE_CHECKING:
     from hedgerow.orchestrator.runs.run import Run
@@ -24,7 +24,10 @@ def plot(run: Run, names: Sequence[str]) -> Figure:
     for axis, name in zip(axes, names, strict=True):
         values = getattr(run, name, None) if not name.startswith("_") else None
         if not isinstance(values, np.ndarray) or not run.T <= len(values) <= run.T + 1:
-            raise UserError(f"plot: {name}: is no array with one row per step; choose for example x, ahat or regret")
+            raise UserError(
+                f"plot: {name}: is no array with one row per step; choose for example x, ahat or regret",
+                code=Code.OPTION,
+            )
         lines = axis.plot(np.arange(len(values)), values, linewidth=1.0)
         axis.set_ylabel(name)
         if values.ndim == 2 and values.shape[1] == len(run.ids) <= LEGEND_MOST:

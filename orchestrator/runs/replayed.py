@@ -64,5 +64,5 @@ def observe(run: Run) -> tuple[Batch, Observer]:
     whole = {one.name: np.concatenate([getattr(batch, one.name) for batch in batches]) for one in fields(Batch)}
     batch = Batch(**whole)
     if not np.array_equal(batch.x_oracle, run.x_oracle[steps], equal_nan=True):
-        raise UserError(f"{run.folder}: topology.yaml is not that of this telemetry")
+        raise UserError(f"{run.folder}: topology.yaml is not that of this telemetry", code=Code.FILE_FORMAT)
     return batch, observer

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from types import TracebackType
 
@@ -10,7 +9,7 @@ from rich.console import Console
 from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as Bar
 
-from hedgerow.topologies.escape import escape
+from hedgerow.topologies.escape import echo, escape
 
 
 class Progress:
@@ -46,4 +45,4 @@ class Progress:
         if self._bar is not None and self._task is not None:
             self._bar.update(self._task, description=f"{self._title}: {escape(text)}")
         elif not self._quiet:
-            print(f"{time.monotonic() - self._began:6.1f} s  {escape(text)}", file=sys.stderr)
+            echo(f"{time.monotonic() - self._began:6.1f} s  {text}", error=True)
