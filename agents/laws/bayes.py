@@ -32,13 +32,6 @@ class Bayes(Listed):
         super().__init__(b, candidates)
         self.margin[:] = np.nan
 
-    def update(self, memory: Array, candidates: Array, x: Array, y: Array, t: int) -> None:  # noqa: ARG002
-        """Add the squared residuals to J."""
-        residual = candidates * x
-        residual -= y
-        residual *= residual
-        memory += residual
-
     def _choose(self) -> None:
         pi = weights(self._memory, self._sigma)
         whole = total(pi)

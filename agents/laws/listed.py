@@ -42,9 +42,15 @@ class Listed:
         self._memory = memory
         self._choose()
 
-    def update(self, memory: Array, candidates: Array, x: Array, y: Array, t: int) -> None:
-        """Change `memory` (rows, k) in place by the sample of step t: x(t) and y = x(t + 1) - b f(t), both (k,)."""
-        raise NotImplementedError
+    def update(self, memory: Array, candidates: Array, x: Array, y: Array, t: int) -> None:  # noqa: ARG002
+        """Change `memory` (rows, k) in place by the sample of step t: x(t) and y = x(t + 1) - b f(t), both (k,).
+
+        This adds the squared residuals to J, as (7) does, for a memory that is J alone; other laws override it.
+        """
+        residual = candidates * x
+        residual -= y
+        residual *= residual
+        memory += residual
 
     def scores(self) -> Array:
         """Return the score of every candidate, (M, k)."""

@@ -34,13 +34,6 @@ class Thompson(Listed):
         super().__init__(b, candidates)
         self.ahat[:], self.margin[:] = self.candidates[0], np.nan
 
-    def update(self, memory: Array, candidates: Array, x: Array, y: Array, t: int) -> None:  # noqa: ARG002
-        """Add the squared residuals to J."""
-        residual = candidates * x
-        residual -= y
-        residual *= residual
-        memory += residual
-
     def _choose(self) -> None:
         """Sum up the weights; `act` draws."""
         pi = weights(self._memory, self._sigma)

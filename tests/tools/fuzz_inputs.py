@@ -212,14 +212,18 @@ faults:
 """
 
 
-class Tables(Inputs):
-    """The tables of a run, written anew with other columns, types, codings and lengths, or with bent bytes."""
+class OfARun(Inputs):
+    """Inputs that are made of the folder of one run."""
 
     def prepare(self) -> None:
         file = self._scratch / "faulty.yaml"
         file.write_text(FAULTY)
         self._run = self._scratch / "run"
         run("simulate", str(file), "--no-record", "--run-dir", str(self._run))
+
+
+class Tables(OfARun):
+    """The tables of a run, written anew with other columns, types, codings and lengths, or with bent bytes."""
 
     def make(self, rng: Random) -> Callable[[], object]:
         folder = self._case / "run"
@@ -443,14 +447,8 @@ class Requests(Inputs):
                 json.dumps({"error": str(error)}).encode()
 
 
-class Words(Inputs):
+class Words(OfARun):
     """verdict.json and events.jsonl of a run."""
-
-    def prepare(self) -> None:
-        file = self._scratch / "faulty.yaml"
-        file.write_text(FAULTY)
-        self._run = self._scratch / "run"
-        run("simulate", str(file), "--no-record", "--run-dir", str(self._run))
 
     def make(self, rng: Random) -> Callable[[], object]:
         names = ("verdict.json", "events.jsonl")
