@@ -10,6 +10,7 @@ import contextlib
 import hashlib
 import importlib
 import inspect
+import os
 import sys
 import sysconfig
 import time
@@ -95,14 +96,29 @@ def refresh(law: str) -> None:
         module = sys.modules.get(name.partition(":")[0])
     known = [one for one, _, _ in _user_files(module)] if module is not None else []
     changed = [one for one in known if _changed(one)]
-    for one in dict.fromkeys([*reversed(changed), *known[:1]] if changed else ()):  # a module after those that it uses
-        try:
-            importlib.reload(one)
-        except Exception as error:
-            said = f"{type(error).__name__}: {error}"
-            raise UserError(f"law {name}: cannot be loaded again: {said}. Correct it.", code=Code.LAW) from error
+    with _compiled_anew():
+        for one in dict.fromkeys([*reversed(changed), *known[:1]] if changed else ()):  # a module after those it uses
+            try:
+                importlib.reload(one)
+            except Exception as error:
+                said = f"{type(error).__name__}: {error}"
+                raise UserError(f"law {name}: cannot be loaded again: {said}. Correct it.", code=Code.LAW) from error
     for one in known:
         _SEEN[str(one.__file__)] = _stamp(one)
+
+
+@contextlib.contextmanager
+def _compiled_anew() -> Iterator[None]:
+    """Load modules from their source, never from a .pyc file, for as long as the context lasts.
+
+    A .pyc file counts as fresh if the second and the size of its source are the same: it would hide a quick edit.
+    """
+    before = sys.pycache_prefix, sys.dont_write_bytecode
+    sys.pycache_prefix, sys.dont_write_bytecode = os.devnull, True
+    try:
+        yield
+    finally:
+        sys.pycache_prefix, sys.dont_write_bytecode = before
 
 
 def differs(law: str, kept: Path) -> str:
