@@ -54,11 +54,15 @@ SLOW = {
     "faults.md",
     "import.md",
     "laws.md",
+    "machines.md",
+    "paper.md",
     "report.md",
     "run-folder.md",
     "security.md",
     "theory.md",
     "watching.md",
+    "your-law.md",
+    "your-network.md",
     "zoo.md",
 }
 """Documents whose blocks take more than five seconds."""
