@@ -101,17 +101,17 @@ def _run(plan: Comparison, folder: SweepFolder, jobs: int, quiet: bool) -> str:
     chunks = plan.chunks(frozenset(folder.rows))
     answers: Generator[Answer | None, None, None]
     answers = over_processes(plan, chunks, jobs, answer) if jobs > 1 else (answer(plan, chunk) for chunk in chunks)
-    with contextlib.ExitStack() as stack:
-        interrupts = stack.enter_context(Interrupts())
-        shown = None if quiet else stack.enter_context(contextlib.closing(progress(folder.there, plan.runs)))
-        stack.enter_context(contextlib.closing(answers))
+    with (
+        Interrupts() as interrupts,
+        contextlib.closing(progress(folder.there, plan.runs, quiet)) as shown,
+        contextlib.closing(answers),
+    ):
         for rows in answers:
             if isinstance(rows, Failure):
                 raise rows.error()
             if rows:
                 folder.append(rows)
-                if shown is not None:
-                    shown.advance(len(rows))
+                shown.advance(len(rows))
             if interrupts.count:
                 return interrupts.name
     return ""
