@@ -30,9 +30,11 @@ class Compared:
     """A finished comparison; `print` shows its tables and its findings."""
 
     plan: Comparison
+    """the laws, disturbances and seeds"""
     rows: Sequence[Sequence[Row]]
     """the runs of each setting of the plan, by seed"""
     folder: Path
+    """the folder of the results"""
 
     @cached_property
     def cells(self) -> list[Cell]:
