@@ -158,8 +158,9 @@ def up(
     from hedgerow.orchestrator.ground.assignment import layout, places, views_of  # noqa: PLC0415
     from hedgerow.orchestrator.launch.endpoints import check as check_security  # noqa: PLC0415
     from hedgerow.orchestrator.launch.endpoints import meeting_place  # noqa: PLC0415
+    from hedgerow.orchestrator.launch.options import Options  # noqa: PLC0415
     from hedgerow.orchestrator.launch.recording import Watching  # noqa: PLC0415
-    from hedgerow.orchestrator.launch.up import Network, Options  # noqa: PLC0415
+    from hedgerow.orchestrator.launch.up import Network  # noqa: PLC0415
     from hedgerow.orchestrator.runs import folder as folders  # noqa: PLC0415
     from hedgerow.orchestrator.views.screen import screen  # noqa: PLC0415
 
