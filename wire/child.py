@@ -16,6 +16,7 @@ from hedgerow.topologies.escape import echo, escape
 from hedgerow.wire import crash, start
 from hedgerow.wire.limits import limit_reached
 from hedgerow.wire.runtime import let_numbers_overflow
+from hedgerow.wire.stderr_relay import StderrRelay
 
 USER_ERROR = Exit.USER_MISTAKE
 """The exit code of a process that failed by its user's mistake: to start it again would not help."""
@@ -77,14 +78,25 @@ def run_alone(body: Callable[[], None], logged: bool = False) -> NoReturn:
     """
     start.begin()
     let_numbers_overflow()
-    handler = logging.StreamHandler(sys.stderr)
-    handler.setFormatter(Line())
-    logging.basicConfig(handlers=[handler], level=logging.INFO)
     # Every thread that is made from here on leaves these to the one that waits for them: a handler of Python's would
     # have to wait for the main thread, and one that is just about to wait itself would not hear of it. A signal that is
     # ignored is left out: while it is blocked, the kernel would deliver it all the same.
     ends = set(_ENDS) - start.ignored(_ENDS)
     signal.pthread_sigmask(signal.SIG_BLOCK, ends)
+    with StderrRelay():
+        code = _run(body, logged, ends)
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError, ValueError):  # nobody reads it
+            stream.flush()
+    # Not sys.exit: Zenoh's threads may outlive a session that was not closed, and must not hold the process.
+    os._exit(code)
+
+
+def _run(body: Callable[[], None], logged: bool, ends: Collection[signal.Signals]) -> int:
+    """Run `body` with a log, and return the exit code."""
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(Line())
+    logging.basicConfig(handlers=[handler], level=logging.INFO)
     code = Exit.VALID
     try:
         if ends:
@@ -106,11 +118,7 @@ def run_alone(body: Callable[[], None], logged: bool = False) -> NoReturn:
                 with contextlib.suppress(Exception):
                     logging.error("unexpected", exc_info=error)
             _say(f"this is a defect of hedgerow: {crash.told(error)}" if logged else crash.report(error))
-    for stream in (sys.stdout, sys.stderr):
-        with contextlib.suppress(OSError, ValueError):  # nobody reads it
-            stream.flush()
-    # Not sys.exit: Zenoh's threads may outlive a session that was not closed, and must not hold the process.
-    os._exit(code)
+    return code
 
 
 def _say(text: str) -> None:

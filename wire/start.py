@@ -1,6 +1,6 @@
 """The start of every process: streams that never raise for a character, room for open files, and a quiet Ctrl-C.
 
-Import this module before everything slow: it loads nothing but the standard library.
+Import this module before everything slow: it loads little but the standard library.
 """
 
 from __future__ import annotations
@@ -16,6 +16,8 @@ from collections.abc import Iterable
 from types import FrameType
 from typing import Any
 
+from hedgerow.topologies.escape import EscapedStream
+
 INTERRUPTED = 128 + signal.SIGINT
 """The exit code after a Ctrl-C."""
 MOST_OPEN_FILES = 2**16
@@ -30,7 +32,7 @@ def begin() -> None:
 
 
 def open_streams() -> None:
-    """Make standard input, output and error exist, and write as an escape what their encoding lacks.
+    """Make standard input, output and error exist, and escape controls and what their encoding lacks.
 
     A closed stream leads to /dev/null: else the next pipe of ours would get its number and be taken for it.
     """
@@ -44,6 +46,8 @@ def open_streams() -> None:
         if number and isinstance(stream, io.TextIOWrapper):
             with contextlib.suppress(OSError, ValueError):  # nobody reads it any more
                 stream.reconfigure(errors="backslashreplace")
+        if number and not isinstance(stream, EscapedStream):
+            setattr(sys, name, EscapedStream(stream))
 
 
 def raise_open_files() -> None:
