@@ -1,6 +1,6 @@
 """The start of every process: streams that accept every character, room for open files, and a quiet Ctrl-C.
 
-Import this module before everything slow: it loads nothing but the standard library.
+Import this module before everything slow: it loads little but the standard library.
 """
 
 from __future__ import annotations
@@ -12,9 +12,11 @@ import resource
 import signal
 import sys
 import threading
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from types import FrameType
 from typing import Any
+
+from hedgerow.topologies.escape import EscapedStream
 
 INTERRUPTED = 128 + signal.SIGINT
 """The exit code after a Ctrl-C."""
@@ -32,6 +34,18 @@ def begin() -> None:
     raise_open_files()
 
 
+@contextlib.contextmanager
+def needs(command: str) -> Iterator[None]:
+    """Exit with 2 and one line if a package that `command` needs cannot be imported in the block."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        if error.name not in ("numpy", "zenoh"):
+            raise
+        print(f"error: {command} needs {error.name}. Install it with: pip install numpy eclipse-zenoh", file=sys.stderr)
+        sys.exit(2)
+
+
 def open_streams() -> None:
     """Open standard input, output and error if they are closed; make them escape characters that their encoding lacks.
 
@@ -47,6 +61,8 @@ def open_streams() -> None:
         if number and isinstance(stream, io.TextIOWrapper):
             with contextlib.suppress(OSError, ValueError):  # the stream has no reader any more
                 stream.reconfigure(errors="backslashreplace")
+        if number and not isinstance(stream, EscapedStream):
+            setattr(sys, name, EscapedStream(stream))
 
 
 def raise_open_files() -> None:
