@@ -90,7 +90,7 @@ def run(
 
 
 class _Started(Running):
-    """A running network whose folder goes if the network does not start."""
+    """A running network; its folder is removed if the network does not start."""
 
     def __init__(self, topology: Topology, run_dir: str | Path | None, options: Sequence[str]) -> None:
         self._run_dir = run_dir
@@ -115,9 +115,9 @@ def start(
 ) -> Running:
     """Return a network of real processes that runs while a `with` block does.
 
-    Arguments are those of `run`; `deadline_s` is how long the plant waits for an agent. In the block, `live.fault`
-    injects faults, `live.pause()`, `live.step()` and `live.rate()` control the clock, `live.wait_for_step(100)` waits,
-    and `live.stop()` ends the run and returns it. The end of the block ends the network.
+    Arguments are those of `run`; `deadline_s` is the time that the plant waits for an agent. In the block, `live.fault`
+    injects faults. `live.pause()`, `live.step()` and `live.rate()` control the clock, and `live.wait_for_step(100)`
+    waits. `live.stop()` ends the run and returns it. The end of the block ends the network.
     """
     topology = _importable(load(network, *settings, **overrides))
     check_options(deadline=deadline_s)
@@ -181,7 +181,7 @@ def report(
 
 @contextlib.contextmanager
 def _folder(topology: Topology, run_dir: str | Path | None) -> Iterator[RunFolder]:
-    """Yield the folder for a run; if the block raises before the run has begun, the folder goes."""
+    """Yield the folder for a run; remove it if the block raises an error before the run begins."""
     if run_dir is None:
         folder = reserve(topology.name)
     else:
@@ -224,8 +224,8 @@ def worst(
     """Search for `budget` seconds the disturbance with the largest gain, and return it with a network that repeats it.
 
     `network` and `overrides` are those of `load`; `law="hinf"` attacks another law. `faults` searches cuts and drops
-    too. `out` is the file of the network, beside which the search keeps its state, to go on later; by default nothing
-    is written. Raises HedgerowError if no disturbance was found.
+    too. `out` is the file of the network, beside which the search stores its state, to continue later; by default
+    nothing is written. Raises HedgerowError if no disturbance was found.
     """
     topology = checked(load(network, **overrides))
     return search(topology, budget, faults, seed, out=None if out is None else user_path(str(out)))
@@ -260,7 +260,7 @@ def _settings(overrides: Mapping[str, object]) -> list[str]:
 
 
 def _plain(value: object) -> object:
-    """Return a class, and a class with parameters, as a file names it, and another value as it is."""
+    """Return a class, also with parameters, in the form of a file; return another value as it is."""
     if value is Minimax:
         return "minimax"
     if isinstance(value, functools.partial) and inspect.isclass(value.func) and not value.args:
@@ -279,7 +279,7 @@ def _listed(value: object) -> Sequence[object]:
 
 
 def _importable(topology: Topology) -> Topology:
-    """Return a topology whose law another process can import. Raises UserError."""
+    """Return a topology with a law that another process can import. Raises UserError."""
     law = topology.law
     if isinstance(law, str) and law.startswith("__main__:"):
         name = law.partition(":")[2]
