@@ -12,7 +12,7 @@ import resource
 import signal
 import sys
 import threading
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from types import FrameType
 from typing import Any
 
@@ -30,6 +30,18 @@ def begin() -> None:
     quiet_ctrl_c()
     open_streams()
     raise_open_files()
+
+
+@contextlib.contextmanager
+def needs(command: str) -> Iterator[None]:
+    """Exit with 2 and one line if a package that `command` needs cannot be imported in the block."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        if error.name not in ("numpy", "zenoh"):
+            raise
+        print(f"error: {command} needs {error.name}. Install it with: pip install numpy eclipse-zenoh", file=sys.stderr)
+        sys.exit(2)
 
 
 def open_streams() -> None:

@@ -32,5 +32,6 @@ RunDir = Annotated[
     Path | None, typer.Option(parser=user_path, metavar="DIR", help="the run's folder, new or empty [runs/NAME-TIME]")
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="print the verdict and nothing else")]
+NoProgress = Annotated[bool, typer.Option("--quiet", "-q", help="print no progress")]
 AsJson = Annotated[bool, typer.Option("--json", help="one JSON object on standard output")]
 Processes = Annotated[int | None, typer.Option(metavar="P", help="agent processes [one a node]")]
