@@ -68,7 +68,7 @@ class Round:
     first_step_s: float | None = None
     pss_mb: float | None = None
     equal: bool | None = None
-    """whether its trajectory is that of the reference, to the bit"""
+    """whether its trajectory is that of the reference, bit for bit"""
     off_by: float | None = None
     """the greatest difference of a state or an input, if not"""
     failure: str = ""

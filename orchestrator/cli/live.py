@@ -1,4 +1,4 @@
-"""The commands that speak to a running network: faults that come and go, and its clock."""
+"""The commands for a running network: its faults, and its clock."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ Run = Annotated[
 ]
 Link = Annotated[str, typer.Argument(metavar="I-J", help="two neighbours; I,J where a '-' is part of a name")]
 Node = Annotated[str, typer.Argument(metavar="NODE", help="the id of a node")]
-For = Annotated[int | None, typer.Option("--for", metavar="N", min=1, help="how many steps it holds [until healed]")]
-After = Annotated[int, typer.Option("--after", metavar="N", min=0, help="how many steps to let pass before")]
-OneWay = Annotated[bool, typer.Option("--one-way", help="only what I says to J")]
-Probability = Annotated[float, typer.Option(metavar="P", help="of striking, at each step and for each message")]
+For = Annotated[int | None, typer.Option("--for", metavar="N", min=1, help="number of steps [until healed]")]
+After = Annotated[int, typer.Option("--after", metavar="N", min=0, help="number of steps to wait first")]
+OneWay = Annotated[bool, typer.Option("--one-way", help="only messages from I to J")]
+Probability = Annotated[float, typer.Option(metavar="P", help="its probability at each step, for each message")]
 Number = Annotated[int | None, typer.Argument(metavar="[ID]", help="the fault's number [all that can be ended]")]
 
 
@@ -44,7 +44,7 @@ def register(app: typer.Typer) -> None:
 
 
 def _with(run: str | None, as_json: bool, ask: Callable[[Live], tuple[str, dict[str, Any]]]) -> int:
-    """Ask a network something, and print its name and the answer, in a line or as JSON."""
+    """Send a request to a network, and print its name and the answer, in one line or as JSON."""
     from hedgerow.orchestrator.launch.live import Live  # noqa: PLC0415
 
     with Live(run) as live:
@@ -79,7 +79,7 @@ def drop(
     run: Run = None,
     as_json: AsJson = False,
 ) -> int:
-    """Lose the messages of a link."""
+    """Drop the messages of a link."""
     from hedgerow.orchestrator.launch.live import pair  # noqa: PLC0415
 
     return _inject(
@@ -94,7 +94,7 @@ def drop(
 @faults.command()
 def delay(
     link: Link,
-    by: Annotated[int, typer.Option(metavar="N", min=1, help="how many steps late")],
+    by: Annotated[int, typer.Option(metavar="N", min=1, help="delay in steps")],
     steps: For = None,
     after: After = 0,
     one_way: OneWay = False,
@@ -102,7 +102,7 @@ def delay(
     run: Run = None,
     as_json: AsJson = False,
 ) -> int:
-    """Let the messages of a link arrive late."""
+    """Delay the messages of a link."""
     from hedgerow.orchestrator.launch.live import pair  # noqa: PLC0415
 
     return _inject(
@@ -123,7 +123,7 @@ def cut(
     run: Run = None,
     as_json: AsJson = False,
 ) -> int:
-    """Let an edge carry no flow, at both its ends."""
+    """Stop the flow over an edge, at both its ends."""
     from hedgerow.orchestrator.launch.live import pair  # noqa: PLC0415
 
     return _inject(
@@ -142,7 +142,7 @@ def partition(
     run: Run = None,
     as_json: AsJson = False,
 ) -> int:
-    """Lose all messages between groups of nodes."""
+    """Drop all messages between groups of nodes."""
     from hedgerow.orchestrator.launch.live import groups as groups_in  # noqa: PLC0415
 
     return _inject(
@@ -161,7 +161,7 @@ def sensor(
     run: Run = None,
     as_json: AsJson = False,
 ) -> int:
-    """Lose the readings of a node's state."""
+    """Drop the readings of a node's state."""
     from hedgerow.topologies.base import node_id  # noqa: PLC0415
 
     return _inject(
@@ -180,7 +180,7 @@ def actuator(
     run: Run = None,
     as_json: AsJson = False,
 ) -> int:
-    """Lose a node's inputs on their way to the plant."""
+    """Drop a node's inputs on their way to the plant."""
     from hedgerow.topologies.base import node_id  # noqa: PLC0415
 
     return _inject(
@@ -192,16 +192,16 @@ def actuator(
 
 @faults.command()
 def crash(
-    node: Annotated[str | None, typer.Argument(metavar="[NODE]", help="the node whose agent dies")] = None,
+    node: Annotated[str | None, typer.Argument(metavar="[NODE]", help="the node of the agent")] = None,
     process: Annotated[int | None, typer.Option(metavar="P", help="kill this process with all its agents")] = None,
     restart_after: Annotated[
-        int | None, typer.Option(metavar="N", help="how many steps it misses [until healed]")
+        int | None, typer.Option(metavar="N", help="number of steps that it misses [until healed]")
     ] = None,
     after: After = 0,
     run: Run = None,
     as_json: AsJson = False,
 ) -> int:
-    """Kill an agent, and start it again or not."""
+    """Kill an agent, with or without a restart."""
     from hedgerow.topologies.base import node_id  # noqa: PLC0415
 
     return _inject(
@@ -221,7 +221,7 @@ def jump(
     run: Run = None,
     as_json: AsJson = False,
 ) -> int:
-    """Let a node's true a become another of its candidates."""
+    """Change a node's true a to another of its candidates."""
     from hedgerow.topologies.base import node_id  # noqa: PLC0415
 
     return _inject(run, as_json, lambda live: live.fault.jump(node_id(node), to=to, at=after))
@@ -229,7 +229,7 @@ def jump(
 
 @faults.command(name="list")
 def list_(run: Run = None, as_json: AsJson = False) -> int:
-    """List the faults of the file and those that were added."""
+    """List the faults of the file and the added ones."""
     from hedgerow.topologies.describe import describe, window  # noqa: PLC0415
 
     def when(fault: Fault, step: int) -> str:
@@ -258,32 +258,34 @@ def heal(number: Number = None, run: Run = None, as_json: AsJson = False) -> int
 
 
 def pause(run: Run = None, as_json: AsJson = False) -> int:
-    """Hold a running network before its next step."""
+    """Pause a running network before its next step."""
     return _clock(run, as_json, lambda live: live.pause(), "paused before step {}")
 
 
 def resume(run: Run = None, as_json: AsJson = False) -> int:
-    """Let a paused network go on."""
-    return _clock(run, as_json, lambda live: live.resume(), "goes on from step {}")
+    """Resume a paused network."""
+    return _clock(run, as_json, lambda live: live.resume(), "continues from step {}")
 
 
 def step(
-    steps: Annotated[int, typer.Argument(metavar="[N]", min=1, help="how many steps")] = 1,
+    steps: Annotated[int, typer.Argument(metavar="[N]", min=1, help="number of steps")] = 1,
     run: Run = None,
     as_json: AsJson = False,
 ) -> int:
-    """Let a network make so many steps, and pause."""
+    """Make a number of steps, then pause."""
     return _clock(
         run, as_json, lambda live: live.step(steps), f"{steps} step{'s' * (steps > 1)} from step {{}}, then paused"
     )
 
 
 def rate(
-    per_second: Annotated[float, typer.Argument(metavar="R", min=0, help="steps a second, 0 for as fast as possible")],
+    per_second: Annotated[
+        float, typer.Argument(metavar="R", min=0, help="steps per second, 0 for as fast as possible")
+    ],
     run: Run = None,
     as_json: AsJson = False,
 ) -> int:
-    """Set how fast a running network goes."""
+    """Set the rate of a running network."""
     fast = f"{per_second:g} steps/s" if per_second else "as fast as possible"
     return _clock(run, as_json, lambda live: live.rate(per_second), f"{fast} from step {{}}")
 

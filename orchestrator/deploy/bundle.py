@@ -1,4 +1,4 @@
-"""A folder to carry away: what each process of a network is told, and the commands that start them."""
+"""A folder for other machines: the config of each process of a network, and the commands that start them."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from hedgerow.wire.config import FILE, Config
 
 README = """# {name}, on your machines
 
-Every file here but `topology.yaml` is what one process is told, and all that it is told. Carry each to its machine, and
-no other: an agent must not know the plant's file, nor that of another agent.
+Each file here, except `topology.yaml`, holds all the data of one process. Copy each file to the machine of its process,
+and to no other: an agent must not have the file of the plant or of another agent.
 
 On each machine, once, with the wheel of this release beside it (`pip wheel --no-deps .` in the project makes it):
 
@@ -32,23 +32,23 @@ On the operator's, in this folder:
 $ orchestrator up topology.yaml --external all --listen tcp/0.0.0.0:{port} --namespace {quoted_namespace}
 ```
 
-And wherever an agent is to live, with its file beside it (`--router` if it is not at `{router}`):
+On the machine of each agent, beside its file (`--router` if it is not at `{router}`):
 
 ```console
 {commands}
 ```
 
-The order does not matter: each waits ten minutes for the others (`--wait`). `--external 3,5` has the operator start
-the others itself; with `--external plant,all --router {quoted_router}` the plant runs elsewhere, too:
+The order does not matter: each waits ten minutes for the others (`--wait`). With `--external 3,5`, the operator
+starts the others itself; with `--external plant,all --router {quoted_router}` the plant runs elsewhere too:
 `hedgerow-plant --config plant.toml`, beside a Zenoh router of yours or as one (`--listen tcp/0.0.0.0:{port}`).
 """
 
 
 README_SECURE = """# {name}, on your machines, secure
 
-A folder here holds all that one process needs, with its keys. Carry each to its machine, and no other: the holder of
-an agent's folder can speak for that agent. The keys hold for {days:g} days. `observer`, `operator`,
-`router` and `plant` stay on the operator's machine, unless the router or the plant lives elsewhere.
+Each folder here holds all the data of one process, with its keys. Copy each folder to the machine of its process, and
+to no other: its owner can act for that process. The keys are valid for {days:g} days. `observer`, `operator`,
+`router` and `plant` stay on the operator's machine, unless the router or the plant runs elsewhere.
 
 On each machine, once, with the wheel of this release beside it (`pip wheel --no-deps .` in the project makes it):
 
@@ -62,14 +62,14 @@ On the operator's, `{host}`, in this folder:
 $ orchestrator up topology.yaml --external all --listen tls/0.0.0.0:{port} --keys .
 ```
 
-And wherever an agent is to live, with its folder beside it (`--router` if it is not at `{router}`):
+On the machine of each agent, beside its folder (`--router` if it is not at `{router}`):
 
 ```console
 {commands}
 ```
 
-The order does not matter: each waits ten minutes for the others (`--wait`). `--external 3,5` has the operator start
-the others itself. With `--external plant,all --router {quoted_router}` the plant runs elsewhere, too:
+The order does not matter: each waits ten minutes for the others (`--wait`). With `--external 3,5`, the operator
+starts the others itself. With `--external plant,all --router {quoted_router}` the plant runs elsewhere too:
 `hedgerow-plant --config plant` beside a Zenoh router (`zenohd -c zenohd.json5`, in the folder `router`); or as the
 router, with that folder:
 `hedgerow-plant --config plant --listen tls/0.0.0.0:{port} --credentials router`.
@@ -77,7 +77,7 @@ router, with that folder:
 
 
 LAW = """
-The law is {name}. Carry its source ({files}) to every machine as well, and start each process in the folder that holds
+The law is {name}. Copy its source ({files}) to every machine as well, and start each process in the folder that holds
 it. An agent imports it from there.
 """
 
@@ -92,7 +92,9 @@ def write(folder: Path, topology: Topology, configs: Sequence[Config]) -> None:
 def write_secure(
     folder: Path, topology: Topology, configs: Sequence[Config], places: Sequence[Place], days: float
 ) -> None:
-    """Write the same with everybody's keys, a folder each; raises OSError, and UserError where no keys can be made."""
+    """Write the same with the keys of all processes, one folder each; raise OSError, or UserError if no keys can be
+    made.
+    """
     first = configs[0]
 
     def tell(part: Path) -> None:
@@ -128,7 +130,7 @@ def _write_rest(
 
 
 def release() -> str:
-    """Our own version."""
+    """Return our own version."""
     from hedgerow.wire.handshake import introduction  # noqa: PLC0415
 
     return str(introduction("")["hedgerow"])

@@ -10,7 +10,7 @@ from hedgerow.topologies.effects import Effect
 from hedgerow.topologies.faults import effects
 from hedgerow.topologies.schema import Topology
 
-CLAIM = "every agent process whose nodes all crash by a fault has ended, by the word of the operating system"
+CLAIM = "an agent process ends if faults crash all of its nodes, as the operating system reports"
 
 
 @dataclass(frozen=True)

@@ -4,12 +4,12 @@ An *instance* of a fault is one target at one step. It *fired* if it took effect
 to lose. It was *seen* if the process that must miss something reports it:
 
     kind         fired                    masked                            seen
-    drop, delay  the row did not cross    no sender, or nobody to listen    the receiver lacks it
-    cut          the edge is closed                                         both its ends say so
-    sensor       no input came            nobody there                      the node sent no input
-    actuator     no input came            nobody there, or no reading       both ends of all its edges say so
-    crash        no input came            nobody there the step before      nobody reports
-    jump         (1) holds under it                                         nobody can see it
+    drop, delay  the row did not cross    no sender, or no receiver          the receiver lacks it
+    cut          the edge is closed                                         both its ends report it
+    sensor       no input came            agent absent                      the node sent no input
+    actuator     no input came            agent absent, or no reading       both ends of all its edges report it
+    crash        no input came            agent absent the step before      no report arrives
+    jump         (1) holds under it                                         not visible
 
 Telemetry reports the used inputs of a step in the next row, so a step is judged when that row is here.
 """

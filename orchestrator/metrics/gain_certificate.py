@@ -32,11 +32,11 @@ WAITING_BYTES = 2**26
 """The rows that wait for the bounds take at most this; what comes then is not checked before the bounds are there."""
 CLAIMS = {
     Premise.ESTIMATES: "sum cost <= g sum |w|^2 + sum p_i x_i(0)^2 - sum p_i x_i(t+1)^2 at every step before the first"
-    " at which an edge is closed, an a jumps, or a u lies outside the sector of its list",
-    Premise.EDGES: "the same, with the g and p of any closed edges, before the first step at which an a jumps or a u"
-    " lies outside the sector of its list",
-    Premise.JUMPS: "the same, with the g and p of any a within its list, before the first step at which an a or a u"
-    " is outside its list",
+    " with a closed edge, a jump of a, or a u outside the sector of its list",
+    Premise.EDGES: "the same, with the g and p of any closed edges, before the first step with a jump of a, or with a u"
+    " outside the sector of its list",
+    Premise.JUMPS: "the same, with the g and p of any a within its list, before the first step with an a or a u"
+    " outside its list",
 }
 
 

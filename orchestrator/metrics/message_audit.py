@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from hedgerow.wire.session import Receiver, Sender
     from hedgerow.wire.stream import Inbox
 
-CLAIM = "every message that a process took in was said to it, by the one process that may speak on its key"
+CLAIM = "every message that a process received was sent by the only process that may publish on its key"
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Channel:
         """Return the discrepancy in words; empty if there is none."""
         if self.said is None or self.heard is None or self.heard <= self.said:
             return ""
-        return f"{self.listener} heard {self.heard} messages on {self.key}, of which {self.speaker} said {self.said}"
+        return f"{self.listener} received {self.heard} messages on {self.key}, but {self.speaker} sent {self.said}"
 
 
 def channels(places: Sequence[Place]) -> list[Channel]:
@@ -71,7 +71,7 @@ class Audit:
     def wrong(self) -> list[str]:
         """Return the discrepancies in words."""
         strange = [
-            f"{name} was sent {number} messages on {key}, which is nobody's"
+            f"{name} received {number} messages on {key}, which no process uses"
             for name, some in self.strange.items()
             for key, number in some.items()
         ]

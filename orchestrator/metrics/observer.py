@@ -151,7 +151,7 @@ class Observer:
         self.v0 = self._certificate.v0
         self.adaptive: GainCertificate | None = None
         """the certificate of the adaptive law, if its bounds are computed beside the run"""
-        self.not_certified = "the bounds are solved beside runs that leave a folder only"
+        self.not_certified = "bounds are only computed for runs with a folder"
         """the reason why there is no certificate"""
         self._dynamics = DynamicsCheck(self.b)
         self._estimates = Worst()

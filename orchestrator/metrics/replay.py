@@ -32,10 +32,10 @@ NAMED = 8
 """the maximum number of reported differences of one step"""
 PLAN, LAW = "plan", "law"
 CLAIMS = {
-    PLAN: "x(0), every w, and what is open, crosses a link or is missing at each step are those of the file and of the"
-    " recorded faults, to the bit",
-    LAW: "every u, ahat, margin and sample taken in is what the law's own class gives on the recorded x and u and on"
-    " the links by the faults, to the bit",
+    PLAN: "x(0), every w, and all open edges, deliveries and missing values are those of the file and of the recorded"
+    " faults, bit for bit",
+    LAW: "every u, ahat, margin and used input is that of the law's class for the recorded x and u and for the"
+    " deliveries under the faults, bit for bit",
 }
 
 

@@ -36,13 +36,13 @@ VALID, INVALID, UNKNOWN = "valid", "INVALID", "unknown"
 EXIT_CODES = {VALID: Exit.VALID, INVALID: Exit.INVALID, UNKNOWN: Exit.UNKNOWN}
 
 CLAIMS = {
-    "dynamics": "every x(t+1) is equation (1) of x, u, w and the open edges, to the bit",
-    "estimates": "every ahat is one of its candidates, and every u that came is equation (6) of it, to the bit",
+    "dynamics": "every x(t+1) is equation (1) of x, u, w and the open edges, bit for bit",
+    "estimates": "every ahat is one of its candidates, and every received u is equation (6) of it, bit for bit",
     "contraction": "|x(t+1)| <= rho |x(t)| + |w(t)| at every step, |x| = sum abs(x_i) / b_i",
     "oracle_certificate": "sum (|x*|^2 + |u*_e|^2) <= sum w'Q^-1 w + V(x(0)) - V(x*(t+1)) at every step"
     " before the first at which an edge is closed or an a jumps",
     "missing_inputs": "an edge carries flow only where both its ends sent an input",
-    "links": "what every node says it took in of a step is what was open and crossed in that step",
+    "links": "every node reports the inputs of a step that were open and delivered in that step",
     "faults": "every fault fired as scheduled, was seen where it struck, and nothing else went wrong",
 }
 _OF_THE_LAW = {"estimates", "contraction"}
@@ -238,7 +238,7 @@ def judge(topology: Topology, observer: Observer, ending: Ending) -> Verdict:
     doubts += _doubts_of(ending, observer)
     doubts += [f"stayed down: {one}" for one in ending.down]
     if observer.end is None and not doubts:
-        doubts.append("the final state never came")
+        doubts.append("the final state is missing")
     faults = _faults(topology, observer)
     doubts += [
         f"fault {k + 1} ({faults[k]['what']}) could not fire: {why}"

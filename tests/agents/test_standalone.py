@@ -299,7 +299,7 @@ def test_a_second_plant_waits_for_the_first_to_be_gone_and_disturbs_nothing(
         by_hand = start("plant", "--config", "lab/plant.toml")
         with Orchestrator(*up, "--external", "all", "--run-dir", "second") as second:
             for one in (second, by_hand):
-                one.wait_for("a plant is there already at hedgerow/paper7; waiting up to 30 s for its end")
+                one.wait_for("another plant already runs at hedgerow/paper7; waiting up to 30 s for its end")
             second.send(signal.SIGINT)
             by_hand.process.kill()
             assert second.wait() != 0
@@ -315,7 +315,7 @@ def test_a_plant_that_stays_has_its_place_to_itself(here: Path, endpoint: str, m
     with open_router(endpoint), open_client(endpoint, "here") as one, open_client(endpoint, "here") as other:
         token = one.liveliness().declare_token(keys.alive(keys.PLANT, 7))
         with (
-            pytest.raises(UserError, match="a plant is there already at here; end that run, or give another --name"),
+            pytest.raises(UserError, match="another plant already runs at here; end that run, or give another --name"),
             room(other, "here", list[str]().append),
         ):
             raise AssertionError("it went on")
@@ -327,7 +327,7 @@ def test_a_plant_that_stays_has_its_place_to_itself(here: Path, endpoint: str, m
             token.undeclare()  # type: ignore[no-untyped-call]
 
         with room(other, "here", say):
-            assert told == ["a plant is there already at here; waiting up to 60 s for its end"]
+            assert told == ["another plant already runs at here; waiting up to 60 s for its end"]
 
 
 def test_of_plants_that_begin_at_once_one_goes_on_and_the_next_when_it_is_over(
@@ -373,7 +373,7 @@ def test_of_two_networks_that_begin_at_once_in_one_place_the_second_waits(here: 
         done, _ = wait(goes_on, return_when=FIRST_COMPLETED)
         (first,) = (goes_on.pop(one) for one in done)
         ((in_the_end, other),) = goes_on.items()
-        other.wait_for("a plant is there already at hedgerow/paper7")
+        other.wait_for("another plant already runs at hedgerow/paper7")
         assert not in_the_end.done()
         first.send(signal.SIGINT)
         assert first.wait() == 3, first.output
@@ -532,7 +532,7 @@ def test_who_does_not_come_is_named(here: Path, endpoint: str) -> None:
     ("arguments", "said"),
     [
         (("--external", "9"), "there is no 9; name nodes, `plant` or `all`; the processes are plant, agent-1"),
-        (("--external", "3"), "--external: how do they reach us? --listen tcp/0.0.0.0:7447"),
+        (("--external", "3"), "--external: the separate processes need an address. --listen tcp/0.0.0.0:7447"),
         (("--external", "plant"), "--external plant: say where it is with --router"),
         (("--listen", "tcp/0.0.0.0:7447"), "--external"),
     ],

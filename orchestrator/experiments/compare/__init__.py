@@ -96,7 +96,7 @@ def compare(plan: Comparison, out: Path | None = None, jobs: int | None = None, 
             _write(found)
         except OSError as error:
             raise UserError(
-                f"{folder.path}: {error.strerror}; make room, then the same command continues", code=Code.OUTPUT
+                f"{folder.path}: {error.strerror}; free space, then the same command continues", code=Code.OUTPUT
             ) from None
         return found
 

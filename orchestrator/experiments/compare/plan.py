@@ -38,7 +38,7 @@ PRESETS: dict[str, Any] = {
     "confuse": {"kind": "confuse", "candidate": "random"},
     "none": {"kind": "none"},
 }
-"""By name: a disturbance of every node, its numbers drawn by the seed; names joined by + are summed."""
+"""By name: a disturbance of every node, its numbers drawn by the seed; names joined by + are added."""
 
 
 @dataclass(frozen=True)

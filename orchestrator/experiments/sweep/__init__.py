@@ -98,7 +98,7 @@ def _conclude(plan: Plan, folder: SweepFolder, say: Callable[[str], None]) -> Sw
         drawn = _draw(plan, folder, rows)
     except OSError as error:
         raise UserError(
-            f"{folder.path}: {error.strerror}; make room, then the same command continues", code=Code.OUTPUT
+            f"{folder.path}: {error.strerror}; free space, then the same command continues", code=Code.OUTPUT
         ) from None
     verdicts = Counter(row["verdict"] for own in rows for row in own)
     worst = next(one for one in (INVALID, UNKNOWN, VALID) if verdicts[one])

@@ -95,7 +95,7 @@ class SweepFolder:
             and all(isinstance(there.get(key), type(wanted[key])) for key in ("versions", "networks"))
         ):
             raise UserError(
-                f"--out {self.path}: sweep.json is none of a sweep; name a new folder", code=Code.FILE_FORMAT
+                f"--out {self.path}: sweep.json does not belong to a sweep; name a new folder", code=Code.FILE_FORMAT
             )
         if other := _difference(there, wanted):
             raise UserError(f"--out {self.path}: holds another sweep: {other}; name another folder", code=Code.OUTPUT)
@@ -126,7 +126,7 @@ class SweepFolder:
             self._file.flush()
         except OSError as error:
             raise UserError(
-                f"{self._lines}: {error.strerror}; make room, then the same command continues", code=Code.OUTPUT
+                f"{self._lines}: {error.strerror}; free space, then the same command continues", code=Code.OUTPUT
             ) from None
 
     @property
@@ -162,7 +162,7 @@ class SweepFolder:
         except OSError as error:
             part.unlink(missing_ok=True)
             raise UserError(
-                f"{self.table}: {error.strerror}; make room, then the same command continues", code=Code.OUTPUT
+                f"{self.table}: {error.strerror}; free space, then the same command continues", code=Code.OUTPUT
             ) from None
 
 

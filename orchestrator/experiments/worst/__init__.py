@@ -116,7 +116,7 @@ def worst(
     hunt = Hunt(topology, seed, faults, steps)
     kept = None if out is None else out.with_suffix(".npz")
     if kept is not None and kept.exists() and hunt.resume(kept):
-        say(f"goes on after {hunt.state.seconds:.0f} s, with gain {hunt.best_score() ** 0.5:.4f}")
+        say(f"continues after {hunt.state.seconds:.0f} s, with gain {hunt.best_score() ** 0.5:.4f}")
     hunt.run(budget_s, say, quit_now)
     attack, network = hunt.proved()
     found = Found(

@@ -160,7 +160,7 @@ def test_keys_that_are_there_do_not_change_how_long_they_hold(here: Path) -> Non
     assert orchestrator(*words).returncode == 0
     again = orchestrator(*words)
     assert again.returncode == 2
-    assert again.stderr == "error: --days 2: the keys in keys are there already; name a new folder, --keys DIR\n"
+    assert again.stderr == "error: --days 2: the keys in keys already exist; name a new folder, --keys DIR\n"
 
 
 @pytest.mark.parametrize("words", ["keys {} --out", "bundle {} --secure --out", "compose {} --secure --keys"])

@@ -183,7 +183,7 @@ def test_a_sweep_that_is_stopped_and_killed_goes_on_to_the_same_bytes(here: Path
         assert sweeping.wait() == 3, sweeping.output
         assert gone(below)
     there = lines(out)
-    assert f"stopped: Ctrl-C: {there} of 48 runs are there; the same command goes on" in sweeping.output
+    assert f"stopped: Ctrl-C: {there} of 48 runs are done; the same command continues" in sweeping.output
     assert "Traceback" not in sweeping.output
     assert not (out / "sweep.parquet").exists()
     with Orchestrator(*command) as sweeping:
@@ -221,7 +221,7 @@ def test_ctrl_c_finds_a_worker_deaf_from_its_first_instruction_on(here: Path) ->
             pause.wait(0.001)
         os.killpg(sweeping.pid, signal.SIGINT)  # as a terminal does
         assert sweeping.wait() == 3, sweeping.output
-    assert "the same command goes on" in sweeping.output
+    assert "the same command continues" in sweeping.output
     assert "Traceback" not in sweeping.output
 
 
@@ -341,7 +341,7 @@ def test_a_disk_that_fills_up_keeps_what_was_done_and_the_same_command_goes_on(h
     command = (*LONG, "--jobs", "1", "--out", "out")
     done = orchestrator(*command, largest=10_000)
     assert done.returncode == 2
-    assert "File too large; make room, then the same command goes on" in done.stderr
+    assert "File too large; free space, then the same command continues" in done.stderr
     assert "Traceback" not in done.stderr
     assert orchestrator(*command).returncode == 0
     assert (here / "out/sweep.parquet").read_bytes() == undisturbed

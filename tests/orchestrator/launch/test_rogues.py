@@ -420,8 +420,8 @@ def test_a_stolen_certificate_may_lie_of_its_own_agent_which_the_audit_finds(vic
     wrong = " ".join(verdict["checks"]["information"]["why"])
     assert verdict["verdict"] == "INVALID"
     assert "agent-2 heard" in wrong
-    assert "messages on link/0/1, of which agent-1 said" in wrong
-    assert "messages on input/0, of which agent-1 said" in wrong
+    assert "messages on link/0/1, but agent-1 sent" in wrong
+    assert "messages on input/0, but agent-1 sent" in wrong
     assert verdict["steps_done"] == STEPS
     assert np.isfinite(load_run(running.run).x).all()
 

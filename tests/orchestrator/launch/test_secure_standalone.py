@@ -117,7 +117,7 @@ def test_plant_and_observer_may_see_that_a_plant_is_there(here: Path, port: int,
             told: list[str] = []
             with room(session, "hedgerow/paper7", told.append, lambda: bool(told)):
                 assert told
-        start("plant", "--config", "lab/plant").wait_for("a plant is there already at hedgerow/paper7")
+        start("plant", "--config", "lab/plant").wait_for("another plant already runs at hedgerow/paper7")
         assert first.process.poll() is None
     finally:
         router.end()

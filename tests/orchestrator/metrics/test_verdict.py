@@ -223,7 +223,7 @@ def test_a_final_state_that_never_came_is_unknown() -> None:
     observer.take(GOOD.rows)
     unsure = judge(PAPER, observer, Ending("run", "in-process", 1))
     assert unsure.exit_code == 3
-    assert unsure.content["reasons"] == ["the final state never came"]
+    assert unsure.content["reasons"] == ["the final state is missing"]
 
 
 def test_a_run_that_differs_from_its_reference_is_invalid() -> None:

@@ -212,7 +212,7 @@ def test_a_difference_is_explained(apart: tuple[Run, Run]) -> None:
     assert said[0].startswith("estimates at step 5 differ: node 2: ")
     assert said[1].startswith("first at step 1: ahat of node 2 ")
     assert said[2:4] == [
-        "until then, left:  messages lost or late: 4->2 at 0-1, 2->4 at 0-1",
+        "lost messages before, left:  messages lost or late: 4->2 at 0-1, 2->4 at 0-1",
         "until then, right: no message lost or late",
     ]
     assert explain(one, other) == ["runs differ", *said[1:]]
@@ -245,7 +245,7 @@ def test_a_failing_test_says_why_and_where_to_look(pytester: pytest.Pytester) ->
         [
             "E       assert estimates at step 5 differ: node 2: *",
             "E         first at step 1: ahat of node 2 *",
-            "E         until then, left:  messages lost or late: 4->2 at 0-1, 2->4 at 0-1",
+            "E         lost messages before, left:  messages lost or late: 4->2 at 0-1, 2->4 at 0-1",
             "* networks *",
             "  fault 1: drop 2-4 from step 0 to 25",
             "  valid: 30 of 30 steps*",

@@ -273,7 +273,7 @@ def test_a_watcher_whose_viewer_is_closed_says_so_and_the_run_goes_on() -> None:
                 until(lambda: draws(viewer) and last_step(viewer.url) > 0)
                 kill(viewer)
                 assert watching.wait() == 3
-                assert "nobody listens there; start a viewer" in watching.output
+                assert "no viewer listens there; start a viewer" in watching.output
             before = json.loads(orchestrator("status", "--json").stdout)["step"]
             up.wait_for_step(before + 1)
     finally:
@@ -339,7 +339,7 @@ def test_a_viewer_that_does_not_say_its_version_is_told() -> None:
     try:
         server.wait_until_it_listens()
         compare(Viewer(server.url), said.append).join()
-        assert said[0].startswith(f"the viewer at {server.url} does not say its version: it is old")
+        assert said[0].startswith(f"the viewer at {server.url} does not report its version: it is old")
         assert f"install rerun-sdk=={rr.__version__} there" in said[0]
         compare(server, said.append).join()
         assert len(said) == 1, "we know what we have started"
@@ -532,7 +532,7 @@ def test_a_viewer_that_is_not_there_is_named_with_its_cure() -> None:
     assert "there is no display" in nobody.stderr
     assert f"copy {folder / 'run.rrd'}" in nobody.stderr
     port = free_port()
-    with pytest.raises(HedgerowError, match=rf"nobody listens there; start a viewer .* `rerun --port {port}"):
+    with pytest.raises(HedgerowError, match=rf"no viewer listens there; start a viewer .* `rerun --port {port}"):
         Viewer(f"rerun+http://127.0.0.1:{port}/proxy").wait_until_it_listens(0.1)
 
 
