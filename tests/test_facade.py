@@ -121,6 +121,7 @@ def test_every_array_of_a_run_has_its_shape() -> None:
     for name, member in vars(hg.Run).items():
         if isinstance(member, cached_property | property) and not name.startswith("_"):
             read = member.func if isinstance(member, cached_property) else member.fget
+            assert read is not None
             kind = str(inspect.signature(read).return_annotation)
             if kind.startswith(("Array", "Mask", "Index", "NDArray", "Gain")):
                 assert re.search(r"\((n|E|K|L|T|2E|,|\+| |1|2|M)+\)", inspect.getdoc(member) or ""), name
