@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from hedgerow.orchestrator import testing
-from hedgerow.orchestrator.launch.live import FaultVerbs
+from hedgerow.orchestrator.launch.fault_verbs import FaultVerbs
 from tests.test_docs import ROOT, Scratch, blocks, commands, same_output, table
 
 PAGE = ROOT / "docs" / "testing.md"
