@@ -11,8 +11,8 @@ from typing import Any, TextIO
 
 # The terminal obeys C0, DEL and C1. The bidirectional controls and the two separators change the order of the visible
 # text. A lone surrogate is an invalid byte of UTF-8. Standard output would write that byte again, and 0x9B begins a
-# command.
-# Invisible characters make two names look equal. The two joiners (U+200C, U+200D) stay, because scripts need them.
+# command. Invisible characters make two names look equal. The two joiners (U+200C, U+200D) stay, because scripts need
+# them.
 _UNSAFE = re.compile(
     "[\x00-\x1f\x7f-\x9f\xad\u061c\u180e\u200b\u200e\u200f\u2028\u2029\u202a-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb"
     "\ud800-\udfff\U000e0000-\U000e007f]"

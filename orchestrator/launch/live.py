@@ -12,19 +12,19 @@ from __future__ import annotations
 
 import json
 import time
-from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import psutil
 import zenoh
 from pydantic import TypeAdapter, ValidationError
 
 from hedgerow.orchestrator.launch.control import ask
+from hedgerow.orchestrator.launch.fault_verbs import FaultVerbs, NodeId, Pair, window_of
 from hedgerow.orchestrator.runs import registry
 from hedgerow.topologies.base import node_id
 from hedgerow.topologies.describe import describe
@@ -39,107 +39,10 @@ from hedgerow.wire.session import WireError, open_client
 if TYPE_CHECKING:
     from hedgerow.orchestrator.runs.run import Run
 
-NodeId = int | str
-Pair = tuple[NodeId, NodeId]
-Steps = range | tuple[int, int] | None
-T_co = TypeVar("T_co", covariant=True)
-
 WAIT_DEADLINE_S = 60.0
 END_DEADLINE_S = 20.0
 _LOOK_EVERY_S = 0.01
 _FAULT: TypeAdapter[Fault] = TypeAdapter(Fault)
-
-
-class FaultVerbs(ABC, Generic[T_co]):
-    """Every kind of fault as a method; `steps` is a range or (from, to), and every step if omitted."""
-
-    @abstractmethod
-    def inject(self, fault: Fault | Mapping[str, Any]) -> T_co:
-        """Add any fault: a model of `hedgerow.topologies.faults`, or a mapping as in a file."""
-
-    def _inject(self, kind: str, **keys: Any) -> T_co:
-        return self.inject({"kind": kind} | {key: value for key, value in keys.items() if value is not None})
-
-    def drop(
-        self,
-        link: Pair | None = None,
-        *,
-        steps: Steps = None,
-        one_way: bool = False,
-        probability: float | None = None,
-        at: Mapping[int, Sequence[Pair]] | None = None,
-    ) -> T_co:
-        """Drop the messages between two neighbours; `one_way`: only those from the first to the second.
-
-        `at` alone lists, by step, the pairs (from, to) that lose their message.
-        """
-        return self._inject("drop", **_ends(link, one_way), steps=_window(steps), probability=probability, at=at)
-
-    def delay(
-        self,
-        link: Pair,
-        *,
-        by: int,
-        steps: Steps = None,
-        one_way: bool = False,
-        probability: float | None = None,
-    ) -> T_co:
-        """Delay the messages between two neighbours by `by` steps; `one_way` as in `drop`."""
-        return self._inject("delay", **_ends(link, one_way), by=by, steps=_window(steps), probability=probability)
-
-    def cut(
-        self,
-        edge: Pair | None = None,
-        *,
-        steps: Steps = None,
-        probability: float | None = None,
-        at: Mapping[int, Sequence[Pair]] | None = None,
-    ) -> T_co:
-        """Stop the flow over an edge, at both its ends; `at` alone lists the edges by step."""
-        return self._inject("cut", edge=edge, steps=_window(steps), probability=probability, at=at)
-
-    def partition(self, *groups: Sequence[NodeId], steps: Steps = None, cut: bool = False) -> T_co:
-        """Drop all messages between groups of nodes; with `cut`, also stop the flow over the edges between them."""
-        return self._inject("partition", groups=groups, steps=_window(steps), cut=cut)
-
-    def sensor(self, node: NodeId, *, steps: Steps = None, probability: float | None = None) -> T_co:
-        """Drop the reading of a node's state; the node then sends no input."""
-        return self._inject("sensor", node=node, steps=_window(steps), probability=probability)
-
-    def actuator(self, node: NodeId, *, steps: Steps = None, probability: float | None = None) -> T_co:
-        """Drop a node's input on its way to the plant."""
-        return self._inject("actuator", node=node, steps=_window(steps), probability=probability)
-
-    def crash(
-        self,
-        node: NodeId | None = None,
-        *,
-        process: int | None = None,
-        at: int = 0,
-        restart_after: int | None = None,
-    ) -> T_co:
-        """Kill a node's agent, or a whole process of agents; it returns `restart_after` steps later, or never."""
-        return self._inject("crash", node=node, process=process, at=at, restart_after=restart_after)
-
-    def jump(self, node: NodeId, *, to: float, at: int = 0) -> T_co:
-        """Change a node's true a to another of its candidates."""
-        return self._inject("jump", node=node, at=at, a=to)
-
-
-def _ends(link: Pair | None, one_way: bool) -> dict[str, Any]:
-    if link is None or not one_way:
-        return {"link": link}
-    return {"from": link[0], "to": link[1]}
-
-
-def _window(steps: Steps) -> tuple[int, int] | None:
-    if isinstance(steps, range):
-        if steps.step != 1:
-            raise UserError(
-                f"steps={steps}: a fault holds at every step of its window; use a range with no stride", code=Code.FAULT
-            )
-        return steps.start, steps.stop
-    return steps
 
 
 def checked(fault: Fault | Mapping[str, Any], topology: Topology) -> Fault:
@@ -163,7 +66,7 @@ def _plain(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {_plain(key): _plain(inside) for key, inside in value.items()}
     if isinstance(value, range):
-        return _window(value)
+        return window_of(value)
     if isinstance(value, list | tuple):
         return [_plain(inside) for inside in value]
     return value.item() if hasattr(value, "item") else value
