@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from hedgerow.orchestrator.views.rerun.stream import RerunStream
 
 CLOSE_DEADLINE_S = 5.0
-CERTIFIED = 300
+CERTIFIED = 10_000
 """Number of nodes up to which the bounds on the gain are solved beside a run, in seconds; its end waits for them."""
 TABLES = ("telemetry", "edges", "summary")
 """of which there is no summary where `record:` says so"""
