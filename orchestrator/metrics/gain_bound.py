@@ -18,6 +18,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from hedgerow.orchestrator.metrics.gain_plant import Plant
 from hedgerow.orchestrator.metrics.gain_uniform import uniform
 from hedgerow.orchestrator.metrics.semidefinite import Blocks, Form, NoBoundError, Program, Unknowns
 from hedgerow.topologies.graph import Array, Index
@@ -61,41 +62,6 @@ class Method(StrEnum):
 
 SPLIT_LARGEST = {Premise.ESTIMATES: 1000, Premise.EDGES: 300, Premise.JUMPS: 300}
 """Number of nodes up to which `split` is chosen. Beyond, `uniform` gives the same, except without closed edges."""
-
-
-@dataclass(frozen=True)
-class Plant:
-    """The numbers of a network that a bound depends on."""
-
-    a: Array
-    """the truth, (n,)"""
-    b: Array
-    """gains, (n,)"""
-    edges: Index
-    """pairs of nodes, (E, 2)"""
-    root_weights: Array
-    """sqrt(k_e), (E,)"""
-    lowest: Array
-    """the smallest candidate per node, (n,)"""
-    highest: Array
-    """the largest candidate per node, (n,)"""
-
-    @classmethod
-    def of(
-        cls, a: Array, b: float | Array, edges: Index, weights: Array | None, lowest: Array, highest: Array
-    ) -> Plant:
-        """Return the plant of a network with gains b (one, or one per node) and weights (None: all 1)."""
-        root = np.ones(len(edges)) if weights is None else np.sqrt(weights)
-        return cls(a, np.broadcast_to(np.asarray(b, dtype=float), a.shape), edges, root, lowest, highest)
-
-    @property
-    def n(self) -> int:
-        """Return the number of nodes."""
-        return len(self.a)
-
-    def permits(self, premise: Premise) -> bool:
-        """Return True if the truth is within the lists, which the premise `jumps` needs."""
-        return premise != Premise.JUMPS or bool(((self.lowest <= self.a) & (self.a <= self.highest)).all())
 
 
 @dataclass(frozen=True)
@@ -154,7 +120,7 @@ def bound(plant: Plant, premise: Premise, method: Method | None = None, time_lim
     Without a method, `method_for` chooses.
     """
     until = time.monotonic() + time_limit_s
-    if not plant.permits(premise):
+    if not _permitted(plant, premise):
         raise NoBoundError("the true a of a node is outside its list")
     if method is not None:
         return _bound(plant, premise, method, until)
@@ -166,6 +132,11 @@ def bound(plant: Plant, premise: Premise, method: Method | None = None, time_lim
             raise
     # The solver may fail where numbers are large, and the closed forms may not.
     return _bound(plant, premise, Method.UNIFORM, until)
+
+
+def _permitted(plant: Plant, premise: Premise) -> bool:
+    """Return True if the truth is within the lists, which the premise `jumps` needs."""
+    return premise != Premise.JUMPS or bool(((plant.lowest <= plant.a) & (plant.a <= plant.highest)).all())
 
 
 def _bound(plant: Plant, premise: Premise, method: Method, until: float) -> Bound:

@@ -15,15 +15,13 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from hedgerow.orchestrator.metrics.gain_plant import Plant
 from hedgerow.orchestrator.metrics.semidefinite import UNIT, Blocks, Form, NoBoundError, Program
 from hedgerow.topologies.graph import Array, Index
-
-if TYPE_CHECKING:
-    from hedgerow.orchestrator.metrics.gain_bound import Plant
 
 NEAR = 1e-5
 """Relative distance from the least g at which the search ends."""

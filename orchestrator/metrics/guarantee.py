@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from hedgerow.orchestrator.metrics.gain_bound import Bound, Method, Plant, Premise, bound, method_for
+from hedgerow.orchestrator.metrics.gain_bound import Bound, Method, Premise, bound, method_for
+from hedgerow.orchestrator.metrics.gain_plant import Plant
 from hedgerow.topologies.errors import HedgerowError
 from hedgerow.topologies.network import Network
 

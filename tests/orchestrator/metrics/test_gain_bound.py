@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 
 import hedgerow as hg
 from hedgerow.orchestrator.metrics import gain_bound
-from hedgerow.orchestrator.metrics.gain_bound import Bound, Method, Plant, Premise, bound, method_for
+from hedgerow.orchestrator.metrics.gain_bound import Bound, Method, Premise, bound, method_for
+from hedgerow.orchestrator.metrics.gain_plant import Plant
 from hedgerow.orchestrator.metrics.guarantee import fingerprint, guarantee, plant_of
 from hedgerow.orchestrator.metrics.semidefinite import NoBoundError
 from hedgerow.topologies.graph import Array, Graph

@@ -21,8 +21,9 @@ from hedgerow.orchestrator.launch import recording
 from hedgerow.orchestrator.launch.recording import Watching
 from hedgerow.orchestrator.launch.simulation import simulate_into
 from hedgerow.orchestrator.metrics.checks import Worst
-from hedgerow.orchestrator.metrics.gain_bound import Method, Plant, Premise, bound
+from hedgerow.orchestrator.metrics.gain_bound import Method, Premise, bound
 from hedgerow.orchestrator.metrics.gain_certificate import GainCertificate
+from hedgerow.orchestrator.metrics.gain_plant import Plant
 from hedgerow.orchestrator.metrics.guarantee import SOLVED, Guarantee, guarantee, plant_of
 from hedgerow.orchestrator.metrics.observer import Observer
 from hedgerow.orchestrator.metrics.verdict import INVALID, VALID, Ending, judge

@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 
 import hedgerow as hg
 from hedgerow.orchestrator.metrics import gain_uniform
-from hedgerow.orchestrator.metrics.gain_bound import Method, Plant, Premise, bound, method_for
+from hedgerow.orchestrator.metrics.gain_bound import Method, Premise, bound, method_for
+from hedgerow.orchestrator.metrics.gain_plant import Plant
 from hedgerow.orchestrator.metrics.gain_uniform import Edges, Nodes, least
 from hedgerow.orchestrator.metrics.guarantee import guarantee, plant_of
 from hedgerow.orchestrator.metrics.semidefinite import NoBoundError
