@@ -1,4 +1,4 @@
-"""Figures with a curve a node: the paper's 2 to 5, a panel a run."""
+"""Figures with one curve per node: the paper's 2 to 5, one panel per run."""
 
 from __future__ import annotations
 
@@ -30,27 +30,27 @@ _REGRET, _GAP = (
 
 
 def states(runs: Runs) -> Figure:
-    """Figure 2: x, on the axes of figure 3."""
+    """Draw figure 2: x, on the axes of figure 3."""
     return _panels(runs, "x", _STATE, _limits(runs, "x", "x_oracle"), behind="x_oracle")
 
 
 def oracle(runs: Runs) -> Figure:
-    """Figure 3: x*, on the axes of figure 2."""
+    """Draw figure 3: x*, on the axes of figure 2."""
     return _panels(runs, "x_oracle", _ORACLE, _limits(runs, "x", "x_oracle"))
 
 
 def regret(runs: Runs) -> Figure:
-    """Figure 4: |x - x*|, on the axes of figure 5."""
+    """Draw figure 4: |x - x*|, on the axes of figure 5."""
     return _panels(runs, "regret", _REGRET, _limits(runs, "regret", "nominal_gap"))
 
 
 def nominal(runs: Runs) -> Figure:
-    """Figure 5: |x* - x^nom|, on the axes of figure 4."""
+    """Draw figure 5: |x* - x^nom|, on the axes of figure 4."""
     return _panels(runs, "nominal_gap", _GAP, _limits(runs, "regret", "nominal_gap"))
 
 
 def paper(runs: Runs) -> Figure:
-    """Figures 2 to 5 of one run as the panels (a) to (d) of a figure as wide as a page, with one legend."""
+    """Draw figures 2 to 5 of one run as the panels (a) to (d) of a figure as wide as a page, with one legend."""
     (run,) = runs
     figure = sheet(4.2, PAGE_IN)
     axes = figure.subplots(2, 2, sharex=True, sharey="row")
@@ -106,14 +106,14 @@ def _panels(runs: Runs, name: str, label: str, limits: tuple[float, float], behi
 
 
 def _limits(runs: Runs, *names: str) -> tuple[float, float]:
-    """Axes that have room for some arrays of all runs; from 0 for what is never negative."""
+    """Return limits of an axis with room for some arrays of all runs; from 0 for nonnegative ones."""
     low, high = extremes(*(getattr(run, name) for run in runs for name in names))
     room = 0.04 * (high - low) or 1.0
     return (0.0 if low >= 0 else low - room), high + room
 
 
 def largest(runs: Runs, name: str) -> str:
-    """The largest value of an array, and where it was taken, in words."""
+    """Return the maximum of an array, with its node and step, in words."""
     said = []
     for k, run in enumerate(runs):
         values = getattr(run, name)
