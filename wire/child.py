@@ -16,6 +16,7 @@ from hedgerow.topologies.escape import echo, escape
 from hedgerow.wire import crash, start
 from hedgerow.wire.limits import limit_reached
 from hedgerow.wire.runtime import let_numbers_overflow
+from hedgerow.wire.stderr_relay import StderrRelay
 
 USER_ERROR = Exit.USER_MISTAKE
 """The exit code after a mistake of the user. A restart would not help."""
@@ -77,14 +78,25 @@ def run_alone(body: Callable[[], None], logged: bool = False) -> NoReturn:
     """
     start.begin()
     let_numbers_overflow()
-    handler = logging.StreamHandler(sys.stderr)
-    handler.setFormatter(Line())
-    logging.basicConfig(handlers=[handler], level=logging.INFO)
     # Block these signals in every thread that starts from here on; one thread waits for them. A Python handler would
     # need the main thread, which may be about to wait and would then miss the signal. Leave an ignored signal out: the
     # kernel would still deliver it while it is blocked.
     ends = set(_ENDS) - start.ignored(_ENDS)
     signal.pthread_sigmask(signal.SIG_BLOCK, ends)
+    with StderrRelay():
+        code = _run(body, logged, ends)
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError, ValueError):  # nobody reads it
+            stream.flush()
+    # Not sys.exit: Zenoh's threads may outlive a session that was not closed, and must not hold the process.
+    os._exit(code)
+
+
+def _run(body: Callable[[], None], logged: bool, ends: Collection[signal.Signals]) -> int:
+    """Run `body` with a log, and return the exit code."""
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(Line())
+    logging.basicConfig(handlers=[handler], level=logging.INFO)
     code = Exit.VALID
     try:
         if ends:
@@ -106,11 +118,7 @@ def run_alone(body: Callable[[], None], logged: bool = False) -> NoReturn:
                 with contextlib.suppress(Exception):
                     logging.error("unexpected", exc_info=error)
             _say(f"this is a defect of hedgerow: {crash.told(error)}" if logged else crash.report(error))
-    for stream in (sys.stdout, sys.stderr):
-        with contextlib.suppress(OSError, ValueError):  # standard error has no reader
-            stream.flush()
-    # Not sys.exit: Zenoh's threads may outlive a session that was not closed, and must not hold the process.
-    os._exit(code)
+    return code
 
 
 def _say(text: str) -> None:

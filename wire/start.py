@@ -1,6 +1,6 @@
 """The start of every process: streams that accept every character, room for open files, and a quiet Ctrl-C.
 
-Import this module before everything slow: it loads nothing but the standard library.
+Import this module before everything slow: it loads little but the standard library.
 """
 
 from __future__ import annotations
@@ -15,6 +15,8 @@ import threading
 from collections.abc import Iterable, Iterator
 from types import FrameType
 from typing import Any
+
+from hedgerow.topologies.escape import EscapedStream
 
 INTERRUPTED = 128 + signal.SIGINT
 """The exit code after a Ctrl-C."""
@@ -59,6 +61,8 @@ def open_streams() -> None:
         if number and isinstance(stream, io.TextIOWrapper):
             with contextlib.suppress(OSError, ValueError):  # the stream has no reader any more
                 stream.reconfigure(errors="backslashreplace")
+        if number and not isinstance(stream, EscapedStream):
+            setattr(sys, name, EscapedStream(stream))
 
 
 def raise_open_files() -> None:

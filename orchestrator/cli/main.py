@@ -41,6 +41,7 @@ from hedgerow.topologies.escape import command, echo
 from hedgerow.topologies.paths import user_path
 from hedgerow.wire.child import escape_warnings
 from hedgerow.wire.runtime import let_numbers_overflow
+from hedgerow.wire.stderr_relay import StderrRelay
 
 # A topology takes most of a second to load: each command imports what it needs itself.
 if TYPE_CHECKING:
@@ -95,7 +96,9 @@ def run_command(began: float, fork_client: ForkClient | None) -> None:
     _BEGAN, _FORK_CLIENT = began, fork_client
     let_numbers_overflow()
     escape_warnings()
-    leave(run_to_exit_code(lambda: app(standalone_mode=False) or 0))
+    with StderrRelay():
+        code = run_to_exit_code(lambda: app(standalone_mode=False) or 0)
+    leave(code)
 
 
 @app.command(rich_help_panel=RUN)

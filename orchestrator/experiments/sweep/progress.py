@@ -38,7 +38,7 @@ class Bar:
     def __init__(self, there: int, runs: int, console: Console) -> None:
         self._bar = Progress(
             BarColumn(), MofNCompleteColumn(), TextColumn("runs"), TimeRemainingColumn(),
-            console=console, transient=True,
+            console=console, transient=True, redirect_stdout=False, redirect_stderr=False,
         )  # fmt: skip
         self._task = self._bar.add_task("runs", total=runs, completed=there)
         self._bar.start()
