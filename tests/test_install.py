@@ -92,7 +92,7 @@ def test_an_installation_adds_no_command_with_a_general_name() -> None:
 
 def test_the_message_for_a_missing_package_covers_all_that_an_agent_does_without() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    imported = {"rerun-sdk": "rerun", "pyyaml": "yaml", "tomli-w": "tomli_w", "eclipse-zenoh": "zenoh"}
+    imported = {"rerun-sdk": "rerun", "pyyaml": "yaml", "eclipse-zenoh": "zenoh"}
     names = {re.split("[<>=]", one)[0] for one in project["dependencies"]}
     assert {imported.get(name, name) for name in names} - {"numpy", "zenoh"} == hedgerow.NEEDED
 

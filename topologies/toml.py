@@ -16,9 +16,9 @@ _HEAD = re.compile(r"^[^=\n#]*", re.MULTILINE)
 
 def dumps(settings: Mapping[str, Any]) -> str:
     """Return settings as TOML. Numbers come back bit for bit; a key whose value is None is left out."""
-    import tomli_w  # noqa: PLC0415 (an agent on a small computer reads TOML, and does not have this package)
+    import tomlkit  # noqa: PLC0415 (an agent on a small computer reads TOML, and does not have this package)
 
-    return tomli_w.dumps(_without_none(settings))
+    return tomlkit.dumps(_without_none(settings))
 
 
 def _without_none(value: Any) -> Any:
