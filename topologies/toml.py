@@ -1,4 +1,4 @@
-"""Settings as TOML, which people can read and every Python can: the form in which a process is told things far away."""
+"""Settings as TOML, which people and every Python can read: the format of the configs of remote processes."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ def _without_none(value: Any) -> Any:
 
 
 def loads(text: str, source: str) -> dict[str, Any]:
-    """The settings in a text; UserError, which names its `source`, where it is not TOML."""
+    """Return the settings in a text; raise UserError, which names its `source`, if it is not TOML."""
     budget.require(source, memory(text.encode(errors="replace")) + _parsed(text))
     try:
         return tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # ValueError alone for a whole number of too many digits
+    except (ValueError, RecursionError) as error:  # ValueError alone if a whole number has too many digits
         why = "it is nested too deep" if isinstance(error, RecursionError) else error
         raise UserError(
             f"{source}: is not TOML: {why}; take the file that `orchestrator bundle` wrote", code=Code.FILE_FORMAT
@@ -40,9 +40,9 @@ def loads(text: str, source: str) -> dict[str, Any]:
 
 
 def _parsed(text: str) -> int:
-    """Return the bytes that keys and tables of a text take while it is parsed, at most.
+    """Return an upper bound of the memory for the keys and tables of a text during parsing [bytes].
 
-    A key can be the only one of its table. The parser keeps three collections for each table and each part of a dotted
+    A key can be the only one of its table. The parser has three collections for each table and each part of a dotted
     key, and a tuple of all parts before it.
     """
     dots: list[int] = [head.count(".") for head in _HEAD.findall(text)]
