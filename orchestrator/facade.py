@@ -90,7 +90,7 @@ def run(
 
 
 class _Started(Running):
-    """A running network whose folder goes if the network does not start."""
+    """A running network; its folder is removed if the network does not start."""
 
     def __init__(self, topology: Topology, run_dir: str | Path | None, options: Sequence[str]) -> None:
         self._run_dir = run_dir
@@ -281,7 +281,7 @@ def _listed(value: object) -> Sequence[object]:
 
 
 def _importable(topology: Topology) -> Topology:
-    """Return a topology whose law another process can import. Raises UserError."""
+    """Return a topology with a law that another process can import. Raises UserError."""
     law = topology.law
     if isinstance(law, str) and law.startswith("__main__:"):
         name = law.partition(":")[2]

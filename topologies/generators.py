@@ -218,7 +218,7 @@ class RandomTree(Generator):
     @model_validator(mode="after")
     def _room(self) -> Self:
         if self.max_degree == 1 and self.nodes > 2:
-            raise PydanticCustomError("graph", "is no tree with at most one neighbour a node; allow 2 or more")
+            raise PydanticCustomError("graph", "is no tree with at most one neighbour a node; allow at least 2")
         return self
 
     def _make(self, stream: np.random.Generator) -> Index:

@@ -316,7 +316,7 @@ def _nodes(value: Any) -> Any:
         return {node: {} for node in value if isinstance(node, int | str)}
     if isinstance(value, dict):
         return {node: {} if settings is None else settings for node, settings in value.items()}
-    raise PydanticCustomError("nodes", "expects a list of node ids, or a mapping from ids to what they override")
+    raise PydanticCustomError("nodes", "expects a list of node ids, or a mapping from ids to their settings")
 
 
 def _process_count(value: Any) -> Any:

@@ -1,4 +1,4 @@
-"""The bounds of a network from above and, where `worst` has found one, from below."""
+"""The upper bounds of a network and, if `worst` has found one, its lower bound."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hedgerow.topologies.named import Named, resolved
 def bound(network: Named, full: bool = False) -> Guarantee:
     """Return gamma* of a network, and upper bounds on the gain of the adaptive law; docs/guarantee.md.
 
-    network: as of `topologies.named.text_of`. full: with a full storage matrix P, which takes longer.
+    network: as in `topologies.named.text_of`. full: with a full storage matrix P, which takes longer.
     """
     topology = resolved(network)
     found = topology.network

@@ -244,9 +244,9 @@ def share_of(agents: int, free: float, machines: int) -> float:
     if share * MOST_PER_CPU < 1:
         most = int(free * MOST_PER_CPU) - machines
         raise UserError(
-            f"--on ray: {agents} agent process{'es' * (agents != 1)} are too many for a cluster with {free:g} free CPUs"
-            f" on {machines} machine{'s' * (machines != 1)}, {MOST_PER_CPU} a CPU at most: add machines, end what runs"
-            " there" + (f", or put several nodes in a process, --processes {most}" if most > 0 else ""),
+            f"--on ray: {agents} agent process{'es' * (agents != 1)} do not fit a cluster with {free:g} free CPUs"
+            f" on {machines} machine{'s' * (machines != 1)}, at most {MOST_PER_CPU} per CPU. Add machines, end other"
+            " programs there" + (f", or put several nodes in a process, --processes {most}" if most > 0 else ""),
             code=Code.OPTION,
         )
     return share

@@ -234,7 +234,7 @@ class Recording:
             self.viewer = start(self._watching.viewer)
         except (OSError, HedgerowError) as error:
             self.warnings.append(
-                f"no viewer: {str(limit_reached(error) or error).rstrip('.')}; the run goes on without it"
+                f"no viewer: {str(limit_reached(error) or error).rstrip('.')}; the run continues without it"
             )
         if path is None and self.viewer is None:
             return
@@ -269,7 +269,7 @@ class Recording:
         if not expected:
             why = crash.report(error, self.folder.logs / "orchestrator.log")
         what = "run.rrd is not complete" if self._watching.record else "the viewer is left out"
-        self.warnings.append(f"{what}: {why.rstrip('.')}; the run goes on without it")
+        self.warnings.append(f"{what}: {why.rstrip('.')}; the run continues without it")
 
     def _show(self, show: Callable[[RerunStream], object], size: int = 0) -> None:
         def job() -> None:

@@ -64,7 +64,9 @@ class Guarantee:
             " of the adaptive law"
         ]
         if self.at_least is not None:
-            lines.append(f"at least    {rounded_down(self.at_least):>8}  reached by what `orchestrator worst` found")
+            lines.append(
+                f"at least    {rounded_down(self.at_least):>8}  reached by a disturbance of `orchestrator worst`"
+            )
         for premise in Premise:
             if (found := self.bounds.get(premise)) is not None:
                 how = {Method.FULL: ", full P", Method.SPLIT: "", Method.WHOLE: ""}[found.method]
@@ -72,9 +74,9 @@ class Guarantee:
             elif premise in self.not_computed:
                 lines.append(f"not computed          under {SAYS[premise]}: {self.not_computed[premise]}")
         lines.append(
-            "Gains are of sum |x|^2 + sum k_e (u_i - u_j)^2 against sum |w|^2 from x(0) = 0. An upper bound holds for"
-            " every disturbance and every number of steps, if each u acts within the lists; it ignores learning, so"
-            " the true gain may be less."
+            "The gain squared is sum |x|^2 + sum k_e (u_i - u_j)^2 over sum |w|^2, from x(0) = 0. An upper bound holds"
+            " for every disturbance and every number of steps, if each u acts within the lists. It ignores learning, so"
+            " the true gain may be smaller."
         )
         return "\n".join(lines)
 

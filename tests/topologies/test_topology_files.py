@@ -1,4 +1,4 @@
-"""Everything that a topology file can have wrong, and what the user is told about it."""
+"""Every possible mistake in a topology file, and the message about it."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ HEAD = "name: n\nb: 0.1\nsteps: 3\n"
 
 
 def problems(text: str | bytes, *overrides: str, folder: Path = Path()) -> list[Problem]:
-    """What is wrong with a file of this text."""
+    """Return the mistakes of a file with this text."""
     text = text.encode() if isinstance(text, str) else text
     with pytest.raises(TopologyError) as caught:
         parse(text, "bad.yaml", folder, overrides)
@@ -168,7 +168,7 @@ def test_a_mistake_is_told_where_it_stands(old: str, new: str, line: int, said: 
 
 
 def test_no_interval_is_left_when_a_node_has_too_many_neighbours() -> None:
-    """8 b² d >= 1 at the hub: the cure says which degree, and which b, would do."""
+    """8 b² d >= 1 at the hub: the fix gives a suitable degree, and a suitable b."""
     problem = only(HEAD.replace("0.1", "0.25") + "nodes: [h, 1, 2]\nedges: [[h, 1], [h, 2]]\n")
     assert (problem.line, problem.place) == (4, "node h")
     assert "0.2499" in problem.cure

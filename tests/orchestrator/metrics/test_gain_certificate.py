@@ -72,7 +72,7 @@ COVERED = (
 
 
 def certified(topology: Topology, ran: Trajectory, batch: int = 7, known: Guarantee | None = None) -> GainCertificate:
-    """Return the certificate of a run whose bounds are known from the first step."""
+    """Return the certificate of a run with bounds known from the first step."""
     observer = Observer(topology)
     observer.adaptive = GainCertificate(plant_of(topology.network), observer.x0)
     observer.adaptive.known = guarantee(plant_of(topology.network)) if known is None else known
@@ -149,7 +149,7 @@ def test_a_lost_row_ends_every_premise() -> None:
 
 
 def constant_run(plant: Plant, reported: Array, steps: int, scale: float) -> Worst:
-    """Return the check of a run under hinf whose plant adds `scale` times the w that it reports, from x(0) = 0."""
+    """Return the check of a run under hinf; the plant adds `scale` times the w that it reports, from x(0) = 0."""
     certificate = GainCertificate(plant, np.zeros(plant.n))
     certificate.known = Guarantee(1.0, {Premise.ESTIMATES: bound(plant, Premise.ESTIMATES)})
     incidence = np.zeros((plant.n, len(plant.edges)))
@@ -219,7 +219,7 @@ def test_a_network_too_large_for_a_bound_in_time_says_so(tmp_path: Path) -> None
 
 
 def test_a_violation_is_invalid() -> None:
-    """Telemetry whose w is smaller than what the plant added; the check of the dynamics is silenced."""
+    """The w in telemetry is smaller than that of the plant; the check of the dynamics is disabled."""
     topology = read(TEXT, "law=hinf", "defaults.x0=0", "defaults.disturbance={kind: constant, value: 1}", "steps=400")
     ran = simulate(topology)
     observer = Observer(topology)
