@@ -93,8 +93,11 @@ def law_of(topology: Topology) -> str:
     return "minimax" if topology.law in ("hinf", "nominal") else topology.law
 
 
-def views_of(topology: Topology, shards: Layout) -> list[View]:
-    """What each agent process is told: its own nodes and who their neighbours are, never the truth or the graph."""
+def views_of(topology: Topology, shards: Layout, source: str = "") -> list[View]:
+    """What each agent process is told: its own nodes and who their neighbours are, never the truth or the graph.
+
+    `source` is the digest of the source of the law, for processes that load it themselves.
+    """
     graph, ids, candidates = topology.network.graph, id_array(topology.ids), candidates_of(topology)
     b, law, history = topology.network.b, law_of(topology), history_of(topology)
     home = np.empty(graph.n, dtype=np.int64)
@@ -132,6 +135,7 @@ def views_of(topology: Topology, shards: Layout) -> list[View]:
                 heard=ids[heard % graph.n],
                 history=history,
                 seed=law_seed(topology),
+                law_source=source,
             )
         )
     return views

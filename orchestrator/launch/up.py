@@ -14,6 +14,7 @@ from typing import Any
 
 import zenoh
 
+from hedgerow.agents.law_source import source_digest
 from hedgerow.orchestrator.ground.assignment import Layout, places, process_name, truth_of, views_of
 from hedgerow.orchestrator.ground.signals import Interrupts
 from hedgerow.orchestrator.launch.certificates import host_of
@@ -131,7 +132,7 @@ class Network:
         """the plant has said again what we have"""
         self._word: Callable[[], dict[str, Any] | None] = lambda: None
         """what we said and heard, by key"""
-        self._views = views_of(topology, shards)
+        self._views = views_of(topology, shards, source_digest(topology.law))
         self._connection = self._wire()
         self._meeting: Meeting | None = None
         """with those who are started elsewhere"""
