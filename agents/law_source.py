@@ -31,6 +31,7 @@ LARGEST = 2_000_000
 MOST_FILES = 200
 """files of a law; the modules that it names itself come first"""
 
+
 @dataclass(frozen=True)
 class LawSource:
     """The files of a law, by their path from the folder that is on the module path."""

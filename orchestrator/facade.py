@@ -67,8 +67,8 @@ def simulate(
 
     `network`, `settings` and `overrides` are those of `load`. If the file of a law changed since it was loaded, it is
     loaded again. `run_dir` is a new folder for the run, by default one in runs/. Warns if `network` is the folder of a
-    run that kept another source of the law; with `kept_law`, the law is loaded from that folder. Raises UserError for a mistake, LawError if the law fails, and
-    HedgerowError if no step was made.
+    run that kept another source of the law; with `kept_law`, the law is loaded from that folder. Raises UserError for a
+    mistake, LawError if the law fails, and HedgerowError if no step was made.
     """
     return simulation.simulate(network, *settings, *_settings(overrides), run_dir=run_dir, kept=kept_law)
 
@@ -88,7 +88,8 @@ def run(
 
     `network`, `settings` and `overrides` are those of `load`; `processes=3` packs the nodes into 3 processes. `rate`
     is in steps per second, 0 for as fast as possible. `verify` repeats the run in one process and compares all bits.
-    `kept_law` loads the law from the folder of a run that `network` is. `record` writes run.rrd, and `viewer` is `native`, `web`, `none` or a URL. Ctrl-C ends the network.
+    `kept_law` loads the law from the folder of a run that `network` is. `record` writes run.rrd, and `viewer` is
+    `native`, `web`, `none` or a URL. Ctrl-C ends the network.
     Raises UserError for a mistake, and HedgerowError if the run has no verdict.
     """
     topology = _importable(load(network, *settings, **overrides))
