@@ -178,7 +178,7 @@ class _Test:
             neighbour=ids[self._other[incidences]],
             weight=self._weight[incidences],
             parameters=self._parameters,
-            seed=self._seed,
+            seeds=self._seed,
         )
 
     def _of(self, nodes: Index) -> Index:

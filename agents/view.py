@@ -56,8 +56,8 @@ class View:
     """ids of the neighbours in other shards, peer by peer"""
     history: int
     """number of past steps kept for back-filling; with 0, missed samples are never learned"""
-    seed: int = 0
-    """for laws that draw numbers; a function of the seed of the run"""
+    seed: int | NDArray[np.uint64] = 0
+    """for laws that draw numbers; a function of the seed of the run. For networks side by side: per node, (k,)"""
     weights: Array | None = None
     """per incidence: the weight of its edge, (m,); None if all are 1"""
     law_source: str = ""

@@ -58,7 +58,7 @@ def truth_of(topology: Topology, shards: Layout) -> Truth:
 
 def history_of(topology: Topology) -> int:
     """How many past steps every process keeps for back-filling: as many as the file says and memory has room for."""
-    graph = topology.network.graph
+    graph = topology.graph
     row = 8 * (3 * graph.n + 2 * len(graph.edges))
     return min(topology.history, max(1, HISTORY_BYTES // row)) if topology.backfill else 0
 
@@ -78,14 +78,15 @@ def candidates_of(topology: Topology) -> Array:
             return network.candidates
 
 
-def law_seed(topology: Topology) -> int:
+def law_seed(topology: Topology, seed: int | None = None) -> int:
     """Return the seed of the laws: a function of the seed of the run, from which the truth cannot be found.
 
-    It is 0 for the laws of the paper, which draw nothing: an agent is given what its law may need, and no more.
+    `seed` stands for that of the topology if it is given. It is 0 for the laws of the paper, which draw nothing: an
+    agent is given what its law may need, and no more.
     """
     if topology.law in LAWS:
         return 0
-    return int(lots.keys(topology.seed, "law", lots.words_of(["seed"]))[0] >> np.uint64(1))
+    return int(lots.keys(topology.seed if seed is None else seed, "law", lots.words_of(["seed"]))[0] >> np.uint64(1))
 
 
 def law_of(topology: Topology) -> str:
