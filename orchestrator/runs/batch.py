@@ -255,7 +255,9 @@ class _Batch:
     def _spectra(self) -> tuple[Array, Array]:
         """Return gamma* and the inverse of Q of every run."""
         Q = _q(self._union.a, self._b, self._graph, *self._shape)
-        return 1 / np.sqrt(np.linalg.eigh(Q)[0][:, 0]), np.linalg.inv(Q)
+        least: Array = np.linalg.eigh(Q)[0][:, 0]
+        inverse: Array = np.linalg.inv(Q)
+        return 1 / np.sqrt(least), inverse
 
     def _metrics(self) -> dict[str, Array]:
         regret, regret_nominal, cost, cost_oracle, energy = self._sums

@@ -112,7 +112,9 @@ def test_runs_at_once_have_the_metrics_and_the_verdict_of_single_runs(name: str,
         row = _row(_content(sweep, 0, seed))
         assert (row["verdict"] == "valid") == bool(runs.good[k]), row["reasons"]
         if name == "a random graph":
-            assert _row_at_once(runs, k) == pytest.approx(row, rel=1e-12)
+            made = _row_at_once(runs, k)
+            known = {key: value for key, value in row.items() if isinstance(value, float)}
+            assert {key: made[key] for key in known} == pytest.approx(known, rel=1e-12)
         else:
             assert _row_at_once(runs, k) == row
 
