@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 import shlex
 import sys
-from collections.abc import Iterable
-from typing import TextIO
+from collections.abc import Iterable, Iterator
+from typing import Any, TextIO
 
 # The terminal obeys C0, DEL and C1. The bidirectional controls and the two separators change the order of what is read.
 # A lone surrogate is a byte that is no UTF-8, and standard output would write that byte again: 0x9B begins a command.
-_UNSAFE = re.compile("[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028\u2029\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
+# Invisible characters make two names look equal. The two joiners (U+200C, U+200D) stay, because scripts need them.
+_UNSAFE = re.compile(
+    "[\x00-\x1f\x7f-\x9f\xad\u061c\u180e\u200b\u200e\u200f\u2028\u2029\u202a-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb"
+    "\ud800-\udfff\U000e0000-\U000e007f]"
+)
 LAYOUT = "\n\t"
 """The control characters that lay out our own messages."""
 
@@ -22,7 +27,15 @@ def escape(text: str, keep: str = LAYOUT) -> str:
     """
     if text.isascii() and text.isprintable():
         return text
-    return _UNSAFE.sub(lambda found: found[0] if found[0] in keep else f"\\u{ord(found[0]):04x}", text)
+    return _UNSAFE.sub(lambda found: found[0] if found[0] in keep else _written_out(found[0]), text)
+
+
+def _written_out(character: str) -> str:
+    number = ord(character)
+    if number > 0xFFFF:  # JSON writes it as two surrogates
+        high, low = divmod(number - 0x10000, 0x400)
+        return f"\\u{0xD800 + high:04x}\\u{0xDC00 + low:04x}"
+    return f"\\u{number:04x}"
 
 
 def shorten(text: str, most: int = 80) -> str:
@@ -40,13 +53,62 @@ def markdown(text: str) -> str:
     return _MARKS.sub(r"\\\g<0>", escape(text, keep=""))
 
 
+_answers: TextIO | None = None
+
+
+def answers() -> TextIO:
+    """Return the stream of what a command answers: standard output."""
+    return _answers or sys.stdout
+
+
+@contextlib.contextmanager
+def answers_alone() -> Iterator[None]:
+    """Lead what others print to standard error while the block lasts, so that standard output has the answer alone.
+
+    A law may print. A program that reads JSON could not read those lines.
+    """
+    global _answers
+    before = _answers, sys.stdout
+    _answers, sys.stdout = answers(), sys.stderr
+    try:
+        yield
+    finally:
+        _answers, sys.stdout = before
+
+
 def echo(text: object, *, error: bool = False, end: str = "\n") -> None:
     """Print the escaped text to standard output, or to standard error if `error`, and flush it.
 
     Raises OSError if it cannot be written.
     """
-    stream: TextIO = sys.stderr if error else sys.stdout
+    stream = sys.stderr if error else answers()
     print(escape(str(text)), file=stream, end=end, flush=True)
+
+
+class EscapedStream:
+    """Standard output or error of a process, whose text is escaped, whatever code writes it.
+
+    A law that prints, a warning and the traceback of a thread do not pass through `echo`.
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+        self.rich_proxied_file = stream
+        """The stream without escapes, which rich looks for under this name: a live table consists of controls."""
+
+    def write(self, text: str) -> int:
+        """Write the escaped text, and return the length of `text`."""
+        self._stream.write(escape(text))
+        return len(text)
+
+    def writelines(self, lines: Iterable[str]) -> None:
+        """Write the escaped lines."""
+        for line in lines:
+            self.write(line)
+
+    def __getattr__(self, name: str) -> Any:
+        """Return an attribute of the stream."""
+        return getattr(self._stream, name)
 
 
 def command(words: Iterable[object]) -> str:

@@ -259,6 +259,7 @@ class Live:
 
     def __init__(self, run: str | registry.Entry | None = None) -> None:
         self.entry = run if isinstance(run, registry.Entry) else registry.find(run)
+        """the entry of the run in the registry"""
         self._session: zenoh.Session | None = None
         self._added: dict[int, Fault] = {}
 

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from hedgerow.orchestrator.runs.round_trips import RoundTrips
     from hedgerow.orchestrator.runs.writer import Recorder
     from hedgerow.orchestrator.views.rerun.stream import RerunStream
+    from hedgerow.orchestrator.views.screen import Screen
 
 CLOSE_DEADLINE_S = 5.0
 CERTIFIED = 300
@@ -90,7 +91,7 @@ class Recording:
         """what was noted before there was a stream"""
         self.viewer: Viewer | None = None
         self.warnings: deque[str] = deque()
-        """Warnings about the viewer, for the command that started the run; other threads append to it."""
+        """warnings about the viewer that `warn` prints; other threads append to it"""
         self._watched = False
 
     @cached_property
@@ -212,6 +213,11 @@ class Recording:
         """Write down the faults that the file schedules."""
         for number, fault in enumerate(self.topology.faults, 1):
             self.folder.event("fault", fault=number, entry=fault.written())
+
+    def warn(self, screen: Screen) -> None:
+        """Print the warnings about the viewer that came since the last call."""
+        while self.warnings:
+            screen.say(self.warnings.popleft())
 
     def _open_stream(self) -> None:
         if not self._watching.record and self._watching.viewer == "none":

@@ -152,6 +152,7 @@ class Running(Live):
     ) -> None:
         """Prepare `orchestrator up` with some options; the block starts it. `on_run` receives the finished run."""
         self.topology = topology
+        """the resolved network as it started"""
         self._folder, self._options, self._listed, self._on_run = folder, options, listed, on_run
         self._frozen: set[int] = set()
         self._finished: Run | None = None

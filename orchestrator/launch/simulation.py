@@ -89,8 +89,7 @@ def simulate_into(
             ending.end_by(error, folder.logs / "orchestrator.log")
             ending.stopped = f"stopped at step {run.observer.next_step}: {ending.stopped}"
         verdict = run.close()
-        for warning in run.warnings:
-            screen.say(warning)
+        run.warn(screen)
         screen.verdict(verdict, folder.path)
         if run.viewer is not None:
             run.viewer.end()

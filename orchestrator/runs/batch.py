@@ -256,7 +256,7 @@ class _Batch:
         """Return gamma* and the inverse of Q of every run."""
         Q = _q(self._union.a, self._b, self._graph, *self._shape)
         least: Array = np.linalg.eigh(Q)[0][:, 0]
-        inverse: Array = np.linalg.inv(Q)
+        inverse: Array = np.asarray(np.linalg.inv(Q), dtype=np.float64)
         return 1 / np.sqrt(least), inverse
 
     def _metrics(self) -> dict[str, Array]:

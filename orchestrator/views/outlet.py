@@ -10,7 +10,7 @@ from collections.abc import Callable
 from errno import EIO
 from pathlib import Path
 
-from hedgerow.topologies.escape import command
+from hedgerow.topologies.escape import answers, command
 
 
 class Outlet:
@@ -28,7 +28,7 @@ class Outlet:
         except OSError as error:
             self.lost = self.lost or error
             with contextlib.suppress(OSError, ValueError):
-                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+                os.dup2(os.open(os.devnull, os.O_WRONLY), answers().fileno())
 
     @property
     def incomplete(self) -> OSError | None:
@@ -39,7 +39,7 @@ class Outlet:
 
 def _leads_to_terminal() -> bool:
     with contextlib.suppress(OSError, ValueError):
-        return sys.stdout.isatty()
+        return answers().isatty()
     return False
 
 

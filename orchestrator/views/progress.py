@@ -20,7 +20,11 @@ class Progress:
         self._quiet, self._began = quiet, time.monotonic()
         console = Console(stderr=True)
         columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeRemainingColumn())
-        self._bar = Bar(*columns, console=console, transient=True) if console.is_terminal and not quiet else None
+        self._bar = (
+            Bar(*columns, console=console, transient=True, redirect_stdout=False, redirect_stderr=False)
+            if console.is_terminal and not quiet
+            else None
+        )
         self._title = escape(title)
         self._task = self._bar.add_task(self._title, total=seconds) if self._bar is not None else None
 

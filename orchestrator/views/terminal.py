@@ -316,6 +316,7 @@ class Bar:
         self._bar = Progress(
             TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[rate]}"),
             TimeRemainingColumn(), console=self._console, transient=True, auto_refresh=False,
+            redirect_stdout=False, redirect_stderr=False,
         )  # fmt: skip
         self._task = self._bar.add_task("steps", total=steps, rate="")
         self._began: float | None = None
