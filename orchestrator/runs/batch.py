@@ -37,6 +37,8 @@ LOSSY_NODES = 1_500
 """nodes of all runs where messages go missing: every late one makes all nodes of the batch learn again"""
 LARGEST = 400
 """networks of more nodes are run one by one: their time goes into the arithmetic"""
+STEPS, LOSSY_STEPS = 2 * 10**7, 10**6
+"""steps of nodes of all runs, which take a few seconds: a sweep that is stopped loses no more"""
 TOLD_AT_ONCE = 32
 """steps whose faults are judged together"""
 
@@ -58,7 +60,8 @@ def needs_proof(topology: Topology) -> bool:
 def seeds_at_once(topology: Topology) -> int:
     """Return the number of runs that one batch should have."""
     lossy = any(fault.kind != "jump" for fault in topology.faults)
-    return max(1, (LOSSY_NODES if lossy else NODES) // len(topology.ids))
+    nodes, steps = (LOSSY_NODES, LOSSY_STEPS) if lossy else (NODES, STEPS)
+    return max(1, min(nodes, steps // topology.steps) // len(topology.ids))
 
 
 @dataclasses.dataclass(frozen=True)

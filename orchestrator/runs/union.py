@@ -164,7 +164,7 @@ def _is_drawn_at_once(topology: Topology) -> bool:
         topology.disturbance is None
         and topology.generator is None
         and LawChoice.parse(topology.law).name != "robust"
-        and not any(isinstance(fault, Jump) and fault.a == "random" for fault in topology.faults)
+        and not any(isinstance(fault, Jump) for fault in topology.faults)  # to a candidate, which may be drawn
         and not any(isinstance(edge, Edge) and not isinstance(edge.weight, float) for edge in topology.edges)
     )
 

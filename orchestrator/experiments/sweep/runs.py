@@ -97,8 +97,8 @@ def _batch(plan: Plan, chunk: Chunk) -> Runs | None:
     topology = plan.settings[chunk.setting].topology
     try:
         return batch.run(topology, chunk.seeds, plan.folder)
-    except (LawError, SizesError):
-        return None  # run by itself, each run says where its law failed
+    except (LawError, SizesError, TopologyError):
+        return None  # run by itself, each run says what is wrong
     except Exception:
         if ":" not in topology.law:
             raise
