@@ -14,6 +14,7 @@ import textwrap
 from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -120,8 +121,7 @@ def test_every_stored_attribute_has_a_docstring(public: type) -> None:
 def test_every_array_of_a_run_has_its_shape() -> None:
     for name, member in vars(hg.Run).items():
         if isinstance(member, cached_property | property) and not name.startswith("_"):
-            read = member.func if isinstance(member, cached_property) else member.fget
-            assert read is not None
+            read: Any = member.func if isinstance(member, cached_property) else member.fget
             kind = str(inspect.signature(read).return_annotation)
             if kind.startswith(("Array", "Mask", "Index", "NDArray", "Gain")):
                 assert re.search(r"\((n|E|K|L|T|2E|,|\+| |1|2|M)+\)", inspect.getdoc(member) or ""), name

@@ -27,14 +27,11 @@ def end_with_standard_input() -> None:
 
 _VARIABLE = "HEDGEROW_DETACHED"
 _END_DEADLINE_S = 30.0
-"""Seconds for a network to end after Ctrl-C during its start."""
+"""The time for a network to end after Ctrl-C during its start [s]."""
 
 
 def start_detached() -> int:
-    """Run the same command in a session of its own, and return the exit code.
-
-    Until its first step, this process relays its output to the terminal, and Ctrl-C to it.
-    """
+    """Run the same command in a separate session, and return the exit code."""
     asked: list[int] = []
     process = None
 

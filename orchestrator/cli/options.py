@@ -1,4 +1,4 @@
-"""Options that several commands have, so that they are called and explained the same everywhere."""
+"""The options that several commands share, with one name and one explanation."""
 
 from __future__ import annotations
 

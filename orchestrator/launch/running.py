@@ -1,7 +1,7 @@
 """A network of real processes that this process has started: controlled, interrupted, and ended with its block.
 
-`orchestrator up --lifeline` runs it. Its standard input is a pipe from this process, so the network ends when this
-process does, however it ends.
+`orchestrator up --lifeline` runs it. Its standard input is a pipe from this process, so the network ends with this
+process, for any reason.
 """
 
 from __future__ import annotations

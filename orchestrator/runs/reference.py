@@ -1,4 +1,4 @@
-"""The reference: the same plant and the same agents in one process, with no wire between them."""
+"""The reference: the same plant and the same agents in one process, without a network."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from hedgerow.wire.codec import REPORT_ROWS, End, Telemetry, gather
 
 
 def run(truth: Truth, views: Sequence[View], law: Law | None = None) -> Iterator[Telemetry | End]:
-    """The telemetry of every step, then the end; equal bit for bit to what the plant sends over the wire.
+    """Yield the telemetry of every step, then the end; equal bit for bit to the messages of the plant.
 
     `law` stands for that of the view, if there is one view. Raises LawError after the end, which is where the law
     failed.
@@ -37,7 +37,7 @@ def run(truth: Truth, views: Sequence[View], law: Law | None = None) -> Iterator
 def _steps(world: World, views: Sequence[View], steps: int, law: Law | None) -> Iterator[Telemetry]:
     shards = [Shard(view, law) for view in views]
     ends = {(view.shard, peer.shard): q for view in views for q, peer in enumerate(view.peers)}
-    """By sender and receiver: which peer of the sender's the receiver is."""
+    """By sender and receiver: the index of the receiver among the sender's peers."""
     while world.t < steps:
         world.begin()
         told = world.states()

@@ -1,4 +1,4 @@
-"""What a library writes to file descriptor 2 of a running process is escaped, and no byte of it is lost."""
+"""Text that a library writes to file descriptor 2 of a running process is escaped, and no byte of it is lost."""
 
 import os
 import subprocess

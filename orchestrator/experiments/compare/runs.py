@@ -1,4 +1,4 @@
-"""The runs of a comparison, and the numbers that each leaves."""
+"""The runs of a comparison, and their results."""
 
 from __future__ import annotations
 
