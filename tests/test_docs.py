@@ -149,7 +149,7 @@ def document_parameters() -> list[Any]:
 
 
 @pytest.mark.parametrize("document", document_parameters())
-def test_a_document_shows_what_happens(document: Path, tmp_path: Path) -> None:
+def test_a_document_shows_the_real_output(document: Path, tmp_path: Path) -> None:
     """Every command exits as claimed, every program runs, and what is shown of either is what it prints."""
     scratch = Scratch(tmp_path)
     program: tuple[Block, str] | None = None
@@ -183,7 +183,7 @@ def test_there_is_something_to_run() -> None:
     assert sum(language == "python" for language, *_ in shown) > 5
 
 
-def test_every_example_stands_in_a_document() -> None:
+def test_every_example_is_in_a_document() -> None:
     """A block with the name of a file in docs/examples is that file, and no file there is shown nowhere."""
     shown = {block.name: block.text for path in DOCS for block in blocks(path) if block.name}
     examples = {
@@ -336,7 +336,7 @@ def test_the_byte_tables_are_the_codec(name: str) -> None:
     assert packed_by(name, values, len(TEXT) if name == "event" else S) == message
 
 
-def test_what_is_left_out_and_what_goes_in_a_batch() -> None:
+def test_optional_parts_of_messages_and_of_a_batch() -> None:
     """A state may end before its spans, or before its flags, and others before their bits; a batch has one message, or
     several, in one part or in more."""
     whole, _ = MESSAGES["state"]
@@ -427,7 +427,7 @@ def test_every_kind_of_fault_is_in_faults_md() -> None:
     assert fields == {*counted, "beyond"}
 
 
-def test_every_metric_is_where_theory_md_says() -> None:
+def test_every_metric_is_in_the_place_that_theory_md_gives() -> None:
     """Fields, columns and entities exist; and no metric of a verdict, no entity of Rerun, is left out."""
     topology = resolve(load("paper7"))
     observer, batch = observe(topology, simulate(topology))
@@ -509,7 +509,7 @@ def started(scratch: Scratch) -> subprocess.Popen[str]:
     raise AssertionError("the run ended before its first step")
 
 
-def test_ctrl_c_leaves_a_whole_folder(tmp_path: Path) -> None:
+def test_ctrl_c_leaves_a_complete_folder(tmp_path: Path) -> None:
     """Exit code 3, the verdict unknown, and tables that can be read."""
     process = started(Scratch(tmp_path))
     process.send_signal(signal.SIGINT)

@@ -177,7 +177,7 @@ def test_every_layout_over_processes_gives_the_same_bits(topology: Topology, dat
 
 @given(networks(), st.data())
 @settings(max_examples=40)
-def test_an_agent_is_told_of_its_own_nodes_and_neighbours_alone(topology: Topology, data: st.DataObject) -> None:
+def test_an_agent_receives_only_its_nodes_and_neighbours(topology: Topology, data: st.DataObject) -> None:
     """Its view holds no truth, no x(0), no disturbance, no edge that is not its own."""
     shards = data.draw(partitions(len(topology.ids)))
     views = views_of(topology, shards)
@@ -206,7 +206,7 @@ def test_an_agent_is_told_of_its_own_nodes_and_neighbours_alone(topology: Topolo
 
 @given(topology=networks(), data=st.data())
 @settings(max_examples=30)
-def test_what_a_process_is_told_goes_through_its_file(
+def test_the_data_of_a_process_survive_its_file(
     topology: Topology, data: st.DataObject, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     """To the bit; and the file of an agent holds nothing that its view does not."""
@@ -236,7 +236,7 @@ def test_ids_of_both_kinds_go_through_a_file(tmp_path: Path) -> None:
     assert View.read(tmp_path / "v.npz").ids.tolist() == ["dam", 9223372036854775808, "09223372036854775808"]
 
 
-def test_what_one_says_is_what_the_other_hears() -> None:
+def test_sent_and_received_messages_are_equal() -> None:
     """Two shards of a ring: both list the boundary nodes of a link message in one order."""
     topology = read(
         "{name: ring, b: 0.1, steps: 1, nodes: [f, e, d, c, b, a],"

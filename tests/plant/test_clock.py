@@ -5,7 +5,7 @@ from __future__ import annotations
 from hedgerow.plant.clock import Clock
 
 
-def test_single_steps_that_were_not_made_are_forgotten_when_the_run_goes_on() -> None:
+def test_pending_single_steps_are_dropped_on_resume() -> None:
     clock = Clock(0.0)
     clock.allow(10)
     clock.sent()

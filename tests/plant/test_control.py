@@ -101,7 +101,7 @@ def answers(session: zenoh.Session, command: str, payload: bytes) -> dict[str, A
     return answer
 
 
-def test_a_plant_refuses_in_words_whatever_is_no_request(here: Path) -> None:
+def test_a_plant_refuses_an_invalid_request_with_a_message(here: Path) -> None:
     """Each of some hundred queries is answered in one short line, and the trajectory is what it would have been."""
     quiet = ("--viewer", "none", "--no-record")
     with contextlib.ExitStack() as stack:
@@ -181,6 +181,6 @@ def test_a_world_steps_on_under_any_effects_that_are_not_refused(written: list[A
         {"kind": "drop", "link": [1, 2], "steps": [5, 5]},
     ],
 )
-def test_an_observer_that_hears_of_a_fault_that_none_is_says_so(entry: dict[str, Any]) -> None:
+def test_an_observer_reports_an_invalid_fault(entry: dict[str, Any]) -> None:
     with pytest.raises(HedgerowError, match="the plant was given a fault that"):
         with_fault(PAPER7, entry)

@@ -122,7 +122,7 @@ def test_the_world_moves_by_equation_1(topology: Topology) -> None:
 
 @given(networks(), st.data())
 @settings(max_examples=60)
-def test_what_flows_out_of_a_node_flows_into_another(topology: Topology, data: st.DataObject) -> None:
+def test_the_flows_of_all_nodes_sum_to_zero(topology: Topology, data: st.DataObject) -> None:
     """An edge that is cut is cut at both ends: the flows of all nodes always sum to zero, whatever their weights."""
     edges = len(topology.edges)
     edge_open = np.array(data.draw(st.lists(st.booleans(), min_size=edges, max_size=edges)), bool)

@@ -148,7 +148,7 @@ def test_an_archive_that_grows_beyond_the_cap_is_refused_unread(
     assert error.value.code == Code.FILE_TOO_LARGE
 
 
-def test_a_table_counts_what_its_arrays_become(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_table_counts_the_size_of_its_parsed_arrays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     zeros(tmp_path / "a.npz", edges=(1_000_000, 2))
     monkeypatch.setenv(budget.VARIABLE, "100")
     archive.read(tmp_path / "a.npz")

@@ -288,7 +288,7 @@ def test_a_table_that_is_none_is_refused(tmp_path: Path, columns: dict[str, Any]
 
 
 @pytest.mark.parametrize("file", ["../t.npz", "/etc/passwd", "inner/../../t.npz", "link.npz"])
-def test_a_table_lies_beside_its_file(tmp_path: Path, file: str) -> None:
+def test_a_table_is_beside_its_file(tmp_path: Path, file: str) -> None:
     np.savez(tmp_path / "t.npz", edges=PAIR)
     folder = tmp_path / "folder"
     folder.mkdir()
@@ -355,7 +355,7 @@ def test_how_many_processes_there_are(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("kind", ["ring", "random_regular", "scale_free"])
-def test_products_with_q_give_what_its_factors_give(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_products_with_q_agree_with_its_factors(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     network = read(f"{HEAD}graph: {{kind: {kind}, nodes: 600, max_degree: 9}}").network
     exact = hinf.gamma_star(network.a, network.b, network.graph)
     w = np.sin(np.arange(600))

@@ -82,7 +82,7 @@ def test_a_colon_without_a_space_is_named(text: str) -> None:
         ("!!float 1", "plain value"),
     ],
 )
-def test_a_tag_is_met_with_what_writes_none(tag: str, cure: str) -> None:
+def test_a_tag_is_reported_with_a_form_without_tags(tag: str, cure: str) -> None:
     (problem,) = refused(f"{HEAD}edges: {tag}\n").problems
     assert (problem.code, problem.line, problem.column) == (Code.FILE_FORMAT, 5, 8)
     assert cure in problem.cure
@@ -109,7 +109,7 @@ def test_a_mistake_of_the_file_stays_one_beside_an_option() -> None:
     assert {problem.origin for problem in error.problems} == {"", "--set b=-1"}
 
 
-def test_an_option_with_a_name_of_its_own_is_called_by_it() -> None:
+def test_a_named_option_is_reported_by_its_name() -> None:
     told = orchestrator("check", "paper7", "--steps", "0")
     assert told.returncode == 2
     assert told.stderr.startswith("--steps 0: steps: 0 ")
@@ -189,7 +189,7 @@ def test_very_many_mistakes_take_bounded_time_and_memory(kind: str) -> None:
 
 
 @pytest.mark.parametrize("text", [b"[" * 100_000, b"{a: " * 5000, b"- " * 500, b"[" * 40 + b"]" * 40])
-def test_depth_is_refused_alike_whatever_the_parser_bounds(text: bytes) -> None:
+def test_depth_is_refused_equally_for_any_bound_of_the_parser(text: bytes) -> None:
     (problem,) = refused(text).problems
     assert (problem.code, problem.line) == (Code.FILE_FORMAT, 1)
     assert str(source.MAX_DEPTH) in problem.what
@@ -203,9 +203,7 @@ def test_depth_is_refused_alike_whatever_the_parser_bounds(text: bytes) -> None:
         yaml.scanner.ScannerError("while increasing flow level", None, "exceeded maximum nesting depth", None),
     ],
 )
-def test_a_parser_with_a_bound_of_its_own_gives_the_same_mistake(
-    raised: Exception, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_parser_with_another_bound_gives_the_same_mistake(raised: Exception, monkeypatch: pytest.MonkeyPatch) -> None:
     def bounded(*_: object, **__: object) -> None:
         raise raised
 

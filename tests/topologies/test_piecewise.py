@@ -109,7 +109,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("kind", WRONG)
-def test_equal_mistakes_of_a_large_file_are_counted_and_said_once(kind: str) -> None:
+def test_equal_mistakes_of_a_large_file_are_counted_and_reported_once(kind: str) -> None:
     with pytest.raises(TopologyError) as error:
         parse(WRONG[kind].encode(), "t.yaml", Path())
     assert error.value.count == 9000

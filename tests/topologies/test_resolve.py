@@ -71,7 +71,7 @@ def test_every_number_survives_the_file(x0: float, std: float) -> None:
 
 @given(floats(0.005, 0.2), st.integers(1, 50), st.integers(0, 2**63 - 1), st.booleans())
 @settings(max_examples=60)
-def test_what_is_drawn_satisfies_condition_3_and_contains_the_truth(
+def test_drawn_candidates_satisfy_condition_3_and_contain_the_truth(
     b: float, m: int, seed: int, given_truth: bool
 ) -> None:
     """A hub and its leaves have different intervals; a given truth replaces one candidate."""
@@ -87,7 +87,7 @@ def test_what_is_drawn_satisfies_condition_3_and_contains_the_truth(
         assert own.a == 0.5 or not given_truth
 
 
-def test_another_seed_draws_others_and_the_same_seed_the_same() -> None:
+def test_only_another_seed_draws_other_numbers() -> None:
     one, same, other = read(CHANCE), read(CHANCE), read(CHANCE, "seed=12")
     assert one == same
     for node in one.ids:

@@ -75,7 +75,7 @@ JSON = st.recursive(
 
 
 @given(st.dictionaries(st.text(), JSON, max_size=3))
-def test_what_is_decoded_can_be_encoded_and_is_the_same(event: dict[str, Any]) -> None:
+def test_a_decoded_message_encodes_to_the_same_bytes(event: dict[str, Any]) -> None:
     try:
         decoded = codec.decode_event(codec.encode_event(3, event))
     except codec.MessageError:

@@ -126,7 +126,7 @@ def same(sent: Any, arrived: Any) -> bool:
 
 
 @given(messages())
-def test_what_is_sent_is_what_arrives(message: Message) -> None:
+def test_a_sent_message_arrives_unchanged(message: Message) -> None:
     """Every field has the bits and the shape that it had, NaN payloads and -0.0 included."""
     assert all(same(sent, arrived) for sent, arrived in zip(message.sent, message.read(message.raw), strict=True))
 

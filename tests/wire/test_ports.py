@@ -27,7 +27,7 @@ def choosing_from(port: int) -> socket.socket:
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "127.0.0.2"])
 @pytest.mark.parametrize("asking", ["there", "everywhere"])
-def test_a_free_port_is_given_to_nobody_who_does_not_ask_for_it(host: str, asking: str) -> None:
+def test_a_free_port_is_only_given_on_request(host: str, asking: str) -> None:
     """As happened to a plant at another address than 127.0.0.1: something else of its machine had been given it."""
     port = free_port(host)
     with choosing_from(port) as other, pytest.raises(OSError, match=r".") as caught:

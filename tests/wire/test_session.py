@@ -11,7 +11,7 @@ from hedgerow.topologies.errors import DeadlineError
 from hedgerow.wire.session import open_client, open_router, publisher, wait_for_listeners
 
 
-def test_listeners_who_come_one_after_another_have_one_deadline(tmp_path: Path) -> None:
+def test_listeners_that_come_one_after_another_have_one_deadline(tmp_path: Path) -> None:
     """Each comes within the time of one, and the last long after it."""
     endpoint = f"unixsock-stream/{tmp_path}/s"
     over, listening = threading.Event(), []

@@ -74,7 +74,7 @@ def test_every_message_arrives_once_and_in_order(clock: Clock, actions: list[str
     assert len(outbox) == 0
 
 
-def test_what_is_sent_soon_goes_together(clock: Clock) -> None:
+def test_messages_sent_soon_share_a_batch(clock: Clock) -> None:
     """The first at once; then those of TOGETHER_S, with the last of them or by `tend`; and all before what must go."""
     inbox, batches = Inbox(), list[int]()
     outbox = Outbox(lambda whole: batches.append(len(inbox.put(whole))))

@@ -40,14 +40,14 @@ def values(stage: list[Instruction], kind: str) -> list[str]:
     return [one["value"] for one in stage if one["instruction"] == kind]
 
 
-def test_the_base_is_pinned_and_the_rest_stands_on_it(stages: dict[str, list[Instruction]]) -> None:
+def test_the_base_is_pinned_and_the_other_stages_use_it(stages: dict[str, list[Instruction]]) -> None:
     assert tuple(stages) == STAGES
     assert re.fullmatch(r"python:\d+\.\d+\.\d+-slim-\w+ AS base", values(stages["base"], "FROM")[0])
     assert all(values(stages[name], "FROM") == [f"base AS {name}"] for name in STAGES[1:])
 
 
 @pytest.mark.parametrize("name", ["agent", "orchestrator"])
-def test_what_runs_is_not_root_and_has_nothing_that_builds(stages: dict[str, list[Instruction]], name: str) -> None:
+def test_the_final_image_is_not_root_and_has_no_build_tools(stages: dict[str, list[Instruction]], name: str) -> None:
     stage = stages[name]
     assert values(stage, "USER") == ["hedgerow"]
     assert values(stage, "COPY") == [f"--from=build /opt/{name} /opt/{name}"]
@@ -56,7 +56,7 @@ def test_what_runs_is_not_root_and_has_nothing_that_builds(stages: dict[str, lis
     assert not [one for part in stages.values() for one in part if one["instruction"] == "ADD"]
 
 
-def test_what_is_copied_is_there_and_sent_to_the_engine(stages: dict[str, list[Instruction]]) -> None:
+def test_copied_files_exist_and_are_sent_to_the_engine(stages: dict[str, list[Instruction]]) -> None:
     sent = {line[1:] for line in (ROOT / ".dockerignore").read_text().splitlines() if line.startswith("!")}
     copied = {word for copy in values(stages["build"], "COPY") for word in copy.split()[:-1]}
     assert copied == sent

@@ -54,7 +54,7 @@ def test_many_runs_at_once_are_the_runs_by_themselves(faults: list[object]) -> N
                 assert many[metric] == pytest.approx(alone[metric], rel=1e-9, abs=1e-12), setting.values
 
 
-def test_a_row_is_what_the_trajectory_says() -> None:
+def test_a_row_agrees_with_the_trajectory() -> None:
     plan = comparison(TREES, ["minimax"], ["white"], range(1))
     (topology,) = drawn(plan, 0)
     ran = simulate(topology)
@@ -74,7 +74,7 @@ def test_networks_with_other_faults_run_one_by_one() -> None:
     assert [row["verdict"] for row in simulate_many(own)] == ["valid", "valid"]
 
 
-def test_an_estimate_between_candidates_speaks_for_the_nearest() -> None:
+def test_an_estimate_between_candidates_supports_the_nearest() -> None:
     found = judged(
         np.array([0.31, 0.62, np.nan]), np.array([0.3, 0.9, 0.3]), np.array([[0.3, 0.6, 0.3], [0.6, 0.9, np.nan]])
     )
@@ -125,7 +125,7 @@ def test_intervals_and_undefined_numbers() -> None:
     assert math.isnan(nothing.half)
 
 
-def test_the_oracle_and_the_nominal_law_are_always_there() -> None:
+def test_the_oracle_and_the_nominal_law_are_always_included() -> None:
     plan = comparison(TREES, ["notch", "hinf"], ["white"], range(2))
     assert plan.laws == ["notch", "hinf", "nominal"]
 
@@ -149,7 +149,7 @@ def test_a_comparison_in_python_leaves_its_folder_and_is_found_again(tmp_path: P
     assert [one.mean for one in again.cells if one.n] == [one.mean for one in found.cells if one.n]
 
 
-def test_runs_that_are_there_are_not_made_again(tmp_path: Path) -> None:
+def test_finished_runs_are_not_repeated(tmp_path: Path) -> None:
     """A comparison that was stopped in the middle of a line continues after the last complete one."""
     plan = comparison(TREES, ["minimax"], ["white"], range(3))
     whole = compare(plan, tmp_path / "c", 1, quiet=True)

@@ -21,7 +21,7 @@ def verdict() -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("at", [28, 29])
-def test_a_process_whose_crash_ends_with_the_run(at: int, here: Path) -> None:
+def test_a_process_with_a_crash_until_the_end_of_the_run(at: int, here: Path) -> None:
     """One of three processes, with several nodes."""
     faults = f"faults=[{{kind: crash, process: 1, at: {at}, restart_after: {30 - at}}}]"
     done = orchestrator("up", "paper7", "--processes", "3", *UP, "--set", faults)

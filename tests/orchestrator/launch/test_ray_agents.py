@@ -176,7 +176,7 @@ def test_an_agent_that_is_killed_on_a_cluster_is_started_again_by_ray(
 
 @needs_ray
 @pytest.mark.slow
-def test_agents_of_a_machine_that_is_gone_for_good_live_on_where_there_is_room(
+def test_agents_of_a_lost_machine_restart_on_other_machines(
     cluster: Machines, environment: None, tmp_path: Path
 ) -> None:
     """All processes of the machine are killed at once, Ray's included, without a farewell message."""
@@ -247,14 +247,14 @@ def test_a_cluster_that_is_not_there_is_a_mistake_in_words(environment: None) ->
         (("--on", "ray", "--external", "3"), "error: --external --on: choose one; on a cluster, Ray starts all agents"),
     ],
 )
-def test_what_names_no_cluster_is_said_at_once(here: Path, arguments: tuple[str, ...], said: str) -> None:
+def test_an_invalid_cluster_is_refused_at_once(here: Path, arguments: tuple[str, ...], said: str) -> None:
     done = orchestrator("up", "paper7", *arguments)
     assert done.returncode == 2
     assert done.stderr == f"{said}\n"
 
 
 @pytest.mark.parametrize("command", [("up", "paper7"), ("sweep", "paper7", "--seeds", "0:2")])
-def test_without_ray_it_says_what_to_install(
+def test_without_ray_the_message_names_the_package(
     here: Path, monkeypatch: pytest.MonkeyPatch, command: tuple[str, ...]
 ) -> None:
     (here / "ray.py").write_text("raise ModuleNotFoundError('there is no ray', name='ray')\n")
@@ -264,7 +264,7 @@ def test_without_ray_it_says_what_to_install(
     assert done.stderr == "error: --on ray: Ray is not installed; install it with: pip install 'hedgerow[ray]'\n"
 
 
-def test_a_machine_of_a_cluster_needs_what_an_agent_needs() -> None:
+def test_a_machine_of_a_cluster_needs_only_the_packages_of_an_agent() -> None:
     """The module that Ray loads there imports numpy and Zenoh, but no packages of the operator."""
     code = """
 import sys

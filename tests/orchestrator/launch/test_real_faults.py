@@ -116,7 +116,7 @@ def complete(folder: Path) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("one_of", [20, 5])
-def test_a_link_that_loses_packets_costs_time_and_nothing_else(lab: Lab, one_of: int) -> None:
+def test_a_link_that_loses_packets_costs_only_time(lab: Lab, one_of: int) -> None:
     with lab.up("--steps", "100", "--rate", "50", "--deadline", "60") as network:
         network.wait_for("running")
         lab.lose(one_of)
@@ -146,7 +146,7 @@ def test_a_router_that_dies_and_returns(lab: Lab) -> None:
     assert complete(Path("runs/latest"))["missing_inputs"] == 0
 
 
-def test_a_link_that_stays_down_ends_the_run_by_name_with_what_was_recorded(lab: Lab) -> None:
+def test_a_link_that_stays_down_ends_the_run_with_names_and_recorded_steps(lab: Lab) -> None:
     with lab.up("--steps", "100000", "--rate", "200", "--deadline", "2") as network:
         network.wait_for("running")
         lab.link("down")

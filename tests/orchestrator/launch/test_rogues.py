@@ -185,7 +185,7 @@ def test_tokens_and_commands_are_their_owners(secure: Secure) -> None:
     }
 
 
-def test_who_asks_for_its_place_without_end_is_heard_now_and_then(secure: Secure) -> None:
+def test_endless_requests_for_a_place_are_limited(secure: Secure) -> None:
     """Each request costs the plant an answer, and every observer receives a refusal; other requests still arrive."""
     asked, began = Counter[str](), time.monotonic()
 
@@ -205,7 +205,7 @@ def test_who_asks_for_its_place_without_end_is_heard_now_and_then(secure: Secure
     del declared
 
 
-def test_the_largest_command_gets_to_the_plant_where_agents_say_little(tmp_path: Path) -> None:
+def test_the_largest_command_reaches_the_plant_of_a_small_network(tmp_path: Path) -> None:
     """Without back-filling no agent has more than some hundred bytes to say; a fault may name a link at each step."""
     network = resolve(load("paper7", ["backfill=false"]))
     small = places(views_of(network, layout(network, None)))
@@ -225,7 +225,7 @@ def test_the_largest_command_gets_to_the_plant_where_agents_say_little(tmp_path:
         del declared
 
 
-def test_who_has_no_certificate_of_this_run_is_not_let_in(secure: Secure, tmp_path: Path) -> None:
+def test_a_client_without_a_certificate_of_the_run_is_refused(secure: Secure, tmp_path: Path) -> None:
     (tmp_path / "other").mkdir()
     Authority().issue(tmp_path / "other/agent-1", "agent-1")
     for credentials in (None, tmp_path / "other/agent-1"):
@@ -233,7 +233,7 @@ def test_who_has_no_certificate_of_this_run_is_not_let_in(secure: Secure, tmp_pa
             secure.client(credentials)
 
 
-def test_a_name_that_is_nobodys_may_do_nothing(secure: Secure, tmp_path: Path) -> None:
+def test_an_unknown_name_has_no_rights(secure: Secure, tmp_path: Path) -> None:
     """By the run's own authority, yet under another name: it can connect, and that is all."""
     with contextlib.ExitStack() as stack:
         authority = Authority()
@@ -363,7 +363,7 @@ def victim(here: Path) -> Iterator[Callable[..., Victim]]:
         yield lambda *options: Victim(here, stack, *options)
 
 
-def test_a_stolen_certificate_is_worth_what_its_agent_may_do_and_no_more(victim: Callable[..., Victim]) -> None:
+def test_a_stolen_certificate_gives_only_the_rights_of_its_agent(victim: Callable[..., Victim]) -> None:
     """The certificate is that of agent 1, with agent 2 as its only neighbour.
 
     The router drops all other messages, and the agent's own channels refuse garbage.
@@ -409,7 +409,7 @@ def test_a_stolen_certificate_is_worth_what_its_agent_may_do_and_no_more(victim:
     del eavesdropper, tokens
 
 
-def test_a_stolen_certificate_may_lie_of_its_own_agent_which_the_audit_finds(victim: Callable[..., Victim]) -> None:
+def test_the_audit_finds_false_messages_under_a_stolen_certificate(victim: Callable[..., Victim]) -> None:
     """Inputs of this step and of the next, well formed, that agent 1 never gave; one that is no number is missing."""
     running = victim("--secure")
     rogue = running.rogue("agent-1")
@@ -430,7 +430,7 @@ def test_a_stolen_certificate_may_lie_of_its_own_agent_which_the_audit_finds(vic
     assert np.isfinite(load_run(running.run).x).all()
 
 
-def test_who_floods_its_own_channels_holds_nobody_up(victim: Callable[..., Victim]) -> None:
+def test_flooding_of_its_own_channels_delays_no_process(victim: Callable[..., Victim]) -> None:
     """The intruder sends as many messages as possible on each channel, and one of 64 MB, during the run: few get
     through.
 
@@ -465,7 +465,7 @@ def test_who_floods_its_own_channels_holds_nobody_up(victim: Callable[..., Victi
     assert running.named() == {keys.link(0, 1): 1, keys.input_(0): 1}
 
 
-def test_on_an_open_router_what_is_no_message_changes_nothing_and_what_is_one_is_found_out(
+def test_on_an_open_router_garbage_changes_nothing_and_the_audit_finds_forged_messages(
     victim: Callable[..., Victim],
 ) -> None:
     """Without security, any client may publish on any key.

@@ -55,7 +55,7 @@ def test_a_secure_run_gives_the_same_bits_through_a_crash(here: Path) -> None:
     assert "secure: true" in (here / "runs/latest/topology.yaml").read_text()
 
 
-def test_everybody_heard_what_was_said_to_them_and_nothing_else(here: Path) -> None:
+def test_every_process_received_exactly_its_messages(here: Path) -> None:
     done = orchestrator("up", "paper7", *QUIET)
     assert done.returncode == 0, done.stderr
     information = verdict_of(here / "runs/latest")["information"]
@@ -70,7 +70,7 @@ def test_everybody_heard_what_was_said_to_them_and_nothing_else(here: Path) -> N
     ]
 
 
-def test_what_is_said_again_passes_a_router_that_drops_what_comes_too_often(here: Path) -> None:
+def test_repeated_messages_pass_a_router_with_a_rate_limit(here: Path) -> None:
     """While one agent is frozen, all others say something again with every state that the plant repeats."""
     with Orchestrator("up", "paper7", "--secure", "--steps", "200", "--rate", "200", *QUIET) as network:
         network.wait_for("running")
@@ -143,7 +143,7 @@ def test_a_fork_server_that_outlives_its_children_leaves_no_key(here: Path, netw
     assert secrets(here) == []
 
 
-def test_whoever_looks_for_networks_removes_the_keys_of_dead_ones(here: Path, network: Orchestrator) -> None:
+def test_a_look_for_networks_removes_the_keys_of_dead_ones(here: Path, network: Orchestrator) -> None:
     """`up`, its fork server and the plant are killed at once: no process of the run can remove the keys."""
     assert gone(network.kill_all_who_could_clean_up())
     assert secrets(here) != []
@@ -151,7 +151,7 @@ def test_whoever_looks_for_networks_removes_the_keys_of_dead_ones(here: Path, ne
     assert secrets(here) == []
 
 
-def test_a_router_elsewhere_keeps_the_same_rules(here: Path) -> None:
+def test_a_separate_router_has_the_same_rules(here: Path) -> None:
     endpoint = f"tls/127.0.0.1:{free_port()}"
     made = orchestrator("keys", "paper7", "--router", endpoint, "--out", "keys")
     assert made.returncode == 0, made.stderr
@@ -195,7 +195,9 @@ def test_the_command_that_uses_keys_can_be_copied(here: Path) -> None:
         (("--keys", "nowhere"), "give --secure too"),
     ],
 )
-def test_what_cannot_be_secure_is_said_before_anything_runs(here: Path, options: tuple[str, ...], said: str) -> None:
+def test_an_insecure_combination_is_refused_before_anything_runs(
+    here: Path, options: tuple[str, ...], said: str
+) -> None:
     done = orchestrator("up", "paper7", *options, *QUIET)
     assert done.returncode == 2
     assert said in done.stderr
@@ -214,7 +216,7 @@ def test_a_missing_library_is_named(here: Path) -> None:
     assert done.stderr == ("error: --secure: needs cryptography. Install it with: pip install cryptography\n")
 
 
-def test_a_folder_of_somebody_else_is_not_trusted(here: Path) -> None:
+def test_a_folder_of_another_user_is_not_trusted(here: Path) -> None:
     (here / f"hedgerow-{os.getuid()}").mkdir(mode=0o777)
     (here / f"hedgerow-{os.getuid()}").chmod(0o777)
     done = orchestrator("up", "paper7", "--secure", *QUIET)

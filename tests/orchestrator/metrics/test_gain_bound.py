@@ -175,7 +175,7 @@ def test_the_facade_and_the_json_hold_the_same_numbers() -> None:
     assert "3.5878" in found.text()
 
 
-def test_the_fingerprint_is_of_what_the_gain_depends_on() -> None:
+def test_the_fingerprint_covers_everything_that_affects_the_gain() -> None:
     paper = hg.load("paper7")
     same = hg.load("paper7", steps=99)
     assert fingerprint(plant_of(paper.network)) == fingerprint(plant_of(same.network))

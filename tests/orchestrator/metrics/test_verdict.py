@@ -121,7 +121,7 @@ def test_an_estimate_that_is_no_candidate_is_noticed() -> None:
 
 
 @pytest.mark.parametrize("column", ["x", "u", "w"])
-def test_what_is_not_a_number_is_never_valid(column: str) -> None:
+def test_nan_is_never_valid(column: str) -> None:
     values = getattr(GOOD.rows[6], column).copy()
     values[1] = np.nan
     bad = verdict(altered(6, **{column: values}))
@@ -146,7 +146,7 @@ def one_sided(topology: Topology, ahat: Sequence[Sequence[float]]) -> Trajectory
     return Trajectory(rows, End(topology.steps, x, 0.0))
 
 
-def test_one_sided_flow_is_noticed_and_so_is_what_it_does_to_stability() -> None:
+def test_one_sided_flow_and_its_effect_on_stability_are_noticed() -> None:
     """Two nodes, b = .1, a = .97: with switching estimates such a plant is unstable."""
     topology = read(
         "{name: pair, b: 0.1, steps: 4, nodes: [1, 2], edges: [[1, 2]],"
@@ -159,7 +159,7 @@ def test_one_sided_flow_is_noticed_and_so_is_what_it_does_to_stability() -> None
     assert bad.content["checks"]["estimates"]["ok"], "its agents did nothing wrong"
 
 
-def test_a_law_of_ones_own_makes_no_claim_of_the_papers() -> None:
+def test_a_users_law_has_no_claims_of_the_paper() -> None:
     """No claim covers (6) or its contraction; but the dynamics must hold."""
     topology = PAPER.model_copy(update={"law": CARELESS})
     ran = simulate(topology)
@@ -255,7 +255,7 @@ def test_without_a_disturbance_there_is_no_gain() -> None:
         (0, "{kind: drop, link: [2, 4], steps: [9, 10]}", "(gamma* 2.974 is the oracle's)"),
     ],
 )
-def test_gains_are_told_with_what_they_may_be_compared_with(x0: float, faults: str, said: str) -> None:
+def test_gains_are_reported_with_their_references(x0: float, faults: str, said: str) -> None:
     topology = resolve(load("paper7", [f"defaults.x0={x0}", f"faults=[{faults}]"]))
     assert said in verdict(simulate(topology), topology).line()
 

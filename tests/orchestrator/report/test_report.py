@@ -145,7 +145,7 @@ def test_a_figure_of_the_paper_is_its_array(key: str, paper: Run) -> None:
     assert len({to_hex(line.get_color()) for line in axis.lines[:7]}) == 7
 
 
-def test_what_is_to_be_compared_has_the_same_axes(paper: Run) -> None:
+def test_compared_figures_have_the_same_axes(paper: Run) -> None:
     """Figure 3 beside 2, and 5 beside 4, whichever of them are drawn."""
     limits = {key: drawn(key, paper).axes[0].get_ylim() for key in PAPERS}
     assert limits["2"] == limits["3"] != limits["4"] == limits["5"]
@@ -186,7 +186,7 @@ def test_totals_are_the_runs(paper: Run) -> None:
     assert f"above the axis, at up to {paper.gain[0]:.3g}" in KINDS["gain"].caption([paper])
 
 
-def test_the_timeline_is_what_was_recorded(faulty: Run) -> None:
+def test_the_timeline_equals_the_recording(faulty: Run) -> None:
     """2-3 is dropped, 3-4 is cut, 3 crashes: its edges carry nothing then, and its messages are lost."""
     figure = drawn("faults", faulty)
     (axis,) = figure.axes
@@ -217,7 +217,7 @@ def test_an_a_that_jumps_is_marked(folder: Path) -> None:
     assert [*figure.axes[0].lines[0].get_xdata()] == [15]  # type: ignore[misc]
 
 
-def test_many_nodes_are_quantiles_and_the_caption_says_so(grid: Run) -> None:
+def test_many_nodes_are_quantiles_as_the_caption_explains(grid: Run) -> None:
     """16 nodes: median and bands of figure 2, a heat map of the errors; nothing is hidden."""
     figure = drawn("2", grid)
     (axis,) = figure.axes
@@ -246,7 +246,7 @@ def test_long_runs_are_drawn_by_the_extremes_of_bins(folder: Path) -> None:
     assert f"in {BINS} bins" in KINDS["4"].caption([run])
 
 
-def test_what_was_lost_is_a_gap() -> None:
+def test_lost_steps_are_gaps() -> None:
     values = np.where(np.arange(2000) // 100 == 7, np.nan, 1.0)[:, None]
     _, (median,) = quantiles(values, (0.5,))
     assert np.isnan(median).sum() == BINS // 20
@@ -282,7 +282,7 @@ def test_a_law_without_estimates_has_no_such_figure(folder: Path, monkeypatch: p
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 @pytest.mark.parametrize("steps", [160, 2000])
-def test_a_law_that_lets_the_network_run_away_is_drawn_and_told(
+def test_a_law_under_which_the_network_diverges_is_drawn_and_reported(
     steps: int, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its states are numbers for 161 steps, their squares for half as many."""
@@ -456,7 +456,7 @@ def test_the_file_in_the_page_repeats_the_run(paper: Run, written: dict[str, Pat
         assert (again.folder / table).read_bytes() == (paper.folder / table).read_bytes()
 
 
-def test_what_repeats_a_run_that_was_stopped_stops_there_too(paper: Run, folder: Path) -> None:
+def test_the_repetition_of_a_stopped_run_stops_at_the_same_step(paper: Run, folder: Path) -> None:
     longer = paper.topology.model_copy(update={"steps": 1000})
     path, *_ = report([replace(paper, topology=longer)], folder / "stopped-report", "gain")
     assert "orchestrator simulate paper.yaml --steps 30\n" in "".join(page(path).text)
@@ -477,7 +477,7 @@ def test_names_are_text(paper: Run, folder: Path) -> None:
     assert "orchestrator report '<script>alert(\"$x$\")&'\"'\"'' paper" in shown.text
 
 
-def test_faults_and_what_they_did(faulty: Run, folder: Path) -> None:
+def test_faults_and_their_effects(faulty: Run, folder: Path) -> None:
     """Each with its account, and how much of D came about in its steps."""
     path, *_ = report([faulty], folder / "faulty-report", "faults")
     shown = page(path)
@@ -537,7 +537,7 @@ def test_other_networks_are_not_compared_without_a_warning(paper: Run, grid: Run
         (["b=0.09"], "B is of another network than A: it has other b (0.09, not 0.1)."),
     ],
 )
-def test_what_differs_is_said(paper: Run, tmp_path: Path, overrides: Sequence[str], said: str) -> None:
+def test_differences_are_reported(paper: Run, tmp_path: Path, overrides: Sequence[str], said: str) -> None:
     comparable, sentences = notices([paper, ran(resolve(load("paper7", overrides)), tmp_path / "run")])
     assert sentences[0].startswith(said)
     assert comparable == ("another network" not in said)
@@ -567,7 +567,7 @@ def test_a_figure_that_there_is_not(paper: Run, tmp_path: Path, figures: str, sa
 
 
 @pytest.mark.usefixtures("quick")
-def test_what_is_there_is_replaced_only_when_asked(paper: Run, tmp_path: Path) -> None:
+def test_existing_files_are_replaced_only_on_request(paper: Run, tmp_path: Path) -> None:
     """And what is of no report never is."""
     out = tmp_path / "deep" / "out"
     report([paper], out, "2")
@@ -583,7 +583,7 @@ def test_what_is_there_is_replaced_only_when_asked(paper: Run, tmp_path: Path) -
         report([paper], out / "thesis.tex", "4", force=True)
 
 
-def test_whole_or_not_at_all(paper: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_report_is_complete_or_absent(paper: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The disk fills up at the second figure: the old report stays, and nothing else is left."""
     out = tmp_path / "out"
     out.mkdir()
@@ -608,7 +608,7 @@ def test_too_many_runs(paper: Run, tmp_path: Path) -> None:
         report([paper] * 8, tmp_path / "out")
 
 
-def test_without_matplotlib_it_says_what_to_install(
+def test_without_matplotlib_the_message_names_the_package(
     paper: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name in [*sys.modules]:

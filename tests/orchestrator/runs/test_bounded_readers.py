@@ -70,7 +70,7 @@ def _said(why: str) -> None:
 
 @pytest.mark.parametrize("name", READERS)
 @pytest.mark.parametrize("what", ["FIFO", "device", "folder"])
-def test_what_is_no_regular_file_is_refused(name: str, what: str, here: Path) -> None:
+def test_a_file_that_is_not_regular_is_refused(name: str, what: str, here: Path) -> None:
     file, read = READERS[name]
     path = here / "folder" / file
     path.parent.mkdir(parents=True)
@@ -140,7 +140,7 @@ def test_text_that_is_no_toml_is_refused(text: str) -> None:
     assert error.value.code == Code.FILE_FORMAT
 
 
-def test_toml_and_json_count_what_they_become(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_toml_and_json_count_their_parsed_size(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(budget.VARIABLE, "1")
     for read in (
         lambda: toml.loads("a = [" + "[]," * 20_000 + "]", "told.toml"),

@@ -147,7 +147,7 @@ def assert_as_live(run: Run, live: Batch, observer: Observer) -> None:
 
 @settings(max_examples=10)
 @given(topology=faulty())
-def test_every_array_is_what_was_computed_live(topology: Topology) -> None:
+def test_every_array_equals_the_live_one(topology: Topology) -> None:
     """The network has any faults: jumps, crashes, cuts, lost messages."""
     with tempfile.TemporaryDirectory() as folder:
         run = ran(topology, Path(folder) / "run")
@@ -158,7 +158,7 @@ def test_every_array_is_what_was_computed_live(topology: Topology) -> None:
         assert ended == run.verdict.content["metrics"]
 
 
-def test_what_is_identifiable_is_estimated(paper7: Run) -> None:
+def test_identifiable_models_are_estimated(paper7: Run) -> None:
     """Where nothing is missing, (7) chooses the candidate nearest a_LS; and that is a + beta."""
     known = np.isfinite(paper7.a_ls)
     assert (paper7.identifiable == (paper7.ahat == paper7.a))[known].all()
@@ -167,7 +167,7 @@ def test_what_is_identifiable_is_estimated(paper7: Run) -> None:
     assert paper7.faultless
 
 
-def test_a_run_says_who_heard_whom(run: Run) -> None:
+def test_a_run_has_the_received_messages(run: Run) -> None:
     """Arrays of edges have the ends where the file has them."""
     for k, (i, j) in enumerate(run.edges):
         assert (run.ids[i], run.ids[j]) == run.topology.pairs[k]
@@ -199,7 +199,7 @@ def test_a_run_cannot_be_changed(run: Run) -> None:
 # The tables as frames.
 
 
-def test_frames_hold_what_the_table_holds(run: Run) -> None:
+def test_frames_equal_the_table(run: Run) -> None:
     """Whole numbers stay whole where some are missing, and what is null is missing in each library's own way."""
     pandas = importlib.import_module("pandas")
     for arrow, frames in (
@@ -223,7 +223,7 @@ def test_to_record_a_run_loads_no_library_of_frames(here: Path) -> None:
     assert not {"pandas", "polars"} & loaded
 
 
-def test_a_frame_of_a_library_that_is_not_there(paper7: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_frame_of_a_missing_library(paper7: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(UserError, match=r"pandas is not installed; install it with: pip install pandas"):
         paper7.telemetry("pandas")
@@ -264,7 +264,7 @@ def test_a_number_in_csv_is_the_number(value: float, tmp_path: Path) -> None:
     assert float((tmp_path / "x.csv").read_text().splitlines()[1]).hex() == value.hex()
 
 
-def test_parquet_is_what_the_run_left(run: Run, tmp_path: Path) -> None:
+def test_parquet_equals_the_tables_of_the_run(run: Run, tmp_path: Path) -> None:
     for file in export(run, "parquet", tmp_path / "tables"):
         assert file.read_bytes() == (run.folder / file.name).read_bytes()
 
@@ -356,7 +356,7 @@ def continues(before: Run, after: Run) -> bool:
     )
 
 
-def test_a_run_that_goes_on_and_then_is_killed(lively: Orchestrator, here: Path) -> None:
+def test_a_run_that_continues_and_then_is_killed(lively: Orchestrator, here: Path) -> None:
     """The run is read while it grows, and after its end: earlier numbers do not change, and the twins continue from
     them.
     """
@@ -422,7 +422,7 @@ def streamed(topology: Topology, folder: Path) -> tuple[Trajectory, Path]:
 
 
 @pytest.mark.parametrize("kept", [1.0, 0.99, 0.8, 0.6])
-def test_a_stream_cut_short_is_whole_up_to_its_last_batch(kept: float, tmp_path: Path) -> None:
+def test_a_truncated_stream_is_complete_up_to_its_last_batch(kept: float, tmp_path: Path) -> None:
     topology = NETWORKS["named"]()
     ran, folder = streamed(topology, tmp_path / "run")
     for stream in folder.glob("*.arrows"):
@@ -456,7 +456,7 @@ def test_a_table_that_is_behind_the_other(tmp_path: Path) -> None:
     assert same(run.x, ran.x[:11])
 
 
-def test_steps_whose_telemetry_was_lost(tmp_path: Path) -> None:
+def test_steps_without_telemetry(tmp_path: Path) -> None:
     """Row t stays step t: what is not known is NaN, and the others are what the observer made of them."""
     topology = NETWORKS["named"]()
     ran = networks.simulate(topology)
@@ -508,7 +508,7 @@ def without(folder: Path, *names: str) -> Path:
     return folder
 
 
-def test_what_is_no_run_says_so(paper7: Run, here: Path) -> None:
+def test_a_folder_that_is_not_a_run_is_reported(paper7: Run, here: Path) -> None:
     def copy() -> Path:
         shutil.rmtree(here / "copy", ignore_errors=True)
         return shutil.copytree(paper7.folder, here / "copy")
@@ -569,7 +569,7 @@ def test_a_text_that_came_to_harm_is_not_read_from_elsewhere(paper7: Run) -> Non
         load_run(paper7.folder)
 
 
-def test_a_run_of_no_whole_step_says_so(here: Path) -> None:
+def test_a_run_without_a_complete_step_is_reported(here: Path) -> None:
     """One row is there, and the state after it is not."""
     topology = NETWORKS["paper7"]()
     folder, rows = create(topology, here / "run"), networks.simulate(topology).rows

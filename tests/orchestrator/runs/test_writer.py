@@ -64,7 +64,7 @@ def records(draw: st.DrawFn, n: int) -> dict[str, Any]:
 
 @given(faulty(), st.data())
 @settings(max_examples=25, deadline=None)
-def test_what_is_kept_changes_nothing_but_how_much_there_is(topology: Topology, data: st.DataObject) -> None:
+def test_the_recorded_part_changes_only_the_amount_of_data(topology: Topology, data: st.DataObject) -> None:
     """The verdict and its metrics are equal, the rows that are kept are those of the whole run, bit for bit."""
     n = len(topology.ids)
     record = data.draw(records(n))
@@ -87,7 +87,7 @@ def test_what_is_kept_changes_nothing_but_how_much_there_is(topology: Topology, 
             assert (some / "summary.parquet").read_bytes() == (whole / "summary.parquet").read_bytes()
 
 
-def test_a_summary_is_what_the_rows_of_all_nodes_add_up_to(tmp_path: Path) -> None:
+def test_a_summary_is_the_sum_of_the_rows_of_all_nodes(tmp_path: Path) -> None:
     topology = read((load_text("paper7")), FAULTS)
     ran(topology, tmp_path / "run")
     run = load_run(tmp_path / "run")
@@ -115,7 +115,7 @@ def thin(tmp_path: Path) -> tuple[Run, Run]:
     return load_run(tmp_path / "whole"), load_run(tmp_path / "thin")
 
 
-def test_what_is_there_is_read_and_the_sums_are_of_all(thin: tuple[Run, Run]) -> None:
+def test_the_recorded_rows_are_read_and_the_sums_cover_all_nodes(thin: tuple[Run, Run]) -> None:
     whole, some = thin
     assert (some.T, some.ids) == (30, (2, 6))
     assert some.rows.tolist() == [0, 7, 14, 21, 28, 29, 30]
@@ -135,7 +135,7 @@ def test_what_is_there_is_read_and_the_sums_are_of_all(thin: tuple[Run, Run]) ->
     assert shown == [tuple(end if end in (2, 6) else None for end in edge) for edge in touching]
 
 
-def test_what_takes_all_rows_says_how_to_have_them(thin: tuple[Run, Run], tmp_path: Path) -> None:
+def test_an_array_that_needs_all_rows_explains_how_to_record_them(thin: tuple[Run, Run], tmp_path: Path) -> None:
     _, some = thin
     how = r"kept every 7th step and the last of 2 of 7 nodes.*orchestrator simulate .* --set 'record={nodes: all}'"
     with pytest.raises(UserError, match=how):
@@ -151,7 +151,7 @@ def test_what_takes_all_rows_says_how_to_have_them(thin: tuple[Run, Run], tmp_pa
         assert arrays["rows"].tolist() == some.rows.tolist()
 
 
-def test_a_run_is_made_whole_again_from_its_folder(here: Path) -> None:
+def test_a_run_can_be_recorded_fully_from_its_folder(here: Path) -> None:
     """The file of a run has the recorded part and the omitted part."""
     done = orchestrator(
         "simulate", "paper7", "--no-record", "--run-dir", "thin", "--set", "record={every: 7, nodes: 2}"

@@ -52,7 +52,7 @@ def test_a_scenario_never_changes(network: Networks) -> None:
     assert plain == network("paper7")
 
 
-def test_every_method_is_what_a_file_spells(network: Networks) -> None:
+def test_every_method_equals_an_entry_of_a_file(network: Networks) -> None:
     """The faults of the file come first, in its order, and those that are added after them."""
     file = [{"kind": "sensor", "node": 1, "steps": [0, 1]}]
     scenario = (
@@ -159,7 +159,7 @@ def test_a_result_has_the_arrays_of_the_run(network: Networks) -> None:
         run.estimates_at(12)
 
 
-def test_what_was_missed_and_what_was_closed(network: Networks) -> None:
+def test_missed_messages_and_closed_edges(network: Networks) -> None:
     run = network("paper7").delay((2, 4), by=2, steps=(3, 5), one_way=True).cut((4, 2), steps=(8, 10)).run(steps=12)
     assert run.missing((2, 4)) == [3, 4]
     assert run.missing((4, 2)) == run.missing((1, 2)) == []
@@ -175,7 +175,7 @@ def test_a_network_without_edges_has_nothing_to_miss(network: Networks) -> None:
     assert run.heard.shape == run.edge_open.shape == (3, 0)
 
 
-def test_who_is_not_there_has_no_estimate_and_no_input(network: Networks) -> None:
+def test_an_absent_node_has_no_estimate_and_no_input(network: Networks) -> None:
     run = network("paper7").crash(4, at=3, restart_after=2).run(steps=8)
     assert [run.estimates_at(t)[4] is None for t in range(8)] == [False] * 3 + [True] * 2 + [False] * 3
     assert np.flatnonzero(np.isnan(run.u[:, run.column(4)])).tolist() == [3, 4]
@@ -222,7 +222,7 @@ def test_a_difference_is_explained(apart: tuple[Run, Run]) -> None:
     one.assert_same_estimates(other, 0)
 
 
-def test_a_failing_test_says_why_and_where_to_look(pytester: pytest.Pytester) -> None:
+def test_a_failing_test_shows_the_reason_and_the_folder(pytester: pytest.Pytester) -> None:
     pytester.makepyfile(
         """
         def test_estimates(network):
@@ -334,7 +334,7 @@ def test_a_run_that_takes_too_long_is_ended_and_named(tmp_path: Path) -> None:
     )  # a process that was still loading ends a bit later
 
 
-def test_a_law_that_cannot_be_loaded_is_said_by_both_engines(network: Networks) -> None:
+def test_both_engines_report_a_law_that_cannot_be_loaded(network: Networks) -> None:
     engines: tuple[Literal["in-process"], Literal["zenoh"]] = "in-process", "zenoh"
     for engine in engines:
         with pytest.raises(HedgerowError, match=r"law no\.such:Law: cannot be loaded"):
@@ -407,7 +407,7 @@ def test_a_network_may_come_to_its_end(network: Networks) -> None:
     assert net.stop() == network("paper7").run()
 
 
-def test_nothing_is_left_of_a_network_when_its_test_fails(network: Networks) -> None:
+def test_nothing_of_a_network_remains_after_its_test_fails(network: Networks) -> None:
     """Not even an agent that is frozen and cannot notice that all others are gone."""
     net = network("paper7").up(rate=50)
 
@@ -430,7 +430,7 @@ WAITING = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("body", "how"), [("up", signal.SIGINT), ("run", signal.SIGKILL)])
-def test_nothing_is_left_when_pytest_is_interrupted_or_killed(
+def test_nothing_remains_after_pytest_is_interrupted_or_killed(
     pytester: pytest.Pytester, body: str, how: signal.Signals
 ) -> None:
     pytester.makepyfile(f"def test_that_waits(network):\n    {WAITING[body]}\n")

@@ -231,7 +231,7 @@ def test_a_trail_is_the_telemetry_that_made_it(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_whoever_comes_late_sees_all_of_it(saver: Saver) -> None:
+def test_a_late_watcher_sees_the_whole_run(saver: Saver) -> None:
     """Two watch a run that began long ago; a fault begins meanwhile; both were shown every step, and the verdict."""
     with Orchestrator("up", "paper7", *LONG) as up:
         up.wait_for("running")
@@ -262,7 +262,7 @@ def test_whoever_comes_late_sees_all_of_it(saver: Saver) -> None:
 
 
 @pytest.mark.slow
-def test_a_watcher_whose_viewer_is_closed_says_so_and_the_run_goes_on() -> None:
+def test_a_watcher_reports_a_closed_viewer_and_the_run_continues() -> None:
     viewer = begin_headless()
     try:
         with Orchestrator(
@@ -281,7 +281,7 @@ def test_a_watcher_whose_viewer_is_closed_says_so_and_the_run_goes_on() -> None:
 
 
 @pytest.mark.slow
-def test_a_frozen_viewer_holds_up_nobody() -> None:
+def test_a_frozen_viewer_delays_no_process() -> None:
     """`up` and `watch` feed a viewer, which freezes: the steps continue, Ctrl-C works, run.rrd has every step."""
     viewer = begin_headless()
     assert viewer.process is not None
@@ -309,7 +309,7 @@ def test_a_frozen_viewer_holds_up_nobody() -> None:
     assert_shows(folder / "run.rrd", folder)
 
 
-def test_a_viewer_of_another_version_is_told_with_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_viewer_of_another_version_is_reported_with_a_fix(monkeypatch: pytest.MonkeyPatch) -> None:
     """Both commands name the two versions and continue; for a viewer too old to answer, they report that."""
     ours = rr.__version__
     monkeypatch.setattr(rr, "__version__", "0.99.0")
@@ -332,7 +332,7 @@ def test_a_viewer_of_another_version_is_told_with_what_to_do(monkeypatch: pytest
         kill(viewer)
 
 
-def test_a_viewer_that_does_not_say_its_version_is_told() -> None:
+def test_a_viewer_without_a_version_is_reported() -> None:
     """As one before 0.41 does not, nor a page's server."""
     server, said = start("web"), list[str]()
     assert server is not None
@@ -417,7 +417,7 @@ def send(stream: rr.RecordingStream, values: Array, first: int) -> None:
     stream.send_columns("x", index, rr.Scalars.columns(scalars=values))
 
 
-def test_a_recording_goes_on_in_parts(tmp_path: Path) -> None:
+def test_a_recording_continues_in_parts(tmp_path: Path) -> None:
     """Each part is about as large as asked for, begins with what does not change, and together they have all rows."""
     path = tmp_path / "run.rrd"
     file = RrdFile(path, streams, part_bytes=200_000)
@@ -443,7 +443,7 @@ def test_a_recording_goes_on_in_parts(tmp_path: Path) -> None:
     np.testing.assert_array_equal(shown(whole, "x")[1], values.reshape(-1, 1))
 
 
-def test_a_part_that_is_deleted_is_missed_by_nobody(tmp_path: Path) -> None:
+def test_a_deleted_part_causes_no_error(tmp_path: Path) -> None:
     file = RrdFile(tmp_path / "run.rrd", streams, part_bytes=10**9)
     (tmp_path / "run.rrd").unlink()
     file.write(lambda stream: stream.log("x", rr.Scalars([1.0])))
