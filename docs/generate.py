@@ -3,7 +3,7 @@
     python docs/generate.py           write it
     python docs/generate.py --check   exit with 1 when it is stale
 
-A line `<!-- generate: NAME ARGUMENT -->` of the template is replaced by what the function of that name returns.
+The result of the function NAME replaces a line `<!-- generate: NAME ARGUMENT -->` of the template.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The documents say what the code does: their tables equal it, and what they show is run.
+"""The documents agree with the code: their tables equal it, and their commands are run.
 
 In a fenced block of README.md or docs/*.md
 
@@ -67,7 +67,7 @@ SLOW = {
 }
 """Documents with blocks that take more than five seconds."""
 GENERATED = "topology.md"
-"""Its commands are run by docs/generate.py, which writes down what they print: test_topology_md_is_fresh."""
+"""docs/generate.py runs its commands and writes their output: test_topology_md_is_fresh."""
 COMMAND_DEADLINE_S = 120.0
 
 
@@ -150,7 +150,7 @@ def document_parameters() -> list[Any]:
 
 @pytest.mark.parametrize("document", document_parameters())
 def test_a_document_shows_the_real_output(document: Path, tmp_path: Path) -> None:
-    """Every command exits as claimed, every program runs, and what is shown of either is what it prints."""
+    """Every command exits as claimed, every program runs, and their outputs equal those on the page."""
     scratch = Scratch(tmp_path)
     program: tuple[Block, str] | None = None
     for block in blocks(document):
@@ -194,7 +194,7 @@ def test_every_example_is_in_a_document() -> None:
 
 @pytest.mark.slow
 def test_topology_md_is_fresh() -> None:
-    """docs/topology.md is what docs/generate.py writes."""
+    """docs/topology.md is the output of docs/generate.py."""
     ran = subprocess.run(
         [sys.executable, str(ROOT / "docs/generate.py"), "--check"], capture_output=True, text=True, check=False
     )
@@ -403,7 +403,7 @@ def test_the_deadlines_are_those_of_the_code() -> None:
 
 
 def test_the_session_settings_are_those_of_the_code() -> None:
-    """Each setting that docs/wire.md lists is what sessions are opened with."""
+    """Each setting in docs/wire.md is a setting of the sessions."""
     config = session._config(None, {})
     for row in table("wire.md", "Router and sessions"):
         assert config.get_json(row["setting"]) == row["value"], row["setting"]

@@ -1,4 +1,4 @@
-"""Faults in one process: what they do to the plant, to what nodes know, and to nothing else."""
+"""Faults in one process: their effects on the plant and on the knowledge of nodes, and no others."""
 
 from __future__ import annotations
 

@@ -37,7 +37,7 @@ def test_nothing_that_is_read_shows_a_traceback_or_hangs(kind: str, cases: int) 
 
 
 def test_an_exception_a_hang_and_a_death_are_findings() -> None:
-    """The fuzzer itself: what it looks for, planted."""
+    """The fuzzer itself, with planted findings."""
     counts, findings = fuzz("planted", SEED, range(6))
     assert [(one.number, one.what.partition(":")[0]) for one in findings] == [
         (1, "KeyError"),

@@ -1,4 +1,4 @@
-"""A part of the table of docs/reliability.md, tried anew each time: every process, signal and time occurs in it."""
+"""A part of the table of docs/reliability.md, tried again each time: every process, signal and time occurs in it."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ _BESIDE, _SAMPLE, _LEVELS = 64, 8, 4
 
 
 def errors(model: type[BaseModel], value: Any, piece: int = PIECE) -> Iterator[ErrorDetails]:
-    """Yield what `model` finds wrong in a large value, with the locations of the whole value.
+    """Yield the mistakes that `model` finds in a large value, with the locations of the whole value.
 
     A value of one piece yields nothing. Rules about all members of a large collection together are not checked.
     """

@@ -143,7 +143,7 @@ def _layout(text: bytes, line: int) -> str:
 
 
 def _refuse(source: Source, line: int, what: str, cure: str, column: int = 0, code: Code = Code.FILE_FORMAT) -> None:
-    # The code shows a caller that memory was the reason, whatever other mistakes the file has.
+    # The code shows a caller that memory was the reason, even if the file has other mistakes.
     others: Iterable[Problem] = [] if code == Code.FILE_TOO_LARGE else source.problems
     raise TopologyError(source.name, [*others, Problem(line, "", what, cure, code, column)]) from None
 

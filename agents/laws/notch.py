@@ -43,7 +43,7 @@ def notched(memory: Array, candidates: Array, x: Array, y: Array, t: int) -> Non
 
 
 def _regress(J: Array, c: Array, S0: Array, v: Array, z: Array, whole: Mask) -> None:
-    """Add v and z to the regression v = c z, in the columns that are `whole`; all else is (M, k)."""
+    """Add v and z to the regression v = c z, in the columns that are `whole`; all arrays are (M, k)."""
     squared = z * z
     none = squared < TINY
     if none.any():

@@ -19,7 +19,7 @@ from hedgerow.topologies.graph import Gain
 
 
 class Robust:
-    """Equation (6) on one number, whatever happens."""
+    """Equation (6) with one fixed number."""
 
     equation: ClassVar[str] = "ahat = theta, of the least worst gain over the lists"
 

@@ -133,7 +133,7 @@ class Recording:
             return
         if self._replaying is None:
             self._replaying = BackgroundThread("replay", self._leave_out_replay)
-            first = self.topology  # the faults at the first step, whatever changes before the thread begins
+            first = self.topology  # the faults at the first step, before any later change
             self._replaying.do(lambda: self._begin_replay(first))
         self._replaying.do(lambda: self._take_replayed(rows), size)
 

@@ -118,7 +118,7 @@ class Bound:
 
 
 def method_for(plant: Plant) -> Method:
-    """Return the program that is exact, if it is quick: `split` on a forest, `whole` on few nodes, else `split`."""
+    """Return the exact program, if it is fast: `split` on a forest, `whole` on few nodes, otherwise `split`."""
     small = 3 * plant.n + len(plant.edges) <= WHOLE_LARGEST
     return Method.WHOLE if small and _has_cycle(plant) else Method.SPLIT
 

@@ -78,7 +78,7 @@ def test_the_estimate_is_a_first_minimiser_from_the_nodes_own_list(history: Hist
 
 @given(histories())
 def test_the_estimate_is_the_candidate_nearest_least_squares(history: History) -> None:
-    """Completing the square: J_m = J_LS + Sxx (a_m - a_LS)^2, wherever no tie hides it."""
+    """Completing the square: J_m = J_LS + Sxx (a_m - a_LS)^2, unless a tie hides it."""
     law = taught(history)
     known = np.where(np.isnan(history.flow), 0.0, 1.0)
     sxx = (known * history.x[:-1] ** 2).sum(axis=0)
@@ -95,7 +95,7 @@ def test_the_estimate_is_the_candidate_nearest_least_squares(history: History) -
 
 @given(st.permutations([0.25, 0.5, 0.75]), st.sampled_from([0.375, 0.625]), st.integers(1, 8))
 def test_a_tie_goes_to_the_first_in_list_order(models: list[float], halfway: float, samples: int) -> None:
-    """Dyadic numbers, so that J ties exactly: a_LS lies halfway between two candidates."""
+    """The numbers are dyadic, so J ties exactly: a_LS is halfway between two candidates."""
     law = Minimax(0.5, padded([models]))
     assert law.ahat == [models[0]], "before any sample all tie at J = 0"
     for _ in range(samples):

@@ -1,4 +1,4 @@
-"""The quiet step in floats: the same bits as the general path, whatever happens between quiet steps."""
+"""The quiet step in floats has the same bits as the general path, with any events between quiet steps."""
 
 from __future__ import annotations
 

@@ -325,7 +325,7 @@ def test_a_plant_that_stays_has_its_place_to_itself(here: Path, endpoint: str, m
 
 
 def test_of_simultaneous_plants_one_starts_and_the_next_follows(endpoint: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whatever numbers they draw, and however they come between each other's looks."""
+    """This holds for any numbers that they draw, and for any order of their checks."""
     monkeypatch.setattr("hedgerow.wire.handshake.LOOK_AGAIN_S", 0.01)
     monkeypatch.setattr("hedgerow.wire.handshake.LEASE_S", DEADLINE_S)
     together, inside, order = threading.Barrier(4), threading.Lock(), list[int]()
@@ -523,7 +523,7 @@ def test_a_missing_process_is_named(here: Path, endpoint: str) -> None:
     [
         (("--external", "9"), "there is no 9; name nodes, `plant` or `all`; the processes are plant, agent-1"),
         (("--external", "3"), "--external: the separate processes need an address. --listen tcp/0.0.0.0:7447"),
-        (("--external", "plant"), "--external plant: say where it is with --router"),
+        (("--external", "plant"), "--external plant: give its router"),
         (("--listen", "tcp/0.0.0.0:7447"), "--external"),
     ],
 )
@@ -536,7 +536,7 @@ def test_impossible_options_are_refused_at_once(here: Path, arguments: tuple[str
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("", "lab.toml: does not say process, namespace, router, network"),
+        ("", "lab.toml: lacks process, namespace, router, network"),
         ("a = ", "lab.toml: is not TOML"),
         ('process = "agent-3"\nnamespace = "h"\nrouter = "tcp/x:1"\nnetwork = "0"\n', "config of agent-3: KeyError"),
         ('process = "plant"\nnamespace = "h"\nrouter = "tcp/x:1"\nnetwork = "0"\n', "start it with `hedgerow-plant`"),

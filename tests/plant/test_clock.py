@@ -17,7 +17,7 @@ def test_pending_single_steps_are_dropped_on_resume() -> None:
 
 
 def test_single_steps_keep_the_rate() -> None:
-    """The first too: it comes no sooner after the last step that was made than any other."""
+    """The same holds for the first: its distance from the last step is the same."""
     period_s = 1000.0
     clock = Clock(1 / period_s)
     clock.sent()

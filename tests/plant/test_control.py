@@ -92,7 +92,7 @@ MEANT += asking("fault", "effects", [EFFECT | {"kind": "jump", "targets": []}], 
 
 
 def answers(session: zenoh.Session, command: str, payload: bytes) -> dict[str, Any]:
-    """The one answer of a plant, which must come."""
+    """Return the one answer of a plant, which must arrive."""
     key = keys.join(0) if command == "join" else keys.control(command)
     replies = [reply.ok for reply in session.get(key, payload=payload, timeout=DEADLINE_S)]
     assert len(replies) == 1, (command, payload[:80])
@@ -102,7 +102,7 @@ def answers(session: zenoh.Session, command: str, payload: bytes) -> dict[str, A
 
 
 def test_a_plant_refuses_an_invalid_request_with_a_message(here: Path) -> None:
-    """Each of some hundred queries is answered in one short line, and the trajectory is what it would have been."""
+    """Each of some hundred queries is answered in one short line, and the trajectory is unaffected."""
     quiet = ("--viewer", "none", "--no-record")
     with contextlib.ExitStack() as stack:
         network = stack.enter_context(Orchestrator("up", "paper7", *quiet, "--steps", str(STEPS), "--rate", "0.001"))

@@ -1,4 +1,6 @@
-"""The plant's process over a real router, in this process, with agents and an observer that say only what they must."""
+"""The plant's process over a real router, in this process, with agents and an observer that send only the necessary
+messages.
+"""
 
 from __future__ import annotations
 
@@ -124,7 +126,7 @@ class Scene:
         return self._operator.liveliness().declare_token(key)
 
     def say(self, p: int, t: int) -> None:
-        """An input of a shard, wherever it comes from."""
+        """Send an input of a shard, from any sender."""
         self._operator.put(keys.input_(p), _input(p, t))
 
     def die(self, p: int, life: int = 0) -> None:

@@ -1,4 +1,4 @@
-"""The true network: equation (1), its disturbances, and what holds whatever the agents believe."""
+"""The true network: equation (1), its disturbances, and the facts that hold for any estimates."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_each_kind_follows_its_formula() -> None:
 @given(st.lists(disturbances(12), min_size=1, max_size=5), st.integers(0, 2**63 - 1))
 @settings(max_examples=50)
 def test_a_list_is_the_sum_of_its_members(written: list[Any], seed: int) -> None:
-    """Each member at its place gives what it gives with nothing around it but `none`."""
+    """Each member at its place gives the same values as with only `none` around it."""
     nodes: list[list[dict[str, Any]]] = [
         [{"kind": part} if isinstance(part, str) else part for part in parts]
         for parts in (own if isinstance(own, list) else [own] for own in written)
@@ -123,7 +123,7 @@ def test_the_world_moves_by_equation_1(topology: Topology) -> None:
 @given(networks(), st.data())
 @settings(max_examples=60)
 def test_the_flows_of_all_nodes_sum_to_zero(topology: Topology, data: st.DataObject) -> None:
-    """An edge that is cut is cut at both ends: the flows of all nodes always sum to zero, whatever their weights."""
+    """A cut edge is closed at both ends: the flows of all nodes always sum to zero, for any weights."""
     edges = len(topology.edges)
     edge_open = np.array(data.draw(st.lists(st.booleans(), min_size=edges, max_size=edges)), bool)
     u = np.sin(np.arange(len(topology.ids)) * 7.0)

@@ -1,4 +1,4 @@
-"""Ctrl-C, where a shell has taken it from what runs in the background."""
+"""Ctrl-C for programs in which a background shell has disabled it."""
 
 from __future__ import annotations
 

@@ -147,7 +147,7 @@ def record_folder(directory: Path) -> Path:
 
 @dataclass(frozen=True)
 class Finding:
-    """A case that came to no good end."""
+    """A case with a finding."""
 
     kind: str
     number: int
@@ -183,7 +183,7 @@ class Files:
 
     @cached_property
     def _viewer(self) -> Viewer:
-        """Something that takes what a viewer takes."""
+        """A stand-in for a viewer, which accepts the same calls."""
         import rerun as rr  # noqa: PLC0415
 
         self._server = rr.RecordingStream("fuzz")
@@ -224,7 +224,8 @@ class Files:
 
     def _check_and_run(self, file: Path) -> None:
         self._run("check", str(file))
-        # As far as it was checked it is good: so it runs. (Its steps and its law are whatever they came to be.)
+        # The checked topology is valid, so it must run. (Its steps and its law may be arbitrary.) (Its steps and its
+        # law are whatever they came to be.)
         if len(resolve(load(str(file)), file.parent).ids) < 1000:
             sets = ("--steps", "3", "--set", "faults=[]", "--set", "law=minimax", "--set", "processes=1")
             with contextlib.suppress(HedgerowError):  # samples may be too short for 3 steps
@@ -417,7 +418,7 @@ KINDS: dict[str, Callable[[int, Path], Files | Payloads | Planted | fuzz_inputs.
 def work(kind: str, seed: int, numbers: Sequence[int], scratch: Path) -> None:
     """Try these cases; print each number before its case, and the result after it."""
     resource.setrlimit(resource.RLIMIT_DATA, (MEMORY_BYTES, MEMORY_BYTES))
-    warnings.simplefilter("ignore")  # numbers that overflow are what the file asked for
+    warnings.simplefilter("ignore")  # the file may cause overflows
     out = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
 
@@ -446,7 +447,7 @@ def work(kind: str, seed: int, numbers: Sequence[int], scratch: Path) -> None:
 
 
 def fuzz(kind: str, seed: int, numbers: Sequence[int]) -> tuple[Counter[str], list[Finding]]:
-    """Try these cases of a kind: how often what became of them, and the findings."""
+    """Try these cases of a kind; return the counts of the results, and the findings."""
     counts: Counter[str] = Counter()
     findings: list[Finding] = []
     left = list(numbers)

@@ -29,7 +29,7 @@ with zenoh.open(zenoh.Config.from_file(sys.argv[1].removeprefix("--config="))):
     print("open", flush=True)
     signal.pause()
 """
-"""As the router's image runs: by a file, in the folder of its keys."""
+"""The router runs as in its image: with a file, in the folder of its keys."""
 
 
 def command(*words: str) -> None:
@@ -59,7 +59,7 @@ class Machines:
         hosts = "127.0.0.1 localhost\n" + "".join(f"{ip} {name}\n" for name, ip in self.address.items())
         for number, (name, space) in enumerate(self._spaces.items(), 1):
             command("ip", "netns", "add", space)
-            # `ip netns exec` puts what is here in the place of /etc/hosts.
+            # `ip netns exec` mounts this file over /etc/hosts.
             folder = Path("/etc/netns") / space
             folder.mkdir(parents=True)
             (folder / "hosts").write_text(hosts)

@@ -112,7 +112,7 @@ def gathered(telemetry: Iterable[Telemetry | End]) -> Trajectory:
 
 
 def observe(topology: Topology, ran: Trajectory) -> tuple[Observer, Batch]:
-    """All metrics of a run, taken in at once."""
+    """Return all metrics of a run, in one batch."""
     observer = Observer(topology)
     batch = observer.take(ran.rows)
     observer.finish(ran.end)
@@ -125,7 +125,7 @@ def floats(low: float, high: float) -> st.SearchStrategy[float]:
 
 
 def disturbances(steps: int) -> st.SearchStrategy[Any]:
-    """A disturbance as a file spells it: one of each kind, or a sum of some."""
+    """Draw a disturbance as in a file: one of each kind, or a sum of some."""
     value = floats(-3, 3)
     one = st.one_of(
         st.just("none"),

@@ -149,7 +149,7 @@ class Orchestrator:
         self._process.send_signal(number)
 
     def kill_until_it_stays_down(self, name: str) -> None:
-        """Kill an agent's process as often as it comes back, each life once it has reached the router."""
+        """Kill an agent's process repeatedly, each life after it has reached the router."""
         for life in range(1, RESTARTS + 2):
             self.wait_for_log(name, "ready: ", life)
             os.kill(self.children[name], signal.SIGKILL)

@@ -85,7 +85,7 @@ class Tampering:
     """the changed agent without its law"""
     world: type[World] | None = None
     rows: Rows | None = None
-    """the telemetry that arrives in place of what was sent"""
+    """the telemetry that arrives instead of the sent one"""
     topology: Topology = WATCHED
 
     def run(self) -> Trajectory:
@@ -616,7 +616,7 @@ ALL = list(_all())
 
 
 def told(tampering: Tampering) -> list[str]:
-    """The row of the table: where, what, the verdict, the first check that fails, and the step and node it names."""
+    """Return the row of the table: place, change, verdict, the first failed check, and its step and node."""
     content = tampering.verdict().content
     failed = {name: check for name, check in content["checks"].items() if not check["ok"]}
     named = [(name, check) for name, check in failed.items() if check.get("node") is not None]

@@ -66,7 +66,7 @@ def again(topology: Topology) -> Topology:
     return parse(to_yaml(topology).encode(), "topology.yaml", Path())
 
 
-# What each kind does.
+# The effects of each kind.
 
 
 @pytest.mark.parametrize(
@@ -406,7 +406,7 @@ def test_a_jump_changes_no_other_draw() -> None:
 
 
 def test_a_jump_to_an_undrawn_number_reports_the_drawn_ones() -> None:
-    """The file cannot tell before the draw; the answer can be copied into it."""
+    """Before the draw, the target is unknown; the answer can be copied into the file."""
     network = parse(f"{CHANCE}faults: [{{kind: jump, node: 2, at: 5, a: 0.3}}]".encode(), "n.yaml", Path())
     with pytest.raises(TopologyError) as caught:
         resolve(network)
@@ -507,7 +507,7 @@ def test_a_partition_is_the_drop_of_every_link_between_its_groups(groups: list[l
 
 
 def test_every_kind_is_known_by_its_name() -> None:
-    """And describes each of its keys."""
+    """The schema also describes each of its keys."""
     assert list(KINDS) == ["drop", "delay", "cut", "partition", "sensor", "actuator", "crash", "jump"]
     assert known_keys(KINDS["drop"]) == ["kind", "link", "from", "to", "at", "steps", "probability"]
     assert all(

@@ -154,7 +154,7 @@ def test_a_rule_that_is_none_is_refused(graph: str, said: str) -> None:
 @given(st.sampled_from([*GENERATORS]), st.integers(0, 9))
 @settings(deadline=None, max_examples=30)
 def test_a_generated_network_is_the_one_that_is_written_out(kind: str, seed: int) -> None:
-    """Every number that is drawn, and what single nodes override."""
+    """Every random number, and the overrides of single nodes."""
     own = "{3: {x0: -7, disturbance: none}, 1: {a: 0.6}, 5: {candidates: [0.5, 0.6], a: 0.6}}"
     text = f"{HEAD}{CHANCE}".replace("seed: 5", f"seed: {seed}")
     made = read(f"{text}graph: {{kind: {kind}, nodes: 8}}\nnodes: {own}\n")
@@ -167,7 +167,7 @@ def test_a_generated_network_is_the_one_that_is_written_out(kind: str, seed: int
 
 @pytest.fixture
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A file spells out six nodes at most: those here are many."""
+    """A file lists six nodes at most: these are many."""
     monkeypatch.setattr(resolve, "SPELLED_OUT", 6)
 
 
@@ -274,8 +274,8 @@ PAIR = np.array([[0, 1]])
         ({"edges": PAIR, "ids": [1, 2], "a": [0.5]}, "`a` has the shape (1,)"),
         ({"edges": PAIR, "candidates": [[0.5], [np.nan]]}, "a list that is empty"),
         ({"edges": PAIR, "candidates": [[0.5], [0.4]], "a": [0.5, 0.5]}, "the truth of node 1 is not among"),
-        ({"edges": PAIR, "c": [1]}, "a column `c`, which means nothing"),
-        ({"edges": PAIR, "w 0 white stdd": [1, 2]}, "which means nothing"),
+        ({"edges": PAIR, "c": [1]}, "a column `c`, which is unknown"),
+        ({"edges": PAIR, "w 0 white stdd": [1, 2]}, "which is unknown"),
         ({"edges": PAIR, "w 0 white nodes": [1]}, "has no `w 0 white std`"),
         ({"edges": PAIR, "w 0 samples values": [[1.0], [2.0]]}, "1 samples are too few for 4 steps"),
         ({"edges": np.array([{"x": 1}])}, "`edges` is an array of Python objects"),

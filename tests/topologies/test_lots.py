@@ -124,7 +124,7 @@ def test_an_added_node_changes_no_other_lot(ids: list[int | str], seed: int, dat
 
 
 def test_a_fault_that_is_added_late_or_ends_early_has_the_lots_that_the_file_gives_it() -> None:
-    """Otherwise a run with live faults could not be repeated from what it recorded."""
+    """Otherwise a run with live faults could not be repeated from its recorded file."""
     ids: list[int | str] = ["a", "b", "c"]
     lot = {"kind": "sensor", "node": "b", "probability": 0.5}
     recorded = network(ids, tree(ids), 8, [{**lot, "steps": [0, 9]}, {**lot, "steps": [3, 12]}])

@@ -1,4 +1,4 @@
-"""Messages show what the user wrote and where, the cure that works, and a bounded number of lines."""
+"""Messages show the user's text and its place, a fix that works, and a bounded number of lines."""
 
 from __future__ import annotations
 

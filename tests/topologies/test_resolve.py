@@ -1,4 +1,4 @@
-"""Drawing: what a file leaves to chance, and that the resolved file holds all of it."""
+"""Drawing: the random values of a file, and their numbers in the resolved file."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def test_only_another_seed_draws_other_numbers() -> None:
     ],
 )
 def test_to_pin_one_nodes_number_changes_no_other_nodes(pin: str) -> None:
-    """Only what was pinned differs: neither the others' numbers nor this node's other ones."""
+    """Only the fixed number differs: neither the other nodes' numbers nor this node's other ones."""
     drawn, pinned = read(CHANCE), read(CHANCE, pin)
     key = pin.partition("=")[0].split(".")[2]
     for node in drawn.ids:

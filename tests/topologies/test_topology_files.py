@@ -56,7 +56,7 @@ def good(text: str, *overrides: str, folder: Path = Path()) -> Topology:
 
 
 def test_all_mistakes_are_reported_with_their_lines_and_fixes() -> None:
-    """One file, ten mistakes, one message: file:line, node, value, allowed interval, cure."""
+    """One file, ten mistakes, one message: file:line, node, value, allowed interval, fix."""
     text = """\
 name: no good
 b: 0.1
@@ -161,7 +161,7 @@ edges:
     ],
 )
 def test_a_mistake_is_reported_at_its_place(old: str, new: str, line: int, said: str) -> None:
-    """One change to a good file; the message names line, place, value and cure."""
+    """One change to a valid file; the message names line, place, value and fix."""
     assert old in GOOD
     found = problems(GOOD.replace(old, new))
     assert any(p.line == line and said in str(p) for p in found), [(p.line, str(p)) for p in found]
@@ -269,13 +269,13 @@ def test_aliases_that_multiply_are_refused_before_they_fill_the_memory() -> None
 
 
 def test_an_honest_alias_is_fine() -> None:
-    """Two nodes may share what an anchor spells out."""
+    """Two nodes may share an anchor's content."""
     nodes = "nodes:\n  1: &same {x0: 3, candidates: [0.4]}\n  2: *same\n"
     assert good(HEAD + nodes).nodes[2].x0 == 3.0
 
 
 def test_the_file_of_a_name_that_does_not_exist() -> None:
-    """A near miss is met with the bundled name that was meant; anything else with all of them."""
+    """A nearly right name gets the intended bundled name; any other gets all of them."""
     with pytest.raises(UserError, match=r"papr7: no such file; did you mean paper7\? bundled"):
         load("papr7")
     with pytest.raises(UserError, match=r"zzz\.yaml: no such file; bundled names are authors7, "):

@@ -204,7 +204,7 @@ def test_quoted_ids_stay_text_unless_they_are_spelled_as_a_number_is() -> None:
 @given(st.lists(st.integers(-(10**30), 10**30), min_size=2, max_size=5, unique=True))
 @settings(max_examples=30)
 def test_ids_are_any_integers_in_yaml_and_json(ids: list[int]) -> None:
-    """Keys of JSON are text, and references can be numbers: both name the same node, whatever its size."""
+    """Keys in JSON are text, and references can be numbers: both name the same node, of any size."""
     listed = f"{HEAD}nodes: {ids}\nedges: [[{ids[0]}, '{ids[1]}']]\n"
     mapped = ", ".join(f'"{node}": {{}}' for node in ids)
     json = f'{{"name": "n", "b": 0.1, "steps": 3, "nodes": {{{mapped}}}, "edges": [[{ids[0]}, "{ids[1]}"]]}}'

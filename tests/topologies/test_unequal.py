@@ -184,7 +184,7 @@ def test_the_same_edge_twice_is_refused_with_any_weights() -> None:
 
 
 def test_a_file_is_judged_by_the_largest_numbers_that_can_be_drawn() -> None:
-    """With b up to 0.3 and weights up to 2 a node of two edges has no interval, whatever the seed draws."""
+    """With b up to 0.3 and weights up to 2, a node with two edges has no interval, for any draw."""
     text = HEAD + "graph: {kind: ring, nodes: 5, weight: {random: [0.1, W]}}\n"
     for seed in range(3):
         with pytest.raises(TopologyError) as refused:

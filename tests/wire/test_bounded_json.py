@@ -1,4 +1,4 @@
-"""JSON from the network: what is too deep, too large or no text is refused, and all else can be passed on."""
+"""JSON from the network: values that are too deep, too large or not text are refused; others can be forwarded."""
 
 import json
 from typing import Any

@@ -1,4 +1,4 @@
-"""Messages: what is sent is what arrives, bit for bit; anything else is refused in words."""
+"""Messages arrive as they were sent, bit for bit; anything else is refused with a message."""
 
 from __future__ import annotations
 
@@ -159,7 +159,7 @@ def test_another_kind_is_refused(message: Message, kind: int) -> None:
 
 @given(messages(), st.integers(1, 2**32 - 1))
 def test_another_number_of_nodes_is_refused(message: Message, more: int) -> None:
-    """Even where the length would fit."""
+    """This holds even if the length would fit."""
     nodes = (int.from_bytes(message.raw[4:8], "little") + more) % 2**32
     with pytest.raises(MessageError, match=f"with {nodes} nodes in"):
         message.read(message.raw[:4] + nodes.to_bytes(4, "little") + message.raw[8:])

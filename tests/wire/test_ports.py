@@ -28,7 +28,9 @@ def choosing_from(port: int) -> socket.socket:
 @pytest.mark.parametrize("host", ["127.0.0.1", "127.0.0.2"])
 @pytest.mark.parametrize("asking", ["there", "everywhere"])
 def test_a_free_port_is_only_given_on_request(host: str, asking: str) -> None:
-    """As happened to a plant at another address than 127.0.0.1: something else of its machine had been given it."""
+    """This happened to a plant at another address than 127.0.0.1: another program of its machine had received the
+    port.
+    """
     port = free_port(host)
     with choosing_from(port) as other, pytest.raises(OSError, match=r".") as caught:
         other.bind((host if asking == "there" else "0.0.0.0", 0))

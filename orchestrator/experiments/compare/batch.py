@@ -1,6 +1,6 @@
 """Many runs at once: S networks of one size side by side in one array, which never meet.
 
-One by one, nearly all of the time of a small network goes into calls of numpy on a handful of numbers. A law keeps its
+One by one, nearly all of the time of a small network is overhead of numpy calls on a few numbers. A law keeps its
 columns apart, so the S networks are one shard of S n nodes to it. States, inputs and estimates are those of each run by
 itself, to the bit.
 """

@@ -170,7 +170,7 @@ def test_every_layout_under_any_fault_gives_the_same_bits(
 
 @pytest.mark.parametrize("choice", CHOICES)
 def test_a_back_filled_memory_is_the_memory_without_the_gap(choice: str) -> None:
-    """Samples of steps 5 to 12 come late: the law gets the memory of step 5 back and learns them again."""
+    """Samples of steps 5 to 12 arrive late: the law returns to the memory of step 5 and learns them again."""
     x, flow = history(30, 3, lost=0.0)
     whole = taught(choice, x, flow)
     late = law(choice)

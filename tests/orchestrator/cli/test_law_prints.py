@@ -1,4 +1,4 @@
-"""A law that prints: nothing of it acts on a terminal or a log, and none of it is in the JSON of a command."""
+"""The output of a law acts on no terminal and no log, and is not in the JSON of a command."""
 
 import json
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""A run behaves on other people's shells and machines: signals, encodings, limits, crashes, and what only helps."""
+"""A run works on other shells and machines: signals, encodings, limits, crashes, and failures of optional parts."""
 
 from __future__ import annotations
 

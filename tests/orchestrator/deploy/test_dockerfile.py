@@ -1,4 +1,4 @@
-"""The Dockerfile: what a linter would ask of it, and its steps, executed without an engine."""
+"""The Dockerfile: the rules of a linter, and its steps, executed without an engine."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def test_all_that_the_images_hold_is_pinned(stages: dict[str, list[Instruction]]
 
 
 def build(stages: dict[str, list[Instruction]], root: Path) -> dict[str, str]:
-    """Run the steps of the build, below `root` in the place of /; what the environment of its programs is."""
+    """Run the steps of the build, with `root` in the place of /; return the environment of its programs."""
     for copy in values(stages["build"], "COPY"):
         *sources, target = copy.split()
         for source in sources:
@@ -103,7 +103,7 @@ def build(stages: dict[str, list[Instruction]], root: Path) -> dict[str, str]:
     environment["PIP_NO_COMPILE"] = "1"
     environment["PATH"] = f"{root / 'python/bin'}{os.pathsep}{os.environ['PATH']}"
     for run in values(stages["build"], "RUN"):
-        # What was downloaded once is kept: here it is the machine's, and not a layer's.
+        # Downloads are cached: here in the machine's cache, not in a layer.
         words = re.sub(r"(?<=[ (])/(wheels|opt)\b", rf"{root}/\1", run).replace(" --no-cache-dir", "")
         # All that the orchestrator needs takes minutes, and CI installs it anyway, with the README's first command.
         some = environment | ({"PIP_NO_DEPS": "1"} if "/opt/orchestrator/bin" in run else {})

@@ -82,7 +82,7 @@ def workers(sweeping: Orchestrator) -> dict[str, int]:
     return {str(child.pid): child.pid for child in below}
 
 
-# What the shares of right estimates are.
+# The shares of right estimates.
 
 
 def agrees(shares: Sequence[float], figure: float) -> bool:
@@ -114,7 +114,7 @@ def test_shares_of_right_estimates_after_3000_steps_are_those_of_the_theory(here
         assert agrees(shares, figure), (x0, w, np.mean(shares))
 
 
-# What a row is.
+# The content of a row.
 
 
 def test_a_row_agrees_with_the_verdict_of_its_run(here: Path) -> None:
@@ -159,7 +159,7 @@ def test_a_law_that_fails_makes_its_runs_unknown_and_no_others(here: Path) -> No
     assert said.stdout.splitlines()[-1].startswith("unknown (first seed 0, law=mine:Tired: ")
 
 
-# Stopped, killed, gone on with.
+# Interruption, kill and continuation.
 
 DROP = "faults=[{kind: drop, link: [2, 4], steps: [0, 300]}]"
 """a network with faults is run one by one, so that a sweep of it takes a while"""

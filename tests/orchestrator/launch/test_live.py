@@ -1,4 +1,4 @@
-"""Speaking to a running network: what is asked, what is answered, and what the run remembers of it."""
+"""Control of a running network: the requests, the answers, and their record in the run."""
 
 from __future__ import annotations
 

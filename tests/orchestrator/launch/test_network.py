@@ -1,4 +1,4 @@
-"""Networks of real processes over real Zenoh: what they compute, and how they begin and end."""
+"""Networks of real processes over real Zenoh: their results, their start and their end."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Outsiders: what a process without rights, or with the rights of one agent, can do to a run."""
+"""Outsiders: the possible effects of a process without rights, or with the rights of one agent, on a run."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Agents on the machines of a Ray cluster: Ray places them and starts them again, and the run is the same to the bit.
 
-The cluster has two machines, network namespaces with an address each, so that what crosses between them crosses a wire.
+The cluster has two machines, which are network namespaces with an address each. So their messages cross a network.
 """
 
 from __future__ import annotations
@@ -234,7 +234,7 @@ def test_ctrl_c_leaves_nothing_of_a_cluster_that_we_started(environment: None) -
 def test_a_cluster_that_is_not_there_is_a_mistake_in_words(environment: None) -> None:
     done = orchestrator("up", "paper7", "--on", "ray://127.0.0.1:1")
     assert done.returncode == 2
-    said = "no cluster: Connection refused; is `ray start --head` running there? clients come in at port 10001"
+    said = "no cluster: Connection refused; is `ray start --head` running there? clients use port 10001"
     assert done.stderr.startswith(f"error: --on ray://127.0.0.1:1: {said}"), done.stderr
     assert not Path("runs").exists()
 
@@ -281,7 +281,7 @@ def test_every_agent_has_a_cpu_where_there_are_enough_and_else_a_part_of_one() -
     for agents, cpus in ((7, [2, 2]), (5, [1, 1, 2]), (38, [2]), (100, [3, 5])):
         share = share_of(agents, float(sum(cpus)), len(cpus))
         assert sum(cpu // share for cpu in cpus) >= agents
-    with pytest.raises(UserError, match=f"{MOST_PER_CPU} a CPU at most: add machines, .* --processes 38"):
+    with pytest.raises(UserError, match=f"{MOST_PER_CPU} per CPU. Add machines, .* --processes 38"):
         share_of(1000, 2.0, 2)
     with pytest.raises(UserError, match="0 free CPUs on 2 machines"):
         share_of(1, 0.0, 2)

@@ -1,4 +1,4 @@
-"""Processes that do not keep to the information structure, over real Zenoh: what they try, and what becomes of it."""
+"""Processes that violate the information structure, over real Zenoh: their attempts, and the results."""
 
 from __future__ import annotations
 
@@ -206,7 +206,7 @@ def test_endless_requests_for_a_place_are_limited(secure: Secure) -> None:
 
 
 def test_the_largest_command_reaches_the_plant_of_a_small_network(tmp_path: Path) -> None:
-    """Without back-filling no agent has more than some hundred bytes to say; a fault may name a link at each step."""
+    """Without back-filling, an agent's largest message has some hundred bytes; a fault may name a link at each step."""
     network = resolve(load("paper7", ["backfill=false"]))
     small = places(views_of(network, layout(network, None)))
     command = bytes(LEAST_BYTES + BYTES_PER_INCIDENCE * 2 * len(network.edges))
@@ -304,7 +304,7 @@ FLOOD_S = 1.5
 
 
 class Victim:
-    """paper7 making its first hundred steps, slowly, and waiting there however long it is disturbed; a way into it."""
+    """paper7 after its first hundred slow steps, waiting during any disturbance; and a way into it."""
 
     def __init__(self, here: Path, stack: contextlib.ExitStack, *options: str) -> None:
         self._here, self._stack = here, stack
@@ -316,7 +316,7 @@ class Victim:
         self.entry = json.loads(orchestrator("ps", "--json").stdout)[0]
 
     def rogue(self, name: str) -> zenoh.Session:
-        """With what was stolen from a process, if there is anything to steal."""
+        """The intruder uses the keys of a process, if the run has keys."""
         own = self.entry["credentials"]
         credentials = Path(own).parent / name if own else None
         session = open_client(self.entry["endpoint"], self.entry["namespace"], credentials)

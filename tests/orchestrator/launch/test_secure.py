@@ -1,4 +1,4 @@
-"""Secure runs: nothing but what the information structure allows, the same numbers, and no key left anywhere."""
+"""Secure runs: only the messages of the information structure, the same numbers, and no remaining keys."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def test_every_process_received_exactly_its_messages(here: Path) -> None:
 
 
 def test_repeated_messages_pass_a_router_with_a_rate_limit(here: Path) -> None:
-    """While one agent is frozen, all others say something again with every state that the plant repeats."""
+    """While one agent is frozen, the others repeat their messages with every state that the plant repeats."""
     with Orchestrator("up", "paper7", "--secure", "--steps", "200", "--rate", "200", *QUIET) as network:
         network.wait_for("running")
         os.kill(network.children["agent-3"], signal.SIGSTOP)
@@ -221,4 +221,4 @@ def test_a_folder_of_another_user_is_not_trusted(here: Path) -> None:
     (here / f"hedgerow-{os.getuid()}").chmod(0o777)
     done = orchestrator("up", "paper7", "--secure", *QUIET)
     assert done.returncode == 2
-    assert "must be a folder that is yours alone" in done.stderr
+    assert "must be a folder that only you can read" in done.stderr

@@ -129,7 +129,7 @@ def test_a_plant_elsewhere_is_the_router_with_the_routers_keys(here: Path, port:
     code, said = start("plant", "--config", "lab/plant", *listen).wait()
     assert code == 3
     assert "no keys of a router" in said
-    assert "take the folder `router`" in said
+    assert "give the complete folder `router`" in said
     plant = start("plant", "--config", "lab/plant", *listen, "--credentials", "lab/router")
     agents = [start("agents", "--config", f"lab/shard-{p}") for p in (0, 1)]
     with Orchestrator("up", "lab/topology.yaml", "--external", "plant,all", "--keys", "lab", *UP) as network:
@@ -170,7 +170,7 @@ def test_wrong_keys_are_reported_at_both_ends(here: Path, port: int, start: Any)
     assert refuses in said["foreign"]
     assert f"we refuse the certificate of the router at tls/localhost:{port}" in said["distrusting"]
     assert "take keys that were made together with the router's" in said["distrusting"]
-    assert "are those the keys of agent-3?" in said["swapped"]
+    assert "check that the keys are those of agent-3" in said["swapped"]
     assert "needs a router that speaks TLS" in said["open"]
 
 
@@ -198,7 +198,9 @@ def test_an_observer_with_wrong_keys_does_not_wait(here: Path, port: int) -> Non
 def test_a_router_without_rules_does_not_open(here: Path, rules: str) -> None:
     Authority().issue(Path("router"), "router", host="localhost")
     Path("router/access.json").write_text(rules)
-    with pytest.raises(UserError, match=r"access.json: does not refuse what it does not allow .*; take the folder"):
+    with pytest.raises(
+        UserError, match=r"access.json: permits messages outside its rules .*; give the complete folder"
+    ):
         open_router(f"tls/127.0.0.1:{free_port()}", "here", Path("router"))
 
 

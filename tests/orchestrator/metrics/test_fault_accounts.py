@@ -122,7 +122,7 @@ class Recount:
 
 
 def cannot_strike(topology: Topology, ran: Trajectory) -> set[int]:
-    """Faults, from 1, with nothing to strike at any step of the run, whatever is drawn."""
+    """Return the faults, from 1, without a target at any step of the run, for any draw."""
     effects, steps = Plain(topology, ran).effects, range(topology.steps)
     able = {
         one.fault
@@ -136,7 +136,7 @@ def cannot_strike(topology: Topology, ran: Trajectory) -> set[int]:
 @settings(max_examples=150)
 @given(faulty())
 def test_every_failure_is_accounted_for(topology: Topology) -> None:
-    """Any network, any schedule: the run is valid unless a fault lies beyond its end, and the counts agree."""
+    """For any network and schedule, the run is valid unless a fault is beyond its end, and the counts agree."""
     ran = simulate(topology)
     judged = verdict(topology, ran)
     names = ("scheduled", "fired", "masked", "seen")
@@ -306,7 +306,7 @@ def test_one_that_should_be_dead_and_reports_is_noticed() -> None:
     assert bad.content["reasons"] == ["faults fails at step 12"]
 
 
-# What could not be.
+# Impossible faults.
 
 
 @pytest.mark.parametrize(
@@ -410,7 +410,7 @@ def test_truth_twins_and_least_squares_go_by_the_a_that_holds(topology: Topology
 
 
 def test_the_contraction_is_that_of_the_a_that_holds() -> None:
-    """rho is .6 with a = .3, and .9 from step 5 on: what shrinks by .7 breaks it at step 2, and not at step 7."""
+    """rho is .6 with a = .3, and .9 from step 5 on: a contraction of .7 violates it at step 2, but not at step 7."""
     topology = read(
         "{name: one, b: 0.1, steps: 9, nodes: {1: {a: 0.3, candidates: [0.3, 0.9], x0: 1}},"
         " faults: [{kind: jump, node: 1, at: 5, a: 0.9}]}"
@@ -422,7 +422,7 @@ def test_the_contraction_is_that_of_the_a_that_holds() -> None:
     assert bad.content["metrics"]["rho"] == 0.9
 
 
-# What a run leaves behind.
+# The files of a run.
 
 
 def test_a_faulty_run_leaves_nulls_where_there_was_nothing(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Whatever is changed in agents, plant or wire is found and named, or changes nothing."""
+"""Every change to agents, plant or network is found and named, or has no effect."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The report: figures that hold the run's own numbers, files that a journal takes, and a page that needs nothing else.
+"""The report: figures with the numbers of the run, files for a journal, and a self-contained page.
 
 paper  --report-->  figures 2 3 4 5, estimates, regret, cost, gain
 faulty --report-->  the same, and faults
@@ -153,7 +153,7 @@ def test_compared_figures_have_the_same_axes(paper: Run) -> None:
 
 
 def test_estimates_stand_over_the_truth(paper: Run) -> None:
-    """A panel a node; node 6 is wrong by too little to be seen, so a bar and a number say it."""
+    """There is one panel per node; node 6 is wrong by an invisible amount, which a bar and a number show."""
     figure = drawn("estimates", paper)
     panels = [axis for axis in figure.axes if axis.get_visible()]
     assert [axis.get_title("left") for axis in panels] == [f"node {node}" for node in paper.ids]
@@ -372,7 +372,7 @@ def test_the_operator_loads_matplotlib_only_to_report() -> None:
 
 
 class Page(HTMLParser):
-    """A page as a reader gets it: its elements are closed in order, what they ask for, and the text in them."""
+    """A page for a reader: its elements are closed in order; its references, and its text."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -410,7 +410,7 @@ def page(path: Path) -> Page:
 
 
 def test_the_page_has_the_numbers_of_the_verdict(paper: Run, written: dict[str, Path]) -> None:
-    """As a table of all metrics and checks, and verdict.json itself, whole."""
+    """The page has a table of all metrics and checks, and the complete verdict.json."""
     shown = page(written["report.html"])
     for name, words in METRICS.items():
         value = paper.verdict.content["metrics"][name]
@@ -478,7 +478,7 @@ def test_names_are_text(paper: Run, folder: Path) -> None:
 
 
 def test_faults_and_their_effects(faulty: Run, folder: Path) -> None:
-    """Each with its account, and how much of D came about in its steps."""
+    """Each fault has its account, and the part of D from its steps."""
     path, *_ = report([faulty], folder / "faulty-report", "faults")
     shown = page(path)
     D = faulty.regret_sum
@@ -500,7 +500,9 @@ def test_a_run_without_a_verdict_is_reported_so_far(paper: Run, folder: Path) ->
 
 
 def test_two_laws_on_the_same_axes(paper: Run, fixed: Run, folder: Path) -> None:
-    """A panel each with the same limits, totals over each other, numbers side by side, and what differs in words."""
+    """Each run has a panel with the same limits; totals overlap, numbers are side by side, and differences are in
+    words.
+    """
     upper, lower = drawn("4", paper, fixed).axes
     np.testing.assert_array_equal(np.array(curves(upper)).T, paper.regret)
     np.testing.assert_array_equal(np.array(curves(lower)).T, fixed.regret)
@@ -531,9 +533,12 @@ def test_other_networks_are_not_compared_without_a_warning(paper: Run, grid: Run
     ("overrides", "said"),
     [
         ([], "B repeats A"),
-        (["seed=2"], "B differs from A in true a and candidates and the disturbances. So its oracle is another"),
+        (["seed=2"], "B differs from A in true a and candidates and the disturbances. So it has a different oracle"),
         (["faults=[{kind: drop, link: [2, 4], steps: [3, 9]}]"], "B differs from A in the faults."),
-        (["steps=20", "defaults.x0=1"], "B differs from A in x(0) and the steps (20, not 30). So its oracle"),
+        (
+            ["steps=20", "defaults.x0=1"],
+            "B differs from A in x(0) and the steps (20, not 30). So it has a different oracle",
+        ),
         (["b=0.09"], "B is of another network than A: it has other b (0.09, not 0.1)."),
     ],
 )
@@ -543,12 +548,12 @@ def test_differences_are_reported(paper: Run, tmp_path: Path, overrides: Sequenc
     assert comparable == ("another network" not in said)
 
 
-# What goes wrong
+# Failures
 
 
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Figures take no time where they are not what is looked at."""
+    """Figures take time only if they are wanted."""
     monkeypatch.setattr("hedgerow.orchestrator.report.style.save", lambda *_: b"<svg/>")
 
 
@@ -568,10 +573,10 @@ def test_a_figure_that_there_is_not(paper: Run, tmp_path: Path, figures: str, sa
 
 @pytest.mark.usefixtures("quick")
 def test_existing_files_are_replaced_only_on_request(paper: Run, tmp_path: Path) -> None:
-    """And what is of no report never is."""
+    """Foreign files are never replaced."""
     out = tmp_path / "deep" / "out"
     report([paper], out, "2")
-    with pytest.raises(UserError, match="is there already; --force replaces it"):
+    with pytest.raises(UserError, match="already exists; --force replaces it"):
         report([paper], out, "4")
     (out / "report.html").write_text("old", encoding="utf-8")
     report([paper], out, "4", force=True)
@@ -584,7 +589,7 @@ def test_existing_files_are_replaced_only_on_request(paper: Run, tmp_path: Path)
 
 
 def test_a_report_is_complete_or_absent(paper: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The disk fills up at the second figure: the old report stays, and nothing else is left."""
+    """The disk fills up at the second figure: the old report remains, without further files."""
     out = tmp_path / "out"
     out.mkdir()
     (out / "report.html").write_text("old", encoding="utf-8")

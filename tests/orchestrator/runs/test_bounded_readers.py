@@ -1,4 +1,4 @@
-"""Every reader of a file that lies in a folder of ours: a FIFO, a device, a link out, a bomb are refused in words."""
+"""Every reader of a file in a folder of ours refuses a FIFO, a device, a link out and a bomb with a message."""
 
 import contextlib
 import json

@@ -108,7 +108,7 @@ def same(one: Any, other: Any) -> bool:
     return bool((one == other).all())
 
 
-# What is loaded is what was computed live.
+# Loaded arrays equal the live ones.
 
 OBSERVED = ("x", "u", "w", "x_oracle", "x_nominal", "regret", "nominal_gap")
 """The arrays of Run that may also have the final state."""
@@ -200,7 +200,7 @@ def test_a_run_cannot_be_changed(run: Run) -> None:
 
 
 def test_frames_equal_the_table(run: Run) -> None:
-    """Whole numbers stay whole where some are missing, and what is null is missing in each library's own way."""
+    """Whole numbers stay whole beside missing ones, and null is the missing value of each library."""
     pandas = importlib.import_module("pandas")
     for arrow, frames in (
         (run.telemetry(), {kind: run.telemetry(kind) for kind in ("pandas", "polars")}),
@@ -231,7 +231,7 @@ def test_a_frame_of_a_missing_library(paper7: Run, monkeypatch: pytest.MonkeyPat
         paper7.edges_table("excel")
 
 
-# What is exported is what is loaded.
+# Exported arrays equal the loaded ones.
 
 
 def test_csv_is_read_back_to_the_bit(run: Run, tmp_path: Path) -> None:
@@ -286,7 +286,7 @@ def test_npz_is_read_back_to_the_bit(run: Run, tmp_path: Path) -> None:
 
 
 def test_mat_is_read_back_to_the_bit(run: Run, tmp_path: Path) -> None:
-    """Numbers are doubles, flags logical, names cells of text; what counts places counts from 1."""
+    """Numbers are doubles, flags logical, names cells of text; positions count from 1."""
     (file,) = export(run, "mat", tmp_path / "run.mat")
     kinds = {name: kind for name, _, kind in whosmat(file)}
     content = loadmat(file)
@@ -397,7 +397,7 @@ def test_a_run_that_is_interrupted_after_a_jump(lively: Orchestrator, here: Path
 
 
 def test_a_simulation_that_is_interrupted(tmp_path: Path) -> None:
-    """Its tables are closed, and the state after the last input never came."""
+    """Its tables are closed, and the state after the last input is missing."""
     topology = NETWORKS["named"]()
     ran, folder = networks.simulate(topology), create(topology, tmp_path / "run")
     recording = Recording(topology, folder, Watching(record=False), Ending("run", "in-process", 0, stopped="by SIGINT"))
@@ -457,7 +457,7 @@ def test_a_table_that_is_behind_the_other(tmp_path: Path) -> None:
 
 
 def test_steps_without_telemetry(tmp_path: Path) -> None:
-    """Row t stays step t: what is not known is NaN, and the others are what the observer made of them."""
+    """Row t stays step t: unknown values are NaN, and the others are those of the observer."""
     topology = NETWORKS["named"]()
     ran = networks.simulate(topology)
     folder = create(topology, tmp_path / "run")
@@ -593,7 +593,7 @@ def test_mistakes_at_the_command_line(paper7: Run, here: Path) -> None:
     assert not list(here.glob("paper7*[.-]*"))
     first = orchestrator("export", "paper7", "--to", "mat")
     assert (first.returncode, first.stdout) == (0, "30 steps of paper7: paper7.mat\n")
-    assert refused("paper7", "--to", "mat").startswith("error: paper7.mat: is there already; --force replaces it")
+    assert refused("paper7", "--to", "mat").startswith("error: paper7.mat: already exists; --force replaces it")
 
 
 def test_nothing_is_overwritten_unasked(paper7: Run, here: Path) -> None:
@@ -618,7 +618,7 @@ def test_nothing_is_overwritten_unasked(paper7: Run, here: Path) -> None:
 
 
 def small_files_only() -> None:
-    """In the command's process alone: what this one writes its report to may be a large file."""
+    """The limit is in the command's process alone, because this process may write a large report."""
     resource.setrlimit(resource.RLIMIT_FSIZE, (2048, 2048))
 
 
@@ -639,7 +639,7 @@ def test_a_full_disk_leaves_nothing_half_written(to: str, paper7: Run, here: Pat
     assert all(path.read_text() == "old" for path in left)
 
 
-# What it costs to have it.
+# The time of the load.
 
 
 def test_a_run_is_made_as_by_the_command(paper7: Run, here: Path) -> None:
@@ -676,7 +676,7 @@ def test_the_package_itself_loads_nothing() -> None:
     assert set(eval(loaded.stdout)) <= {"hedgerow", "hedgerow.orchestrator", "__future__"}
 
 
-# What docs/data.md and the notebook say of it.
+# The examples of docs/data.md and the notebook.
 
 
 def test_the_page_names_every_array_and_its_shape(run: Run) -> None:
@@ -723,7 +723,7 @@ NOTEBOOK = ROOT / "docs/figure4.ipynb"
 
 @pytest.mark.slow
 def test_the_notebook_ends_with_figure_4(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As a reader would run it, in an empty folder; its last picture shows r_i(t) of all nodes."""
+    """The notebook runs in an empty folder; its last picture shows r_i(t) of all nodes."""
     nbformat, nbclient = importlib.import_module("nbformat"), importlib.import_module("nbclient")
     monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
     for name in ("IPYTHONDIR", "JUPYTER_RUNTIME_DIR", "JUPYTER_CONFIG_DIR"):

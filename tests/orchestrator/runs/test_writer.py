@@ -210,7 +210,7 @@ def test_mistakes_are_refused(override: str, said: str) -> None:
 
 @pytest.mark.parametrize("kind", ["ring", "grid", "scale_free"])
 def test_of_a_large_network_the_supply_is_known_from_both_sides(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """w'Q^-1 w by its factors lies between what conjugate gradients prove, for noise and for what hardly changes."""
+    """w'Q^-1 w by its factors is between the bounds of conjugate gradients, for noise and for a slow disturbance."""
     network = read(f"{{name: n, b: 0.1, steps: 1, graph: {{kind: {kind}, nodes: 600, max_degree: 9}}}}").network
     exact = hinf.supply_rate(network.a, network.b, network.graph)
     monkeypatch.setattr(hinf, "FACTORED", 500)

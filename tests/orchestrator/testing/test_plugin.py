@@ -1,4 +1,4 @@
-"""The fixture `network`, and what pytest makes of it: scenarios, results, explanations, and no process left."""
+"""The fixture `network` in pytest: scenarios, results, explanations, and no remaining process."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_a_scenario_never_changes(network: Networks) -> None:
 
 
 def test_every_method_equals_an_entry_of_a_file(network: Networks) -> None:
-    """The faults of the file come first, in its order, and those that are added after them."""
+    """The faults of the file come first, in its order, and added ones after them."""
     file = [{"kind": "sensor", "node": 1, "steps": [0, 1]}]
     scenario = (
         network("paper7", "nodes.4={a: 0.6, candidates: [0.3, 0.6]}", f"faults={json.dumps(file)}")

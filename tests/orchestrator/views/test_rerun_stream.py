@@ -1,4 +1,4 @@
-"""A run streamed to Rerun: run.rrd holds every bit of it, whatever the viewer does.
+"""A run streamed to Rerun: run.rrd has every bit of it, for any behaviour of the viewer.
 
 batches -> run.rrd            all of them, always
        \\-> queue -> viewer    live, late, frozen, or never there
@@ -51,7 +51,7 @@ def paper7() -> Topology:
 
 
 def batches_of(observer: Observer, rows: int) -> list[Batch]:
-    """The whole run in batches of some rows, the end taken in too."""
+    """Return the whole run in batches of some rows, including its end."""
     ran = simulate(observer.topology)
     batches = [observer.take(ran.rows[k : k + rows]) for k in range(0, len(ran.rows), rows)]
     observer.finish(ran.end)

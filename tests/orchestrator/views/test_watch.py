@@ -79,7 +79,7 @@ class Saver:
         Viewer(self.url).wait_until_it_listens()
 
     def close(self) -> None:
-        """End it, once it has written down what it was sent: it does not say so, but its file stops growing."""
+        """End it after it has written its received data: its file then stops growing."""
         sizes = [-1] * 20
 
         def still() -> bool:
@@ -172,7 +172,7 @@ def series(files: list[Path] | Path, entity: str) -> list[list[str]]:
 
 
 def test_a_stream_is_read_while_it_grows(tmp_path: Path) -> None:
-    """However few bytes come at a time, each batch comes once and whole, and the end is known."""
+    """For any number of bytes at a time, each batch arrives once and complete, and the end is known."""
     folder = tmp_path / "run"
     folder.mkdir()
     topology = resolve(load("paper7", ["steps=20"]))
@@ -197,7 +197,7 @@ def test_a_stream_is_read_while_it_grows(tmp_path: Path) -> None:
 
 
 def test_a_trail_is_the_telemetry_that_made_it(tmp_path: Path) -> None:
-    """Rows that were recorded come back, links that were down and readings that failed among them."""
+    """Recorded rows are read back, including links that were down and failed readings."""
     faults = [
         {"kind": "drop", "from": 1, "to": 2, "steps": [5, 9]},
         {"kind": "cut", "edge": [2, 3], "steps": [8, 12]},
@@ -315,8 +315,8 @@ def test_a_viewer_of_another_version_is_reported_with_a_fix(monkeypatch: pytest.
     monkeypatch.setattr(rr, "__version__", "0.99.0")
     viewer, said = begin_headless(), list[str]()
     stranger = Viewer(viewer.url)
-    expected = f"the viewer at {viewer.url} is Rerun {ours}, and this is 0.99.0: what it shows may be wrong;"
-    expected += " install rerun-sdk==0.99.0 there"
+    expected = f"the viewer at {viewer.url} is Rerun {ours}, and this is 0.99.0: its display may be wrong."
+    expected += " Install rerun-sdk==0.99.0 there"
     topology = resolve(load("paper7"))
     observer, run = Observer(topology), simulate(topology)
     try:
@@ -333,7 +333,7 @@ def test_a_viewer_of_another_version_is_reported_with_a_fix(monkeypatch: pytest.
 
 
 def test_a_viewer_without_a_version_is_reported() -> None:
-    """As one before 0.41 does not, nor a page's server."""
+    """Neither a viewer before 0.41 nor a page's server reports its version."""
     server, said = start("web"), list[str]()
     assert server is not None
     try:
@@ -418,7 +418,7 @@ def send(stream: rr.RecordingStream, values: Array, first: int) -> None:
 
 
 def test_a_recording_continues_in_parts(tmp_path: Path) -> None:
-    """Each part is about as large as asked for, begins with what does not change, and together they have all rows."""
+    """Each part has about the requested size and begins with the static data; together they have all rows."""
     path = tmp_path / "run.rrd"
     file = RrdFile(path, streams, part_bytes=200_000)
     values = np.random.default_rng(1).normal(size=(100, 500, 1))
