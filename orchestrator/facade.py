@@ -24,6 +24,7 @@ from hedgerow.orchestrator.experiments.worst import worst as search
 from hedgerow.orchestrator.ground.laws import checked
 from hedgerow.orchestrator.launch import simulation
 from hedgerow.orchestrator.launch.running import Running, run_to_the_end
+from hedgerow.orchestrator.metrics.gain_bound import Method
 from hedgerow.orchestrator.metrics.guarantee import Guarantee
 from hedgerow.orchestrator.runs.folder import RunFolder, new_folder, reserve, withdraw
 from hedgerow.orchestrator.runs.reader import load_run
@@ -203,13 +204,15 @@ def _options(rate: float, record: bool, viewer: str) -> list[str]:
     return ["--rate", str(rate), "--viewer", viewer, "--record" if record else "--no-record"]
 
 
-def bound(network: Named, *settings: str, full: bool = False, **overrides: object) -> Guarantee:
+def bound(network: Named, *settings: str, full: bool = False, split: bool = False, **overrides: object) -> Guarantee:
     """Return gamma* of a network, and upper bounds on the gain of the adaptive law.
 
-    `network`, `settings` and `overrides` are those of `load`. `full` seeks a full storage matrix, for up to 30 nodes. A
-    bound that cannot be computed is in `not_computed`, with the reason.
+    `network`, `settings` and `overrides` are those of `load`. `full` seeks a full storage matrix, for up to 30 nodes.
+    `split` uses one small matrix per node at any size, which may take minutes. A bound that cannot be computed is in
+    `not_computed`, with the reason.
     """
-    return bounds.bound(load(network, *settings, **overrides), full=full)
+    method = Method.FULL if full else Method.SPLIT if split else None
+    return bounds.bound(load(network, *settings, **overrides), method)
 
 
 def worst(

@@ -37,6 +37,9 @@ def import_(
     largest_component: Annotated[
         bool, typer.Option("--largest-component", help="keep the largest connected piece alone")
     ] = False,
+    directed: Annotated[
+        bool, typer.Option("--directed", help="i,j and j,i of a list are one edge, not two parallel ones")
+    ] = False,
     max_degree: Annotated[
         int | None, typer.Option(metavar="D", help="keep at most D edges per node, those of the largest weights")
     ] = None,
@@ -64,6 +67,7 @@ def import_(
         storage=storage,
         junction_storage=junction_storage,
         largest_component=largest_component,
+        directed=directed,
         max_degree=max_degree,
         b=b,
         steps=steps,

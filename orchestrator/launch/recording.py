@@ -35,10 +35,8 @@ if TYPE_CHECKING:
     from hedgerow.orchestrator.views.screen import Screen
 
 CLOSE_DEADLINE_S = 5.0
-CERTIFIED = 300
-"""The maximum number of nodes for a computation of the gain bounds beside the run, which takes seconds; the end of the
-run waits for it.
-"""
+CERTIFIED = 10_000
+"""The maximum number of nodes for a computation of the gain bounds beside the run. The end of the run waits for it."""
 TABLES = ("telemetry", "edges", "summary")
 """the names of the tables; `record:` can omit the summary"""
 

@@ -21,7 +21,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hedgerow.orchestrator.metrics.checks import TINY, Worst
-from hedgerow.orchestrator.metrics.gain_bound import Bound, Plant, Premise
+from hedgerow.orchestrator.metrics.gain_bound import Bound, Premise
+from hedgerow.orchestrator.metrics.gain_plant import Plant
 from hedgerow.orchestrator.metrics.guarantee import Guarantee
 from hedgerow.orchestrator.metrics.semidefinite import UNIT
 from hedgerow.topologies.graph import Array, Index, Mask

@@ -45,6 +45,12 @@ class Blocks:
             for j, cj in zip(*other, strict=True):
                 self.entry(unknown, i, j, scale * ci * cj)
 
+    def sector(self, unknown: Any, z: Form, x: Form, low: Any, high: Any, scale: Any = 1.0) -> None:
+        """Add scale * unknown * (z - low x)(high x - z) to every block."""
+        self.add(unknown, z, z, -scale)
+        self.add(unknown, z, x, scale * (low + high))
+        self.add(unknown, x, x, -scale * low * high)
+
     def entry(self, unknown: Any, i: int, j: int, value: Any, blocks: Any = None) -> None:
         """Add value * unknown * X_i X_j to `blocks` (None: all)."""
         blocks = self._all if blocks is None else np.asarray(blocks)

@@ -28,7 +28,7 @@ def read_market(path: Path, options: Options) -> Found:
     try:
         rows, columns, entries, form, field, symmetry = mminfo(io.BytesIO(data))
         if field == "complex":
-            raise ValueError("it holds complex numbers")
+            raise refuse(path, "holds complex numbers", "Save the moduli, or the real parts")
         if max(rows, columns) > MOST or rows != columns:
             raise ValueError(f"it has {rows} rows and {columns} columns")
         # scipy.io.mmread ends the process on some damaged files: numpy reads the numbers, and we check their places.

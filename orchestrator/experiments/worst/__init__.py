@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from hedgerow.orchestrator.experiments.worst.hunt import Attack, Hunt
-from hedgerow.orchestrator.metrics.gain_bound import Plant, Premise
+from hedgerow.orchestrator.metrics.gain_bound import Premise
+from hedgerow.orchestrator.metrics.gain_plant import Plant
 from hedgerow.orchestrator.metrics.guarantee import (
     Guarantee,
     fingerprint,

@@ -89,7 +89,11 @@ def test_the_vectors_hold_with_one_process_a_node(path: Path, here: Path) -> Non
     assert np.abs(x - expected["x"]).max() <= 1e-12
     assert np.abs(u[:-1] - expected["u"]).max() <= 1e-12
     assert (index[:-1] == expected["index"]).all()
-    assert set(verdict_of(here / "run")["checks"]) == CHECKS
+    verdict = verdict_of(here / "run")
+    assert set(verdict["checks"]) == CHECKS
+    assert verdict["metrics"]["gamma_star"] == pytest.approx(expected["gamma_star"], rel=1e-12)
+    if "rho" in expected:
+        assert verdict["metrics"]["rho"] == pytest.approx(expected["rho"], rel=1e-12)
 
 
 @pytest.mark.slow

@@ -17,12 +17,14 @@ from hypothesis import strategies as st
 from hedgerow.agents.law import Minimax, control
 from hedgerow.agents.laws import LAWS
 from hedgerow.orchestrator.ground.assignment import layout
-from hedgerow.orchestrator.launch.recording import CERTIFIED, Watching
+from hedgerow.orchestrator.launch import recording
+from hedgerow.orchestrator.launch.recording import Watching
 from hedgerow.orchestrator.launch.simulation import simulate_into
 from hedgerow.orchestrator.metrics.checks import Worst
-from hedgerow.orchestrator.metrics.gain_bound import Plant, Premise, bound
+from hedgerow.orchestrator.metrics.gain_bound import Method, Premise, bound
 from hedgerow.orchestrator.metrics.gain_certificate import GainCertificate
-from hedgerow.orchestrator.metrics.guarantee import Guarantee, guarantee, plant_of
+from hedgerow.orchestrator.metrics.gain_plant import Plant
+from hedgerow.orchestrator.metrics.guarantee import SOLVED, Guarantee, guarantee, plant_of
 from hedgerow.orchestrator.metrics.observer import Observer
 from hedgerow.orchestrator.metrics.verdict import INVALID, VALID, Ending, judge
 from hedgerow.orchestrator.runs.folder import create
@@ -210,12 +212,21 @@ def test_a_recorded_run_has_the_bound_and_the_slack_of_every_step(tmp_path: Path
         run.certificate_slack("hope")
 
 
-def test_a_network_too_large_for_a_bound_in_time_is_reported(tmp_path: Path) -> None:
-    ring = {"name": "ring", "b": 0.1, "steps": 2, "seed": 1, "graph": {"kind": "ring", "nodes": CERTIFIED + 1}}
-    content = folder_run(read(json.dumps(ring)), tmp_path / "run")
+def test_a_network_too_large_for_a_bound_in_time_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recording, "CERTIFIED", 2)
+    content = folder_run(read(TEXT), tmp_path / "run")
     assert content["verdict"] == VALID
-    assert str(CERTIFIED) in content["gain_bounds"]["not_computed"]
+    assert "3 nodes" in content["gain_bounds"]["not_computed"]
     assert not any(name.startswith("gain_") for name in content["checks"])
+
+
+def test_a_network_past_the_solver_is_certified_by_the_closed_forms(tmp_path: Path) -> None:
+    ring = {"name": "ring", "b": 0.1, "steps": 3, "seed": 1, "graph": {"kind": "ring", "nodes": SOLVED + 1}}
+    content = folder_run(read(json.dumps(ring | {"defaults": {"candidates": [0.2, 0.5, 0.8]}})), tmp_path / "run")
+    assert content["verdict"] == VALID
+    told = content["gain_bounds"]["bounds"]
+    assert {told[premise]["method"] for premise in Premise} == {Method.UNIFORM}
+    assert {content["checks"][f"gain_{premise}"]["steps"] for premise in Premise} == {3}
 
 
 def test_a_violation_is_invalid() -> None:
