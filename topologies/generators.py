@@ -302,7 +302,7 @@ class RandomRegular(Generator):
         return pairs
 
     def _bad(self, pairs: Index) -> Index:
-        """Edges that are loops, or stand there already."""
+        """Return the edges that are loops or repeat another edge."""
         bad = pairs[:, 0] == pairs[:, 1]
         bad[_repeats(_keys(pairs, self.nodes))] = True
         return np.flatnonzero(bad)

@@ -312,7 +312,7 @@ def test_a_plant_that_stays_has_its_place_to_itself(here: Path, endpoint: str, m
             pytest.raises(UserError, match="another plant already runs at here; end that run, or give another --name"),
             room(other, "here", list[str]().append),
         ):
-            raise AssertionError("it went on")
+            raise AssertionError("the block was entered")
         told: list[str] = []
         monkeypatch.setattr("hedgerow.wire.handshake.LEASE_S", DEADLINE_S)
 

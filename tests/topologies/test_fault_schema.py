@@ -35,8 +35,8 @@ from hedgerow.topologies.resolve import resolve, to_yaml
 from hedgerow.topologies.rules import broken_faults
 from hedgerow.topologies.schema import Topology
 
-# The star of the tests: 2 is the hub of 1, 3 and 4. Position of a node: its id less 1. Its incidences, as (hears):
-#   0: 1 hears 2    1: 2 hears 1    2: 2 hears 3    3: 2 hears 4    4: 3 hears 2    5: 4 hears 2
+# The star of the tests: 2 is the hub of 1, 3 and 4. Position of a node: its id minus 1. Incidences (receiver <- sender):
+#   0: 1 <- 2    1: 2 <- 1    2: 2 <- 3    3: 2 <- 4    4: 3 <- 2    5: 4 <- 2
 NODES = (1, 2, 3, 4)
 EDGES = ((1, 2), (3, 2), (2, 4))
 LINKS = [*EDGES, *(edge[::-1] for edge in EDGES)]

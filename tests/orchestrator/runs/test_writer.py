@@ -1,8 +1,8 @@
 """The recorded part of a run: `record:` of a file selects the nodes and steps with rows, and changes nothing else.
 
-all rows --+--> verdict, metrics, regret: of all nodes and steps, whatever is kept
-           +--> summary.parquet: a row a step, of all nodes
-           '--> telemetry, edges, run.rrd: the rows that are kept, the bits that they always were
+all rows --+--> verdict, metrics, regret: of all nodes and steps, for any selection
+           +--> summary.parquet: one row per step, of all nodes
+           '--> telemetry, edges, run.rrd: the selected rows, with unchanged bits
 """
 
 from __future__ import annotations
