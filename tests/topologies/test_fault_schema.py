@@ -35,7 +35,7 @@ from hedgerow.topologies.resolve import resolve, to_yaml
 from hedgerow.topologies.rules import broken_faults
 from hedgerow.topologies.schema import Topology
 
-# The star of the tests: 2 is the hub of 1, 3 and 4. Position of a node: its id minus 1. Incidences (receiver <- sender):
+# The star of the tests: 2 is the hub of 1, 3 and 4. A node has the position id - 1. Incidences (receiver <- sender):
 #   0: 1 <- 2    1: 2 <- 1    2: 2 <- 3    3: 2 <- 4    4: 3 <- 2    5: 4 <- 2
 NODES = (1, 2, 3, 4)
 EDGES = ((1, 2), (3, 2), (2, 4))
