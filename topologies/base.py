@@ -53,6 +53,8 @@ def _one_line_name(value: str) -> str:
 Number = Annotated[float, BeforeValidator(number)]
 NonNegative = Annotated[float, Field(ge=0), BeforeValidator(number)]
 Positive = Annotated[float, Field(gt=0, lt=LARGEST), BeforeValidator(number)]
+Steps = Annotated[StrictInt, Field(ge=1, le=2**40)]
+Seed = Annotated[StrictInt, Field(ge=0, lt=2**63)]
 
 
 def _printable(value: str) -> str:

@@ -12,10 +12,11 @@ from hypothesis import strategies as st
 
 from hedgerow.orchestrator.metrics.observer import Observer
 from hedgerow.orchestrator.metrics.verdict import Ending, judge
+from hedgerow.topologies.disturbances import Constant
 from hedgerow.topologies.hinf import satisfies_condition
 from hedgerow.topologies.load import bundled, load, parse
 from hedgerow.topologies.resolve import resolve, to_yaml, truth
-from hedgerow.topologies.schema import LAWS, Constant, Topology
+from hedgerow.topologies.schema import LAWS, Topology
 from tests.tools.networks import floats, networks, observe, read, simulate
 
 CHANCE = """\

@@ -32,8 +32,9 @@ from hedgerow.orchestrator.views.screen import Quiet
 from hedgerow.topologies import hinf
 from hedgerow.topologies.errors import TopologyError, UserError
 from hedgerow.topologies.load import load
+from hedgerow.topologies.record import Record
 from hedgerow.topologies.resolve import resolve
-from hedgerow.topologies.schema import Record, Topology
+from hedgerow.topologies.schema import Topology
 from tests.test_faults import faulty
 from tests.tools.networks import read
 from tests.tools.processes import orchestrator, parquet_bytes
