@@ -98,7 +98,7 @@ def follows(before: Block, block: Block) -> bool:
 
 
 def commands(console: str) -> Iterator[tuple[str, int, str]]:
-    """Each command to run, the code that it should exit with, and the output that is shown."""
+    """Yield each command to run, its expected exit code, and its output on the page."""
     for part in re.split(r"^\$ ", console, flags=re.MULTILINE)[1:]:
         command, _, shown = part.partition("\n")
         command, _, comment = command.partition("#")
@@ -177,7 +177,7 @@ def test_a_document_shows_the_real_output(document: Path, tmp_path: Path) -> Non
 
 
 def test_there_is_something_to_run() -> None:
-    """A fence that is never recognised would make the test above pass."""
+    """An unrecognised fence would make the test above pass."""
     shown = [(block.language, *commands(block.text)) for path in DOCS for block in blocks(path)]
     assert sum(language == "console" and bool(rest) for language, *rest in shown) > 10
     assert sum(language == "python" for language, *_ in shown) > 5
@@ -245,7 +245,7 @@ def headings(document: Path) -> set[str]:
 
 
 def table(document: str, heading: str, number: int = 0) -> list[dict[str, str]]:
-    """The rows of the given table of a section, by column name; backquotes are left out."""
+    """Return the rows of a table of a section, by column name, without backquotes."""
     text = (ROOT / "docs" / document).read_text(encoding="utf-8")
     section = re.split(r"^#+ ", text.split(f"# {heading}\n", 1)[1], maxsplit=1, flags=re.MULTILINE)[0]
     found = re.findall(r"(?:^\|.*\|\n)+", section, flags=re.MULTILINE)[number]
@@ -257,7 +257,7 @@ def table(document: str, heading: str, number: int = 0) -> list[dict[str, str]]:
 K, M, N, E, T, S = 3, 5, 4, 2, 7, 2
 BACK = np.array([True, False, True])
 R, D = 2, 3
-"""The nodes that come back, and their incidences."""
+"""The returning nodes, and their incidences."""
 ARRAYS = {
     name: np.arange(1.0, 1 + size).reshape(shape) / 7 + offset
     for offset, (name, size, shape) in enumerate(
@@ -362,7 +362,7 @@ def test_every_message_has_a_table() -> None:
 
 
 def test_the_keys_are_those_of_the_code() -> None:
-    """Each key of wire.keys has a row in docs/wire.md, and no other has."""
+    """Each key of wire.keys has a row in docs/wire.md, and there are no further rows."""
     patterns = {
         "state": keys.state(0).replace("0", "{p}"),
         "input_": keys.input_(0).replace("0", "{p}"),
@@ -410,7 +410,7 @@ def test_the_session_settings_are_those_of_the_code() -> None:
 
 
 def test_every_error_code_is_in_errors_md() -> None:
-    """Each code has a row, and no other has."""
+    """Each code has a row, and there are no further rows."""
     assert [row["code"] for row in table("errors.md", "Codes")] == [*Code]
 
 
@@ -428,7 +428,7 @@ def test_every_kind_of_fault_is_in_faults_md() -> None:
 
 
 def test_every_metric_is_in_the_place_that_theory_md_gives() -> None:
-    """Fields, columns and entities exist; and no metric of a verdict, no entity of Rerun, is left out."""
+    """Fields, columns and entities exist; the page has every metric of a verdict and every entity of Rerun."""
     topology = resolve(load("paper7"))
     observer, batch = observe(topology, simulate(topology))
     rows = table("theory.md", "Metrics")

@@ -35,7 +35,7 @@ def test_faults_mean_the_same_in_every_layout(topology: Topology, history: int, 
 
 
 def harsh(seed: int) -> list[str]:
-    """For paper7: agents that die and come back while messages on several links are lost or late."""
+    """Random faults of paper7: agents die and return while messages on several links are lost or late."""
     lots = random.Random(seed)
 
     def steps(longest: int) -> str:

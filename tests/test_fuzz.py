@@ -131,7 +131,7 @@ def test_an_unreadable_folder_is_reported(here: Path) -> None:
     assert "Permission denied" in done.stderr
 
 
-# ---- a disk that is full
+# ---- a full disk
 
 
 @pytest.mark.parametrize("record", [True, False])
@@ -187,7 +187,7 @@ def wall_clock(node: ast.AST) -> bool:
 
 
 def test_no_code_waits_by_a_clock_that_may_jump() -> None:
-    """Deadlines and pauses go by time.monotonic(): a wall clock is read to be shown, and compared with nothing."""
+    """Deadlines and pauses use time.monotonic(): a wall clock is only shown, and never compared."""
     for path in sources():
         tree = ast.parse(path.read_text(encoding="utf-8"))
         name = str(path.relative_to(ROOT))

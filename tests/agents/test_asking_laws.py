@@ -48,7 +48,7 @@ def test_a_late_sample_has_the_values_of_its_step() -> None:
     """After back-filling, the memory of a law that learns from its neighbours' states is that without the gap."""
     whole = ["steps=40", f"law={CURIOUS}", "defaults.x0=5"]
     gap = [*whole, "faults=[{kind: drop, link: [2, 4], steps: [10, 20]}]"]
-    # The law acts on nothing that a gap changes, so that both runs have the same states.
+    # The inputs of the law do not depend on gaps, so both runs have the same states.
     same = [[*one, "law.weight=0"] for one in (whole, gap)]
     first, second = (simulate(resolve(load("paper7", one))) for one in same)
     np.testing.assert_array_equal(first.x, second.x)

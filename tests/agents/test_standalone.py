@@ -375,7 +375,7 @@ def test_of_two_networks_that_begin_at_once_in_one_place_the_second_waits(here: 
 
 
 def test_an_agent_that_waits_for_its_place_continues_when_the_plant_leaves(endpoint: str) -> None:
-    """The first plant leaves it without an answer, as one does that is killed; the next gives it its place."""
+    """The first plant leaves without an answer, as after a kill; the next one gives the place."""
     place = PlaceRequest(Config("agent-3", "here", endpoint, "N", {}), 2, DEADLINE_S)
 
     with open_router(endpoint), open_client(endpoint, "here") as session, ThreadPoolExecutor() as pool:

@@ -328,7 +328,7 @@ class Seen:
         return bool(drawn) and not any(self.at(color, p) for p in lines for color in (palette.LOST, palette.CUT))
 
     def of(self, color: palette.Color) -> NDArray[np.bool_]:
-        """Where the left third, which is the network's, has a colour."""
+        """Return a mask of a colour in the left third of the window, which is the network's."""
         brightest = self._pixels.max(axis=2)  # of nodes, the viewer shades the rim
         parts = self._pixels / np.maximum(brightest, 1)[:, :, None] - np.array(color[:3]) / max(color[:3])
         return np.asarray((np.abs(parts) < 0.1).all(axis=2) & (brightest > 0.6 * max(color[:3])))

@@ -55,7 +55,7 @@ ENTRY: dict[str, Any] = {"kind": "drop", "link": [1, 2], "steps": [0, 5]}
 
 
 def asking(command: str, key: str, *values: Any, **rest: Any) -> list[tuple[str, dict[str, Any]]]:
-    """A request for each of these values, and beside them the rest."""
+    """Return a request for each of these values, with valid other fields."""
     return [(command, {**rest, key: value}) for value in values]
 
 

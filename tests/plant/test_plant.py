@@ -102,7 +102,7 @@ class Scene:
         self.wait_for(lambda: len(self.states) >= 10)
 
     def join(self, p: int, life: int = 0) -> None:
-        """An agent process, which answers every state at once."""
+        """Start an agent process that answers every state at once."""
         session = self._agents[p] = self._open()
         k, m = len(TRUTH.shards[p]), self.plant.shards.all[p].incidences
 

@@ -72,7 +72,7 @@ def test_a_list_is_the_sum_of_its_members(written: list[Any], seed: int) -> None
 
 
 def test_white_noise_is_a_function_of_seed_node_and_step() -> None:
-    """Asked out of order, or beside other kinds, it is the same; another seed is another."""
+    """In any order of calls, and beside other kinds, it is the same; another seed gives other values."""
     white = {"kind": "white", "std": 1.0}
     noise = disturbance([[white]] * 4, SEED)
     forwards = np.array([noise.at(t) for t in range(20)])
@@ -210,7 +210,7 @@ def test_the_certificate_would_notice_a_controller_that_is_not_optimal() -> None
 
 @pytest.mark.parametrize("unequal", [False, True])
 def test_a_network_of_500_nodes_has_the_same_mathematics(unequal: bool) -> None:
-    """Large networks take sparse algebra: gamma* and Q^-1 w are those of the paper's dense matrices."""
+    """Large networks use sparse algebra: gamma* and Q^-1 w agree with the paper's dense matrices."""
     n = 500
     a, edges = 0.3 + 0.4 * np.arange(n) / n, np.array([[i, i + 1] for i in range(n - 1)])
     b: Gain = 0.05 + 0.1 * np.arange(n) / n if unequal else 0.1

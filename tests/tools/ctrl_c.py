@@ -6,6 +6,6 @@ import signal
 
 
 def mind_ctrl_c() -> None:
-    """Let SIGINT mean something to the processes that we start."""
+    """Restore the default action of SIGINT in the processes that we start."""
     if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)

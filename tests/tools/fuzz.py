@@ -1,9 +1,8 @@
 """`python -m tests.tools.fuzz`: damaged files and messages, and their results.
 
-Each case is drawn from (seed, number) alone, so `--only NUMBER` tries one again. Files go through the commands that a
-user would give them to; a file is refused in words, or it is good all the way. Messages go through the decoders; one
-is taken, or is a MessageError. Anything else is a finding: another exception, 20 s of processor time, 4 GB of memory,
-a death.
+Each case is drawn from (seed, number) alone, so `--only NUMBER` tries one again. Files go through the commands of a
+user; each file is refused with a message or fully accepted. Messages go through the decoders; one is taken, or is a
+MessageError. Anything else is a finding: another exception, 20 s of processor time, 4 GB of memory, a death.
 
 The cases run in a separate process, which prints the number of each case first: so a case that dies or hangs is known.
 """
@@ -74,7 +73,7 @@ SHOWN = 20
 Random = random.Random
 
 
-# ---- what is bent
+# ---- the damage
 
 FAULTY = b"""\
 name: faulty
@@ -363,7 +362,7 @@ class Payloads:
         """Try a case; raise an exception for a finding."""
         rng = Random(f"payloads {self._seed} {number}")
         message = rng.choice(self._messages)
-        if rng.random() < 0.3:  # a header that is right, and anything behind it
+        if rng.random() < 0.3:  # a valid header with any bytes after it
             kind = rng.randrange(10)
             head = codec._HEADER.pack(codec.VERSION, kind, 0, rng.choice((0, 3, 4, 2**32 - 1)), rng.choice((0, 7, -1)))
             depth = rng.choice((1, 100, 100_000))
@@ -412,7 +411,7 @@ KINDS: dict[str, Callable[[int, Path], Files | Payloads | Planted | fuzz_inputs.
 }
 
 
-# ---- the worker: one case after the other, and a line for each
+# ---- the worker: one case after another, with one line each
 
 
 def work(kind: str, seed: int, numbers: Sequence[int], scratch: Path) -> None:

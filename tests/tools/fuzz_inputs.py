@@ -55,7 +55,7 @@ class CostlyError(Exception):
 
 @contextlib.contextmanager
 def measured() -> Iterator[None]:
-    """Raise CostlyError if the block takes more memory or processor time than a case may."""
+    """Raise CostlyError if the block uses more memory or processor time than permitted."""
     Path("/proc/self/clear_refs").write_text("5")  # the peak is counted from here
     before, began = _memory("VmRSS"), time.process_time()
     try:

@@ -61,7 +61,7 @@ DEADLINE_S = 90.0
 ENDED_S = 30.0
 """so long after the signal the command must have ended"""
 GONE_S = 5.0
-"""so long after the command has ended, nothing may be left"""
+"""the time after the end of the command until which all remains must be gone [s]"""
 MARK = "HEDGEROW_KILL_TABLE"
 
 ROUTER = """
@@ -83,7 +83,7 @@ class Cell:
 
     @property
     def wire(self) -> str:
-        """How its processes find each other: of any two cells side by side in the table, one is secure."""
+        """The connection of its processes: of any two neighbouring cells in the table, one is secure."""
         if self.who == "router":
             return "TCP"
         return ("socket", "TLS")[(WHAT.index(self.what) + WHEN.index(self.when)) % 2]
@@ -116,7 +116,7 @@ class Outcome:
     ended_s: float
     """from the signal to the command's end"""
     gone_s: float
-    """from there until nothing was left"""
+    """the time from there until nothing remained"""
     left: tuple[str, ...]
     """the processes that remained after GONE_S"""
     output: str

@@ -78,12 +78,12 @@ class Machines:
         return ("ip", "netns", "exec", self._spaces[name])
 
     def cable(self, name: str, state: str) -> None:
-        """Pull a machine's cable, `down`, or put it back, `up`."""
+        """Disconnect a machine's cable, `down`, or reconnect it, `up`."""
         number = list(self._spaces).index(name) + 1
         command("ip", "-n", self._switch, "link", "set", f"port{number}", state)
 
     def tear_down(self) -> None:
-        """Leave nothing."""
+        """Remove everything."""
         for space in (*self._spaces.values(), self._switch):
             with contextlib.suppress(FileNotFoundError):
                 subprocess.run(("ip", "netns", "del", space), capture_output=True, check=False)
@@ -92,7 +92,7 @@ class Machines:
 
 @contextlib.contextmanager
 def machines(*names: str, rto_min: str | None = "10ms") -> Iterator[Machines]:
-    """The machines of these names, while the block lasts.
+    """Provide the machines with these names, while the block lasts.
 
     TCP waits 200 ms before it repeats a packet, and twice as long each time; on a cable of a few microseconds 10 are
     plenty, unless `rto_min` is None.
@@ -132,7 +132,7 @@ class Program:
 
 
 def scripts(folder: Path) -> Path:
-    """The commands that an installation brings, as pyproject.toml names them, in a folder to put on the path."""
+    """Provide the commands of an installation, as in pyproject.toml, in a folder for the path."""
     folder.mkdir()
     names = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["scripts"]
     for name, where in names.items():

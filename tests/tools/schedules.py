@@ -64,7 +64,7 @@ def _fault(draw: st.DrawFn, kind: str, topology: Topology, ids: list[Any], steps
 
 
 def with_faults(topology: Topology, faults: list[dict[str, Any]], **more: Any) -> Topology:
-    """The same resolved network, with these faults."""
+    """Return the same resolved network with these faults."""
     return Topology.model_validate(json.loads(topology.model_dump_json()) | {"faults": faults} | more)
 
 

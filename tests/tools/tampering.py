@@ -38,7 +38,7 @@ PAGE = Path(__file__).parents[2] / "docs" / "reliability.md"
 BEGIN, STOP = "<!-- tampering table: python -m tests.tools.tampering --write -->", "<!-- end of tampering table -->"
 
 NODE = 2
-"""the id of the agent that is changed"""
+"""the id of the changed agent"""
 TEXT = """
 name: watched
 b: 0.1
@@ -112,7 +112,7 @@ class Tampering:
 
 
 def verdict(topology: Topology, rows: Sequence[Telemetry], end: End | None) -> Verdict:
-    """The verdict of an observer and a replay of these rows."""
+    """Return the verdict of an observer and a replay of these rows."""
     observer, replay = Observer(topology), Replay(topology)
     for row in rows:
         with np.errstate(all="ignore"):

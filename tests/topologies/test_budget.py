@@ -1,4 +1,4 @@
-"""Input that is small on disk and large in memory is refused with the estimate, before it is loaded or made."""
+"""Input that is small on disk and large in memory is refused with the estimate, before it is loaded."""
 
 import io
 import os
@@ -120,7 +120,7 @@ def test_samples_are_counted_before_they_are_read(tmp_path: Path, monkeypatch: p
 
 
 def zeros(file: Path, **shapes: tuple[int, ...]) -> None:
-    """Write an archive of zeros that is small on disk, without the memory that it takes."""
+    """Write an archive of zeros that is small on disk, without using the memory."""
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as packed:
         for name, shape in shapes.items():
             header = io.BytesIO()

@@ -1,4 +1,4 @@
-"""Text for a terminal, a log and a shell: nothing in it acts, and a shell reads the words that were meant."""
+"""Text for a terminal, a log and a shell: no character acts, and a shell reads the intended words."""
 
 import ast
 import io

@@ -361,7 +361,7 @@ def test_an_override_reaches_into_a_fault() -> None:
     assert network.faults == (Drop(link=(2, 4), steps=(3, 5)), Cut(at={3: ((1, 2),)}))
 
 
-# Jumps that are left to chance.
+# Random jumps.
 
 CHANCE = HEAD.replace("[0.3, 0.6, 0.8], a: 0.6", "{random: 4}")
 JUMPS = "[{kind: jump, node: 2, at: 5, a: random}, {kind: jump, node: 3, at: 5, a: random}]"
@@ -416,7 +416,7 @@ def test_a_jump_to_an_undrawn_number_reports_the_drawn_ones() -> None:
     assert str(caught.value) == f"star: fault 1: a: 0.3 is not among the candidates of node 2; they are {listed}"
 
 
-# Any faults at all.
+# Draw any faults.
 
 STEP = st.one_of(st.integers(0, 40), st.integers(0, 2**61))
 WINDOW = st.tuples(STEP, st.integers(1, 50)).map(lambda pair: [pair[0], pair[0] + pair[1]])

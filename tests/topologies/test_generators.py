@@ -227,7 +227,7 @@ def table(folder: Path, more: str = "", **columns: Any) -> Topology:
 
 
 def test_users_bring_tables(tmp_path: Path) -> None:
-    """Edges alone will do; a column holds for every node that `nodes:` does not change."""
+    """Edges alone suffice; a column holds for every node that `nodes:` does not change."""
     pairs = np.array([[2, 0], [1, 2]])
     bare = table(tmp_path, "defaults: {x0: 4}", edges=pairs)
     assert (bare.ids, bare.edges, bare.nodes[1].x0) == ((0, 1, 2), ((2, 0), (1, 2)), 4)

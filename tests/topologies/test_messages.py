@@ -96,7 +96,7 @@ def test_a_tag_is_reported_with_a_form_without_tags(tag: str, cure: str) -> None
     ["b=-1", "b=0.5", "nodes.1.a=2", "edges=[[1, 9]]", "bb=1", "b=[1", "nodes.3={x0: many}", "b={x: 1, x: 2}", "law=x"],
 )
 def test_a_mistake_of_an_option_is_blamed_on_the_option(override: str) -> None:
-    """Also where it shows at a value of the file, which is right by itself."""
+    """This holds even if it shows at a value of the file that is valid by itself."""
     with pytest.raises(TopologyError) as caught:
         load("paper7", [override])
     assert all(problem.origin == f"--set {override}" for problem in caught.value.problems)
@@ -180,7 +180,7 @@ except TopologyError as error:
 
 @pytest.mark.parametrize("kind", ["edges", "faults", "pairs"])
 def test_very_many_mistakes_take_bounded_time_and_memory(kind: str) -> None:
-    """Work of the second order would take minutes, and a line for each 4 MB."""
+    """Quadratic work would take minutes, and one line for each mistake 4 MB."""
     done = subprocess.run([sys.executable, "-c", BIG, kind], timeout=60, check=False)
     assert done.returncode == 7
 

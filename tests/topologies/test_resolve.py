@@ -44,7 +44,7 @@ def again(topology: Topology) -> Topology:
 @given(networks())
 @settings(max_examples=60)
 def test_a_resolved_network_is_final(topology: Topology) -> None:
-    """Resolving again changes nothing, and its file gives back the same bits."""
+    """A second resolution changes nothing, and its file gives the same bits."""
     assert resolve(topology) == topology
     assert again(topology) == topology
     assert to_yaml(again(topology)) == to_yaml(topology)

@@ -46,7 +46,7 @@ def problems(text: str | bytes, *overrides: str, folder: Path = Path()) -> list[
 
 
 def only(text: str | bytes, *overrides: str, folder: Path = Path()) -> Problem:
-    """The one thing that is wrong with it."""
+    """Return the only mistake of a file."""
     (problem,) = problems(text, *overrides, folder=folder)
     return problem
 
@@ -219,7 +219,7 @@ def test_a_disturbance_can_be_wrong_too(disturbance: str, said: str) -> None:
 
 
 def test_the_network_or_its_nodes_have_disturbances() -> None:
-    """`worst_case` replaces every node's own disturbance, so that both at once are a mistake."""
+    """`worst_case` replaces the disturbances of all nodes, so both together are a mistake."""
     own = "nodes: {1: {disturbance: {kind: constant, value: 1}}}\n"
     assert "remove one of the two" in str(only(HEAD + own + "disturbance: worst_case\n"))
     wrong = problems(HEAD + "nodes: [1]\ndisturbance: {kind: white}\n")
@@ -500,7 +500,7 @@ def test_quoted_ids_cost_about_the_same_as_bare_ones() -> None:
     assert cost_s('"') < 8 * cost_s("")
 
 
-# Any text at all.
+# Draw any text.
 
 FAULTY = b"""\
 name: faulty

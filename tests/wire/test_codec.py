@@ -117,7 +117,7 @@ def messages(draw: st.DrawFn) -> Message:
 
 
 def same(sent: Any, arrived: Any) -> bool:
-    """Every bit and the shape, where the receiver leaves it in its bytes these alone."""
+    """Check every bit and the shape; the receiver may leave these fields in bytes."""
     if isinstance(arrived, bytes | memoryview):
         return (sent if isinstance(sent, bytes) else np.asarray(sent).tobytes()) == bytes(arrived)
     if isinstance(arrived, np.ndarray):
@@ -127,7 +127,7 @@ def same(sent: Any, arrived: Any) -> bool:
 
 @given(messages())
 def test_a_sent_message_arrives_unchanged(message: Message) -> None:
-    """Every field has the bits and the shape that it had, NaN payloads and -0.0 included."""
+    """Every field keeps its bits and its shape, NaN payloads and -0.0 included."""
     assert all(same(sent, arrived) for sent, arrived in zip(message.sent, message.read(message.raw), strict=True))
 
 
@@ -275,7 +275,7 @@ def test_rows_are_of_steps_that_were(t: int, first: int) -> None:
 
 
 def test_the_layout_of_a_message_is_the_documented_one() -> None:
-    """Other implementations rely on these very bytes: little-endian, header first."""
+    """Other implementations depend on these exact bytes: little-endian, header first."""
     one, two = (np.array([value]).tobytes() for value in (1.0, -2.0))
     raw = codec.encode_link(Link(258, 257, one, two), 1)
     assert raw.hex(" ", 4) == (

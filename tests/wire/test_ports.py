@@ -15,7 +15,7 @@ IP_LOCAL_PORT_RANGE = 51
 
 
 def choosing_from(port: int) -> socket.socket:
-    """A socket for which the kernel can choose this port alone."""
+    """Provide a socket for which the kernel can choose only this port."""
     one = socket.socket()
     try:
         one.setsockopt(socket.IPPROTO_IP, IP_LOCAL_PORT_RANGE, struct.pack("I", port << 16 | port))

@@ -49,7 +49,7 @@ def run(
 
 @pytest.fixture(autouse=True)
 def _own_temporary_folder(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Keep the traceback files of crashes out of the folder that all programs share."""
+    """Redirect the traceback files of crashes away from the shared folder for temporary files."""
     monkeypatch.setenv("TMPDIR", str(tmp_path_factory.mktemp("t")))
 
 
@@ -72,7 +72,7 @@ def test_a_signal_that_is_ignored_at_the_start_stays_ignored(number: signal.Sign
 
 def test_a_process_of_a_run_ignores_signals_that_were_ignored_at_the_start() -> None:
     text = (
-        # A signal that is raised is handled before the next line runs.
+        # A raised signal is handled before the next line runs.
         "import signal\nfrom hedgerow.wire.child import run_alone\n"
         "run_alone(lambda: [signal.raise_signal(signal.SIGINT), print('alive')])"
     )

@@ -82,7 +82,7 @@ def test_it_is_valid_by_the_schema_of_compose(here: Path, words: tuple[str, ...]
 
 @pytest.mark.skipif(shutil.which("docker-compose") is None, reason="there is no docker-compose")
 def test_docker_compose_takes_it() -> None:
-    # The system's, in its own Python: what ours finds must not be in its way.
+    # The system's program, in its own Python: our packages must not interfere.
     environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
     words = ("docker-compose", "-f", str(FILE), "config", "--quiet")
     done = subprocess.run(words, capture_output=True, text=True, env=environment, check=False)

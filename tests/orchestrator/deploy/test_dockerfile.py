@@ -64,7 +64,7 @@ def test_copied_files_exist_and_are_sent_to_the_engine(stages: dict[str, list[In
 
 
 def needed(name: str, extras: set[str], found: set[str]) -> set[str]:
-    """`found`, and what else a package with some extras needs, by what is installed here."""
+    """Return `found` and the further requirements of a package with some extras, from the installed metadata."""
     for said in metadata.distribution(name).requires or ():
         one = Requirement(said)
         other = canonicalize_name(one.name)
@@ -105,7 +105,8 @@ def build(stages: dict[str, list[Instruction]], root: Path) -> dict[str, str]:
     for run in values(stages["build"], "RUN"):
         # Downloads are cached: here in the machine's cache, not in a layer.
         words = re.sub(r"(?<=[ (])/(wheels|opt)\b", rf"{root}/\1", run).replace(" --no-cache-dir", "")
-        # All that the orchestrator needs takes minutes, and CI installs it anyway, with the README's first command.
+        # The requirements of the orchestrator take minutes, and CI installs them anyway, with the README's first
+        # command.
         some = environment | ({"PIP_NO_DEPS": "1"} if "/opt/orchestrator/bin" in run else {})
         done = subprocess.run(
             ["/bin/sh", "-ec", words], cwd=root / "src", env=some, capture_output=True, text=True, check=False

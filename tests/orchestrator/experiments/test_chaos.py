@@ -15,7 +15,9 @@ from tests.tools.processes import orchestrator
 @pytest.mark.slow
 @pytest.mark.parametrize("seeds", [range(first, first + 25) for first in range(0, 200, 25)], ids=str)
 def test_every_drawn_network_runs_to_its_end_and_equals_the_reference(seeds: range, here: Path) -> None:
-    """No hang, no lost row, no process left; every check of the verdict, and the reference, bit for bit."""
+    """There is no hang, no lost row and no remaining process; every check holds, and the reference is equal bit for
+    bit.
+    """
     said: list[str] = []
     finding = hunt(seeds, 12, here, said.append)
     assert finding is None, said[-2:]

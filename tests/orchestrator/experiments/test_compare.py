@@ -1,4 +1,4 @@
-"""`orchestrator compare` and `hg.compare`: the same numbers as single runs, paired tests, and what is kept."""
+"""`orchestrator compare` and `hg.compare`: the same numbers as single runs, paired tests, and stored results."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def test_an_estimate_between_candidates_supports_the_nearest() -> None:
 
 @given(st.lists(st.floats(0, 1), max_size=12))
 def test_holm_is_its_definition(p: list[float]) -> None:
-    """The k-th smallest p is times the number that are left, and never below one before it."""
+    """The k-th smallest p is multiplied by the number of remaining ones, and never below the one before."""
     found = holm(np.array(p))
     largest = 0.0
     for k, place in enumerate(sorted(range(len(p)), key=lambda i: (p[i], i))):

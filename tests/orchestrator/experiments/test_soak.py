@@ -71,7 +71,7 @@ def test_growth_across_restarted_processes_is_detected() -> None:
 
 
 def test_a_zombie_process_is_not_measured() -> None:
-    """The kernel keeps it, with no memory and no files, until its parent asks."""
+    """The kernel keeps a zombie, without memory and files, until its parent reads its exit code."""
     with subprocess.Popen([sys.executable, "-c", ""]) as ended:
         os.waitid(os.P_PID, ended.pid, os.WEXITED | os.WNOWAIT)
         assert psutil.Process(ended.pid).memory_info().rss == 0

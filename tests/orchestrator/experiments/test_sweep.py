@@ -47,7 +47,7 @@ def rows(out: Path) -> list[dict[str, Any]]:
 
 
 def made(what: Plan, out: Path) -> list[list[Row]]:
-    """The runs of a plan, those that lack made here and the table written; by setting."""
+    """Return the runs of a plan by setting; make the missing ones here, and write the table."""
     with SweepFolder(what, out) as folder:
         for chunk in what.chunks(folder.rows):
             found = answer(what, chunk)

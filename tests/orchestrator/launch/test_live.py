@@ -28,7 +28,7 @@ LINE = "{name: line, b: 0.1, steps: 9, nodes: [1, 2, 3, a-b, c], edges: [[1, 2],
 
 
 def named(*nodes: str) -> Topology:
-    """A ring of nodes of these names."""
+    """Return a ring of nodes with these names."""
     ring = [[i, j] for i, j in zip(nodes, [*nodes[1:], nodes[0]], strict=True)][: len(nodes) if len(nodes) > 2 else 1]
     return read(json.dumps({"name": "ring", "b": 0.1, "steps": 3, "nodes": list(nodes), "edges": ring}))
 
@@ -273,7 +273,7 @@ def test_a_command_reports_its_effect_or_its_refusal(
 
 
 def test_the_clock_is_held_and_let_go(running: Orchestrator, here: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Paused, nothing moves until it is asked to, step by step; a wait for more has a deadline, and a name past it."""
+    """A paused network makes only the requested steps; a wait for more has a deadline, and then names the network."""
     assert say(capsys, "rate", "0").endswith("\n")
     at = told(capsys, "pause")["step"]
     with Live() as live:

@@ -87,7 +87,7 @@ def verdict() -> dict[str, Any]:
 
 
 def test_a_secure_network_loses_only_time_when_a_cable_is_unplugged_for_five_seconds(ordinary: Machines) -> None:
-    """The deadline is not the default: should this test be late to put it back, TCP looks again as much later."""
+    """The deadline is longer than the default: if this test reconnects the cable late, TCP also retries later."""
     with Network(ordinary, 300, "--rate", "100", "--deadline", "20", secure=True) as network:
         network.wait_for("running")
         ordinary.cable("left", "down")

@@ -233,7 +233,7 @@ def temporary(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 def test_a_look_for_networks_removes_the_sockets_of_dead_ones(
     here: Path, temporary: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The path of the run's folder is too long for one; `up`, its fork server and the plant are killed at once."""
+    """The path of the run's folder is too long for a socket; `up`, its fork server and the plant are killed at once."""
     deep = here / ("d" * 100)
     deep.mkdir()
     monkeypatch.chdir(deep)
@@ -334,7 +334,7 @@ def test_a_run_continues_without_a_frozen_agent_and_takes_it_back(here: Path) ->
 def test_a_network_with_silent_agents_ends_with_their_names(here: Path) -> None:
     with Orchestrator(*LONG, "--deadline", "3", "--processes", "2") as network:
         network.wait_for("running")
-        assert orchestrator("pause").returncode == 0  # or one of them would be late a step before the other
+        assert orchestrator("pause").returncode == 0  # otherwise one of them would be late a step before the other
         for name in ("shard-0", "shard-1"):
             os.kill(network.children[name], signal.SIGSTOP)
         assert orchestrator("resume").returncode == 0

@@ -295,7 +295,7 @@ def test_a_connection_without_a_handshake_is_no_refused_certificate() -> None:
 
 @pytest.mark.slow
 def test_an_agent_that_is_killed_while_the_router_is_busy_is_back_in_the_end(here: Path) -> None:
-    """Each bare connection that ends keeps the acceptor of Zenoh's TLS busy for 0.1 s."""
+    """The end of each bare connection blocks the acceptor of Zenoh's TLS for 0.1 s."""
     with Orchestrator("up", "paper7", "--secure", "--steps", "1000000", "--rate", "50", *QUIET) as network:
         network.wait_for("running")
         start = next(json.loads(line) for line in Path("runs/latest/events.jsonl").read_text().splitlines())

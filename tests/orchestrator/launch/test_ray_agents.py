@@ -65,7 +65,7 @@ def kept_by_ray() -> Iterator[Path]:
 
 @pytest.fixture(scope="module")
 def cluster(tmp_path_factory: pytest.TempPathFactory, kept_by_ray: Path) -> Iterator[Machines]:
-    """Two machines, `head` and `other`; `spare`, which a test may add; and `bench`, which is none of the cluster."""
+    """Provide two machines, `head` and `other`; `spare`, which a test may add; and `bench`, outside of the cluster."""
     place = tmp_path_factory.mktemp("ray")
     with ExitStack() as stack:
         head = ("--head", "--port", "6379", "--ray-client-server-port", "10001", "--temp-dir", str(kept_by_ray))

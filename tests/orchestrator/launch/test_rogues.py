@@ -60,7 +60,7 @@ class Secure:
         stack.callback(close, self.router)
 
     def client(self, credentials: Path | None) -> zenoh.Session:
-        """A session with these credentials; WireError if they do not do."""
+        """Return a session with these credentials; raise WireError if they are refused."""
         session = open_client(self.endpoint, NAMESPACE, credentials, timeout_s=2)
         self._stack.callback(close, session)
         return session
@@ -234,7 +234,7 @@ def test_a_client_without_a_certificate_of_the_run_is_refused(secure: Secure, tm
 
 
 def test_an_unknown_name_has_no_rights(secure: Secure, tmp_path: Path) -> None:
-    """By the run's own authority, yet under another name: it can connect, and that is all."""
+    """The certificate is from the run's own authority but has another name: it can connect, and has no rights."""
     with contextlib.ExitStack() as stack:
         authority = Authority()
         endpoint = f"tls/127.0.0.1:{free_port()}"
@@ -402,7 +402,7 @@ def test_a_stolen_certificate_gives_only_the_rights_of_its_agent(victim: Callabl
     assert verdict["verdict"] == "valid", verdict["reasons"]
     assert set(overheard) <= {keys.link(1, 0), keys.state(0)}
     refused = {one["key"]: one["refused"] for one in verdict["information"]["channels"] if one["refused"]}
-    # The router takes nothing so large in from an agent as the 16 MB, nor, on a busy machine, one right behind another.
+    # The router accepts from an agent neither a message of 16 MB nor, on a busy machine, one right after another.
     assert refused.keys() == {keys.link(0, 1), keys.input_(0)}
     assert max(refused.values()) <= 9
     assert running.named() == {keys.link(0, 1): 1, keys.input_(0): 1}
@@ -410,7 +410,9 @@ def test_a_stolen_certificate_gives_only_the_rights_of_its_agent(victim: Callabl
 
 
 def test_the_audit_finds_false_messages_under_a_stolen_certificate(victim: Callable[..., Victim]) -> None:
-    """Inputs of this step and of the next, well formed, that agent 1 never gave; one that is no number is missing."""
+    """These are valid inputs of this step and of the next that agent 1 never sent; one that is NaN counts as
+    missing.
+    """
     running = victim("--secure")
     rogue = running.rogue("agent-1")
     now, slowly = running.step(), threading.Event()

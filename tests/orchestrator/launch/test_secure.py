@@ -44,7 +44,7 @@ def contents(folder: Path) -> bytes:
 
 
 def test_a_secure_run_gives_the_same_bits_through_a_crash(here: Path) -> None:
-    """The reference knows no security: equal to it is equal to the open run. A restarted agent is let in again."""
+    """The reference knows no security: equal to it is equal to the open run. A restarted agent may connect again."""
     crash = "faults=[{kind: crash, node: 3, at: 8, restart_after: 5}, {kind: drop, link: [2, 4], steps: [0, 12]}]"
     done = orchestrator("up", "paper7", "--secure", "--verify", "--set", crash, *QUIET)
     assert done.returncode == 0, done.stdout + done.stderr

@@ -146,7 +146,7 @@ def in_place_of_agent_3(folder: str, other: str, *files: str) -> None:
 
 
 def test_wrong_keys_are_reported_at_both_ends(here: Path, port: int, start: Any) -> None:
-    """Another authority's keys, and those of another agent: one line each, soon, and no traceback."""
+    """Keys of another authority, and those of another agent: each gives one line, soon, and no traceback."""
     bundle(port, "--steps", "20")
     Authority().issue(Path("issued"), "agent-3")
     in_place_of_agent_3("foreign", "issued", CERTIFICATE, PRIVATE_KEY)  # the router refuses it

@@ -257,7 +257,7 @@ def changed(ran: Trajectory, step: int, column: str, place: Any, value: Any) -> 
 
 
 def test_flow_without_an_input_is_noticed() -> None:
-    """An edge that is open although one of its ends sent nothing."""
+    """An edge is open, although one of its ends sent nothing."""
     topology = with_faults(PAPER, [{"kind": "sensor", "node": 4, "steps": [10, 14]}])
     edge = int(PAPER.graph.edge[PAPER.graph.node == 3][0])
     bad = verdict(topology, changed(simulate(topology), 12, "edge_open", edge, 1))

@@ -170,7 +170,7 @@ def constant_run(plant: Plant, reported: Array, steps: int, scale: float) -> Wor
 
 
 def test_a_plant_with_one_per_cent_more_w_than_reported_violates_it() -> None:
-    """The worst constant disturbance of the oracle leaves it nothing to hide in."""
+    """The worst constant disturbance of the oracle leaves no slack."""
     plant = UNEQUAL
     incidence = np.array([[1.0, 0.0], [-1.0, 1.0], [0.0, -1.0]]) * plant.root_weights
     B = plant.b[:, None] * incidence

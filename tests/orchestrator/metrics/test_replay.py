@@ -129,7 +129,7 @@ def test_nothing_is_claimed_from_a_lost_row_on(lost: int) -> None:
 
 
 def test_a_run_without_its_replay_is_unknown(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The replay cannot be had: nothing is claimed, and nothing is blamed."""
+    """The replay is impossible: there are no claims and no failures."""
 
     def no_room(*_: object) -> None:
         raise MemoryError

@@ -27,7 +27,7 @@ from tests.tools.networks import Trajectory, listed, networks, observe, read, si
 
 PAPER = resolve(load("paper7"))
 GOOD = simulate(PAPER)
-"""30 steps of the paper's network, in which nothing is wrong."""
+"""Thirty steps of the paper's network without a mistake."""
 
 
 def verdict(ran: Trajectory, topology: Topology = PAPER, ending: Ending | None = None) -> Verdict:
@@ -41,7 +41,7 @@ def failures(judged: Verdict) -> list[str]:
 
 
 def altered(step: int, **columns: Any) -> Trajectory:
-    """The good run with other telemetry at one step."""
+    """Return the good run with other telemetry at one step."""
     rows = list(GOOD.rows)
     rows[step] = rows[step]._replace(**columns)
     return Trajectory(rows, GOOD.end)
@@ -55,7 +55,7 @@ def one_ulp_off(values: Array, node: int = 2) -> Array:
 
 
 class Careless(Minimax):
-    """A law that is not (6): it acts on half of its state."""
+    """A law other than (6): it acts on half of its state."""
 
     def act(self, x: Array) -> Array:
         return control(self.b, 0.5 * x, self.ahat)
@@ -99,7 +99,7 @@ def test_the_first_of_many_wrong_steps_is_named() -> None:
 
 
 def test_an_input_that_is_not_equation_6_is_noticed() -> None:
-    """An agent that acts on half its state, in a world that is right: that claim fails alone."""
+    """An agent acts on half of its state in a correct world: only that claim fails."""
     shards = layout(PAPER, None)
     views = views_of(PAPER, shards)
     views[3] = replace(views[3], law=CARELESS)
@@ -130,7 +130,7 @@ def test_nan_is_never_valid(column: str) -> None:
 
 
 def one_sided(topology: Topology, ahat: Sequence[Sequence[float]]) -> Trajectory:
-    """A plant that is wrong: from step 2 on, the edge carries flow at its first end only."""
+    """The plant is wrong: from step 2 on, the edge carries flow at its first end only."""
     a, b, graph = truth(topology), topology.b, topology.graph
     x = np.array([own.x0 for own in topology.nodes.values()], dtype=float)
     rows, on, no_w = [], np.ones(1, np.uint8), np.zeros(2)
@@ -209,7 +209,7 @@ def test_a_run_that_was_stopped_is_unknown() -> None:
 
 
 def test_a_run_without_a_single_row_is_unknown() -> None:
-    """Stopped before its first step: no metrics, and nothing to divide by."""
+    """The run was stopped before its first step: there are no metrics, and no division by zero."""
     observer = Observer(PAPER)
     observer.finish(End(0, observer.x0, 0.0))
     nothing = judge(PAPER, observer, Ending("run", "in-process", 1, stopped="stopped at step 0"))

@@ -220,7 +220,7 @@ def test_an_a_that_jumps_is_marked(folder: Path) -> None:
 
 
 def test_many_nodes_are_quantiles_as_the_caption_explains(grid: Run) -> None:
-    """16 nodes: median and bands of figure 2, a heat map of the errors; nothing is hidden."""
+    """16 nodes: median and bands in figure 2, and a heat map of the errors; every node is included."""
     figure = drawn("2", grid)
     (axis,) = figure.axes
     np.testing.assert_array_equal(curves(axis)[0], np.median(grid.x, axis=1))
@@ -341,7 +341,7 @@ def test_a_figure_is_a_column_wide_with_its_fonts_in_it(written: dict[str, Path]
 
 
 def test_the_same_run_gives_the_same_bytes(paper: Run, folder: Path) -> None:
-    """In another process, on another day, under other settings of matplotlib, with other hashes."""
+    """The second report is from another process and day, with other settings of matplotlib and other hashes."""
     keys = "1,4"
     here = report([paper], folder / "once", keys)
     (folder / "matplotlibrc").write_text("lines.linewidth: 9\npdf.fonttype: 3\n", encoding="utf-8")

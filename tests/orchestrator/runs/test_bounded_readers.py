@@ -192,7 +192,7 @@ def test_a_compressed_batch_is_refused_before_it_is_unpacked(here: Path) -> None
 
 
 def test_a_damaged_head_of_a_batch_is_refused(here: Path) -> None:
-    """Every byte of the heads, one after the other: an error of one type, or rows."""
+    """For every changed byte of the heads, there is an error of one type, or rows."""
     table = pa.table({"x": [1.0, 2.0], "n": ["a", "b"]})
     file = here / "telemetry.arrows"
     options = pa.ipc.IpcWriteOptions(compression="lz4")

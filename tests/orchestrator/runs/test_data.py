@@ -159,7 +159,7 @@ def test_every_array_equals_the_live_one(topology: Topology) -> None:
 
 
 def test_identifiable_models_are_estimated(paper7: Run) -> None:
-    """Where nothing is missing, (7) chooses the candidate nearest a_LS; and that is a + beta."""
+    """Without missing samples, (7) chooses the candidate nearest to a_LS, which is a + beta."""
     known = np.isfinite(paper7.a_ls)
     assert (paper7.identifiable == (paper7.ahat == paper7.a))[known].all()
     assert 0 < paper7.identifiable[known].sum() < known.sum()
@@ -215,7 +215,7 @@ def test_frames_equal_the_table(run: Run) -> None:
 
 
 def test_to_record_a_run_loads_no_library_of_frames(here: Path) -> None:
-    """It would take half a second of its first steps."""
+    """An import would take half a second of the first steps."""
     told = [sys.executable, "-X", "importtime", *COMMAND[1:], "simulate", "paper7", "--no-record"]
     done = subprocess.run(told, capture_output=True, text=True, check=True, timeout=DEADLINE_S)
     loaded = {line.rpartition("|")[2].strip() for line in done.stderr.splitlines() if line.startswith("import time")}

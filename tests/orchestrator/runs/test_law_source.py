@@ -1,4 +1,4 @@
-"""The source of a law is part of a run: kept, compared, and never a stale one."""
+"""The source of a law is part of a run: stored, compared, and always current."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Readers of a run's folder open regular files inside it, and nothing that is larger in memory than is allowed."""
+"""Readers of a run folder open only regular files inside it, within the memory limit."""
 
 import os
 import shutil

@@ -66,7 +66,7 @@ def records(draw: st.DrawFn, n: int) -> dict[str, Any]:
 @given(faulty(), st.data())
 @settings(max_examples=25, deadline=None)
 def test_the_recorded_part_changes_only_the_amount_of_data(topology: Topology, data: st.DataObject) -> None:
-    """The verdict and its metrics are equal, the rows that are kept are those of the whole run, bit for bit."""
+    """The verdict and its metrics are equal, and the recorded rows are those of the whole run, bit for bit."""
     n = len(topology.ids)
     record = data.draw(records(n))
     if isinstance(record["nodes"], list):

@@ -199,7 +199,7 @@ def test_two_runs_are_equal_to_the_last_bit(network: Networks) -> None:
 
 @pytest.fixture(scope="module")
 def apart(network: Networks) -> tuple[Run, Run]:
-    """Two runs that part: nothing is made up for in the first."""
+    """Two runs that diverge; the first has no back-filling."""
     forgetful = network("paper7", "backfill=false")
     return forgetful.drop((2, 4), steps=range(25)).run(), forgetful.run()
 
@@ -261,7 +261,7 @@ def test_a_failing_test_shows_the_reason_and_the_folder(pytester: pytest.Pyteste
 
 
 def test_the_plugin_is_light(tmp_path: Path) -> None:
-    """A test session that never asks for a network loads nothing of ours but the plugin."""
+    """A test session without networks loads only the plugin."""
     code = "import sys, hedgerow.orchestrator.testing.pytest_plugin; print(*sys.modules)"
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
     heavy = {"numpy", "pyarrow", "zenoh", "rerun", "scipy", "pydantic", "hedgerow.topologies"}
@@ -301,7 +301,7 @@ def test_both_engines_give_the_same_bits(network: Networks, processes: int | Non
 
 
 def processes_of(folder: Path) -> list[psutil.Process]:
-    """Every process of runs in this folder or below it: they keep their list of running networks beside the run."""
+    """Return every process of runs in this folder or below it; their registry is beside the run."""
     found = []
     for process in psutil.process_iter():
         with contextlib.suppress(psutil.Error, OSError):  # it ends while it is looked at
@@ -408,7 +408,7 @@ def test_a_network_may_come_to_its_end(network: Networks) -> None:
 
 
 def test_nothing_of_a_network_remains_after_its_test_fails(network: Networks) -> None:
-    """Not even an agent that is frozen and cannot notice that all others are gone."""
+    """This includes a frozen agent, which cannot notice that all others have ended."""
     net = network("paper7").up(rate=50)
 
     def test_that_fails() -> None:

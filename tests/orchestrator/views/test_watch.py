@@ -69,7 +69,7 @@ def inside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 class Saver:
-    """A viewer that draws nothing, and writes down all that it is sent."""
+    """A viewer that draws nothing and writes all received data to a file."""
 
     def __init__(self, path: Path) -> None:
         port = free_port()
@@ -147,7 +147,7 @@ def assert_shows(files: list[Path] | Path, folder: Path, done: int | None = None
     for column in columns:
         table = recorded(folder, column)
         if not column.startswith("x"):
-            table = table[:-1] if done is None else table  # at the last step nothing acts
+            table = table[:-1] if done is None else table  # no input acts at the last step
         steps, values = shown(files, column)
         expected = table[:done]
         np.testing.assert_array_equal(steps, np.arange(len(expected)), err_msg=column)
@@ -556,7 +556,7 @@ def drawn(screenshot: Path) -> list[int]:
 @pytest.mark.slow
 @pytest.mark.skipif(not CHROMIUM.exists(), reason="there is no Chromium here")
 def test_a_page_shows_the_run_while_it_runs(tmp_path: Path) -> None:
-    """The link that `up` prints opens in Chromium: each node's line is drawn, what is lost and cut is broken."""
+    """The link of `up` opens in Chromium: each node's line is drawn, with breaks at lost messages and cuts."""
     api: Any = pytest.importorskip("playwright.sync_api", reason="pip install playwright")
     faults = "--set=faults=[{kind: drop, link: [2, 4]}, {kind: cut, edge: [3, 5]}]"
     options = ["--processes", "1", "--steps", "1000000", "--rate", "50", "--viewer", "web", "--no-record", faults]
