@@ -223,8 +223,7 @@ class Files:
 
     def _check_and_run(self, file: Path) -> None:
         self._run("check", str(file))
-        # The checked topology is valid, so it must run. (Its steps and its law may be arbitrary.) (Its steps and its
-        # law are whatever they came to be.)
+        # The checked topology is valid, so it must run. (Its steps and its law may be arbitrary.)
         if len(resolve(load(str(file)), file.parent).ids) < 1000:
             sets = ("--steps", "3", "--set", "faults=[]", "--set", "law=minimax", "--set", "processes=1")
             with contextlib.suppress(HedgerowError):  # samples may be too short for 3 steps
