@@ -5,7 +5,7 @@ skips a sample that lacks an input. If that input arrives late, the law returns 
 samples since then again, in the order of the steps. Its memory is then bit for bit the same as without the gap.
 
 A law that asks for its neighbours' states and inputs gets those of the sample's own step. So the states of neighbours
-are kept beside their inputs, for such a law alone, and a sample that is learned again has all of them.
+are stored beside their inputs, for such a law alone, and a sample has all of them when it is learned again.
 """
 
 from __future__ import annotations

@@ -80,7 +80,7 @@ def _of_texts(texts: Sequence[str]) -> Words:
     found = np.full(len(texts), _TEXT)
     if not len(texts):
         return found
-    # Code points, with zeros behind the end of a shorter text: no id holds a zero.
+    # The code points, with zeros after the end of a shorter text: no id contains a zero.
     points = np.array(texts, dtype=np.str_)[:, None].view(np.uint32)
     for column in points.T:
         found = np.where(column != 0, mix(found ^ column.astype(np.uint64)), found)

@@ -182,7 +182,7 @@ def _size(value: Any) -> int:
 def _with(collection: Any, members: dict[Any, Any]) -> Any:
     """Return a copy of a collection with these members; of a mapping also a little of its other keys.
 
-    A key beside them can decide how they are read, such as `kind`.
+    Another key, such as `kind`, can determine how they are read.
     """
     if isinstance(collection, list):
         return list(members.values())

@@ -159,7 +159,7 @@ class _Open:
     has_key: bool = False
     size: int = 1
     bare: bool = False
-    """True if the key is plain text with a colon in it, as of {kind:drop}"""
+    """True if the key is plain text with a colon in it, such as {kind:drop}"""
 
     @property
     def next_path(self) -> Path:

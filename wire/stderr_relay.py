@@ -15,7 +15,7 @@ from hedgerow.topologies.escape import EscapedStream, escape
 class StderrRelay:
     """File descriptor 2, escaped while the block runs: a panic in a thread of Zenoh is written there.
 
-    Text of Python goes straight to standard error, so that its order stays, and a terminal is known as one.
+    Text of Python goes directly to standard error, which preserves its order and shows if it is a terminal.
     """
 
     JOIN_S = 0.5

@@ -220,7 +220,7 @@ class Recording:
             self.folder.event("fault", fault=number, entry=fault.written())
 
     def warn(self, screen: Screen) -> None:
-        """Print the warnings about the viewer that came since the last call."""
+        """Print the new warnings about the viewer."""
         while self.warnings:
             screen.say(self.warnings.popleft())
 

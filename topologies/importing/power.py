@@ -47,7 +47,7 @@ def read_m(path: Path, options: Options) -> Found:
     text = read_regular(path, growth=GROWTH)
     if b"mpc" not in text:
         raise refuse(path, "is no MATPOWER case: it sets no field of `mpc`", "Name a case file")
-    # The reader takes the tables as they are written: a statement that changes one would be lost without a word.
+    # The reader uses the tables as they are written: a statement that changes one would be ignored silently.
     if (change := _CHANGE.search(text)) is not None:
         line = text.count(b"\n", 0, change.start(1)) + 1
         raise refuse(

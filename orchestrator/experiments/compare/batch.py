@@ -1,8 +1,8 @@
 """Many runs at once: S networks of one size side by side in one array, which never meet.
 
-One by one, nearly all of the time of a small network is overhead of numpy calls on a few numbers. A law keeps its
-columns apart, so the S networks are one shard of S n nodes to it. States, inputs and estimates are those of each run by
-itself, to the bit.
+One by one, nearly all of the time of a small network is overhead of numpy calls on a few numbers. A law treats its
+columns separately, so it sees the S networks as one shard of S n nodes. States, inputs and estimates are those of each
+run by itself, to the bit.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from hedgerow.topologies.law_choice import NAMES, LawChoice
 from hedgerow.topologies.schema import Topology
 
 LARGEST = 500
-"""Networks of more nodes are run one by one: their time goes into the arithmetic."""
+"""The maximum number of nodes in a batch; the time of a larger network is arithmetic anyway."""
 _NOBODY = np.empty(0)
-"""what a law of the project that asks gets of neighbours: it asks for the step only"""
+"""the neighbours' values for an asking law of the project, which uses only the step"""
 
 
 def why_not(topologies: Sequence[Topology]) -> str:
