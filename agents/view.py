@@ -57,7 +57,7 @@ class View:
     history: int
     """number of past steps kept for back-filling; with 0, missed samples are never learned"""
     seed: int = 0
-    """for laws that draw numbers; a function of the seed of the run"""
+    """the seed of laws that draw numbers; a function of the seed of the run"""
     weights: Array | None = None
     """per incidence: the weight of its edge, (m,); None if all are 1"""
 

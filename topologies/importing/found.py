@@ -27,7 +27,7 @@ class Found:
     source: str
     """the file or object, for messages"""
     names: Sequence[Hashable]
-    """of the nodes, each once"""
+    """the names of the nodes, each once"""
     edges: Index
     """positions in `names`, (E, 2)"""
     directed: bool = False
@@ -47,7 +47,7 @@ class Found:
     """w_i(t), (n, T)"""
     steps: int | None = None
     edge_names: Sequence[str] | None = None
-    """for messages, (E,)"""
+    """the names of edges in messages, (E,)"""
     sign: Callable[[float], str] = field(default=lambda _: "")
     """the meaning in the source of a weight that is not above 0"""
     facts: list[str] = field(default_factory=list)
