@@ -57,7 +57,7 @@ class View:
     history: int
     """number of past steps kept for back-filling; with 0, missed samples are never learned"""
     seed: int | NDArray[np.uint64] = 0
-    """the seed of laws that draw numbers, a function of the seed of the run; for networks side by side: per node, (k,)"""
+    """the seed of laws that draw numbers, a function of the run's seed; for networks side by side: per node, (k,)"""
     weights: Array | None = None
     """per incidence: the weight of its edge, (m,); None if all are 1"""
     law_source: str = ""
