@@ -21,7 +21,7 @@ from hedgerow.wire.codec import Link
 
 FEW_NODES = 4
 MOST_INCIDENCES = 24
-"""with more, numpy is as fast"""
+"""the maximum number of incidences for this path; with more, numpy is as fast"""
 PATIENCE = 4
 """quiet steps in a row before floats take over; to change over costs as much as two general steps"""
 
@@ -40,7 +40,7 @@ class Answer(NamedTuple):
     u: bytes
     report: bytes
     inputs: Sequence[float]
-    """of step t - 1, which the flow was summed of: our own, then the peers'"""
+    """the inputs of step t - 1 in the flow: our own, then the peers'"""
     states: Sequence[float]
     """our own, of step t - 1"""
 

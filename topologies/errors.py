@@ -123,7 +123,7 @@ class Problem:
     cure: str = ""
     code: Code = Code.TOPOLOGY
     column: int = 0
-    """from 1; 0 if unknown"""
+    """the column, from 1; 0 if unknown"""
     origin: str = ""
     """the option that the value comes from, such as `--set b=-1`; empty for a value of the file"""
 
