@@ -26,10 +26,13 @@ REPORT_ROWS = 2
 _HEADER = struct.Struct("<BBHIq")
 """version, kind, 0, number of nodes, step"""
 
-_SIZE = _HEADER.size
+HEADER_BYTES = _SIZE = _HEADER.size
 _F8 = np.dtype("<f8")
 _U1 = np.dtype("u1")
 _STEP = struct.Struct("<q")
+_SHORT = struct.Struct("<Qq")
+_SHORT_LINK = struct.Struct("<Qqq")
+"""the same headers, with all before the step as one number, which `_code` gives"""
 _SPAN = struct.Struct("<IIIII")
 _LINK_HEADER = struct.Struct(_HEADER.format + "q")
 """the same, and the first step"""
@@ -77,6 +80,7 @@ LATE, MOST_LATE = 2, 63
 # times that: the messages of every step do neither.
 _STATE, _INPUT, _LINK, _TELEMETRY = map(int, (Kind.STATE, Kind.INPUT, Kind.LINK, Kind.TELEMETRY))
 _new = tuple.__new__
+_LINK_CODE = VERSION | _LINK << 8
 
 
 class MessageError(HedgerowError):
@@ -191,6 +195,28 @@ def _pack(kind: int, n: int, t: int, *arrays: Buffer) -> bytes:
     return join((_HEADER.pack(VERSION, kind, 0, n, t), *arrays))
 
 
+def _code(kind: int, n: int) -> int:
+    """Return version, kind and number of nodes of a header as the one number that these eight bytes are."""
+    return VERSION | kind << 8 | n << 32
+
+
+class Form:
+    """A message of floats alone, for a process that handles short ones without numpy.
+
+    `pack(code, t, *values)` gives its bytes and `unpack` takes them apart; a link message has its first step behind t.
+    """
+
+    def __init__(self, kind: Kind, n: int, numbers: int) -> None:
+        self.code = _code(kind, n)
+        self._struct = struct.Struct(f"{_SHORT_LINK.format if kind == Kind.LINK else _SHORT.format}{numbers}d")
+        self.size, self.pack, self.unpack = self._struct.size, self._struct.pack, self._struct.unpack
+
+
+def header(kind: int, n: int, t: int) -> bytes:
+    """Return the first HEADER_BYTES of a message of n nodes at step t."""
+    return _HEADER.pack(VERSION, kind, 0, n, t)
+
+
 def _length(part: Buffer) -> int:
     return len(part) if isinstance(part, bytes) else part.nbytes
 
@@ -251,10 +277,12 @@ def encode_state(t: int, x: Buffer, flags: Buffer, spans: Sequence[Span] = ()) -
 
 def encode_quiet_states(t: int, x: Array, sizes: Iterable[int]) -> list[bytes]:
     """Return the State messages of all shards, of so many nodes each, that are told nothing but their part of x."""
-    whole, pack, start, messages = x.tobytes(), _HEADER.pack, 0, list[bytes]()
+    whole, start, messages, last, head = x.tobytes(), 0, list[bytes](), -1, b""
     for k in sizes:
+        if k != last:
+            last, head = k, header(_STATE, k, t)
         stop = start + 8 * k
-        messages.append(pack(VERSION, _STATE, 0, k, t) + whole[start:stop])
+        messages.append(head + whole[start:stop])
         start = stop
     return messages
 
@@ -262,6 +290,10 @@ def encode_quiet_states(t: int, x: Array, sizes: Iterable[int]) -> list[bytes]:
 def decode_state(message: bytes, k: int, m: int) -> State:
     """Return the State of k nodes and m incidences."""
     end = _SIZE + 8 * k
+    if len(message) == end:
+        code, t = _SHORT.unpack_from(message)
+        if code == _code(_STATE, k) and t >= 0:
+            return _new(State, (t, np.frombuffer(message, _F8, k, _SIZE), b"", ()))
     if len(message) in (end, end + m):
         t = _open(message, _STATE, k, len(message) - _SIZE)
         return _new(State, (t, np.frombuffer(message, _F8, k, _SIZE), message[end:], ()))
@@ -323,6 +355,11 @@ def encode_link(link: Link, n: int) -> bytes:
 
 def decode_link(message: bytes, n: int) -> Link:
     """Return the Link of n boundary nodes, with one row or more."""
+    if len(message) == _SIZE + 8 + 16 * n:
+        code, t, first = _SHORT_LINK.unpack_from(message)
+        if code == _LINK_CODE | n << 32 and t == first >= 0:
+            middle = _SIZE + 8 + 8 * n
+            return _new(Link, (t, t, message[_SIZE + 8 : middle], message[middle:]))
     size = max(1, (len(message) - _LINK_HEADER.size) // (16 * n)) * 16 * n
     t = _open(message, _LINK, n, 8 + size)
     (first,) = _STEP.unpack_from(message, _SIZE)

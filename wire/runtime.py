@@ -13,7 +13,7 @@ LONG_BYTES = 2**14
 """A message so long is more than Zenoh takes at once: what waits to be sent has room for a few of 64 kB."""
 _M_TRIM_THRESHOLD, _M_MMAP_MAX, _M_ARENA_MAX = -1, -4, -8
 _RUNTIME = "ZENOH_RUNTIME"
-_KEPT = threading.local()
+KEPT = threading.local()
 """Python forgets it with the rest of what it knows of a thread."""
 _DUTIES = ("rx", "tx", "app", "net", "acc")
 
@@ -66,8 +66,8 @@ def keep_thread() -> None:
     Else it would make that for every message, map memory for it, and throw both away: a quarter of the loop's time
     (docs/performance.md). Zenoh may go on with another thread, so that every message asks for it.
     """
-    if not hasattr(_KEPT, "here"):
-        _KEPT.here = True
+    if not hasattr(KEPT, "here"):
+        KEPT.here = True
         ctypes.pythonapi.PyGILState_Ensure()
 
 

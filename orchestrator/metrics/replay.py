@@ -319,8 +319,9 @@ class _Part:
         """Inputs of the part: the recorded ones where only the neighbours of a node are there."""
         if self.whole:
             return u
-        shard.u = np.where(self.own, u, self.of_nodes(row.u))
-        return shard.u
+        mixed = np.where(self.own, u, self.of_nodes(row.u))
+        shard.replace_inputs(mixed)
+        return mixed
 
     def of(self, faults: Faults) -> Faults:
         """The faults of the network as those of the part."""
