@@ -36,7 +36,7 @@ DPI, GAP, COLOURS = 200, 24, 64
 
 
 def ran(name: str, scratch: Path) -> Run:
-    """A bundled network, run in this process."""
+    """Run a bundled network in this process, and return the run."""
     topology = resolve(load(name))
     folder = create(topology, scratch / name)
     simulate_into(topology, folder, layout(topology, 1), Watching(record=False), Quiet())
@@ -44,7 +44,7 @@ def ran(name: str, scratch: Path) -> Run:
 
 
 def picture(run: Run, keys: tuple[str, ...]) -> Image.Image:
-    """Four figures, two beside each other."""
+    """Return four figures, two beside each other."""
     drawn = []
     for kind in FIGURES:
         if kind.key in keys:
@@ -59,14 +59,14 @@ def picture(run: Run, keys: tuple[str, ...]) -> Image.Image:
 
 
 def numbers(run: Run) -> str:
-    """What a picture was drawn of, so that a stale one is known."""
+    """Return the numbers behind a picture, to detect an outdated one."""
     metrics = run.verdict.content["metrics"]
     said = f"{run.topology.name}: D {metrics['regret']:.6g}, nominal {metrics['regret_nominal']:.6g}"
     return said + f", gain {metrics['gain']:.6g}, {metrics['nodes_right']} right"
 
 
 def main(images: Path, pictures: Sequence[str]) -> None:
-    """Draw and write the pictures, and say of which numbers."""
+    """Draw and write the pictures, and print their numbers."""
     with tempfile.TemporaryDirectory() as scratch, look():
         runs = {name: ran(name, Path(scratch)) for name in sorted({PICTURES[file][0] for file in pictures})}
         for file in pictures:

@@ -1,4 +1,4 @@
-"""Make docs/images/faults.png: node 3 of docs/examples/faulty.yaml, with its faults and without them.
+"""Make docs/images/faults.png: node 3 of docs/examples/faulty.yaml, with and without its faults.
 
 python docs/plot_faults.py [IMAGE]
 """
@@ -41,7 +41,7 @@ FAULTY, WITHOUT, SHADE = "#c2410c", "#475569", "#e8edf3"
 
 
 def ran(*overrides: str) -> tuple[Observer, Batch]:
-    """The network's run in this process, and all metrics of it."""
+    """Return the run of the network in this process, with all of its metrics."""
     network = resolve(load(str(HERE / "examples/faulty.yaml"), overrides))
     shards = layout(network, None)
     *rows, end = run(truth_of(network, shards), views_of(network, shards))
@@ -53,7 +53,7 @@ def ran(*overrides: str) -> tuple[Observer, Batch]:
 
 
 def draw(axes: np.ndarray[tuple[int], np.dtype[np.object_]], faulty: Batch, without: Batch) -> None:
-    """State, estimate and regret of the node, one below the other."""
+    """Draw state, estimate and regret of the node, in three rows."""
     state, estimate, regret = axes
     for batch, colour, label, width in ((without, WITHOUT, "without faults", 1.2), (faulty, FAULTY, "with them", 2.0)):
         style = {"color": colour, "lw": width, "label": label, "ls": "--" if batch is without else "-"}
@@ -76,7 +76,7 @@ def draw(axes: np.ndarray[tuple[int], np.dtype[np.object_]], faulty: Batch, with
 
 
 def shade(axis: Axes) -> None:
-    """Show when a fault holds."""
+    """Mark the steps of a fault."""
     for start, stop in WINDOWS:
         axis.axvspan(start, stop, color=SHADE, zorder=0, lw=0)
     axis.spines[["top", "right"]].set_visible(False)

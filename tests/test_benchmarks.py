@@ -1,6 +1,6 @@
 """The loops beside ours: a hand-written one makes our trajectory to the bit, and the one command runs them.
 
-Peers that are large are not installed where the tests run: the suite says so, and goes on.
+Large peers are not installed where the tests run: the suite names them, and continues.
 """
 
 import importlib.util
@@ -37,7 +37,7 @@ def test_the_minds_of_the_peers_make_our_trajectory_however_messages_are_ordered
     for t in range(steps):
         said = {}
         states = [(i, (-1, t, plant.x[i], 0.0)) for i in range(7)]
-        # Odd steps: what was said at t - 1 comes after the states of t; even steps: before them.
+        # Odd steps: messages of t - 1 come after the states of t; even steps: before them.
         for i, message in states + links if t % 2 else links + states:
             if (now := ends[i].take(*message)) is not None:
                 said[i] = now

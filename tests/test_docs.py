@@ -54,14 +54,18 @@ SLOW = {
     "faults.md",
     "import.md",
     "laws.md",
+    "machines.md",
+    "paper.md",
     "report.md",
     "run-folder.md",
     "security.md",
     "theory.md",
     "watching.md",
+    "your-law.md",
+    "your-network.md",
     "zoo.md",
 }
-"""Documents whose blocks take more than five seconds."""
+"""Documents with blocks that take more than five seconds."""
 GENERATED = "topology.md"
 """Its commands are run by docs/generate.py, which writes down what they print: test_topology_md_is_fresh."""
 COMMAND_DEADLINE_S = 120.0
@@ -69,7 +73,7 @@ COMMAND_DEADLINE_S = 120.0
 
 @dataclass(frozen=True)
 class Block:
-    """One fenced block: its language, the file name behind it, the line it starts on, and what stands in it."""
+    """One fenced block: its language, the file name after it, its first line, and its content."""
 
     language: str
     name: str
@@ -78,7 +82,9 @@ class Block:
 
 
 def blocks(document: Path) -> Iterator[Block]:
-    """The fenced blocks of a document, in order; a block of output right behind a block is told by its line."""
+    """Yield the fenced blocks of a document, in order; a block of output right after a block is recognised by its
+    line.
+    """
     fence = re.compile(r"^```(\w+)?[ ]*(\S*)[^\n]*\n(.*?)^```$", re.MULTILINE | re.DOTALL)
     text = document.read_text(encoding="utf-8")
     for found in fence.finditer(text):
@@ -87,7 +93,7 @@ def blocks(document: Path) -> Iterator[Block]:
 
 
 def follows(before: Block, block: Block) -> bool:
-    """Whether nothing but an empty line stands between two blocks."""
+    """Return True if only an empty line separates two blocks."""
     return block.line == before.line + before.text.count("\n") + 3
 
 
@@ -103,13 +109,13 @@ def commands(console: str) -> Iterator[tuple[str, int, str]]:
 
 
 def same_output(shown: str, printed: str) -> bool:
-    """Whether what is shown was printed, up to blanks and with `...` for anything."""
+    """Return True if the shown output was printed, up to blanks and with `...` for any text."""
     flags = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
     return doctest.OutputChecker().check_output(shown.strip(), printed.strip(), flags)
 
 
 class Scratch:
-    """The folder of a document: nothing outside it is written, nobody outside it is seen."""
+    """The folder of a document: no command writes or reads outside of it."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -196,7 +202,7 @@ def test_topology_md_is_fresh() -> None:
 
 
 def test_the_picture_of_faults_is_fresh(tmp_path: Path) -> None:
-    """docs/plot_faults.py draws, and the picture that stands in docs/faults.md was drawn from the same numbers."""
+    """docs/plot_faults.py draws, and the picture in docs/faults.md has the same numbers."""
     image = tmp_path / "faults.png"
     ran = subprocess.run(
         [sys.executable, "-W", "error", str(ROOT / "docs/plot_faults.py"), str(image)],
@@ -374,18 +380,18 @@ def test_the_keys_are_those_of_the_code() -> None:
 
 
 def test_the_commands_and_events_are_those_of_the_code() -> None:
-    """Each command that the plant answers, each event that it tells, and no other, has a row in docs/wire.md."""
+    """Each command that the plant answers, each event that it reports, and no other, has a row in docs/wire.md."""
     files = ("control", "process", "shards")
     control, process, shards = ((ROOT / f"plant/{name}.py").read_text(encoding="utf-8") for name in files)
     commands = set(re.findall(r'"(\w+)": self\._\w+,', control))
-    # Who joins has a key of its own for it.
+    # A process that joins has a separate key.
     assert commands == {row["command"] for row in table("wire.md", "Commands")} == {*keys.COMMANDS, "join"}
     events = set(re.findall(r'\._?tell\(\s*"(\w+)"', control + process + shards))
     assert events == {row["event"] for row in table("wire.md", "event", 1)}
 
 
 def test_the_deadlines_are_those_of_the_code() -> None:
-    """Each constant that docs/wire.md names has the value that it says."""
+    """Each constant in docs/wire.md has the value on the page."""
     for row in table("wire.md", "Deadlines"):
         names = row["constant"].split(".")
         depth = next(k for k, name in enumerate(names) if not name.islower())
@@ -410,7 +416,7 @@ def test_every_error_code_is_in_errors_md() -> None:
 
 def test_every_kind_of_fault_is_in_faults_md() -> None:
     """Each kind has a row, the fault in it is one of that kind, and an account has the fields that are explained."""
-    rows = table("faults.md", "The kinds")
+    rows = table("faults.md", "Fault kinds")
     assert [row["kind"] for row in rows] == [*KINDS]
     for row in rows:
         fault = yaml.safe_load(row["in a file"])
@@ -451,7 +457,7 @@ def orchestrator(scratch: Scratch, *arguments: str) -> subprocess.Popen[str]:
 
 
 def test_the_run_folder_is_as_described(tmp_path: Path) -> None:
-    """Every file, every column and its type, every field of the verdict, and nothing that is not said."""
+    """Every file, every column and its type, and every field of the verdict is on the page, and nothing is missing."""
     scratch = Scratch(tmp_path)
     code, printed = scratch.run("orchestrator", "up", "paper7", "--viewer", "none", "--run-dir", "run")
     assert code == 0, printed
@@ -484,7 +490,7 @@ def test_the_run_folder_is_as_described(tmp_path: Path) -> None:
 
 
 def test_the_sign_of_an_edge_input() -> None:
-    """u_edge of the edge (i, j) is u_j - u_i, as docs/run-folder.md says."""
+    """u_edge of the edge (i, j) is u_j - u_i, as in docs/run-folder.md."""
     topology = read("{name: pair, b: 0.1, steps: 3, defaults: {x0: 5}, nodes: {1: {}, 2: {x0: 1}}, edges: [[2, 1]]}")
     _, batch = observe(topology, simulate(topology))
     np.testing.assert_array_equal(batch.u_edge[:, 0], batch.u[:, 0] - batch.u[:, 1])

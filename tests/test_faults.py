@@ -69,7 +69,7 @@ def test_who_comes_back_while_others_wait_changes_nothing_for_them(seed: int, hi
 
 
 def test_rows_that_are_for_one_node_leave_those_of_another() -> None:
-    """4 and 5 share a process: what it says again for 4 has nothing in 5's place, which 3 has heard long ago."""
+    """4 and 5 share a process. Its repeated rows for 4 have nothing for 5, and 3 has received those of 5 long ago."""
     crashes = [
         f"{{kind: crash, node: {node}, at: {at}, restart_after: {pause}}}"
         for node, at, pause in ((4, 31, 10), (5, 33, 9))
@@ -80,7 +80,7 @@ def test_rows_that_are_for_one_node_leave_those_of_another() -> None:
 
 
 def test_a_neighbour_that_says_more_than_it_should_speaks_for_itself_alone() -> None:
-    """Every link message from node 1 brings the row before as well: to node 2 that is nobody else's, and no harm."""
+    """Every link message from node 1 also brings the row before: node 2 alone receives it, without harm."""
     view = views_of(resolve(load("paper7")), layout(resolve(load("paper7")), 7))[1]
     told, misled = Shard(view), Shard(view)
     lots = np.random.default_rng(0)
@@ -160,4 +160,4 @@ def test_without_back_filling_what_was_missed_stays_missed() -> None:
     topology = with_faults(read(PAPER), [{"kind": "drop", "link": [3, 5], "steps": [0, 160]}], backfill=False)
     ran = simulate(topology)
     np.testing.assert_array_equal(ran.report[:, 0], Plain(topology, ran).ahat())
-    assert (ran.report[:, 0, 4] == ran.report[0, 0, 4]).all()  # node 5 hears nobody: it never learns
+    assert (ran.report[:, 0, 4] == ran.report[0, 0, 4]).all()  # node 5 receives no messages: it never learns

@@ -1,7 +1,7 @@
-"""Files and messages as no one should write them: refused in words, or good all the way; never a traceback or a hang.
+"""Damaged files and messages: each is refused with a message or fully accepted; never a traceback or a hang.
 
-CI tries FILES and PAYLOADS of them. `python -m tests.tools.fuzz` tries 10,000 of each, and docs/reliability.md says
-what came of it. Here stand the stories too: a law is code, a disk is full, a clock jumps.
+CI tries FILES and PAYLOADS of them. `python -m tests.tools.fuzz` tries 10,000 of each; docs/reliability.md has the
+results. Special cases follow: a law is code, a disk is full, a clock jumps.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ RUN = ("--viewer", "none", "--no-record")
 
 
 def test_a_file_that_is_only_looked_at_runs_no_law(here: Path) -> None:
-    """Neither the file nor the run that came of it: somebody else's folder can be looked at, drawn and exported."""
+    """This holds for the file and for its run: a foreign folder can be inspected, drawn and exported."""
     (here / "trap.py").write_text(TRAP)
     assert orchestrator("check", "paper7", "--law", "trap:Minimax").returncode == 0
     assert orchestrator("schema").returncode == 0
@@ -105,7 +105,7 @@ def test_what_came_to_harm_in_a_runs_folder_is_named(name: str, here: Path) -> N
 
 
 def test_a_verdict_that_lacks_a_number_is_read_without_it(here: Path) -> None:
-    """What the numbers are is in the tables, too."""
+    """The numbers are also in the tables."""
     assert orchestrator("simulate", "paper7", "--no-record", "--run-dir", "run").returncode == 0
     file = here / "run/verdict.json"
     verdict = json.loads(file.read_text())
@@ -136,7 +136,9 @@ def test_a_folder_that_may_not_be_read_is_said(here: Path) -> None:
 
 @pytest.mark.parametrize("record", [True, False])
 def test_a_disk_that_fills_up_ends_the_run_with_what_was_recorded(record: bool, here: Path) -> None:
-    """Over the wire, with the recording and without: it says so, ends with `unknown`, and what is there can be read."""
+    """Over Zenoh, with the recording and without: the run reports it, ends with `unknown`, and its steps can be
+    read.
+    """
     command = ["up", "paper7", "--steps", "100000", "--viewer", "none", "--run-dir", "run"]
     done = orchestrator(*command, *([] if record else ["--no-record"]), largest=300_000)
     assert done.returncode == 3, done.stdout + done.stderr
@@ -163,9 +165,9 @@ WALL_CLOCK = {
     "orchestrator/launch/running.py": "an entry of the registry",
     "orchestrator/cli/main.py": "since when a network runs, for people",
 }
-"""Who may look at the wall clock, and what for: nobody waits by it."""
+"""The permitted uses of the wall clock: no code waits by it."""
 BY_DATE = {"orchestrator/launch/certificates.py"}
-"""whose dates are compared: a certificate holds until its own"""
+"""modules that compare dates: a certificate is valid until its own date"""
 WALL = {("time", "time"), ("time", "time_ns"), ("time", "strftime"), ("datetime", "now"), ("time", "localtime")}
 
 
@@ -175,7 +177,7 @@ def sources() -> Iterator[Path]:
 
 
 def wall_clock(node: ast.AST) -> bool:
-    """Whether an expression looks at the wall clock."""
+    """Return True if an expression reads the wall clock."""
     return any(
         isinstance(inside, ast.Attribute)
         and isinstance(inside.value, ast.Name)

@@ -1,4 +1,4 @@
-"""The topology that the arguments of a command describe."""
+"""The topology from the arguments of a command."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from hedgerow.topologies.escape import echo
 
-# A topology takes most of a second to load: each function imports what it needs itself.
+# Loading a topology takes most of a second: each function imports what it needs.
 if TYPE_CHECKING:
     from hedgerow.topologies.schema import Topology
 

@@ -1,4 +1,4 @@
-"""The source of a law: the files of its module and of the user's modules that it uses, with their digest.
+"""The source of a law: the files of its module and of the user's modules that it imports, with their digest.
 
 A run keeps a copy in its folder `law/`, because the name of a law does not say which code ran.
 """

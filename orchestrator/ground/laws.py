@@ -25,7 +25,7 @@ from hedgerow.topologies.schema import LAWS, Topology
 
 
 def checked(topology: Topology) -> Topology:
-    """Return a topology whose law names all of its parameters, the defaults included.
+    """Return a topology with a law that names all of its parameters, defaults included.
 
     If the file of the law changed since it was loaded, it is loaded again. Raises UserError if the class cannot be
     loaded, or a parameter is unknown, missing or of the wrong type. The message names the file and line. Raises
@@ -73,7 +73,7 @@ _KEPT: dict[tuple[type[Law], str, bytes], None] = {}
 
 def _keeps_contract(law: type[Law], choice: LawChoice, topology: Topology) -> None:
     """Raise LawError if a law breaks its contract on nodes of this network, or of a default one before it is drawn."""
-    if _lacks_theta(choice):  # numbers are still left to chance, and the test needs it
+    if _lacks_theta(choice):  # some numbers are still random, and the test needs theta
         return
     trial = Trial.default()
     if topology.is_drawn:
@@ -91,7 +91,7 @@ def _lacks_theta(choice: LawChoice) -> bool:
 
 
 def completed(topology: Topology) -> Topology:
-    """Return a topology whose law has the parameters that the operator computes, once all numbers are drawn.
+    """Return a topology with the parameters of its law that the operator computes, once all numbers are drawn.
 
     This is theta of the law `robust`, unless the file gives it.
     """
@@ -109,7 +109,7 @@ CALL_DEADLINE_S = 10.0
 
 
 def _within_deadline(law: type[Law], name: str, test: Callable[[Callable[[], None]], None]) -> None:
-    """Make a test of a law on another thread; LawError with its line if one call takes longer than the deadline."""
+    """Run a test of a law on another thread; raise LawError with its line if one call exceeds the deadline."""
     began, failure = [time.monotonic()], list[BaseException]()
 
     def called() -> None:

@@ -1,4 +1,4 @@
-"""What `orchestrator check` shows of a topology that passed."""
+"""The output of `orchestrator check` for a valid topology."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MAX_ROWS = 200
 
 
 def table(topology: Topology) -> str:
-    """A resolved topology as a table, a row a node, with gamma* and rho below."""
+    """Return a resolved topology as a table, one row per node, with gamma* and rho below."""
     graph, a, b = topology.graph, truth(topology), topology.network.b
     unequal = graph.weights is not None or not isinstance(b, float)
     rows = Table(box=None, pad_edge=False, header_style="bold")
@@ -68,7 +68,7 @@ def table(topology: Topology) -> str:
 
 
 def count(number: int, thing: str, plural: str = "s") -> str:
-    """A number of things, in words."""
+    """Return a number of things, in words."""
     return f"{number} {thing}{plural if number != 1 else ''}"
 
 

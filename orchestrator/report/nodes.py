@@ -1,4 +1,4 @@
-"""Figures with a curve a node: the paper's 2 to 5, a panel a run."""
+"""Figures with one curve per node: the paper's 2 to 5, one panel per run."""
 
 from __future__ import annotations
 
@@ -25,23 +25,23 @@ Runs = Sequence[Run]
 
 
 def states(runs: Runs) -> Figure:
-    """Figure 2: x, on the axes of figure 3."""
+    """Draw figure 2: x, on the axes of figure 3."""
     return _panels(runs, "x", "$x_i(t)$ [units of $x$]", _limits(runs, "x", "x_oracle"), behind="x_oracle")
 
 
 def oracle(runs: Runs) -> Figure:
-    """Figure 3: x*, on the axes of figure 2."""
+    """Draw figure 3: x*, on the axes of figure 2."""
     return _panels(runs, "x_oracle", r"$x_i^*\!(t)$ [units of $x$]", _limits(runs, "x", "x_oracle"))
 
 
 def regret(runs: Runs) -> Figure:
-    """Figure 4: |x - x*|, on the axes of figure 5."""
+    """Draw figure 4: |x - x*|, on the axes of figure 5."""
     label = r"$|x_i(t) - x_i^*\!(t)|$ [units of $x$]"
     return _panels(runs, "regret", label, _limits(runs, "regret", "nominal_gap"))
 
 
 def nominal(runs: Runs) -> Figure:
-    """Figure 5: |x* - x^nom|, on the axes of figure 4."""
+    """Draw figure 5: |x* - x^nom|, on the axes of figure 4."""
     label = r"$|x_i^*\!(t) - x_i^{\mathrm{nom}}(t)|$ [units of $x$]"
     return _panels(runs, "nominal_gap", label, _limits(runs, "regret", "nominal_gap"))
 
@@ -75,14 +75,14 @@ def _panels(runs: Runs, name: str, label: str, limits: tuple[float, float], behi
 
 
 def _limits(runs: Runs, *names: str) -> tuple[float, float]:
-    """Axes that have room for some arrays of all runs; from 0 for what is never negative."""
+    """Return limits of an axis with room for some arrays of all runs; from 0 for nonnegative ones."""
     low, high = extremes(*(getattr(run, name) for run in runs for name in names))
     room = 0.04 * (high - low) or 1.0
     return (0.0 if low >= 0 else low - room), high + room
 
 
 def largest(runs: Runs, name: str) -> str:
-    """The largest value of an array, and where it was taken, in words."""
+    """Return the maximum of an array, with its node and step, in words."""
     said = []
     for k, run in enumerate(runs):
         values = getattr(run, name)

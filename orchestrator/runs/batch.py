@@ -1,9 +1,9 @@
-"""Many runs of one network at once: S copies that differ in their seed, and never meet.
+"""Many runs of one network in parallel: S independent copies with different seeds.
 
-A sweep asks for the metrics of thousands of small networks. One by one, nearly all of the time goes into calls of numpy
-on a handful of numbers. Here the copies are rows of the same arrays, (S, n). Every number is computed by the same
-operations in the same order as in a run by itself, so states, inputs and metrics are the same to the bit: sums over
-nodes run along a row, and sums over steps are added one step after the other.
+A sweep needs the metrics of thousands of small networks. One by one, nearly all of the time is overhead of numpy calls
+on a few numbers. Here the copies are rows of the same arrays, (S, n). Every number results from the same operations in
+the same order as in a single run, so states, inputs and metrics are equal bit for bit. Sums over nodes run along a row,
+and sums over steps are added step by step.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ from hedgerow.topologies.resolve import copies
 from hedgerow.topologies.schema import LAWS, Topology
 
 NODES = 20_000
-"""nodes of all copies: their numbers of a step stay in the cache"""
+"""the maximum number of nodes of all copies: the numbers of a step then fit the cache"""
 LARGEST = 500
-"""networks of more nodes are run one by one: their time goes into the arithmetic"""
+"""the maximum number of nodes of a network in a batch; the time of a larger one is arithmetic anyway"""
 
 
 def why_not(topology: Topology) -> str:
@@ -108,7 +108,7 @@ def _view(topology: Topology, candidates: Array, ids: Any) -> View:
 
 
 class _Batch:
-    """S copies of n nodes in motion, with both twins, all sums and all checks."""
+    """The motion of S copies of n nodes, with both twins, all sums and all checks."""
 
     def __init__(self, topology: Topology, network: Network, seeds: Sequence[int]) -> None:
         self._topology, self._graph, self._b = topology, network.graph, topology.b
@@ -197,7 +197,7 @@ class _Batch:
 
 
 def _models(topology: Topology, network: Network) -> Array:
-    """Return the models that each node chooses among, (M, S n), NaN-padded."""
+    """Return the models of each node, (M, S n), padded with NaN."""
     if topology.law == "hinf":
         return network.a[None]
     if topology.law == "nominal":

@@ -1,4 +1,4 @@
-"""The reference: the same plant and the same agents in one process, with no wire between them."""
+"""The reference: the same plant and the same agents in one process, without a network."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from hedgerow.wire.codec import REPORT_ROWS, End, Telemetry, gather
 
 
 def run(truth: Truth, views: Sequence[View]) -> Iterator[Telemetry | End]:
-    """The telemetry of every step, then the end; equal bit for bit to what the plant sends over the wire.
+    """Yield the telemetry of every step, then the end; equal bit for bit to the messages of the plant.
 
-    Raises LawError after the end, which is where the law failed.
+    Raise LawError after the end, at the step where the law failed.
     """
     world, began = World(truth), time.monotonic()
     failure: LawError | None = None
@@ -35,7 +35,7 @@ def run(truth: Truth, views: Sequence[View]) -> Iterator[Telemetry | End]:
 def _steps(world: World, views: Sequence[View], steps: int) -> Iterator[Telemetry]:
     shards = [Shard(view) for view in views]
     ends = {(view.shard, peer.shard): q for view in views for q, peer in enumerate(view.peers)}
-    """By sender and receiver: which peer of the sender's the receiver is."""
+    """By sender and receiver: the index of the receiver among the sender's peers."""
     while world.t < steps:
         world.begin()
         told = world.states()

@@ -37,7 +37,7 @@ def general_path() -> Iterator[None]:
 
 @contextmanager
 def patience(steps: int) -> Iterator[None]:
-    """Floats take over after so many quiet steps."""
+    """Let floats take over after this number of quiet steps."""
     with mock.patch.object(quiet, "PATIENCE", steps):
         yield
 
@@ -88,7 +88,7 @@ def test_the_quiet_law_makes_almost_every_step_of_a_run_without_faults() -> None
 def test_any_numbers_give_the_bits_of_the_law_or_are_left_to_it(
     values: list[float], b: float, models: list[float]
 ) -> None:
-    """NaN, infinities and numbers whose squares overflow included."""
+    """NaN, infinities and numbers with overflowing squares are included."""
     view = View(
         shard=0,
         b=b,

@@ -1,6 +1,6 @@
-"""Agents that somebody else starts: they are waited for by name, known by their versions, and taken back when they die.
+"""Separate agents: the run waits for them by name, checks their versions, and takes them back when they die.
 
-Each runs as `agent` or `plant` does on another machine, with the file that `orchestrator bundle` wrote and no more.
+Each runs as `agent` or `plant` does on another machine, with the file of `orchestrator bundle` alone.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class Started:
         return self.process.returncode, said
 
     def wait_for(self, text: str) -> None:
-        """Read its log until that was said."""
+        """Read its log until this text."""
         assert self.process.stderr is not None
         assert any(text in line for line in self.process.stderr), text
 
@@ -231,7 +231,7 @@ def test_of_two_that_want_one_place_before_anybody_is_ready_one_has_it(here: Pat
         assert network.wait() == 0, network.output
         assert five.wait()[0] == 0
     assert verdict()["verdict"] == "valid"
-    assert verdict()["checks"]["information"]["ok"], "nobody heard more than was said"
+    assert verdict()["checks"]["information"]["ok"], "every received message was sent"
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["int", "term"])
@@ -275,7 +275,7 @@ def test_a_plant_that_is_started_anew_takes_nobody_of_the_run_before_for_ready(
 def test_who_looks_for_a_router_that_is_not_there_ends_when_it_is_told(
     here: Path, start: Any, module: str, config: str, number: int, code: int
 ) -> None:
-    """Somebody else has its port, who does not say a word."""
+    """Another program has the port, and never answers."""
     with socket.create_server(("127.0.0.1", 0)) as mute:
         mute.settimeout(DEADLINE_S)
         bundle(f"tcp/127.0.0.1:{mute.getsockname()[1]}")
@@ -299,7 +299,7 @@ def test_a_second_plant_waits_for_the_first_to_be_gone_and_disturbs_nothing(
         by_hand = start("plant", "--config", "lab/plant.toml")
         with Orchestrator(*up, "--external", "all", "--run-dir", "second") as second:
             for one in (second, by_hand):
-                one.wait_for("a plant is there already at hedgerow/paper7; waiting up to 30 s for its end")
+                one.wait_for("another plant already runs at hedgerow/paper7; waiting up to 30 s for its end")
             second.send(signal.SIGINT)
             by_hand.process.kill()
             assert second.wait() != 0
@@ -315,7 +315,7 @@ def test_a_plant_that_stays_has_its_place_to_itself(here: Path, endpoint: str, m
     with open_router(endpoint), open_client(endpoint, "here") as one, open_client(endpoint, "here") as other:
         token = one.liveliness().declare_token(keys.alive(keys.PLANT, 7))
         with (
-            pytest.raises(UserError, match="a plant is there already at here; end that run, or give another --name"),
+            pytest.raises(UserError, match="another plant already runs at here; end that run, or give another --name"),
             room(other, "here", list[str]().append),
         ):
             raise AssertionError("it went on")
@@ -327,7 +327,7 @@ def test_a_plant_that_stays_has_its_place_to_itself(here: Path, endpoint: str, m
             token.undeclare()  # type: ignore[no-untyped-call]
 
         with room(other, "here", say):
-            assert told == ["a plant is there already at here; waiting up to 60 s for its end"]
+            assert told == ["another plant already runs at here; waiting up to 60 s for its end"]
 
 
 def test_of_plants_that_begin_at_once_one_goes_on_and_the_next_when_it_is_over(
@@ -373,7 +373,7 @@ def test_of_two_networks_that_begin_at_once_in_one_place_the_second_waits(here: 
         done, _ = wait(goes_on, return_when=FIRST_COMPLETED)
         (first,) = (goes_on.pop(one) for one in done)
         ((in_the_end, other),) = goes_on.items()
-        other.wait_for("a plant is there already at hedgerow/paper7")
+        other.wait_for("another plant already runs at hedgerow/paper7")
         assert not in_the_end.done()
         first.send(signal.SIGINT)
         assert first.wait() == 3, first.output
@@ -396,7 +396,7 @@ def test_an_agent_that_waits_for_its_place_goes_on_when_the_plant_leaves(endpoin
                 left.append(asked.get(timeout=DEADLINE_S))
                 if number == 8:
                     left[-1].reply(keys.join(2), json.dumps({"life": 4, "plant": number}))
-                    left.pop()  # which says that it was the only answer
+                    left.pop()  # the log shows that it was the only answer
                     assert joined.result(DEADLINE_S) == Joined(4, number)
                 del declared, token
 
@@ -405,7 +405,7 @@ def test_an_agent_that_waits_for_its_place_goes_on_when_the_plant_leaves(endpoin
 def watched(
     endpoint: str, monkeypatch: pytest.MonkeyPatch
 ) -> Iterator[tuple[zenoh.Session, zenoh.Session, queue.Queue[HedgerowError]]]:
-    """Sessions of an agent of plant 7 and of somebody else, and why the first gives up."""
+    """Provide sessions of an agent of plant 7 and of another process, and the error of the first."""
     monkeypatch.setattr("hedgerow.agents.plant_watch.PLANT_GONE_S", 0.1)
     with open_router(endpoint), open_client(endpoint, "here") as session, open_client(endpoint, "here") as other:
         yield session, other, queue.Queue()
@@ -532,7 +532,7 @@ def test_who_does_not_come_is_named(here: Path, endpoint: str) -> None:
     ("arguments", "said"),
     [
         (("--external", "9"), "there is no 9; name nodes, `plant` or `all`; the processes are plant, agent-1"),
-        (("--external", "3"), "--external: how do they reach us? --listen tcp/0.0.0.0:7447"),
+        (("--external", "3"), "--external: the separate processes need an address. --listen tcp/0.0.0.0:7447"),
         (("--external", "plant"), "--external plant: say where it is with --router"),
         (("--listen", "tcp/0.0.0.0:7447"), "--external"),
     ],

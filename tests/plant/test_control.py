@@ -1,4 +1,4 @@
-"""What a stranger may ask a plant, and what it says to that: a refusal in words, and the run goes on untouched."""
+"""Requests of strangers to a plant: each is refused with a message, and the run continues undisturbed."""
 
 from __future__ import annotations
 

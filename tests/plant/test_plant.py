@@ -40,7 +40,7 @@ TRUTH = truth_of(PAPER7, layout(PAPER7, 2))
 
 
 class Scene:
-    """A plant that runs on a thread of its own, and whoever takes part."""
+    """A plant on a separate thread, and its participants."""
 
     def __init__(self, endpoint: str, stack: contextlib.ExitStack) -> None:
         self._endpoint, self._stack = endpoint, stack
@@ -49,12 +49,12 @@ class Scene:
         self._declared: list[object] = []
         self._inbox = Inbox()
         self.states: list[int] = []
-        """the steps whose state shard 0 was told"""
+        """the steps with a state for shard 0"""
         self.events: list[dict[str, Any]] = []
         self.failure: BaseException | None = None
 
     def start(self, rate: float, deadline_s: float) -> None:
-        """The plant, and an observer who says only at the end that it has seen anything."""
+        """Start the plant, and an observer that acknowledges only at the end."""
         session = open_router(self._endpoint, NAMESPACE)
         self.plant = Plant(TRUTH, session, rate, deadline_s)
         self._stack.callback(self.plant.close)
@@ -120,7 +120,7 @@ class Scene:
         self._declared.append(session.liveliness().declare_token(keys.alive(keys.shard_name(p), life)))
 
     def declare_token(self, key: str) -> zenoh.LivelinessToken:
-        """Of a process that is none of ours."""
+        """Declare the token of a process that is not ours."""
         return self._operator.liveliness().declare_token(key)
 
     def say(self, p: int, t: int) -> None:
@@ -128,12 +128,12 @@ class Scene:
         self._operator.put(keys.input_(p), _input(p, t))
 
     def die(self, p: int, life: int = 0) -> None:
-        """The process of an agent ends, and who started it says so."""
+        """End the process of an agent, and report it."""
         close(self._agents[p])
         assert self.ask("died", shard=p, life=life) == {}
 
     def ask(self, command: str, **request: Any) -> Any:
-        """What the plant answers."""
+        """Return the plant's answer."""
         (reply,) = self._operator.get(keys.control(command), payload=json.dumps(request), timeout=DEADLINE_S)
         assert reply.ok is not None
         return json.loads(reply.ok.payload.to_string())
@@ -144,7 +144,7 @@ class Scene:
             assert self._changed.wait_for(what, DEADLINE_S), (self.states[-3:], self.events, self.failure)
 
     def happened(self, event: str, times: int = 1) -> Callable[[], bool]:
-        """Whether the plant has told that so often."""
+        """Return True if the plant has reported the event so often."""
         return lambda: [one["event"] for one in self.events].count(event) >= times
 
 
@@ -160,7 +160,7 @@ def scene(tmp_path: Path) -> Iterator[Scene]:
 
 
 def test_a_step_is_paced_by_the_rate_and_by_nothing_else(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nobody wakes the plant but itself: no observer, no repetition."""
+    """Only the plant itself causes a step: there are no observer and no repetition."""
     monkeypatch.setattr("hedgerow.plant.process.RESEND_AFTER_S", NEVER_S)
     scene.start(20.0, NEVER_S)
     for p in (0, 1):
@@ -180,7 +180,7 @@ def test_a_network_that_all_had_left_goes_on_with_whoever_is_back(scene: Scene, 
     at = next(one["at"] for one in scene.events if one["event"] == "back")
     scene.wait_for(lambda: scene.states[-1] >= at + 10)
     assert at in scene.states
-    assert at - 1 not in scene.states  # nobody acts at the step at which it is taken back
+    assert at - 1 not in scene.states  # no node acts at the step of its return
 
 
 def test_nothing_is_said_while_an_agent_of_the_run_before_could_answer(scene: Scene) -> None:
@@ -198,7 +198,7 @@ def test_nothing_is_said_while_an_agent_of_the_run_before_could_answer(scene: Sc
 
 
 def test_a_network_that_nobody_comes_back_to_ends_by_name(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Even if an input of who has died is still on its way: that one is not back."""
+    """A late input of a dead agent may arrive: it does not count as its return."""
     monkeypatch.setattr("hedgerow.plant.process.START_DEADLINE_S", 2.0)
     scene.get_under_way()
     for p in (0, 1):
@@ -206,7 +206,7 @@ def test_a_network_that_nobody_comes_back_to_ends_by_name(scene: Scene, monkeypa
     scene.wait_for(scene.happened("lost", 2))
     scene.say(0, scene.states[-1])
     scene.wait_for(lambda: scene.failure)
-    assert "nobody is back after 2 s" in str(scene.failure)
+    assert "no agent is back after 2 s" in str(scene.failure)
 
 
 def test_one_that_dies_for_good_when_it_is_hardly_back_is_lost_again(scene: Scene) -> None:
@@ -226,7 +226,7 @@ def test_one_that_dies_for_good_when_it_is_hardly_back_is_lost_again(scene: Scen
 
 
 def test_a_run_that_is_over_has_no_place_for_anybody(scene: Scene) -> None:
-    """Who asks is to wait for the next run; it would hear nothing more of this one."""
+    """A process that asks must wait for the next run; it would receive nothing more of this one."""
     scene.start(0.0, NEVER_S)
     for p in (0, 1):
         scene.join(p)

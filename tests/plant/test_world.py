@@ -27,7 +27,7 @@ SEED = 2**63 - 1
 
 
 def disturbance(components: Sequence[Sequence[dict[str, Any]]], seed: int) -> Disturbance:
-    """That of these nodes, each with its list."""
+    """Return the disturbance of these nodes, each with its list."""
     return Disturbance(groups_of(components, 50), range(len(components)), seed)
 
 
@@ -168,7 +168,7 @@ def weights_of(topology: Topology) -> Array:
 
 
 def test_rho_is_attained() -> None:
-    """The bound is tight: states of one sign, whose estimates are right, shrink by exactly rho."""
+    """The bound is tight: states of one sign with right estimates shrink by exactly rho."""
     topology = read(
         "{name: n, b: 0.2, steps: 1, nodes: {1: {a: 0.6, candidates: [0.6]},"
         " 2: {a: 0.6, candidates: [0.6]}}, edges: [[1, 2]]}"

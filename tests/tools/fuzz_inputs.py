@@ -1,7 +1,7 @@
 """Inputs of the fuzzer: TOML, tables, sweeps, keys, the list of running networks, JSON from the network.
 
-Each case is allowed 5 s of processor time and 256 MB above what the process takes before it, under a cap of 200 MB
-(HEDGEROW_MEMORY_MB): an estimate that is too low is a finding.
+Each case may use 5 s of processor time and 256 MB above the process before it, under a cap of 200 MB
+(HEDGEROW_MEMORY_MB). An estimate that is too low is a finding.
 """
 
 from __future__ import annotations
@@ -153,7 +153,7 @@ class Inputs:
 
 
 class Toml(Inputs):
-    """What processes elsewhere are told."""
+    """The configs of separate processes."""
 
     def prepare(self) -> None:
         file = self._scratch / "pair.yaml"

@@ -74,7 +74,7 @@ class Machines:
                 command("ip", "-n", space, "route", "change", *route)
 
     def on(self, name: str) -> tuple[str, ...]:
-        """What runs a command on that machine."""
+        """Return the prefix of a command on that machine."""
         return ("ip", "netns", "exec", self._spaces[name])
 
     def cable(self, name: str, state: str) -> None:

@@ -65,7 +65,7 @@ def listed(topology: Topology) -> list[list[float]]:
 
 @dataclass(frozen=True)
 class Trajectory:
-    """What a run left: its telemetry, and the same as arrays."""
+    """The results of a run: its telemetry, and the same as arrays."""
 
     rows: list[Telemetry]
     end: End
@@ -105,7 +105,7 @@ def simulate(topology: Topology, shards: Layout | None = None) -> Trajectory:
 
 
 def gathered(telemetry: Iterable[Telemetry | End]) -> Trajectory:
-    """All that a run tells, to its end."""
+    """Return all messages of a run, to its end."""
     *rows, end = telemetry
     assert isinstance(end, End)
     return Trajectory([row for row in rows if isinstance(row, Telemetry)], end)

@@ -42,7 +42,7 @@ def parquet_bytes(folder: Path) -> tuple[bytes, ...]:
 
 
 def gone(processes: Mapping[str, int], within_s: float = 20.0) -> bool:
-    """Whether all these processes end within the time; a zombie has ended."""
+    """Return True if all these processes end within the time; a zombie has ended."""
     deadline = time.monotonic() + within_s
     pause = threading.Event()
     while left := [pid for pid in processes.values() if _runs(pid)]:
@@ -89,11 +89,11 @@ class Orchestrator:
 
     @property
     def output(self) -> str:
-        """All that was said so far, on both streams."""
+        """Return the output so far, of both streams."""
         return self._said
 
     def wait_for(self, text: str) -> None:
-        """Wait until `text` was said."""
+        """Wait until `text` appears."""
         with self._changed:
             assert self._changed.wait_for(lambda: text in self._said or self._ended, DEADLINE_S), self._said
             assert text in self._said, self._said
@@ -106,7 +106,7 @@ class Orchestrator:
             pause.wait(0.005)
 
     def wait_for_event(self, kind: str, times: int = 1) -> dict[str, Any]:
-        """Wait until the latest run's events.jsonl has so many events of a kind; the last of them."""
+        """Wait until the latest run's events.jsonl has `times` events of a kind; return the last of them."""
         deadline = time.monotonic() + DEADLINE_S
         pause = threading.Event()
         while len(found := [event for event in _events() if event["event"] == kind]) < times:
@@ -141,7 +141,7 @@ class Orchestrator:
 
     @property
     def pid(self) -> int:
-        """Of the command itself."""
+        """Return the process id of the command itself."""
         return self._process.pid
 
     def send(self, number: int) -> None:
@@ -185,7 +185,7 @@ class Orchestrator:
             self._process.kill()
         self._process.wait()
         self._listener.join(DEADLINE_S)
-        assert not self._listener.is_alive(), "somebody still holds the output of a command that has ended"
+        assert not self._listener.is_alive(), "another process still holds the output of an ended command"
         assert self._process.stdout is not None
         self._process.stdout.close()
 

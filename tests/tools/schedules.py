@@ -1,4 +1,4 @@
-"""Faults that the tests draw, and what they should do to what a node knows, told in the plainest way."""
+"""Random faults of the tests, and their effects on the knowledge of a node, computed in the simplest way."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def with_faults(topology: Topology, faults: list[dict[str, Any]], **more: Any) -
 
 
 class Plain:
-    """What every node knows at every step, by sets of rows and the rules of docs/faults.md; slow and obvious."""
+    """The knowledge of every node at every step, by sets of rows and the rules of docs/faults.md; slow and obvious."""
 
     def __init__(self, topology: Topology, ran: Trajectory) -> None:
         self.topology, self.ran, self.graph = topology, ran, topology.graph
@@ -87,7 +87,7 @@ class Plain:
         return [effect for effect in self.effects if effect.kind == kind]
 
     def struck(self, kind: str, t: int) -> set[int]:
-        """What effects of a kind strike at t."""
+        """Return the targets that effects of a kind strike at t."""
         found: set[int] = set()
         for effect in self._of(kind):
             if effect.table is not None:
@@ -108,7 +108,7 @@ class Plain:
         return late
 
     def ahat(self) -> Any:
-        """The estimates that the law should act on, (T, n); NaN where nobody is there."""
+        """Return the estimates that the law should act on, (T, n); NaN for absent nodes."""
         graph, T = self.graph, self.topology.steps
         x = self.ran.x
         known: list[set[int]] = [set() for _ in graph.node]
@@ -133,7 +133,7 @@ class Plain:
                     known[c] |= set(range(t - late.get(c, 0) + 1))
                 elif c not in late:
                     known[c].add(t)
-            # A row that came to one who is not back yet is lost with all else.
+            # A row that arrives at a node before its return is lost with all else.
             for c, i in enumerate(graph.node.tolist()):
                 if self.absent[t, i] and self.absent[t + 1, i]:
                     known[c].clear()

@@ -1,4 +1,4 @@
-"""Changes to agents, plant and wire that a verdict must find, and the table of what it says of each.
+"""Changes to agents, plant and network that a verdict must find, and the table of its results.
 
 python -m tests.tools.tampering --write     # the table of docs/reliability.md
 """
@@ -64,7 +64,7 @@ FAULTS: list[dict[str, Any]] = [
 ]
 WATCHED = with_faults(read(TEXT), FAULTS)
 FORGETFUL = with_faults(WATCHED, FAULTS, backfill=False)
-"""The same network without back-filling: who crashes begins with no memory."""
+"""The same network without back-filling: a crashed agent begins with no memory."""
 SILENT = with_faults(WATCHED, [{"kind": "drop", "from": 1, "to": 2, "steps": [1, 15]}])
 """The same network with one long gap: many samples are learned late."""
 UNLEARNING = [WATCHED.model_copy(update={"law": law}) for law in ("nominal", "hinf")]
@@ -105,7 +105,7 @@ class Tampering:
             return gathered(reference.run(truth_of(topology, shards), views))
 
     def verdict(self) -> Verdict:
-        """What is said of such a run."""
+        """Return the verdict of such a run."""
         ran = self.run()
         rows, end = (ran.rows, ran.end) if self.rows is None else self.rows(list(ran.rows), ran.end)
         return verdict(self.topology, rows, end)
@@ -274,7 +274,7 @@ class ActsBlind(Shard):
 
 
 class ForgedReceipt(Shard):
-    """Says that every row came in time."""
+    """Reports every row as received in time."""
 
     def answer(self, state: State) -> Array:
         u = super().answer(state)
@@ -283,7 +283,7 @@ class ForgedReceipt(Shard):
 
 
 class DeniedReceipt(Shard):
-    """Says at step 3 that one row did not come."""
+    """Reports at step 3 that one row is missing."""
 
     def answer(self, state: State) -> Array:
         u = super().answer(state)
@@ -293,7 +293,7 @@ class DeniedReceipt(Shard):
 
 
 class MessageLost(Shard):
-    """Goes on without a neighbour's message of step 2."""
+    """Continues without a neighbour's message of step 2."""
 
     def hear(self, peer: int, link: Link) -> None:
         if link.t == 2 and not peer:
@@ -339,7 +339,7 @@ class MessagesLate(Shard):
 
 
 class _Changed(World):
-    """A plant whose truth, faults or disturbances are changed."""
+    """A plant with a changed truth, changed faults or changed disturbances."""
 
     def __init__(self, truth: Truth) -> None:
         super().__init__(self.told(truth))
@@ -482,7 +482,7 @@ class LongerCrash(_Changed):
 
 
 class OtherLots(_Changed):
-    """Drops a message that nobody asked for."""
+    """Drops a message without a fault in the file."""
 
     def begin(self) -> None:
         at = self.faults.at
@@ -522,7 +522,7 @@ class HeldInput(_Changed):
 
 
 class EdgeToldOpen(_Changed):
-    """Tells that a closed edge was open."""
+    """Reports a closed edge as open."""
 
     def account(self, report: Array, took: Sequence[Any]) -> Telemetry:
         row = super().account(report, took)

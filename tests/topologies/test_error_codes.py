@@ -8,7 +8,7 @@ from tests.tools.fuzz import ROOT
 
 
 def begins(message: ast.expr) -> str:
-    """Return how a message begins, as far as the source tells."""
+    """Return the beginning of a message, as far as the source has it."""
     match message:
         case ast.Constant(value=str(text)):
             return text

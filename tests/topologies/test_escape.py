@@ -134,7 +134,7 @@ def test_every_mark_of_markdown_is_escaped(text: str) -> None:
 
 
 def test_only_echo_prints() -> None:
-    """A `print` of its own is a way to the screen that no text is escaped on."""
+    """A separate `print` would be a way to the screen without escapes."""
     root = Path(hedgerow.wire.child.__file__).resolve().parents[1]
     assert (root / "topologies" / "escape.py").is_file()
     found = []

@@ -1,4 +1,4 @@
-"""Faults as data: what may stand under `faults:`, what is refused and how, and what each does in plain numbers."""
+"""Faults as data: the valid entries of `faults:`, the refusals, and the effects as plain numbers."""
 
 from __future__ import annotations
 
@@ -56,13 +56,13 @@ def star(faults: str, *more: str) -> Topology:
 
 
 def effects_of(faults: str, *more: str) -> list[Effect]:
-    """What the listed faults do to the star."""
+    """Return the effects of the listed faults on the star."""
     network = star(faults, *more)
     return effects(network.faults, network)
 
 
 def again(topology: Topology) -> Topology:
-    """What is read back from the file in the folder of a run."""
+    """Return the topology read back from the file of a run."""
     return parse(to_yaml(topology).encode(), "topology.yaml", Path())
 
 
@@ -101,7 +101,7 @@ def again(topology: Topology) -> Topology:
     ],
 )
 def test_a_fault_becomes_numbers(fault: str, effect: Effect) -> None:
-    """On the star, whose incidences and edges are counted above."""
+    """The star has the incidences and edges that are counted above."""
     assert effects_of(f"[{fault}]") == [effect]
 
 
@@ -145,7 +145,7 @@ def test_the_plant_needs_no_pydantic_to_read_effects() -> None:
 
 
 def test_python_says_it_as_a_file_does() -> None:
-    """One fault of each form; ranges stand for windows, `from_` for `from`."""
+    """There is one fault of each form; ranges are windows, and `from_` is `from`."""
     from_python: tuple[Fault, ...] = (
         Drop(link=(2, 4), steps=range(10, 20)),
         Drop(link=(2, 4), steps=(10, 20)),
@@ -193,7 +193,7 @@ def test_a_range_that_is_no_window(steps: range) -> None:
 
 
 def test_what_python_builds_is_checked_on_resolving() -> None:
-    """No file, no line; the network's name stands in its place."""
+    """There is no file and no line; the network's name is in their place."""
     network = parse(HEAD.encode(), "star.yaml", Path())
     wrong = network.model_copy(update={"faults": (Drop(link=(1, 4)), Sensor(node=9))})
     assert [str(problem) for problem in broken_faults(wrong)] == [
@@ -264,7 +264,7 @@ def test_what_python_builds_is_checked_on_resolving() -> None:
         ("{kind: partition}", "fault 2: `groups:` is missing"),
         ("{kind: partition, groups: [[1, 2]]}", "fault 2: groups: [[1, 2]] has too few members; at least 2"),
         ("{kind: partition, groups: [[1, 2], []]}", "fault 2: groups: 1: [] has too few members"),
-        ("{kind: partition, groups: [[1, 2], [3, 2]]}", "fault 2: groups: node 2 stands in the groups twice"),
+        ("{kind: partition, groups: [[1, 2], [3, 2]]}", "fault 2: groups: node 2 is in the groups twice"),
         ("{kind: partition, groups: [[1], [2, 9]]}", "fault 2: groups: 1: 1: 9 is no node"),
         ("{kind: partition, groups: [[1], [2]], cut: yes}", 'fault 2: cut: "yes" is neither true nor false'),
         ("{kind: partition, groups: [[1], [2]], probability: 0.5}", "fault 2: unknown key `probability`"),
@@ -296,7 +296,7 @@ def test_a_mistake_is_told_with_its_line_and_its_cure(fault: str, said: str) -> 
 
 
 def test_all_mistakes_are_told_at_once() -> None:
-    """What the schema refuses hides nothing that the rules refuse, and a line within a fault is named."""
+    """Mistakes of the schema hide no mistakes of the rules, and a line within a fault is named."""
     text = """\
 name: star
 b: 0.1
@@ -376,7 +376,7 @@ def jumps(text: str) -> list[float]:
 
 @given(st.integers(0, 2**63 - 1))
 def test_a_random_jump_leads_to_another_candidate(seed: int) -> None:
-    """Than the truth until then, which an earlier jump may have changed, wherever that one stands in the list."""
+    """The jump leads to another candidate than the truth before it, which an earlier jump may have changed."""
     listed = "[{kind: jump, node: 2, at: 9, a: random}, {kind: jump, node: 2, at: 5, a: random}]"
     network = resolve(parse(f"{CHANCE}seed: {seed}\nfaults: {listed}".encode(), "n.yaml", Path()))
     later, earlier = (fault.a for fault in network.faults if isinstance(fault, Jump))
@@ -465,7 +465,7 @@ WRITTEN = st.one_of(
 @given(st.lists(WRITTEN, max_size=6), st.booleans(), st.booleans())
 @example([{"kind": "drop", "at": {10**18: [], FOREVER: [[2, 4]]}}], True, False)
 def test_faults_survive_the_file_of_a_run(written: list[dict[str, Any]], as_json: bool, backfill: bool) -> None:
-    """YAML or JSON, read, drawn, written and read back: the same faults, each on a line or a line a step."""
+    """YAML or JSON, read, drawn, written and read back: the same faults, each on one line or one line per step."""
     network = yaml.safe_load(HEAD) | {"faults": written, "processes": 3, "backfill": backfill, "history": 7}
     text = json.dumps(network) if as_json else yaml.safe_dump(network)
     read = parse(text.encode(), "any.yaml", Path())

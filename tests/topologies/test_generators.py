@@ -1,4 +1,4 @@
-"""Networks by a rule, and in a table: what a file of a few lines stands for."""
+"""Networks by a rule, and in a table: the meaning of a short file."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def test_every_rule_makes_a_graph_within_its_bounds(kind: str, nodes: int, seed:
 
 
 def test_chance_has_the_shape_that_its_name_promises() -> None:
-    """Of 20,000 nodes: hubs in a scale-free graph, few neighbours in a geometric one, a seed for every draw."""
+    """With 20,000 nodes: hubs in a scale-free graph, few neighbours in a geometric one, a seed for every draw."""
     n = 20_000
     hubs = degrees(rule("scale_free", n).edges(1), n)
     assert 3.9 < hubs.mean() <= 4
@@ -133,7 +133,7 @@ def test_chance_has_the_shape_that_its_name_promises() -> None:
         ("{kind: small_world, nodes: 9, degree: 3}", "3"),
         ("{kind: random_tree, nodes: 9, max_degree: 1}", "is no tree"),
         ("{kind: grid, nodes: 9, colums: 3}", "did you mean `columns`?"),
-        ("{kind: line, nodes: 9}\nedges: [[0, 1]]", "edges: stands beside `graph:`"),
+        ("{kind: line, nodes: 9}\nedges: [[0, 1]]", "edges: conflicts with `graph:`"),
         ("{kind: line, nodes: 9}\nnodes: {9: {x0: 1}}", "9 is none of its nodes; they are 0 to 8"),
         ("{kind: line, nodes: 9}\nnodes: {a: {x0: 1}}", "'a' is none of its nodes"),
         ("{kind: line, nodes: 9}\nfaults: [{kind: cut, edge: [2, 4]}]", "the neighbours of 2 are 1, 3"),
@@ -221,7 +221,7 @@ def test_the_worst_case_of_a_rule() -> None:
 
 
 def table(folder: Path, more: str = "", **columns: Any) -> Topology:
-    """What a file with this table in it says."""
+    """Return the topology of a file with this table."""
     np.savez(folder / "t.npz", **columns)
     return read(f"{HEAD}table: t.npz\n{more}", folder=folder)
 
@@ -351,7 +351,7 @@ def test_how_many_processes_there_are(monkeypatch: pytest.MonkeyPatch) -> None:
     assert list(counts.values()) == [2, 2, 2, 2, 64, 3, 64, 2, 3, 3, 65, 2]
     resolved = read(f"{HEAD}graph: {{kind: line, nodes: 65}}")
     monkeypatch.setattr("os.cpu_count", lambda: 8)
-    assert resolved.process_count == 3, "a resolved file says it for every machine"
+    assert resolved.process_count == 3, "a resolved file fixes it for every machine"
 
 
 @pytest.mark.parametrize("kind", ["ring", "random_regular", "scale_free"])

@@ -108,7 +108,7 @@ def test_the_order_of_nodes_changes_no_lot(ids: list[int | str], seed: int, orde
 @given(st.lists(IDS, min_size=3, max_size=8, unique_by=str), SEEDS, st.data())
 @settings(max_examples=40, deadline=None)
 def test_an_added_node_changes_no_other_lot(ids: list[int | str], seed: int, data: st.DataObject) -> None:
-    """It hangs on one node, whose interval of condition (3) changes; all others keep everything."""
+    """The new node changes the interval of condition (3) of its one neighbour; all other nodes keep everything."""
     *old, new = ids
     at, host = data.draw(st.integers(0, len(old))), data.draw(st.sampled_from(old))
     faults = by_chance(ids)[:-1]
@@ -255,7 +255,7 @@ def test_normals_are_normal() -> None:
 @pytest.mark.parametrize("axis", range(3), ids=["seeds", "nodes", "steps"])
 @pytest.mark.parametrize("apart", [1, 2, 8])
 def test_neighbours_are_not_correlated(cube: Array, axis: int, apart: int) -> None:
-    """Of numbers, of their squares, and of low bits, for seeds, nodes and steps that lie near each other."""
+    """This covers numbers, their squares, and low bits, for neighbouring seeds, nodes and steps."""
     centred = (cube - 0.5) * np.sqrt(12)
     low = (cube * 2.0**20) % 1 - 0.5
     for values in (centred, centred**2 - 1, low):

@@ -49,7 +49,7 @@ ODD: Any = st.sampled_from(
 
 
 def key(value: Any, found: ErrorDetails) -> tuple[Any, ...]:
-    # The message of a length tells how many members are right, which one piece does not know.
+    # The message about a length has the number of valid members, which one piece does not know.
     return trace(value, found["loc"])[0], found["type"], "" if found["type"] in LENGTHS else found["msg"]
 
 
@@ -118,7 +118,7 @@ def test_equal_mistakes_of_a_large_file_are_counted_and_said_once(kind: str) -> 
 
 
 def test_mistakes_in_a_list_are_not_missing_members() -> None:
-    """A list whose members are all wrong still has them: nothing says that it has too few."""
+    """A list with only wrong members still has them: no message claims that it has too few."""
     with pytest.raises(TopologyError) as error:
         parse((HEAD + "nodes: {1: {candidates: [x, y]}}").encode(), "t.yaml", Path())
     assert error.value.count == 2

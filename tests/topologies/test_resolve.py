@@ -36,7 +36,7 @@ edges: [[a, b], [b, c], [b, d]]
 
 
 def again(topology: Topology) -> Topology:
-    """What is read back from the file in the folder of a run."""
+    """Return the topology read back from the file of a run."""
     return parse(to_yaml(topology).encode(), "topology.yaml", Path())
 
 
@@ -74,7 +74,7 @@ def test_every_number_survives_the_file(x0: float, std: float) -> None:
 def test_what_is_drawn_satisfies_condition_3_and_contains_the_truth(
     b: float, m: int, seed: int, given_truth: bool
 ) -> None:
-    """At a hub and at its leaves, whose intervals differ; a given truth takes one's place."""
+    """A hub and its leaves have different intervals; a given truth replaces one candidate."""
     a = 0.5 if given_truth else "random"
     text = CHANCE.replace("0.15", repr(b)).replace("random: 4", f"random: {m}")
     topology = read(text, f"seed={seed}", f"defaults.a={a}")

@@ -1,4 +1,4 @@
-"""Everything that a topology file can have wrong, and what the user is told about it."""
+"""Every possible mistake in a topology file, and the message about it."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ HEAD = "name: n\nb: 0.1\nsteps: 3\n"
 
 
 def problems(text: str | bytes, *overrides: str, folder: Path = Path()) -> list[Problem]:
-    """What is wrong with a file of this text."""
+    """Return the mistakes of a file with this text."""
     text = text.encode() if isinstance(text, str) else text
     with pytest.raises(TopologyError) as caught:
         parse(text, "bad.yaml", folder, overrides)
@@ -148,15 +148,15 @@ edges:
             'nodes: {"id": 1} is no node id; write `ID: {…}`',
         ),
         ("1: {}", '"a b": {}', 7, "a name has 1 to 64 letters"),
-        ("2: {a: 0.6}", "2: {}\n  2: {}", 9, "nodes: 2 stands here twice (first on line 8)"),
-        ("2: {a: 0.6}", '2: {}\n  "2": {}', 9, "nodes: 2 stands here twice (first on line 8)"),
-        ("seed: 4", "b: 0.2", 4, "'b' stands here twice (first on line 2); keep one of the two"),
+        ("2: {a: 0.6}", "2: {}\n  2: {}", 9, "nodes: 2 occurs twice (first on line 8)"),
+        ("2: {a: 0.6}", '2: {}\n  "2": {}', 9, "nodes: 2 occurs twice (first on line 8)"),
+        ("seed: 4", "b: 0.2", 4, "'b' occurs twice (first on line 2); keep one of the two"),
         ("- [1, 2]", "- [1, 2, 1]", 10, "edge 1: [1, 2, 1] has too many members"),
         ("- [1, 2]", "- 5", 10, "edge 1: 5 is not a list"),
         ("- [1, 2]", "- '12'\n  - [1, 2]", 10, 'edge 1: "12" is not a list'),
         ("- [1, 2]", "- [1, two]", 10, "leads to 'two', which is no node"),
         ("edges:\n  - [1, 2]", "edges: 5", 9, "edges: 5 is not a list"),
-        ("edges:\n  - [1, 2]", "edges: {x: {y: 1, y: 2}}", 9, "edges: x: 'y' stands here twice"),
+        ("edges:\n  - [1, 2]", "edges: {x: {y: 1, y: 2}}", 9, "edges: x: 'y' occurs twice"),
         ("b: 0.1", "b: 0.5", 2, "8 b² d = 2 is not below 1 (b = 0.5, degree 1)"),
     ],
 )
@@ -168,7 +168,7 @@ def test_a_mistake_is_told_where_it_stands(old: str, new: str, line: int, said: 
 
 
 def test_no_interval_is_left_when_a_node_has_too_many_neighbours() -> None:
-    """8 b² d >= 1 at the hub: the cure says which degree, and which b, would do."""
+    """8 b² d >= 1 at the hub: the fix gives a suitable degree, and a suitable b."""
     problem = only(HEAD.replace("0.1", "0.25") + "nodes: [h, 1, 2]\nedges: [[h, 1], [h, 2]]\n")
     assert (problem.line, problem.place) == (4, "node h")
     assert "0.2499" in problem.cure

@@ -1,4 +1,4 @@
-"""A file that can be read in two ways is refused with both readings, and an option says which one is meant."""
+"""A file with two readings is refused with both readings, and an option selects one."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ DATA = "0.5,0.25,0.125\n" * 3
 
 
 def sampled(folder: Path, nodes: str, table: str, header: str | None = None) -> Topology:
-    """A network whose disturbance is a CSV file, resolved."""
+    """Return a resolved network with a CSV file as its disturbance."""
     (folder / "w.csv").write_text(table)
     more = f", header: {header}" if header else ""
     text = f"{HEAD}nodes: {nodes}\ndefaults: {{disturbance: {{kind: samples, file: w.csv{more}}}}}\n"
@@ -146,7 +146,7 @@ CELLS = st.one_of(st.integers(-2, 6).map(str), st.sampled_from(["a", "b", "", "t
 )
 @settings(max_examples=300)
 def test_a_file_is_read_in_one_way_or_refused(names: list[str], rows: list[list[str]]) -> None:
-    """Whatever reading is taken, the other option says something else or is impossible, never the same silently."""
+    """For any reading, the other option gives another result or is impossible, never the same silently."""
     ids, table = [node_id(name) for name in names], list(enumerate(rows, 1))
     try:
         named, above = split("w.csv", table, ids, None)
@@ -287,7 +287,7 @@ def test_an_external_word_that_is_a_node_and_something_else_is_refused(word: str
 
 @pytest.mark.parametrize("place", ["paper7", "paper7/topology.yaml"])
 def test_a_file_or_run_named_like_a_bundled_network_is_asked_about(place: str, here: Path) -> None:
-    """Both readings are told, and each has a name of its own."""
+    """The message names both readings, each with a distinct name."""
     file = here / place
     file.parent.mkdir(exist_ok=True)
     file.write_text("{name: mine, b: 0.1, steps: 3, nodes: [1, 2], edges: [[1, 2]]}")

@@ -27,16 +27,16 @@ class Message(NamedTuple):
     sent: tuple[Any, ...]
     read: Callable[[bytes], tuple[Any, ...]]
     fits: Callable[[int], bool] | None = None
-    """whether so many bytes may be such a message; None where its length is fixed"""
+    """returns True if this length is possible; None for a fixed length"""
 
 
 def either(size: int, more: int) -> Callable[[int], bool]:
-    """A message of so many bytes, or of some more."""
+    """Accept a message of this length, or with `more` bytes."""
     return lambda found: found in (size, size + more)
 
 
 def rows(size: int, row: int, least: int = 0) -> Callable[[int], bool]:
-    """A message of so many bytes, and any number of rows behind them, at least some."""
+    """Accept a message of this length, with any number of rows after it, at least `least`."""
     return lambda found: found == size or (row > 0 and (found - size) % row == 0 and found >= size + least * row)
 
 
@@ -133,7 +133,7 @@ def test_what_is_sent_is_what_arrives(message: Message) -> None:
 
 @given(messages(), st.data())
 def test_a_message_of_another_length_is_refused(message: Message, data: st.DataObject) -> None:
-    """Cut short anywhere, or with bytes behind it; but for what may be left out, and any number of whole rows."""
+    """The message is cut or extended anywhere, except for optional parts and complete rows."""
     size = data.draw(st.integers(0, len(message.raw) + 50))
     change = size - len(message.raw)
     assume(change and not (message.fits and message.fits(size)))
@@ -189,7 +189,7 @@ def test_the_messages_of_a_batch_are_as_they_were(sent: list[Message], number: i
 
 @given(st.lists(messages(), min_size=1, max_size=3), st.data())
 def test_a_batch_of_another_length_is_refused(sent: list[Message], data: st.DataObject) -> None:
-    """But for one that ends with one of its messages: it is a batch too."""
+    """A batch that ends with one of its messages is the exception: it is a batch too."""
     whole = codec.encode_batch(7, [(message.raw,) for message in sent])
     size = data.draw(st.integers(0, len(whole) + 20).filter(lambda size: size != len(whole)))
     raw = whole[:size] + b"?" * (size - len(whole))

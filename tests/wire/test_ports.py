@@ -1,4 +1,4 @@
-"""A port that was chosen for somebody is still free when that one comes."""
+"""A chosen port stays free for its user."""
 
 from __future__ import annotations
 

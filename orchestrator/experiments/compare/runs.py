@@ -1,4 +1,4 @@
-"""The runs of a comparison, and the numbers that each leaves."""
+"""The runs of a comparison, and their results."""
 
 from __future__ import annotations
 
@@ -52,8 +52,8 @@ def answer(plan: Plan, chunk: Chunk) -> Answer:
 def simulate_many(topologies: Sequence[Topology]) -> list[Row]:
     """Return the row of each resolved topology; all have the same law.
 
-    They are made at once where they can be. A run in which a number grows beyond all bounds is made again by itself,
-    with every check, so that its row says what is wrong.
+    They are made in one batch if possible. If a number grows beyond all bounds, the run is made again alone, with every
+    check, so its row gives the reason.
     """
     if len(topologies) == 1 or batch.why_not(topologies):
         return [_row(topology) for topology in topologies]

@@ -1,4 +1,4 @@
-"""One run of a sweep, and the row that it leaves; the same numbers as its verdict.json holds."""
+"""One run of a sweep, and its row: the same numbers as in its verdict.json."""
 
 from __future__ import annotations
 
@@ -30,20 +30,20 @@ METRICS = (
     *("regret", "regret_nominal", "cost", "cost_oracle", "cost_regret", "cost_ratio", "disturbance_energy"),
     *("gain", "gain_less_x0", "gamma_star", "rho", "nodes_right", "estimate_error"),
 )
-"""Of verdict.json."""
+"""The metrics from verdict.json."""
 
 
 @dataclass(frozen=True)
 class Failure:
-    """Why a chunk has no rows: the sweep cannot go on."""
+    """The reason why a chunk has no rows: the sweep cannot continue."""
 
     text: str
     users: bool
-    """whether it is a mistake of the user's"""
+    """True for a mistake of the user"""
     code: Code = Code.UNKNOWN
 
     def error(self) -> HedgerowError:
-        """The same, to be raised."""
+        """Return the same as an error to raise."""
         return UserError(self.text, code=self.code) if self.users else HedgerowError(self.text, code=self.code)
 
 
@@ -72,14 +72,14 @@ def answer(plan: Plan, chunk: Chunk) -> Answer:
 
 
 def _batch(plan: Plan, chunk: Chunk) -> dict[int, Row]:
-    """Return the rows of the runs of a chunk that pass every check; the others are made by themselves, with reasons."""
+    """Return the rows of the runs of a chunk that pass every check; the others run alone, which gives their reasons."""
     topology = plan.settings[chunk.setting].topology
     try:
         found, n = batch.run(topology, chunk.seeds, plan.folder), len(topology.ids)
     except Exception:
         if ":" not in topology.law:
             raise
-        return {}  # a law of the user's failed; run by itself, each run says where
+        return {}  # a law of the user failed; alone, each run reports its place
     columns = [found.metrics[name].tolist() for name in METRICS]
     rows: dict[int, Row] = {}
     for seed, good, *values in zip(chunk.seeds, found.good.tolist(), *columns, strict=True):
@@ -93,13 +93,13 @@ def _batch(plan: Plan, chunk: Chunk) -> dict[int, Row]:
 
 
 def _content(plan: Plan, setting: int, seed: int) -> dict[str, Any]:
-    """What verdict.json holds, or would hold."""
+    """Return the content of verdict.json, with or without a file."""
     topology = completed(resolve(plan.settings[setting].topology.model_copy(update={"seed": seed}), plan.folder))
     return _over_zenoh(topology) if plan.engine == "zenoh" else run_here(topology)
 
 
 def run_here(topology: Topology) -> dict[str, Any]:
-    """A run in this process that leaves nothing on disk."""
+    """Run a network in this process, without files on disk."""
     shards, observer = layout(topology, 1), Observer(topology)
     ending = Ending(run=topology.name, engine="in-process", processes=0)
     telemetry = reference.run(truth_of(topology, shards), views_of(topology, shards))
@@ -115,7 +115,7 @@ def run_here(topology: Topology) -> dict[str, Any]:
 
 
 def _over_zenoh(topology: Topology) -> dict[str, Any]:
-    """The same by `orchestrator up`: a process an agent."""
+    """Run a network by `orchestrator up`, with one process per agent."""
     from hedgerow.orchestrator.launch.running import run_to_the_end  # noqa: PLC0415
 
     with tempfile.TemporaryDirectory(prefix="hedgerow-") as scratch:

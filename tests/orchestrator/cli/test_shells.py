@@ -54,7 +54,7 @@ def _own_temporary_folder(tmp_path_factory: pytest.TempPathFactory, monkeypatch:
 
 
 def code(text: str) -> tuple[str, ...]:
-    """A command whose interpreter runs `text` before the command line."""
+    """Return a command with an interpreter that runs `text` before the command line."""
     return (sys.executable, "-P", "-c", f"{text}\nimport sys\nfrom hedgerow.orchestrator.__main__ import main\nmain()")
 
 

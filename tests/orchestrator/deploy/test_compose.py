@@ -1,6 +1,6 @@
 """docker-compose.yml and the Kubernetes manifests: valid by their published schemas, and, the former, executed.
 
-There need be no container engine: each service runs its command, with its environment, on a machine of its own.
+No container engine is needed: each service runs its command, with its environment, on a separate machine.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def services() -> dict[str, Any]:
 
 @pytest.fixture
 def secure(here: Path) -> dict[str, Any]:
-    """What `compose --secure` prints, in the folder where its keys are."""
+    """Return the output of `compose --secure`, in the folder of its keys."""
     done = orchestrator("compose", "paper7", "--secure", "--out", "secure.yml")
     assert done.returncode == 0, done.stderr
     assert (here / "secure.yml").stat().st_mode & 0o777 == 0o600
@@ -55,7 +55,7 @@ def secure(here: Path) -> dict[str, Any]:
 
 
 def unescaped(value: Any) -> Any:
-    """What an engine makes of a value: $$ is $, and a single $ would be a variable."""
+    """Return a value as an engine reads it: $$ is $, and a single $ would be a variable."""
     if isinstance(value, dict):
         return {key: unescaped(one) for key, one in value.items()}
     if isinstance(value, list):
@@ -135,7 +135,7 @@ def test_a_secure_file_is_valid_and_its_services_have_their_own_keys(here: Path,
         for one, target in zip(service["secrets"], targets, strict=True):
             file = here / secure["secrets"][one["source"]]["file"]
             assert file == here / target.relative_to("/"), "what is mounted is what its own folder has"
-        assert service["user"] == f"{os.getuid()}:{os.getgid()}", "who may read them"
+        assert service["user"] == f"{os.getuid()}:{os.getgid()}", "the readers of the secrets"
         seen |= {one["source"] for one in service["secrets"]}
     assert seen == secure["secrets"].keys()
     assert "PRIVATE KEY" not in Path("secure.yml").read_text()
@@ -160,7 +160,7 @@ def test_keys_that_are_there_do_not_change_how_long_they_hold(here: Path) -> Non
     assert orchestrator(*words).returncode == 0
     again = orchestrator(*words)
     assert again.returncode == 2
-    assert again.stderr == "error: --days 2: the keys in keys are there already; name a new folder, --keys DIR\n"
+    assert again.stderr == "error: --days 2: the keys in keys already exist; name a new folder, --keys DIR\n"
 
 
 @pytest.mark.parametrize("words", ["keys {} --out", "bundle {} --secure --out", "compose {} --secure --keys"])
@@ -226,7 +226,7 @@ def until(ready: Callable[[], bool], what: str) -> None:
 
 
 class Engine:
-    """Runs the services of a Compose file, each on a machine of its own."""
+    """The runner of the services of a Compose file, each on a separate machine."""
 
     def __init__(self, file: dict[str, Any], lab: Machines, folder: Path) -> None:
         self.services: dict[str, Any] = {
@@ -239,7 +239,7 @@ class Engine:
 
     @staticmethod
     def _mounted(file: dict[str, Any], service: dict[str, Any], folder: Path) -> dict[str, Any]:
-        """The service with all that is mounted in a container under a folder of its own, which it finds there."""
+        """Return the service with all of its mounts in a separate folder, where it finds them."""
         for volume in service.get("volumes", []):
             (folder / Path(volume.partition(":")[2]).name).mkdir(parents=True)
         for one in service.get("secrets", []):
@@ -341,7 +341,7 @@ def test_the_manifests_are_valid_by_the_schemas_of_kubernetes(here: Path, words:
     assert kinds.count("Deployment") == 1
     for job in (document for document in documents if document["kind"] == "Job"):
         mounted = [one["configMap"]["name"] for one in job["spec"]["template"]["spec"]["volumes"] if "configMap" in one]
-        assert mounted == [job["metadata"]["name"]], "a process is told its own and no more"
+        assert mounted == [job["metadata"]["name"]], "a process receives only its own data"
 
 
 def test_secure_manifests_are_valid_and_give_everybody_its_own_secret(here: Path) -> None:

@@ -36,7 +36,7 @@ def has_crash_and_drop(raw: Raw) -> str:
 
 
 def test_what_is_found_becomes_as_small_as_it_can_be(tmp_path: Path) -> None:
-    """Of a network in which any crash with any drop is a mistake, one of each is left, on two nodes."""
+    """If any crash with any drop is a mistake, the reduced network has one of each, on two nodes."""
     seed = next(seed for seed in range(200) if len(drawn(seed)["nodes"]) > 6 and has_crash_and_drop(drawn(seed)))
     raw, wrong = shrunk(drawn(seed), "?", has_crash_and_drop)
     assert wrong == "a crash and a drop"

@@ -98,7 +98,7 @@ def cell(law: str, values: list[float], metric: str = "share_right") -> Cell:
 
 
 def test_the_findings_follow_from_the_numbers() -> None:
-    """A law wins where the test says so; the oracle never does; what is not decided is said."""
+    """A law wins if the test decides so; the oracle never wins; undecided pairs are named."""
     draw = np.random.default_rng(1)
     noise = draw.normal(size=40) / 100
     made = [
@@ -150,7 +150,7 @@ def test_a_comparison_in_python_leaves_its_folder_and_is_found_again(tmp_path: P
 
 
 def test_runs_that_are_there_are_not_made_again(tmp_path: Path) -> None:
-    """A comparison that was stopped in the middle of a line goes on behind the last whole one."""
+    """A comparison that was stopped in the middle of a line continues after the last complete one."""
     plan = comparison(TREES, ["minimax"], ["white"], range(3))
     whole = compare(plan, tmp_path / "c", 1, quiet=True)
     assert whole is not None

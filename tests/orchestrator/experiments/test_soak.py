@@ -20,7 +20,7 @@ from tests.tools.processes import orchestrator
 
 
 def looks(leak_mb: float = 0.0, leak_files: float = 0.0, slower: float = 0.0) -> list[Sample]:
-    """20 minutes of one process that grows by so much a minute, or does so many steps a second less."""
+    """Return 20 minutes of one process with this growth per minute, or with this loss of speed."""
     samples = []
     for t in range(0, 1200, 5):
         grown, files = 100 + leak_mb * t / 60, int(20 + leak_files * t / 60)
@@ -88,7 +88,7 @@ def test_faults_go_on_for_as_long_as_the_run() -> None:
 
 @pytest.mark.slow
 def test_a_minute_is_flat_and_leaves_a_table_and_a_picture(here: Path) -> None:
-    """How fast a busy machine is says nothing."""
+    """The speed of a busy machine proves nothing."""
     done = orchestrator("soak", "paper7", "--minutes", "1", "--rate", "50", "--processes", "3", "--run-dir", "soak")
     last = done.stdout.splitlines()[-1]
     assert (done.returncode, last[:6]) == (0, "flat: ") or last.startswith("not flat: pace:"), done.stdout + done.stderr

@@ -1,4 +1,4 @@
-"""Many runs of one network: one table, the same whoever made it and however often it was stopped."""
+"""Many runs of one network give one table, the same for any number of processes and interruptions."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ SINUSOID = (
 )
 WHITE = "{kind: white, std: 1}"
 THEORY_TREES = 100
-"""Of so many trees at least are the shares in docs/theory.md: they have a sampling error of their own."""
+"""The minimum number of trees behind the shares in docs/theory.md, which have a sampling error."""
 
 
 def rows(out: Path) -> list[dict[str, Any]]:
@@ -63,13 +63,13 @@ def of(*sets: str, seeds: str = "0:2", engine: str = "in-process") -> Plan:
 
 
 def lines(out: Path) -> int:
-    """How many runs a sweep has kept."""
+    """Return the number of stored runs of a sweep."""
     file = out / "runs.jsonl"
     return file.read_bytes().count(b"\n") if file.exists() else 0
 
 
 def wait_for_runs(out: Path, runs: int) -> None:
-    """Wait until so many are kept."""
+    """Wait until this number of runs is stored."""
     deadline, pause = time.monotonic() + DEADLINE_S, threading.Event()
     while lines(out) < runs:
         assert time.monotonic() < deadline, f"{lines(out)} runs in {out}"
@@ -86,10 +86,10 @@ def workers(sweeping: Orchestrator) -> dict[str, int]:
 
 
 def agrees(shares: Sequence[float], figure: float) -> bool:
-    """Whether runs agree with a rounded figure of other runs, within four standard errors of the difference.
+    """Return True if runs agree with a rounded figure of other runs, within four standard errors of the difference.
 
-    The nodes of a run share its flows, so that a run is one sample (a cluster), and never less spread than if its seven
-    nodes were independent draws.
+    The nodes of a run share its flows, so a run is one sample (a cluster). Its spread is at least that of seven
+    independent nodes.
     """
     deviation = max(float(np.std(shares, ddof=1)), math.sqrt(figure * (1 - figure) / 7))
     error = deviation * math.sqrt(1 / len(shares) + 1 / THEORY_TREES)
@@ -103,7 +103,7 @@ def test_shares_of_right_estimates_after_30_steps_are_those_of_the_theory(here: 
         shares = [r["share_right"] for r in table if (r["defaults.x0"], r["defaults.disturbance"]) == (x0, w)]
         assert len(shares) == 60
         assert agrees(shares, figure), (x0, w, np.mean(shares))
-        assert not agrees(shares, figure - 0.2), "a test that 60 runs cannot fail says nothing"
+        assert not agrees(shares, figure - 0.2), "a test that 60 runs cannot fail proves nothing"
 
 
 @pytest.mark.slow
@@ -168,7 +168,7 @@ LONG = ("sweep", "paper7", "--seeds", "0:24", "--set", "steps=300", "--set", "la
 
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    """The table of one job that nobody stops."""
+    """The table of one job without interruption."""
     out = tmp_path_factory.mktemp("sweep") / "out"
     assert orchestrator(*LONG, "--jobs", "1", "--out", str(out)).returncode == 0
     return (out / "sweep.parquet").read_bytes()
@@ -183,7 +183,7 @@ def test_a_sweep_that_is_stopped_and_killed_goes_on_to_the_same_bytes(here: Path
         assert sweeping.wait() == 3, sweeping.output
         assert gone(below)
     there = lines(out)
-    assert f"stopped: Ctrl-C: {there} of 48 runs are there; the same command goes on" in sweeping.output
+    assert f"stopped: Ctrl-C: {there} of 48 runs are done; the same command continues" in sweeping.output
     assert "Traceback" not in sweeping.output
     assert not (out / "sweep.parquet").exists()
     with Orchestrator(*command) as sweeping:
@@ -203,7 +203,7 @@ def test_a_sweep_that_is_stopped_and_killed_goes_on_to_the_same_bytes(here: Path
 
 
 def is_a_worker_that_takes_ctrl_c(pid: int) -> bool:
-    """Whether its interpreter is so far that SIGINT would be a KeyboardInterrupt, if it came through."""
+    """Return True if the interpreter has started so far that SIGINT would raise KeyboardInterrupt."""
     with contextlib.suppress(psutil.Error, OSError):
         caught = Path(f"/proc/{pid}/status").read_text().partition("SigCgt:")[2].split()[0]
         return "spawn_main" in " ".join(psutil.Process(pid).cmdline()) and bool(
@@ -221,7 +221,7 @@ def test_ctrl_c_finds_a_worker_deaf_from_its_first_instruction_on(here: Path) ->
             pause.wait(0.001)
         os.killpg(sweeping.pid, signal.SIGINT)  # as a terminal does
         assert sweeping.wait() == 3, sweeping.output
-    assert "the same command goes on" in sweeping.output
+    assert "the same command continues" in sweeping.output
     assert "Traceback" not in sweeping.output
 
 
@@ -273,7 +273,7 @@ def test_seeds_may_grow(tmp_path: Path) -> None:
         ("0:2", ["defaults.x1=3,4"], "did you mean `x0`"),
         ("0:2", ["b=0.1,3"], "the largest b that fits all nodes"),
         ("0:2", ["law=minimax,guess"], "a law is minimax, hinf, nominal"),
-        ("0:2", ["law=minimax,minimax"], "stands there twice; give each value once"),
+        ("0:2", ["law=minimax,minimax"], "is there twice; give each value once"),
         ("0:2", ["law=minimax,"], "a value is empty; give each value once"),
         ("0:2", ["law=hinf", "law=minimax"], "give all its values at once"),
         ("0:2", ["seed=1,2"], "--seeds FIRST:STOP"),
@@ -341,7 +341,7 @@ def test_a_disk_that_fills_up_keeps_what_was_done_and_the_same_command_goes_on(h
     command = (*LONG, "--jobs", "1", "--out", "out")
     done = orchestrator(*command, largest=10_000)
     assert done.returncode == 2
-    assert "File too large; make room, then the same command goes on" in done.stderr
+    assert "File too large; free space, then the same command continues" in done.stderr
     assert "Traceback" not in done.stderr
     assert orchestrator(*command).returncode == 0
     assert (here / "out/sweep.parquet").read_bytes() == undisturbed

@@ -63,7 +63,7 @@ def test_a_name_of_two_readings_is_asked_about() -> None:
 
 
 def reading(text: str, topology: Topology) -> tuple[Any, Any] | str:
-    """What `pair` makes of it: the two nodes, or the question."""
+    """Return the result of `pair`: the two nodes, or the question."""
     try:
         return pair(text, topology)
     except UserError as error:
@@ -160,7 +160,7 @@ def running(here: Path) -> Iterator[Orchestrator]:
 
 
 def say(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
-    """What the command prints; it raises what the command line would say as an error."""
+    """Return the output of the command; raise the exception that the command line would print as an error."""
     capsys.readouterr()
     assert (cli.app(list(arguments), standalone_mode=False) or 0) == 0
     return capsys.readouterr().out
@@ -201,7 +201,7 @@ INJECTED: list[tuple[str, dict[str, Any]]] = [
 
 
 def shifted(entry: dict[str, Any], by: int) -> dict[str, Any]:
-    """The same fault so many steps later."""
+    """Return the same fault `by` steps later."""
     if "at" in entry:
         return entry | {"at": entry["at"] + by}
     return entry | {"steps": [min(t + by, FOREVER) for t in entry["steps"]] if "steps" in entry else [by, FOREVER]}
@@ -211,7 +211,7 @@ def shifted(entry: dict[str, Any], by: int) -> dict[str, Any]:
 def test_every_fault_comes_by_command_and_the_run_can_be_repeated(
     running: Orchestrator, here: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Each is acknowledged with its number and step, listed, and stands in the file; the folder gives the same run."""
+    """Each is acknowledged with its number and step, listed, and written to the file; the folder gives the same run."""
     expected = []
     for number, (command, entry) in enumerate(INJECTED, start=1):
         answer = told(capsys, "fault", *command.split())
@@ -302,7 +302,7 @@ def test_nobody_runs(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
 def test_what_has_not_begun_cannot_be_healed(
     running: Orchestrator, here: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The fault stands in the file as it was given, and the file can be read."""
+    """The fault is in the file as it was given, and the file can be read."""
     cut = told(capsys, "fault", "cut", "2-4", "--after", "500000")
     with Live() as live:
         with pytest.raises(UserError, match="fault 1 has not begun"):

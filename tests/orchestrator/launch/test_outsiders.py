@@ -63,7 +63,7 @@ class Started:
 
 
 class Lives:
-    """One supervised agent whose lives end as the test says, on a clock of the test's."""
+    """One supervised agent with lives that the test ends, on a clock of the test."""
 
     def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now = 1000.0
@@ -135,7 +135,7 @@ def test_an_allowance_grants_no_more_than_its_rate(asked: list[tuple[float, floa
 
 
 class Scene:
-    """The plant of paper7 as a router, and one outsider who may speak on every key of it."""
+    """The plant of paper7 as a router, and one outsider with the right to publish on every key of it."""
 
     def __init__(self, folder: Path, stack: contextlib.ExitStack) -> None:
         endpoint = f"unixsock-stream/{folder}/s"

@@ -34,11 +34,11 @@ START = (sys.executable, "-c", "from ray.scripts.scripts import main; main()", "
 MEMORY = ("--object-store-memory", "80000000")
 ENVIRONMENT = {
     "RAY_USAGE_STATS_ENABLED": "0",
-    # A token that somebody has made for clusters of their own is none for ours, which nobody else can reach.
+    # A user's token for other clusters is not for ours, which no other program can reach.
     "RAY_AUTH_MODE": "disabled",
     # Ray's server for clients starts processes; gRPC, in between fork and exec, may abort them otherwise.
     "GRPC_ENABLE_FORK_SUPPORT": "0",
-    # After how long a machine that says nothing is gone; else that takes Ray more than half a minute.
+    # The silence after which Ray counts a machine as gone; by default that takes more than half a minute.
     "RAY_health_check_period_ms": "500",
     "RAY_health_check_timeout_ms": "2000",
     "RAY_health_check_failure_threshold": "2",
@@ -48,7 +48,7 @@ START_DEADLINE_S = 120.0
 
 
 def runs(program: Program) -> None:
-    """Wait until a machine of the cluster says that it runs."""
+    """Wait until a machine of the cluster reports that it runs."""
     by, pause = time.monotonic() + START_DEADLINE_S, Event()
     while "will now block forever" not in (said := program.log.read_text()):
         assert time.monotonic() < by, said
@@ -58,7 +58,7 @@ def runs(program: Program) -> None:
 
 @pytest.fixture(scope="module")
 def kept_by_ray() -> Iterator[Path]:
-    """Where Ray writes what it writes; its Unix sockets stand below it, and their paths must not be long."""
+    """Provide the folder of Ray's files; its Unix sockets are below it, and their paths must be short."""
     with tempfile.TemporaryDirectory(prefix="ray-", ignore_cleanup_errors=True) as folder:
         yield Path(folder)
 
@@ -156,7 +156,7 @@ def test_an_agent_that_is_killed_on_a_cluster_is_started_again_by_ray(
     with Orchestrator("up", *arguments, *UP, inside=cluster.on("head")) as network:
         network.wait_for("Ray has placed")
         victim = events("placed")[0]
-        network.wait_for_log(victim["process"], "ready: shard")  # its log comes by Ray, and later than it is said
+        network.wait_for_log(victim["process"], "ready: shard")  # its log comes through Ray, with a delay
         network.wait_for("running: first step")
         os.kill(victim["pid"], signal.SIGKILL)
         network.wait_for("going on without shard")
@@ -179,7 +179,7 @@ def test_an_agent_that_is_killed_on_a_cluster_is_started_again_by_ray(
 def test_agents_of_a_machine_that_is_gone_for_good_live_on_where_there_is_room(
     cluster: Machines, environment: None, tmp_path: Path
 ) -> None:
-    """All processes of it are killed at once, Ray's own among them, and nobody says goodbye."""
+    """All processes of the machine are killed at once, Ray's included, without a farewell message."""
     spare = joined(cluster, "spare", tmp_path)
     # Two of the four fit on a machine: the other two machines have room for all.
     arguments = ("paper7", "--processes", "4", "--steps", "3000", "--rate", "50", "--deadline", "2", "--secure")
@@ -188,7 +188,7 @@ def test_agents_of_a_machine_that_is_gone_for_good_live_on_where_there_is_room(
         network.wait_for("Ray has placed")
         lost = {event["process"] for event in events("placed") if event["machine"] == cluster.address["spare"]}
         assert lost
-        network.wait_for_event("first_step")  # who dies before is waited for, and never lost
+        network.wait_for_event("first_step")  # an agent that dies before is waited for, and never lost
         cut_off(spare)
         network.wait_for_event("back", times=len(lost))
         said = Program(
@@ -265,7 +265,7 @@ def test_without_ray_it_says_what_to_install(
 
 
 def test_a_machine_of_a_cluster_needs_what_an_agent_needs() -> None:
-    """What Ray loads there brings numpy and Zenoh, and none of the operator's packages."""
+    """The module that Ray loads there imports numpy and Zenoh, but no packages of the operator."""
     code = """
 import sys
 from hedgerow.orchestrator.launch.ray_agents import RemoteAgent

@@ -113,7 +113,7 @@ def test_keys_are_their_users_alone_short_lived_and_in_no_log(here: Path, networ
     said = contents(here / "runs") + network.output.encode()
     assert b"PRIVATE KEY" not in said
     assert not any(path.read_text().splitlines()[1].encode() in said for path in files if path.name == "key.pem")
-    # Who operates the network has keys of their own.
+    # The operator has separate keys.
     assert orchestrator("status").returncode == 0
     assert orchestrator("fault", "drop", "2-4", "--for", "5").returncode == 0
     assert orchestrator("stop").returncode == 0
@@ -131,7 +131,7 @@ def test_a_killed_up_leaves_no_key(here: Path, network: Orchestrator) -> None:
 
 
 def test_a_fork_server_that_outlives_its_children_leaves_no_key(here: Path, network: Orchestrator) -> None:
-    """It wakes up, and there is nobody left to tell that they have died."""
+    """The server wakes up after its client has gone, and cannot report the deaths."""
     children = network.children
     fork_client = psutil.Process(children["plant"]).ppid()
     os.kill(fork_client, signal.SIGSTOP)
@@ -144,7 +144,7 @@ def test_a_fork_server_that_outlives_its_children_leaves_no_key(here: Path, netw
 
 
 def test_whoever_looks_for_networks_removes_the_keys_of_dead_ones(here: Path, network: Orchestrator) -> None:
-    """`up`, its fork server and the plant killed at once: nobody of the run is left to do it."""
+    """`up`, its fork server and the plant are killed at once: no process of the run can remove the keys."""
     assert gone(network.kill_all_who_could_clean_up())
     assert secrets(here) != []
     assert orchestrator("ps").stdout == "no network is running\n"
@@ -172,10 +172,10 @@ def test_a_router_elsewhere_keeps_the_same_rules(here: Path) -> None:
                 network.wait_for("running")
                 assert orchestrator("stop").returncode == 0
                 assert network.wait() == 3
-            assert "keys/observer/key.pem: everybody here may read it" in network.output
+            assert "keys/observer/key.pem: every user of this machine can read it" in network.output
         finally:
             router.kill()
-    assert (here / "keys/agent-1/key.pem").exists()  # theirs who made them
+    assert (here / "keys/agent-1/key.pem").exists()  # these belong to their creator
     other = orchestrator("up", "ring6", "--secure", "--keys", "keys", *QUIET)
     assert other.returncode == 2
     assert "made for another network" in other.stderr
@@ -190,7 +190,7 @@ def test_the_command_that_uses_keys_can_be_copied(here: Path) -> None:
     ("options", "said"),
     [
         (("--secure", "--router", "tcp/127.0.0.1:7447"), "needs a router that speaks TLS: tls/HOST:PORT"),
-        (("--secure", "--router", "tls/127.0.0.1:7447"), "makes its configuration and everybody's keys"),
+        (("--secure", "--router", "tls/127.0.0.1:7447"), "makes its configuration and the keys of all processes"),
         (("--secure", "--keys", "nowhere"), "no folder of keys"),
         (("--keys", "nowhere"), "give --secure too"),
     ],

@@ -1,4 +1,4 @@
-"""Secure processes that somebody else starts: what each carries, who is let in, and what those are told who are not."""
+"""Secure separate processes: their files, the permitted connections, and the messages about refusals."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def bundle(port: int, *arguments: str) -> None:
 
 
 def up(port: int, *arguments: str) -> Orchestrator:
-    """A run whose plant opens that port."""
+    """Return a run with a plant that opens that port."""
     listen = ("--listen", f"tls/0.0.0.0:{port}", "--keys", "lab")
     return Orchestrator("up", "lab/topology.yaml", *listen, *UP, *arguments)
 
@@ -75,7 +75,7 @@ def test_everybody_carries_their_own_and_nobody_elses(here: Path, port: int) -> 
 
 
 def test_agents_elsewhere_are_let_in_with_their_keys_and_change_nothing(here: Path, port: int, start: Any) -> None:
-    """One is given its folder, one finds it by its name, one is told where its keys lie; all end with the run."""
+    """One receives its folder, one finds it by its name, one gets the path of its keys; all end with the run."""
     bundle(port)
     shutil.copytree("lab/agent-6", "keys-of-6")
     (here / "lab/agent-6/key.pem").unlink()
@@ -88,7 +88,7 @@ def test_agents_elsewhere_are_let_in_with_their_keys_and_change_nothing(here: Pa
     assert verdict()["checks"]["reference"]["ok"]
     assert verdict()["checks"]["information"]["ok"]
     assert [agent.wait()[0] for agent in agents] == [0, 0, 0]
-    assert (here / "lab/agent-3/key.pem").exists()  # theirs who made them
+    assert (here / "lab/agent-3/key.pem").exists()  # these belong to their creator
 
 
 def test_everybody_elsewhere_over_a_router_with_the_rules_it_was_given(here: Path, port: int, start: Any) -> None:
@@ -117,7 +117,7 @@ def test_plant_and_observer_may_see_that_a_plant_is_there(here: Path, port: int,
             told: list[str] = []
             with room(session, "hedgerow/paper7", told.append, lambda: bool(told)):
                 assert told
-        start("plant", "--config", "lab/plant").wait_for("a plant is there already at hedgerow/paper7")
+        start("plant", "--config", "lab/plant").wait_for("another plant already runs at hedgerow/paper7")
         assert first.process.poll() is None
     finally:
         router.end()
@@ -161,8 +161,8 @@ def test_who_has_no_right_keys_is_told_why_at_both_ends(here: Path, port: int, s
             code, said[name] = agent.wait()
             assert code in (Exit.USER_MISTAKE, Exit.UNKNOWN), said[name]
             assert "Traceback" not in said[name]
-        network.wait_for("somebody's certificate was refused: it is of another authority")
-        network.wait_for("somebody refused our certificate: it is of another authority")
+        network.wait_for("our router refused a certificate: it is of another authority")
+        network.wait_for("a client refused our certificate: it is of another authority")
         right = start("agents", "--config", "lab/agent-3")
         assert network.wait() == 0, network.output
         assert right.wait()[0] == 0
@@ -215,7 +215,7 @@ def test_what_has_expired_is_said_at_both_ends(here: Path, port: int, capfd: pyt
     finally:
         close(router)
     logged = "".join(capfd.readouterr())
-    assert "somebody's certificate was refused: it has expired" in map(refused, logged.splitlines())
+    assert "our router refused a certificate: it has expired" in map(refused, logged.splitlines())
 
 
 @pytest.mark.parametrize(
@@ -244,4 +244,4 @@ def test_without_keys_nobody_is_let_in(here: Path, start: Any) -> None:
     told.write_text(told.read_text().replace('credentials = "."\n', ""))
     code, said = start("agents", "--config", "lab/agent-3").wait()
     assert code == 2
-    assert "the network is secure; --credentials says where its keys lie" in said
+    assert "--credentials" in said

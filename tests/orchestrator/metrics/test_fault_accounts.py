@@ -51,7 +51,7 @@ def verdict(topology: Topology, ran: Trajectory, ending: Ending | None = None) -
 
 
 def struck(effect: Effect, lots: Lots, t: int) -> Sequence[int]:
-    """What one effect strikes at t."""
+    """Return the targets that one effect strikes at t."""
     if effect.table is not None:
         return effect.table.get(t, ())
     if effect.kind in ("crash", "jump"):
@@ -79,7 +79,7 @@ class Recount:
         return bool(t >= 0 and self.plain.absent[t, i])
 
     def says(self, c: int, t: int, flag: Flag) -> bool | None:
-        """Whether the node of an incidence says that it took this in of step t; None where it says nothing."""
+        """Return True if the node of an incidence reports that it used this input of step t; None without a report."""
         if t + 1 == len(self.rows) or self.absent(self.graph.node[c], t + 1):
             return None
         return bool(self.rows[t + 1].took[c] & flag)
@@ -200,7 +200,7 @@ def test_a_fault_that_is_healed_is_judged_by_what_it_was() -> None:
     assert [entry["scheduled"] for entry in judged.content["faults"]] == [7]
 
 
-# What is wrong is told, by the name of the check and the step.
+# Each mistake is reported by the name of the check and the step.
 
 ONE_OF_EACH: list[dict[str, Any]] = [
     {"kind": "drop", "from": 2, "to": 4, "steps": [10, 14]},
@@ -221,7 +221,7 @@ def test_what_nobody_scheduled_is_noticed(fault: dict[str, Any]) -> None:
     bad = verdict(PAPER, ran)
     assert (bad.verdict, bad.exit_code) == ("INVALID", 1)
     assert "faults fails at step 10" in bad.content["reasons"]
-    assert bad.content["checks"]["links"]["ok"] == (fault["kind"] != "crash"), "who is there tells what was"
+    assert bad.content["checks"]["links"]["ok"] == (fault["kind"] != "crash"), "each present node reports its inputs"
 
 
 @KINDS
@@ -275,7 +275,9 @@ def test_an_input_that_is_missing_alone_is_noticed() -> None:
 @settings(max_examples=60)
 @given(faulty(), st.data())
 def test_a_bit_that_is_not_what_was_is_noticed(topology: Topology, data: st.DataObject) -> None:
-    """Of any step, any node that tells: to have heard what did not cross, or not what did, open or closed likewise."""
+    """The bit is at any step and reporting node: it claims a message that was not delivered, or hides one; likewise for
+    edges.
+    """
     ran, graph = simulate(topology), topology.graph
     absent = Plain(topology, ran).absent
     telling = [(t, c) for t in range(1, len(ran.rows)) for c, i in enumerate(graph.node) if not absent[t, i]]
@@ -366,7 +368,7 @@ def _listed(own: Node) -> tuple[float, ...]:
 
 @st.composite
 def jumping(draw: st.DrawFn) -> Topology:
-    """Any network whose truths jump, under cuts and other faults."""
+    """Return a network with jumps of the truth, under cuts and other faults."""
     topology = draw(networks(most=4, steps=12))
     jumps = [
         {"kind": "jump", "node": node, "at": draw(st.integers(0, 12)), "a": draw(st.sampled_from(_listed(own)))}
@@ -424,7 +426,7 @@ def test_the_contraction_is_that_of_the_a_that_holds() -> None:
 
 
 def test_a_faulty_run_leaves_nulls_where_there_was_nothing(tmp_path: Path) -> None:
-    """u, ahat and index of who was not there; u of who saw nothing; and which rows crossed to which end."""
+    """u, ahat and index of absent nodes, u of nodes without a reading, and the delivered rows at both ends."""
     faults = [
         {"kind": "crash", "node": 4, "at": 10, "restart_after": 4},
         {"kind": "sensor", "node": 1, "steps": [20, 22]},

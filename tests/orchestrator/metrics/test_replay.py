@@ -1,4 +1,4 @@
-"""The replay agrees with every run that is as its file says, and names the first node and step of any other."""
+"""The replay agrees with every run that equals its file, and names the first node and step of any other."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def test_faults_that_come_while_it_runs_are_replayed_alike(topology: Topology, d
 @settings(max_examples=100, deadline=None)
 @given(faulty(), st.data())
 def test_any_one_number_that_is_an_ulp_off_is_found(topology: Topology, data: st.DataObject) -> None:
-    """Of w, u, ahat and margin: the step and the node are named."""
+    """The change is in w, u, ahat or margin; the step and the node are named."""
     ran = simulate(topology)
     t = data.draw(st.integers(0, len(ran.rows) - 1))
     node = data.draw(st.integers(0, topology.graph.n - 1))

@@ -62,7 +62,7 @@ class TwoFaced(Minimax):
 
 
 def test_agents_that_run_another_law_than_the_file_names(here: Path) -> None:
-    """Seven processes over Zenoh, whose code is not what the observer loads by that name."""
+    """There are seven processes over Zenoh, with other code than the observer loads by that name."""
     (here / "two_faced.py").write_text(TWO_FACED)
     done = orchestrator(
         "up", "paper7", "--law", "two_faced:TwoFaced", "--no-record", "--viewer", "none", "--run-dir", "run"
@@ -86,7 +86,7 @@ main()
 
 
 def test_a_crash_whose_process_never_dies(here: Path) -> None:
-    """The supervisor tells the plant of a death that did not happen."""
+    """The supervisor reports to the plant a death that did not happen."""
     faults = "faults=[{kind: crash, node: 3, at: 10}]"
     command = [sys.executable, "-P", "-c", IMMORTAL, "up", "paper7", "--no-record", "--viewer", "none"]
     done = subprocess.run(

@@ -1,4 +1,4 @@
-"""The verdict: a run that is broken on purpose is told from a good one, and its step is named."""
+"""The verdict distinguishes a run that is broken on purpose from a good one, and names its step."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ CARELESS = f"{__name__}:Careless"
 
 
 def test_a_good_run_is_valid() -> None:
-    """Seven claims, each checked at every step; of the last, nobody tells what was taken in."""
+    """There are seven claims, each checked at every step; the used inputs of the last step are not reported."""
     good = verdict(GOOD)
     assert (good.verdict, good.exit_code) == ("valid", 0)
     assert good.line().startswith("valid: 30 of 30 steps")
@@ -160,7 +160,7 @@ def test_one_sided_flow_is_noticed_and_so_is_what_it_does_to_stability() -> None
 
 
 def test_a_law_of_ones_own_makes_no_claim_of_the_papers() -> None:
-    """Nobody promises (6) or the contraction of it; the dynamics must hold all the same."""
+    """No claim covers (6) or its contraction; but the dynamics must hold."""
     topology = PAPER.model_copy(update={"law": CARELESS})
     ran = simulate(topology)
     own = verdict(ran, topology)
@@ -173,7 +173,7 @@ def test_a_law_of_ones_own_makes_no_claim_of_the_papers() -> None:
 @given(st.sets(st.integers(0, 29), min_size=1, max_size=28), st.integers(1, 30))
 @settings(max_examples=50)
 def test_lost_telemetry_makes_the_verdict_unknown(lost: set[int], size: int) -> None:
-    """Wherever rows are lost, and however the rest arrives, the run is not blamed: nobody knows."""
+    """For any lost rows and any batches, the run is not blamed: the verdict is unknown."""
     rows = [row for row in GOOD.rows if row.t not in lost]
     observer = Observer(PAPER)
     for k in range(0, len(rows), size):
@@ -223,7 +223,7 @@ def test_a_final_state_that_never_came_is_unknown() -> None:
     observer.take(GOOD.rows)
     unsure = judge(PAPER, observer, Ending("run", "in-process", 1))
     assert unsure.exit_code == 3
-    assert unsure.content["reasons"] == ["the final state never came"]
+    assert unsure.content["reasons"] == ["the final state is missing"]
 
 
 def test_a_run_that_differs_from_its_reference_is_invalid() -> None:
@@ -236,7 +236,7 @@ def test_a_run_that_differs_from_its_reference_is_invalid() -> None:
 
 
 def test_without_a_disturbance_there_is_no_gain() -> None:
-    """w = 0 from rest: every ratio is undefined, said as null and never as NaN."""
+    """With w = 0 from rest, every ratio is undefined, and written as null, never as NaN."""
     topology = read("{name: still, b: 0.1, steps: 5, nodes: [1, 2], edges: [[1, 2]]}")
     still = verdict(simulate(topology), topology)
     assert still.verdict == "valid"
@@ -261,7 +261,7 @@ def test_gains_are_told_with_what_they_may_be_compared_with(x0: float, faults: s
 
 
 def in_batches(topology: Topology, ran: Trajectory, cuts: Sequence[int]) -> tuple[Observer, Batch]:
-    """The metrics of a run whose rows arrived in batches that end at `cuts`."""
+    """Return the metrics of a run with rows in batches that end at `cuts`."""
     observer = Observer(topology)
     ends = sorted({*cuts, len(ran.rows)})
     batches = [observer.take(ran.rows[i:j]) for i, j in zip([0, *ends], ends, strict=False)]

@@ -30,7 +30,7 @@ ANY = st.text(st.characters()) | st.lists(st.sampled_from(PIECES)).map("".join)
 
 
 class Read(HTMLParser):
-    """What a browser finds: elements, attributes and text."""
+    """The result of a browser's reading: elements, attributes and text."""
 
     def __init__(self, text: str) -> None:
         super().__init__()

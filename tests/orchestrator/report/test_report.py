@@ -113,7 +113,9 @@ def names(figure: Figure) -> list[str]:
 
 
 def test_the_network_is_its_graph(paper: Run) -> None:
-    """The paper's tree: seven named nodes, six edges that meet them, and node 6, whose estimate is wrong, in red."""
+    """The figure shows the paper's tree: seven named nodes, six edges that meet them, and node 6, with a wrong
+    estimate, in red.
+    """
     figure = drawn("1", paper)
     (axis,) = figure.axes
     edges, nodes = axis.collections
@@ -128,7 +130,7 @@ def test_the_network_is_its_graph(paper: Run) -> None:
 
 @pytest.mark.parametrize("key", PAPERS)
 def test_a_figure_of_the_paper_is_its_array(key: str, paper: Run) -> None:
-    """A line a node, equal to the bit, named, with units, each in a colour of its own."""
+    """There is one line per node, equal bit for bit, named, with units, each in a different colour."""
     figure = drawn(key, paper)
     (axis,) = figure.axes
     drawn_nodes, behind = curves(axis)[:7], curves(axis)[7:]
@@ -165,7 +167,7 @@ def test_estimates_stand_over_the_truth(paper: Run) -> None:
 
 
 def test_totals_are_the_runs(paper: Run) -> None:
-    """D of both, R with its sign, the gains; gamma* is said to be the oracle's."""
+    """The figures are D of both, R with its sign, and the gains; gamma* is marked as the oracle's."""
     figure = drawn("regret", paper)
     for values, expected in zip(curves(figure.axes[0]), (paper.regret_sum, paper.nominal_regret_sum), strict=True):
         np.testing.assert_array_equal(values, expected)
@@ -230,7 +232,9 @@ def test_many_nodes_are_quantiles_and_the_caption_says_so(grid: Run) -> None:
 
 
 def test_long_runs_are_drawn_by_the_extremes_of_bins(folder: Path) -> None:
-    """2500 steps: 500 bins; the largest regret of each is drawn, so that no peak is lost, and the caption says so."""
+    """2500 steps give 500 bins; the largest regret of each is drawn, so no peak is lost, and the caption explains
+    this.
+    """
     run = ran(resolve(load("paper7", ["steps=2500"])), folder / "long")
     (axis,) = drawn("4", run).axes
     for line, values in zip(axis.lines, run.regret.T, strict=True):
@@ -259,7 +263,7 @@ def test_names_that_mean_something_to_matplotlib_stay_names(folder: Path) -> Non
 
 
 def test_a_law_without_estimates_has_no_such_figure(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nothing is estimated, nothing was disturbed: the gain is undefined, and the page is written all the same."""
+    """There are no estimates and no disturbance: the gain is undefined, and the page is still written."""
     (folder / "still.py").write_text(
         "import numpy as np\n\nclass Still:\n    def __init__(self, b, candidates):\n"
         "        self.n, self.memory = candidates.shape[1], np.zeros((1, candidates.shape[1]))\n"
@@ -444,7 +448,7 @@ def test_the_page_asks_for_nothing(written: dict[str, Path]) -> None:
 
 
 def test_the_file_in_the_page_repeats_the_run(paper: Run, written: dict[str, Path], folder: Path) -> None:
-    """What the page offers to download is the run's own topology, and its run is the same to the bit."""
+    """The download in the page is the run's own topology, and its run is the same bit for bit."""
     (link,) = (link for link in page(written["report.html"]).links if "yaml" in link)
     text = base64.b64decode(link.partition("base64,")[2])
     again = ran(resolve(parse(text, "paper.yaml", folder)), folder / "again")
@@ -459,7 +463,7 @@ def test_what_repeats_a_run_that_was_stopped_stops_there_too(paper: Run, folder:
 
 
 def test_names_are_text(paper: Run, folder: Path) -> None:
-    """A run whose folder is called like a script does not run, nor is it mathematics."""
+    """A run with the name of a script does not run it, and its name is not mathematics."""
     name = """<script>alert("$x$")&'"""
     shutil.copytree(paper.folder, folder / name)
     run = load_run(folder / name)
@@ -484,7 +488,7 @@ def test_faults_and_what_they_did(faulty: Run, folder: Path) -> None:
 
 
 def test_a_run_without_a_verdict_is_reported_so_far(paper: Run, folder: Path) -> None:
-    """`up` was killed, or goes on: the numbers are computed again, and nobody says that it is valid."""
+    """`up` was killed, or still runs: the numbers are computed again, and the page does not claim validity."""
     shutil.copytree(paper.folder, folder / "killed", ignore=shutil.ignore_patterns("verdict.json"))
     path, *_ = report([load_run(folder / "killed")], folder / "killed-report", "4")
     shown = page(path)
@@ -643,7 +647,7 @@ def test_every_figure_is_in_report_md() -> None:
 
 
 def test_the_pictures_in_the_documents_are_fresh(paper: Run, tmp_path: Path) -> None:
-    """docs/make_report_images.py draws; what stands in the documents was drawn of today's numbers, and is small."""
+    """docs/make_report_images.py draws the pictures; those in the documents show the same numbers, and are small."""
     command = [
         sys.executable,
         "-W",

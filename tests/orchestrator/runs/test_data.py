@@ -111,7 +111,7 @@ def same(one: Any, other: Any) -> bool:
 # What is loaded is what was computed live.
 
 OBSERVED = ("x", "u", "w", "x_oracle", "x_nominal", "regret", "nominal_gap")
-"""Of these the Run may have the final state too."""
+"""The arrays of Run that may also have the final state."""
 COMPUTED = (
     "a",
     "ahat",
@@ -128,7 +128,7 @@ COMPUTED = (
 
 
 def assert_as_live(run: Run, live: Batch, observer: Observer) -> None:
-    """All that the run says of the steps of `live` are the bits that the observer computed."""
+    """Check that the run has the bits of the observer at the steps of `live`."""
     for name in OBSERVED:
         assert same(getattr(run, name)[live.t], getattr(live, name)), name
     for name in (*COMPUTED, "u_edge", "cost_regret"):
@@ -148,7 +148,7 @@ def assert_as_live(run: Run, live: Batch, observer: Observer) -> None:
 @settings(max_examples=10)
 @given(topology=faulty())
 def test_every_array_is_what_was_computed_live(topology: Topology) -> None:
-    """Of any network under any faults: jumps, crashes, cuts, lost messages."""
+    """The network has any faults: jumps, crashes, cuts, lost messages."""
     with tempfile.TemporaryDirectory() as folder:
         run = ran(topology, Path(folder) / "run")
         observer, live = observe(topology, networks.simulate(topology))
@@ -174,7 +174,7 @@ def test_a_run_says_who_heard_whom(run: Run) -> None:
         flows = np.where(run.edge_open[:, k], run.u[:, j] - run.u[:, i], 0.0)
         assert same(run.u_edge[:, k], flows)
     if run.name == "named":
-        assert np.flatnonzero(~run.i_hears[:, 0]).tolist() == [2, 3, 4, 6, 7]  # what 3 says, until it is dead
+        assert np.flatnonzero(~run.i_hears[:, 0]).tolist() == [2, 3, 4, 6, 7]  # messages of 3, until it dies
         assert np.flatnonzero(~run.edge_open[:, 0]).tolist() == [4, 5, 6, 7]
         assert (
             np.flatnonzero(np.isnan(run.u[:, 2])).tolist() == np.flatnonzero(run.index[:, 2] == -1).tolist() == [6, 7]
@@ -259,7 +259,7 @@ def test_csv_is_read_back_to_the_bit(run: Run, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("value", [5e-324, -0.0, 0.1, 1e16, 1e22, 123456789.0, 2**53 + 1.0, 1.7976931348623157e308])
 def test_a_number_in_csv_is_the_number(value: float, tmp_path: Path) -> None:
-    """Of any size, and with its sign: what Arrow writes, float reads."""
+    """Arrow writes numbers of any size and sign, and float reads them back."""
     pa.csv.write_csv(pa.table({"x": [value]}), tmp_path / "x.csv")
     assert float((tmp_path / "x.csv").read_text().splitlines()[1]).hex() == value.hex()
 
@@ -336,7 +336,7 @@ def lively(here: Path) -> Iterator[Orchestrator]:
 
 
 def come_to(step: int) -> Run:
-    """The latest run, once so many of its steps are recorded."""
+    """Return the latest run, once this step is recorded."""
     by, pause = time.monotonic() + DEADLINE_S, threading.Event()
     while time.monotonic() < by:
         with contextlib.suppress(UserError):  # not a step yet
@@ -347,7 +347,7 @@ def come_to(step: int) -> Run:
 
 
 def continues(before: Run, after: Run) -> bool:
-    """Whether a later look at a run shows the same steps, and more."""
+    """Return True if a later reading of a run has the same steps, and more."""
     states = ("x", "x_oracle", "x_nominal", "regret", "regret_sum")
     assert before.T <= after.T
     return all(
@@ -357,7 +357,9 @@ def continues(before: Run, after: Run) -> bool:
 
 
 def test_a_run_that_goes_on_and_then_is_killed(lively: Orchestrator, here: Path) -> None:
-    """As far as it has come; then as far as it came: the numbers stay what they were, and the twins go on from them."""
+    """The run is read while it grows, and after its end: earlier numbers do not change, and the twins continue from
+    them.
+    """
     running = load_run("paper7")
     assert (running.verdict.content, running.events[0]["event"]) == ({}, "start")
     (file,) = export(running, "npz")
@@ -381,7 +383,7 @@ def test_a_run_that_goes_on_and_then_is_killed(lively: Orchestrator, here: Path)
 
 
 def test_a_run_that_is_interrupted_after_a_jump(lively: Orchestrator, here: Path) -> None:
-    """What was done to it while it ran is in its folder: the numbers are those of its own verdict."""
+    """The changes during the run are in its folder: the numbers are those of the verdict."""
     with Live() as live:
         step = live.fault.jump(4, to=0.3).step
     come_to(step + 20)
@@ -409,7 +411,7 @@ def test_a_simulation_that_is_interrupted(tmp_path: Path) -> None:
 
 
 def streamed(topology: Topology, folder: Path) -> tuple[Trajectory, Path]:
-    """A run of which only the streams are there, as of one whose `up` was killed: 12 steps in batches of 5."""
+    """Return a run that has only the streams, as after a killed `up`: 12 steps in batches of 5."""
     ran = networks.simulate(topology)
     place = create(topology, folder)
     place.event("start", engine="zenoh")
@@ -446,7 +448,7 @@ def test_a_stream_cut_short_is_whole_up_to_its_last_batch(kept: float, tmp_path:
 
 
 def test_a_table_that_is_behind_the_other(tmp_path: Path) -> None:
-    """One is written before the other, and who reads may come between."""
+    """One table is written before the other, and a reader may come in between."""
     ran, folder = streamed(NETWORKS["named"](), tmp_path / "run")
     os.truncate(folder / "edges.arrows", (folder / "edges.arrows").stat().st_size - 8)
     run = load_run(folder)
@@ -541,7 +543,7 @@ def test_what_is_no_run_says_so(paper7: Run, here: Path) -> None:
 
 
 def test_a_file_that_is_not_of_this_run_is_noticed(paper7: Run, here: Path) -> None:
-    """Nobody gets numbers that were computed for another network."""
+    """The reader refuses numbers that were computed for another network."""
     text = (paper7.folder / "topology.yaml").read_text()
     (paper7.folder / "topology.yaml").write_text(text.replace("b: 0.1", "b: 0.101"))
     with pytest.raises(HedgerowError, match=r"topology.yaml is not that of this telemetry"):
@@ -553,7 +555,7 @@ def test_a_file_that_is_not_of_this_run_is_noticed(paper7: Run, here: Path) -> N
 
 
 def test_a_text_that_came_to_harm_is_not_read_from_elsewhere(paper7: Run) -> None:
-    """An Arrow stream says where each text begins: by a number that is too large, in memory that is somebody else's."""
+    """An Arrow stream stores the start of each text. Here that number is too large and points into foreign memory."""
     table, stream = paper7.telemetry(), paper7.folder / "telemetry.arrows"
     table = table.set_column(1, "node", table["node"].cast(pa.string()))  # as of nodes that have names
     with pa.ipc.new_stream(str(stream), table.schema) as writer:
@@ -577,7 +579,7 @@ def test_a_run_of_no_whole_step_says_so(here: Path) -> None:
 
 
 def refused(*arguments: str) -> str:
-    """What the command says to a mistake."""
+    """Return the message about a mistake."""
     done = orchestrator("export", *arguments)
     assert (done.returncode, done.stdout) == (2, ""), done.stderr
     assert "Traceback" not in done.stderr
@@ -695,7 +697,7 @@ def test_the_page_names_every_array_and_its_shape(run: Run) -> None:
 
 
 def test_the_page_names_every_attribute() -> None:
-    """What a Run has beside the arrays."""
+    """The page also names the attributes of Run beside the arrays."""
     public = {name for name in vars(Run) if not name.startswith("_")}
     public |= Run.__dataclass_fields__.keys()
     tables = (table("data.md", "In Python"), table("data.md", "Runs with some rows only"))

@@ -1,4 +1,4 @@
-"""What of a run is written down: `record:` of a file says which nodes and steps have rows, and changes nothing else.
+"""The recorded part of a run: `record:` of a file selects the nodes and steps with rows, and changes nothing else.
 
 all rows --+--> verdict, metrics, regret: of all nodes and steps, whatever is kept
            +--> summary.parquet: a row a step, of all nodes
@@ -152,7 +152,7 @@ def test_what_takes_all_rows_says_how_to_have_them(thin: tuple[Run, Run], tmp_pa
 
 
 def test_a_run_is_made_whole_again_from_its_folder(here: Path) -> None:
-    """What a run kept is in its file, and so is all that it did not keep."""
+    """The file of a run has the recorded part and the omitted part."""
     done = orchestrator(
         "simulate", "paper7", "--no-record", "--run-dir", "thin", "--set", "record={every: 7, nodes: 2}"
     )
@@ -180,7 +180,7 @@ def test_a_network_of_processes_is_verified_at_all_nodes_though_few_have_rows(he
 
 
 def test_of_a_large_network_a_sample_has_rows(tmp_path: Path) -> None:
-    """And the file of the run says so, whatever a later version would choose."""
+    """The file of the run names the sample, so a later version cannot choose another one."""
     text = "{name: n, b: 0.1, steps: 3, graph: {kind: ring, nodes: 10001}}"
     topology = read(text)
     assert topology.record == Record(nodes=1000)

@@ -29,7 +29,7 @@ from hedgerow.topologies.resolve import resolve
 pytest_plugins = ["pytester"]
 
 ALONE = ("-p", "no:cacheprovider", "-p", "no:hypothesispytest")
-"""Of a pytest in a process of its own: without what takes time and has nothing to do with us."""
+"""The options of a pytest in a separate process, without slow and unrelated plugins."""
 PAIR = "{name: pair, b: 0.1, steps: 4, defaults: {x0: 5}, nodes: {1: {}, two: {x0: 1}}, edges: [[two, 1]]}"
 
 
@@ -212,7 +212,7 @@ def test_a_difference_is_explained(apart: tuple[Run, Run]) -> None:
     assert said[0].startswith("estimates at step 5 differ: node 2: ")
     assert said[1].startswith("first at step 1: ahat of node 2 ")
     assert said[2:4] == [
-        "until then, left:  messages lost or late: 4->2 at 0-1, 2->4 at 0-1",
+        "lost messages before, left:  messages lost or late: 4->2 at 0-1, 2->4 at 0-1",
         "until then, right: no message lost or late",
     ]
     assert explain(one, other) == ["runs differ", *said[1:]]
@@ -245,7 +245,7 @@ def test_a_failing_test_says_why_and_where_to_look(pytester: pytest.Pytester) ->
         [
             "E       assert estimates at step 5 differ: node 2: *",
             "E         first at step 1: ahat of node 2 *",
-            "E         until then, left:  messages lost or late: 4->2 at 0-1, 2->4 at 0-1",
+            "E         lost messages before, left:  messages lost or late: 4->2 at 0-1, 2->4 at 0-1",
             "* networks *",
             "  fault 1: drop 2-4 from step 0 to 25",
             "  valid: 30 of 30 steps*",
@@ -287,7 +287,7 @@ EVERYTHING = (
 
 @pytest.mark.parametrize("processes", [None, 3])
 def test_both_engines_give_the_same_bits(network: Networks, processes: int | None) -> None:
-    """With everything that can go wrong, for a process a node and for three."""
+    """All kinds of faults are in the run, for one process per node and for three processes."""
     scenario = network("paper7").set(f"faults={json.dumps(EVERYTHING)}")
     if processes:
         scenario = scenario.set(f"processes={processes}")
@@ -331,7 +331,7 @@ def test_a_run_that_takes_too_long_is_ended_and_named(tmp_path: Path) -> None:
     assert folder.with_name("run.runtime").exists(), "what is looked for has another name now"
     wait_until(
         lambda: processes_of(folder) == [], "all are gone", within_s=30
-    )  # who was still loading ends a bit later
+    )  # a process that was still loading ends a bit later
 
 
 def test_a_law_that_cannot_be_loaded_is_said_by_both_engines(network: Networks) -> None:
@@ -346,7 +346,7 @@ def test_a_network_is_spoken_to_while_it_runs(network: Networks) -> None:
     """Faults by call, a real SIGKILL and a real freeze; and the same course again from its folder, to the bit."""
     with network("paper7", "seed=3").up(rate=200, step_deadline_s=3.0) as net:
         assert {*net.processes} == {"plant", *(f"agent-{k}" for k in range(1, 8))}
-        assert net.folder.name not in [entry.run for entry in registry.running()], "nobody else may stop it"
+        assert net.folder.name not in [entry.run for entry in registry.running()], "no other user may stop it"
         lost = net.fault.drop((2, 4), steps=range(20))
         with pytest.raises(UserError, match="drop: link: 2 and 5 are not neighbours"):
             net.fault.drop((2, 5))
@@ -385,7 +385,7 @@ def test_a_network_is_spoken_to_while_it_runs(network: Networks) -> None:
 
 
 def test_the_clock_of_a_network_is_the_tests(network: Networks) -> None:
-    """Held, it makes the steps that it is told to and no other."""
+    """A paused network makes exactly the requested steps."""
     with network("paper7").up(processes=3) as net:
         assert {*net.processes} == {"plant", "shard-0", "shard-1", "shard-2"}
         at = net.pause()
@@ -448,7 +448,7 @@ def test_nothing_is_left_when_pytest_is_interrupted_or_killed(
 
 @pytest.mark.slow
 def test_tests_may_run_in_parallel(pytester: pytest.Pytester) -> None:
-    """Networks of one name, in two workers of pytest-xdist: neither goes on before the other is there."""
+    """Networks of one name run in two workers of pytest-xdist, and wait for each other."""
     pytester.makepyfile(
         """
         import pathlib, time

@@ -219,9 +219,9 @@ def test_what_is_missing_is_a_gap_and_a_truth_that_jumps_is_a_step(tmp_path: Pat
 
 
 def growth_mb(path: Path) -> float:
-    """What this process grows by over 100 writes, as a rule: the median of eight times.
+    """Return the usual growth of this process over 100 writes [MB]: the median of eight times.
 
-    What is freed late, or given back to the system, makes some of them large, and is no growth.
+    Late or returned memory makes some of them large, but is not growth.
     """
     observer = Observer(paper7().model_copy(update={"steps": 10**9}))
     stream = RerunStream(observer.topology, observer, "story", path, None)
@@ -240,7 +240,7 @@ def growth_mb(path: Path) -> float:
 def test_a_long_run_keeps_nothing_of_what_it_wrote(tmp_path: Path) -> None:
     """The index that shorter runs end with would cost 3 to 5 MB; without it, 0.3 at most.
 
-    It is measured in a process of its own: what the tests before have left behind comes and goes as well.
+    It is measured in a separate process, because memory of earlier tests would disturb it.
     """
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as alone:
         assert alone.submit(growth_mb, tmp_path / "run.rrd").result() < 1.5
@@ -290,7 +290,7 @@ def stream_all(path: Path, viewer: Viewer) -> tuple[RerunStream, float]:
 
 
 def closes_late(stream: RerunStream) -> bool:
-    """Close within 2 s, or a little more on a busy machine; whether it says that a thread is left."""
+    """Close within 2 s, or a little more on a busy machine; return True if a thread remains."""
     began = time.monotonic()
     clean = stream.close(2.0)
     assert time.monotonic() - began < 15.0

@@ -1,4 +1,4 @@
-"""What a person sees of a run on a terminal: a live table, whose last line is followed by the verdict and nothing else.
+"""The terminal's view of a run: a live table; only the verdict follows its last line.
 
 paper7:  1 - 2 - 3 - 5      drop  1->2 at every step
              |              cut   2-4 from 30 to 60
@@ -64,7 +64,7 @@ def terminal(width: int = 80, height: int = 24) -> Console:
 
 
 def after(topology: Topology, step: int) -> Standing:
-    """How a run stands once `step` steps are done, in batches of five that take half a second each."""
+    """Return the status of a run after `step` steps, in batches of five that take half a second each."""
     standing = Standing(topology)
     for k, batch in enumerate(batches(topology)):
         standing.take(batch, k / 2)
@@ -74,7 +74,7 @@ def after(topology: Topology, step: int) -> Standing:
 
 
 def picture(standing: Standing, width: int = 80, height: int = 24, styles: bool = False) -> list[str]:
-    """What a terminal shows of it."""
+    """Return the picture on a terminal."""
     console = terminal(width, height)
     for line in standing.lines(width, height):
         console.print(line, highlight=False)
@@ -197,7 +197,7 @@ def test_what_is_said_while_the_table_stands_is_among_its_last_three_events() ->
 
 
 class Pty:
-    """A command on a terminal of its own."""
+    """A command on a separate terminal."""
 
     def __init__(self, *arguments: str, width: int = 100, height: int = 30, **environment: str) -> None:
         self._master, slave = pty.openpty()
@@ -223,7 +223,7 @@ class Pty:
         while True:
             try:
                 some = os.read(self._master, 65536)
-            except OSError:  # nobody has the other end
+            except OSError:  # the other end is closed
                 some = b""
             with self._changed:
                 self.output += some.decode(errors="replace")
@@ -236,7 +236,7 @@ class Pty:
         fcntl.ioctl(self._master, termios.TIOCSWINSZ, struct.pack("HHHH", height, width, 0, 0))
 
     def wait_for(self, text: str, after: int = 0) -> int:
-        """Wait until `text` was written after so many characters; where it begins."""
+        """Wait until `text` appears after this number of characters; return its place."""
         with self._changed:
             assert self._changed.wait_for(lambda: text in self.output[after:] or self._ended, DEADLINE_S), self.output
             assert text in self.output[after:], self.output
@@ -253,11 +253,13 @@ class Pty:
 
     @property
     def last_line(self) -> str:
-        """What stands in the last line, without its colours."""
+        """Return the last line without its colours."""
         return re.sub(r"\x1b\[[\d;?]*[a-zA-Z]", "", self.output).replace("\r", "").rstrip("\n").rpartition("\n")[2]
 
     def leaves_the_terminal_as_it_was(self) -> bool:
-        """The cursor shows, nothing is coloured, there is no other screen, and the prompt has a line of its own."""
+        """Return True if the cursor is visible, colours are reset, there is no other screen, and the prompt has its own
+        line.
+        """
         cursor, colour = re.findall(r"\x1b\[\?25([hl])", self.output), re.findall(r"\x1b\[([\d;]*)m", self.output)
         return (
             cursor[-1:] in (["h"], [])
@@ -353,4 +355,4 @@ def test_what_a_terminal_shows(
     monkeypatch.setattr("sys.stdout", Tty())
     chosen = screen(paper7(), **{"as_json": False, **options})
     assert type(chosen) is expected
-    assert chosen.interactive == (expected is not Json), "a page stays for whoever can press Ctrl-C"
+    assert chosen.interactive == (expected is not Json), "a page stays if a user can press Ctrl-C"

@@ -55,7 +55,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:RRD file has no footer")  # its 
 
 Array = NDArray[np.float64]
 LOST_S = 2.5
-"""how much of a killed run may be missing from run.rrd; docs/watching.md says it"""
+"""the time before a kill that may be missing from run.rrd, as in docs/watching.md [s]"""
 LONG = ("--processes", "1", "--steps", "100000", "--rate", "100", "--viewer", "none", "--no-record")
 SPLIT = ("--split-recording", "0.1")
 
@@ -91,7 +91,7 @@ class Saver:
         self.process.wait(20)
 
     def stores(self) -> dict[str, Path]:
-        """What it was sent, a file a recording, by its name."""
+        """Return its received recordings by name, one file each."""
         files = {}
         reader = RrdReader(self.path)
         for number, store in enumerate(reader.recordings()):
@@ -129,7 +129,7 @@ def shown(files: list[Path] | Path, entity: str) -> tuple[Array, Array]:
 
 
 def recorded(folder: Path, column: str, nodes: int = 7) -> Array:
-    """A column of telemetry.parquet, a row a step."""
+    """Return a column of telemetry.parquet, one row per step."""
     values: Array = pq.read_table(folder / "telemetry.parquet")[column].to_numpy().astype(float).reshape(-1, nodes)
     return values
 
@@ -155,7 +155,7 @@ def assert_shows(files: list[Path] | Path, folder: Path, done: int | None = None
 
 
 def bits(values: Array) -> bytes:
-    """What they are, -0 and 0 told apart; one NaN is as good as another."""
+    """Return the bits of values, with -0 distinct from 0, and all NaN equal."""
     return np.where(np.isnan(values), np.nan, values).tobytes()
 
 
@@ -273,7 +273,7 @@ def test_a_watcher_whose_viewer_is_closed_says_so_and_the_run_goes_on() -> None:
                 until(lambda: draws(viewer) and last_step(viewer.url) > 0)
                 kill(viewer)
                 assert watching.wait() == 3
-                assert "nobody listens there; start a viewer" in watching.output
+                assert "no viewer listens there; start a viewer" in watching.output
             before = json.loads(orchestrator("status", "--json").stdout)["step"]
             up.wait_for_step(before + 1)
     finally:
@@ -282,7 +282,7 @@ def test_a_watcher_whose_viewer_is_closed_says_so_and_the_run_goes_on() -> None:
 
 @pytest.mark.slow
 def test_a_frozen_viewer_holds_up_nobody() -> None:
-    """`up` and `watch` feed a viewer, which freezes: steps go on, Ctrl-C works, run.rrd has every step."""
+    """`up` and `watch` feed a viewer, which freezes: the steps continue, Ctrl-C works, run.rrd has every step."""
     viewer = begin_headless()
     assert viewer.process is not None
     try:
@@ -310,7 +310,7 @@ def test_a_frozen_viewer_holds_up_nobody() -> None:
 
 
 def test_a_viewer_of_another_version_is_told_with_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whoever feeds it names both versions, and goes on; of a viewer too old to answer, that it does not."""
+    """Both commands name the two versions and continue; for a viewer too old to answer, they report that."""
     ours = rr.__version__
     monkeypatch.setattr(rr, "__version__", "0.99.0")
     viewer, said = begin_headless(), list[str]()
@@ -339,7 +339,7 @@ def test_a_viewer_that_does_not_say_its_version_is_told() -> None:
     try:
         server.wait_until_it_listens()
         compare(Viewer(server.url), said.append).join()
-        assert said[0].startswith(f"the viewer at {server.url} does not say its version: it is old")
+        assert said[0].startswith(f"the viewer at {server.url} does not report its version: it is old")
         assert f"install rerun-sdk=={rr.__version__} there" in said[0]
         compare(server, said.append).join()
         assert len(said) == 1, "we know what we have started"
@@ -490,7 +490,7 @@ def test_a_run_opens_from_its_recording_or_its_tables_alike(saver: Saver) -> Non
 
 @pytest.mark.slow
 def test_two_runs_share_their_axes(saver: Saver) -> None:
-    """Two laws: each run's entities stand in a folder of its own, every step of them."""
+    """Two laws: each run's entities are in a separate folder, with every step."""
     folders = {"minimax": ran("one"), "hinf": ran("two", "paper7", "law=hinf")}
     open_runs(["one", "two"], saver.url, print)
     saver.close()
@@ -507,7 +507,7 @@ def test_two_runs_share_their_axes(saver: Saver) -> None:
 
 @pytest.mark.parametrize(("steps", "drawn"), [(300, 300), (60_000, 20_000)])
 def test_a_past_is_drawn_evenly_however_fast_it_is_read(steps: int, drawn: int) -> None:
-    """A loop draws some steps a second; whoever plays back has all of them, or every third of very many."""
+    """A live view draws some steps per second; a replay draws all, or every third of very many."""
     pace = Pace(20.0, steps, -(-steps * 7 // DRAWN_NODES))
     picked = np.concatenate([first + pace.pick(2000) for first in range(0, max(steps, 2000), 2000)])[:drawn]
     np.testing.assert_array_equal(picked, np.arange(drawn) * (steps // drawn))
@@ -532,7 +532,7 @@ def test_a_viewer_that_is_not_there_is_named_with_its_cure() -> None:
     assert "there is no display" in nobody.stderr
     assert f"copy {folder / 'run.rrd'}" in nobody.stderr
     port = free_port()
-    with pytest.raises(HedgerowError, match=rf"nobody listens there; start a viewer .* `rerun --port {port}"):
+    with pytest.raises(HedgerowError, match=rf"no viewer listens there; start a viewer .* `rerun --port {port}"):
         Viewer(f"rerun+http://127.0.0.1:{port}/proxy").wait_until_it_listens(0.1)
 
 
@@ -546,7 +546,7 @@ FLAGS = (
 
 
 def drawn(screenshot: Path) -> list[int]:
-    """How many pixels have the colour of each node of paper7: none on a page without a run."""
+    """Return the number of pixels in the colour of each node of paper7: zero on a page without a run."""
     pixels = np.asarray(Image.open(screenshot).convert("RGB")).astype(int)
     topology = resolve(load("paper7"))
     (x,) = (quantity for quantity in quantities(topology, Observer(topology)) if quantity.entity == "x")
