@@ -1,4 +1,4 @@
-"""`python -m benchmarks.cost`: CPU time and context switches of one step, by thread, of our loop and of hand-written ones.
+"""`python -m benchmarks.cost`: CPU time and context switches of a step, by thread, of our loop and of others.
 
 CPU time changes less than wall time on a machine that others use too, so a change that saves some is seen here first.
 Rounds are interleaved. The table has medians over the rounds, and the ratio to the hand-written Zenoh loop of the same
@@ -18,12 +18,12 @@ import tempfile
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from benchmarks.peers.cpu import Usage, Used, between, used_by
 from benchmarks.peers.network import BEGAN, COUNT_CPU, Network
 from benchmarks.suite import STEPS, adopt_orphans, end_all, network_of
 from hedgerow.orchestrator.launch.live import Live
+from hedgerow.orchestrator.runs import registry
 from hedgerow.wire.runtime import runtime_environment
 
 BESIDE = "zenoh"
@@ -52,9 +52,7 @@ def ours(network: Network, steps: int, *options: str) -> tuple[Usage, int]:
         return between(before, after), step - first
 
 
-def _run_of(pid: int) -> Any:
-    from hedgerow.orchestrator.runs import registry  # noqa: PLC0415
-
+def _run_of(pid: int) -> registry.Entry:
     return next(entry for entry in registry.running() if entry.pid == pid)
 
 
@@ -117,7 +115,8 @@ def _report(network: Network, steps: int, peers: Sequence[str], rounds: int, thr
         ratios = [other.cpu_s / row.cpu_s for row, other in zip(rows, done.get(BESIDE, rows), strict=True)]
         spread = f"{min(ratios):.2f} to {max(ratios):.2f}"
         print(
-            f"{len(network)} nodes {peer:10} {cpu:8.0f} us {waits:6.0f} waits  {statistics.median(ratios):.2f} ({spread})"
+            f"{len(network)} nodes {peer:10} {cpu:8.0f} us {waits:6.0f} waits"
+            f"  {statistics.median(ratios):.2f} ({spread})"
         )
 
 
