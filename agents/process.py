@@ -37,7 +37,6 @@ from hedgerow.wire.codec import (
     MessageError,
     State,
     decode_end,
-    decode_link,
     decode_record,
     decode_state,
     encode_event,
@@ -251,14 +250,7 @@ class Agent:
             if self._deaf:
                 return
             try:
-                if (answer := self.shard.answer_quietly(message)) is not None:
-                    self._say_answer(
-                        [
-                            (one, sent)
-                            for senders, sent in zip(self._quiet_senders, answer, strict=True)
-                            for one in senders
-                        ]
-                    )
+                if self._answers_quietly(message):
                     return
                 kind = kind_of(message)
                 if kind == Kind.END:
@@ -276,12 +268,28 @@ class Agent:
             except Exception as error:
                 self._fail(error)
 
+    def _answers_quietly(self, message: bytes) -> bool:
+        """Answer a state and return True; False, with nothing changed, if its step is not quiet."""
+        if (answer := self.shard.answer_quietly(message)) is None:
+            return False
+        out = []
+        for senders, sent in zip(self._quiet_senders, answer, strict=False):
+            for sender in senders:
+                out.append((sender, sent))
+        self._said.append(out)
+        if self._unsaid:
+            self._say_later(functools.partial(_say, out))
+        else:
+            for sender, sent in out:
+                sender.put(sent)
+        return True
+
     def _take_link(self, peer: int, message: bytes) -> None:
         with self._lock:
             if self._deaf:
                 return
             try:
-                self.shard.hear(peer, decode_link(message, self.shard.peers[peer].hears))
+                self.shard.hear(peer, message)
                 if self._pending is not None:
                     self._step_if_complete()
             except MessageError:
@@ -328,9 +336,6 @@ class Agent:
             message = encode_link(link, shard.peers[peers[0]].says)
             out += [(self._links[p], message) for p in peers]
         out.append((self._input, encode_input(state.t, u, shard.report, shard.took)))
-        self._say_answer(out)
-
-    def _say_answer(self, out: list[tuple[Sender, bytes]]) -> None:
         self._said.append(out)
         if self._unsaid or sum(len(message) for _, message in out) > LONG_BYTES:
             self._say_later(functools.partial(_say, out))

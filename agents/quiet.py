@@ -49,6 +49,8 @@ class QuietLaw:
         self._law, self._models = law, len(view.candidates)
         self._rows = [struct.Struct(f"<{peer.hear}d") for peer in view.peers]
         self._J: list[list[float]] = []
+        self.holds = False
+        """True while the newest memory is here, and not in the law"""
         self.x: Sequence[float] = ()
         """states of the last step, (k,)"""
         self.u: Sequence[float] = ()
@@ -69,11 +71,6 @@ class QuietLaw:
             return None
         return cls(view, law)
 
-    @property
-    def holds(self) -> bool:
-        """Return True while the newest memory is here, and not in the law."""
-        return bool(self._J)
-
     def after(self, was_quiet: bool, x: Array, u: Array, report: Array) -> None:
         """Count a step that the general path made; after some quiet ones, take over its memory, states and inputs."""
         self._quiet = self._quiet + 1 if was_quiet else 0
@@ -83,6 +80,7 @@ class QuietLaw:
         if isfinite(sum(self.x) + sum(self.u)):
             memory = self._law.memory.T.tolist()
             self._J = [J[: len(node.candidates)] for J, node in zip(memory, self._nodes, strict=True)]
+            self.holds = True
 
     def settle(self) -> None:
         """Hand everything learned back to the law."""
@@ -90,17 +88,18 @@ class QuietLaw:
         for column, own in zip(J.T, self._J, strict=True):
             column[: len(own)] = own
         self._law.memory = J
-        self._J, self._quiet = [], 0
+        self._J, self._quiet, self.holds = [], 0, False
 
-    def step(self, states: Sequence[float], links: Sequence[Link]) -> Sequence[float] | None:
+    def step(self, states: Sequence[float], links: Sequence[Link | bytes]) -> Sequence[float] | None:
         """Learn the sample of t - 1, equation (7), and act at t, equation (6), for the states x(t), (k,).
 
-        `links` are the peers' messages of t - 1. Return the inputs of t - 1 that make the flow: our own, then the
-        peers'. Return None, and change nothing, if a number is missing or too large.
+        `links` are the peers' messages of t - 1, decoded or not. Return the inputs of t - 1 that make the flow: our
+        own, then the peers'. Return None, and change nothing, if a number is missing or too large.
         """
         row = [*self.u]
         for numbers, link in zip(self._rows, links, strict=False):
-            row += numbers.unpack_from(link[3], len(link[3]) - numbers.size)  # the newest row comes last
+            rows = link if type(link) is bytes else link[3]
+            row += numbers.unpack_from(rows, len(rows) - numbers.size)  # the newest inputs come last in both
         costs, inputs, estimates, margins = [], [], [], []
         for (b, candidates, incidences), J, now, before in zip(self._nodes, self._J, states, self.x, strict=False):
             flow = 0.0

@@ -33,7 +33,9 @@ from hedgerow.wire.codec import (
     Mask,
     Record,
     State,
+    decode_link,
     gather,
+    link_step,
 )
 
 Index = NDArray[np.int64]
@@ -58,8 +60,13 @@ class Peer:
     """the place of its first input in our own inputs followed by the peers' inputs"""
     incidences: Sequence[int]
     """the incidences that lead to it"""
-    mail: dict[int, Link] = field(default_factory=dict)
-    """link messages by step, for steps not yet used by a sample"""
+    mail: dict[int, Link | bytes] = field(default_factory=dict)
+    """link messages by step, as they arrived, for steps not yet used by a sample"""
+
+    def take(self, t: int) -> Link | None:
+        """Return the link message of step t and drop it; None if it has not arrived."""
+        link = self.mail.pop(t, None)
+        return decode_link(link, self.hears) if isinstance(link, bytes) else link
 
 
 class Shard:
@@ -125,14 +132,16 @@ class Shard:
 
     # Incoming messages.
 
-    def hear(self, peer: int, link: Link) -> None:
-        """Keep a link message of a peer until its step is closed.
+    def hear(self, peer: int, link: Link | bytes) -> None:
+        """Keep a link message of a peer until its step is closed; raise MessageError if its bytes are malformed.
 
         If there are too many, drop the one of the latest step.
         """
-        if link.t >= self.t:
-            mail = self.peers[peer].mail
-            mail[link.t] = link
+        own = self.peers[peer]
+        t = link_step(link, own.hears) if isinstance(link, bytes) else link.t
+        if t >= self.t:
+            mail = own.mail
+            mail[t] = link
             if len(mail) > MAIL:
                 del mail[max(mail)]
 
@@ -191,14 +200,11 @@ class Shard:
 
     def _step_quietly(self, x: Sequence[float], quiet: QuietLaw) -> bool:
         """Make the next step without numpy and return True; False, with nothing changed, if the step is not quiet."""
-        past, links, before = self.t, [], quiet.x
+        past, before = self.t, quiet.x
         if self._record is not None:
             return False
-        for peer in self.peers:
-            if (link := peer.mail.get(past)) is None:
-                return False
-            links.append(link)
-        if (inputs := quiet.step(x, links)) is None:
+        links = [peer.mail.get(past) for peer in self.peers]
+        if None in links or (inputs := quiet.step(x, links)) is None:  # type: ignore[arg-type]  # none is None
             return False
         for peer in self.peers:
             del peer.mail[past]
@@ -266,7 +272,7 @@ class Shard:
     def _close(self, state: State, back: Mask | None) -> None:
         """Learn earlier samples that are now complete, then the sample of t - 1."""
         past = state.t - 1
-        links = [peer.mail.pop(past, None) for peer in self.peers]
+        links = [peer.take(past) for peer in self.peers]
         if not state.flags and not state.spans and self._samples.complete and back is None:
             self.took = b""
             # The last row of each message is its newest; here it should be the only one.

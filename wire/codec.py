@@ -352,6 +352,15 @@ def decode_input(message: bytes, k: int, m: int) -> Input:
     return _new(Input, (t, whole[u:ahat], whole[ahat:margin], whole[margin:took], whole[took:]))
 
 
+def link_step(message: bytes, n: int) -> int:
+    """Return the step of a Link message of n nodes; raise MessageError, as `decode_link` does, if it is malformed."""
+    if len(message) == _SIZE + 8 + 16 * n:
+        code, t, first = _SHORT_LINK.unpack_from(message)
+        if code == _LINK_CODE | n << 32 and t == first >= 0:
+            return t  # type: ignore[no-any-return]
+    return decode_link(message, n).t
+
+
 def encode_link(link: Link, n: int) -> bytes:
     """Return the bytes of a Link message of n nodes."""
     t, first, x, u = link
@@ -360,11 +369,6 @@ def encode_link(link: Link, n: int) -> bytes:
 
 def decode_link(message: bytes, n: int) -> Link:
     """Return the Link of n boundary nodes, with one row or more."""
-    if len(message) == _SIZE + 8 + 16 * n:
-        code, t, first = _SHORT_LINK.unpack_from(message)
-        if code == _LINK_CODE | n << 32 and t == first >= 0:
-            middle = _SIZE + 8 + 8 * n
-            return _new(Link, (t, t, message[_SIZE + 8 : middle], message[middle:]))
     size = max(1, (len(message) - _LINK_HEADER.size) // (16 * n)) * 16 * n
     t = _open(message, _LINK, n, 8 + size)
     (first,) = _STEP.unpack_from(message, _SIZE)
