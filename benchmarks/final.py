@@ -21,7 +21,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from benchmarks import agents
+from benchmarks import agents, cost
 from benchmarks.loop import DROPS, ours, ring
 from benchmarks.peers.network import Network
 from benchmarks.suite import HERE, adopt_orphans, commit, end_all, machine, network_of, run_once
@@ -29,6 +29,9 @@ from benchmarks.suite import HERE, adopt_orphans, commit, end_all, machine, netw
 BUDGET_S = 660.0
 STEPS = {7: 4000, 20: 1500, 60: 500}
 """by number of nodes: two to three seconds of our loop on two free cores"""
+CPU_ROUNDS = 3
+BEGIN, END = "<!-- figures of benchmarks.final -->", "<!-- end of the figures -->"
+"""the lines of a page between which the tables stand"""
 MANY = 100
 """processes of the network whose first step is timed"""
 VARIANTS = {
@@ -105,6 +108,35 @@ def measure(budget_s: float, quick: bool, began: float) -> list[dict[str, Mappin
     return rounds
 
 
+def cpu_of_a_step(rounds: int, steps: int) -> list[dict[str, float]]:
+    """Return the CPU time of a step [us] of paper7 by process, and of the Zenoh loop as a whole, in every round."""
+    measured = []
+    with tempfile.TemporaryDirectory(prefix="hedgerow-") as scratch:
+        network = network_of(7, Path(scratch))
+        for _ in range(rounds):
+            used, made = cost.ours(network, steps)
+            # The processes in the order of their start: `up`, the server that forks the others, the plant, the agents.
+            table: dict[str, float] = {}
+            for thread, (cpu_us, _) in cost.by_role(used, made).items():
+                rank, name = thread.split(":")
+                who = {"0": "`up`", "1": "`up`", "2": f"the plant, thread {name}"}.get(rank, "seven agents")
+                table[who] = table.get(who, 0.0) + cpu_us
+            table["all"] = sum(table.values())
+            table["Zenoh by hand, all"] = cost.total(*cost.by_hand("zenoh", network, steps)).cpu_s
+            measured.append(table)
+    return measured
+
+
+def put_into(page: Path, text: str) -> None:
+    """Replace what stands between the two marks of a page; SystemExit if it has none."""
+    whole = page.read_text(encoding="utf-8")
+    before, begin, rest = whole.partition(BEGIN)
+    _, end, after = rest.partition(END)
+    if not end:
+        raise SystemExit(f"{page}: has no lines {BEGIN} and {END}. Add them.")
+    page.write_text(f"{before}{begin}\n\n{text}\n\n{end}{after}", encoding="utf-8")
+
+
 def spread(values: Sequence[float], digits: int = 2) -> tuple[str, str]:
     """Return the median, and the least and the greatest value, as text."""
     if not values:
@@ -137,6 +169,11 @@ def table(result: Mapping[str, Any]) -> str:
         rate, rates = spread([one["steps_per_s"] for one in own if "steps_per_s" in one], 0)
         first, firsts = spread([one["first_step_s"] for one in own if "first_step_s" in one])
         lines.append(f"| {name} | {rate} | {rates} | {first} | {firsts} |")
+    lines += ["", "| CPU time of a step, paper7 | median [us] | spread |", "|---|---|---|"]
+    for name in result["cpu_us"][0]:
+        us, around = spread([one[name] for one in result["cpu_us"] if name in one], 0)
+        if float(us) > 0:
+            lines.append(f"| {name} | {us} | {around} |")
     lines += [
         "",
         f"Aims of the first step: 0.5 s with 7 processes, 1 s with {MANY}."
@@ -151,14 +188,20 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=BUDGET_S, help="time for all rounds [%(default)s]")
     parser.add_argument("--quick", action="store_true", help="one round of short runs; writes no result")
     parser.add_argument("--from", dest="result", type=Path, metavar="JSON", help="print that result, and run nothing")
+    parser.add_argument("--page", type=Path, help="put the tables into this page, between its marks")
     known = parser.parse_args()
-    if known.result:
-        print(table(json.loads(known.result.read_text(encoding="utf-8"))))
-        return
+    result = json.loads(known.result.read_text(encoding="utf-8")) if known.result else _run(known)
+    print(table(result))
+    if known.page:
+        put_into(known.page, table(result))
+
+
+def _run(known: argparse.Namespace) -> dict[str, Any]:
     adopt_orphans()
     began = time.monotonic()
     try:
         memory = agents.measure()
+        cpu_us = cpu_of_a_step(1 if known.quick else CPU_ROUNDS, 200 if known.quick else STEPS[7])
         rounds = measure(known.seconds, known.quick, began)
     finally:
         end_all()
@@ -169,13 +212,14 @@ def main() -> None:
         "versions": ", ".join(f"{name} {version(name)}" for name in ("eclipse-zenoh", "pyzmq", "numpy")),
         "pss_mb": memory.pss_mb,
         "rss_mb": memory.rss_mb,
+        "cpu_us": cpu_us,
         "rounds": rounds,
     }
     if not known.quick:
         file = HERE / "results" / f"{result['date']}-final.json"
         file.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
         print(file, file=sys.stderr)
-    print(table(result))
+    return result
 
 
 if __name__ == "__main__":
