@@ -3,7 +3,7 @@
     python docs/generate.py           write it
     python docs/generate.py --check   exit with 1 when it is stale
 
-A line `<!-- generate: NAME ARGUMENT -->` of the template is replaced by what the function of that name returns.
+The result of the function NAME replaces a line `<!-- generate: NAME ARGUMENT -->` of the template.
 """
 
 from __future__ import annotations
@@ -25,9 +25,11 @@ import yaml
 from pydantic import AfterValidator
 from pydantic.fields import FieldInfo
 
+from hedgerow.topologies import disturbances as disturbance_models
 from hedgerow.topologies import faults, generators, schema
-from hedgerow.topologies.base import Model
+from hedgerow.topologies.base import Model, Uniform
 from hedgerow.topologies.load import bundled, find, load, parse
+from hedgerow.topologies.record import Record
 from hedgerow.topologies.resolve import resolve
 
 DOCS = Path(__file__).parent
@@ -55,7 +57,7 @@ OF_FAULTS = {
     "steps": "pair of whole numbers",
 }
 """Plain words for types of a fault."""
-TYPED: dict[type[Model], dict[str, str]] = {schema.Topology: WRITTEN, schema.Record: OF_RECORD}
+TYPED: dict[type[Model], dict[str, str]] = {schema.Topology: WRITTEN, Record: OF_RECORD}
 VALIDATED = {"_one_line_name": "name"}
 """Types that a validator narrows, by the validator's name."""
 PLAIN = {float: "number", int: "whole number", bool: "`true` or `false`", str: "text", Any: "anything"}
@@ -164,7 +166,7 @@ def flow(value: Any) -> str:
 def keys(model: type[Model], hide: Sequence[str] = (), default: Callable[[str], str] | None = None) -> str:
     """Return the table of a model's keys."""
     hints = typing.get_type_hints(model, include_extras=True)
-    rows = ["| key | type | default | what it says |", "|---|---|---|---|"]
+    rows = ["| key | type | default | description |", "|---|---|---|---|"]
     for name, field in model.model_fields.items():
         if name in hide:
             continue
@@ -194,7 +196,7 @@ def _default_of_file(field: FieldInfo) -> str:
         return "required"
     return (
         "—"
-        if isinstance(field.default, schema.Settings | schema.Record) or field.default in (None, (), {})
+        if isinstance(field.default, schema.Settings | Record) or field.default in (None, (), {})
         else f"`{flow(field.default)}`"
     )
 
@@ -211,7 +213,7 @@ def _default_of_node(name: str) -> str:
 
 def _kinds() -> list[type[Model]]:
     """Return every model that has a `kind`, in the order of the schema."""
-    models = [one for one in vars(schema).values() if isinstance(one, type) and issubclass(one, Model)]
+    models = [one for one in vars(disturbance_models).values() if isinstance(one, type) and issubclass(one, Model)]
     kinds = [one for one in models if "kind" in one.model_fields]
     if missing := {one.model_fields["kind"].default for one in kinds} - EXAMPLES.keys():
         raise SystemExit(f"no example of {', '.join(missing)}: add one to EXAMPLES in docs/generate.py")
@@ -225,7 +227,7 @@ def disturbances() -> str:
         kind = model.model_fields["kind"].default
         example = EXAMPLES[kind]
         network: dict[str, Any] = {"name": "one", "b": 0.1, "steps": 3, "nodes": [1, 2], "edges": [[1, 2]]}
-        if model is schema.WorstCase:
+        if model is disturbance_models.WorstCase:
             network["disturbance"] = example
         else:
             network["defaults"] = {"disturbance": example}
@@ -275,9 +277,9 @@ def of_faults() -> str:
 
 def random() -> str:
     """Return the models of random values, and the keys that accept them."""
-    rows = ["| written | may stand at | what is drawn |", "|---|---|---|"]
+    rows = ["| written | valid at | drawn value |", "|---|---|---|"]
     owners: list[type[Model]] = [schema.Node, *_kinds()]
-    for model in (schema.Drawn, schema.Uniform, schema.NonNegativeUniform):
+    for model in (schema.Drawn, Uniform, disturbance_models.NonNegativeUniform):
         inside = "M" if model is schema.Drawn else "[low, high]"
         places = []
         for owner in owners:
@@ -369,7 +371,7 @@ def generate() -> str:
             "disturbances": disturbances,
             "faults": of_faults,
             "graphs": graphs,
-            "record": lambda: keys(schema.Record),
+            "record": lambda: keys(Record),
             "random": random,
             "bundled": bundled_files,
             "file": scratch.file,

@@ -9,12 +9,13 @@ from rich.console import Console
 from rich.table import Table
 
 from hedgerow.orchestrator.ground.assignment import candidates_of
+from hedgerow.topologies.disturbances import Component
 from hedgerow.topologies.hinf import allowed_interval, contraction, gamma_star
 from hedgerow.topologies.law_choice import is_listed
 from hedgerow.topologies.network import span
 from hedgerow.topologies.partition import cut, cut_weight, partition, pieces
 from hedgerow.topologies.resolve import truth
-from hedgerow.topologies.schema import Component, Topology
+from hedgerow.topologies.schema import Topology
 
 MAX_ROWS = 200
 

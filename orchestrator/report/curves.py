@@ -121,7 +121,7 @@ def zoom(axis: Axes, run: Run, values: Array) -> None:
     low, high = extremes(values[start:])
     if start < 2 or as_quantiles(run, values) or not 0 < DWARFED * max(-low, high) < np.nanmax(np.abs(values)):
         return
-    inset = axis.inset_axes((0.42, 0.42, 0.56, 0.52))
+    inset = axis.inset_axes((0.42, 0.42, 0.58, 0.52))
     for of_node in values.T:
         t, shown = highest(of_node)
         inset.plot(t, shown, lw=0.8)
@@ -133,7 +133,7 @@ def zoom(axis: Axes, run: Run, values: Array) -> None:
 
 
 def as_quantiles(run: Run, values: Array) -> bool:
-    """Return True for too many nodes for lines, or so many steps that signed lines would cover the figure."""
+    """Return True if there are too many nodes for lines, or too many steps for lines with both signs."""
     return len(run.ids) > NODES or (len(values) > STEPS and bool(np.nanmin(values) < 0))
 
 

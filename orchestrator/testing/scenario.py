@@ -24,8 +24,9 @@ from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.faults import Fault
 from hedgerow.topologies.load import parse
 from hedgerow.topologies.named import Named, text_of
+from hedgerow.topologies.record import Record
 from hedgerow.topologies.resolve import resolve
-from hedgerow.topologies.schema import Record, Topology
+from hedgerow.topologies.schema import Topology
 from hedgerow.wire.codec import End, Telemetry
 
 RUN_DEADLINE_S = 120.0
