@@ -292,7 +292,7 @@ class Agent:
             if self._deaf:
                 return
             try:
-                self.shard.hear(peer, message)
+                self.shard.hear_message(peer, message)
                 if self._pending is not None:
                     self._step_if_complete()
             except MessageError:

@@ -98,7 +98,7 @@ class QuietLaw:
         """
         row = [*self.u]
         for numbers, link in zip(self._rows, links, strict=False):
-            rows = link if type(link) is bytes else link[3]
+            rows = link if isinstance(link, bytes) else link.u
             row += numbers.unpack_from(rows, len(rows) - numbers.size)  # the newest inputs come last in both
         costs, inputs, estimates, margins = [], [], [], []
         for (b, candidates, incidences), J, now, before in zip(self._nodes, self._J, states, self.x, strict=False):

@@ -133,15 +133,20 @@ class Shard:
 
     # Incoming messages.
 
-    def hear(self, peer: int, link: Link | bytes) -> None:
-        """Keep a link message of a peer until its step is closed; raise MessageError if its bytes are malformed.
+    def hear(self, peer: int, link: Link) -> None:
+        """Keep a link message of a peer until its step is closed.
 
         If there are too many, drop the one of the latest step.
         """
+        self._keep(self.peers[peer].mail, link.t, link)
+
+    def hear_message(self, peer: int, message: bytes) -> None:
+        """Keep the bytes of a link message, as `hear` does; raise MessageError if they are malformed."""
         own = self.peers[peer]
-        t = link_step(link, own.hears) if isinstance(link, bytes) else link.t
+        self._keep(own.mail, link_step(message, own.hears), message)
+
+    def _keep(self, mail: dict[int, Link | bytes], t: int, link: Link | bytes) -> None:
         if t >= self.t:
-            mail = own.mail
             mail[t] = link
             if len(mail) > MAIL:
                 del mail[max(mail)]
