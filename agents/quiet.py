@@ -133,7 +133,7 @@ class QuietForms:
         self._links = [(Form(Kind.LINK, n, 2 * n), nodes) for n, nodes in zip(sizes, audience, strict=True)]
 
     def states(self, message: bytes, t: int) -> Sequence[float] | None:
-        """Return the states in a message, if it is the state message of t and says nothing else."""
+        """Return the states in a message if it is the state message of t without flags; None if it is not."""
         form = self._state
         if len(message) != form.size:
             return None

@@ -247,7 +247,7 @@ class Shard:
         return self._report
 
     def replace_inputs(self, u: Array) -> None:
-        """Go on as if the inputs of the last step had been `u`, (k,)."""
+        """Continue as if the inputs of the last step had been `u`, (k,)."""
         if self._quiet is not None and self._quiet.holds:
             self._settle(self._quiet)
         self._u = u

@@ -1,8 +1,8 @@
 """`python -m benchmarks.final`: all figures of docs/performance.md about the loop, in one run of at most 12 minutes.
 
 Run it on a machine without other load. A round runs every variant once, and the order alternates from round to round,
-so a slow minute slows all of them. Rounds go on until the time is over. The table has the median of the ratios within
-a round and their spread. The result goes to benchmarks/results/DATE-final.json; `--from` prints it again.
+so a slow minute slows all of them. The table has the median of the ratios within a
+round and their spread. The result goes to benchmarks/results/DATE-final.json; `--from` prints it again.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ STEPS = {7: 4000, 20: 1500, 60: 500}
 """by number of nodes: two to three seconds of our loop on two free cores"""
 CPU_ROUNDS = 3
 BEGIN, END = "<!-- figures of benchmarks.final -->", "<!-- end of the figures -->"
-"""the lines of a page between which the tables stand"""
+"""the lines of a page before and after the tables"""
 MANY = 100
-"""processes of the network whose first step is timed"""
+"""processes of the network in which the first step of many processes is timed"""
 VARIANTS = {
     "run.rrd": (("--record",), "none"),
     "run.rrd and page": (("--record",), "web"),
@@ -128,7 +128,7 @@ def cpu_of_a_step(rounds: int, steps: int) -> list[dict[str, float]]:
 
 
 def put_into(page: Path, text: str) -> None:
-    """Replace what stands between the two marks of a page; SystemExit if it has none."""
+    """Replace the text between the two marks of a page; SystemExit if it has none."""
     whole = page.read_text(encoding="utf-8")
     before, begin, rest = whole.partition(BEGIN)
     _, end, after = rest.partition(END)

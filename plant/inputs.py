@@ -18,7 +18,7 @@ TOGETHER = 4096
 
 
 class Inputs:
-    """What the shards answered at step t: `take` messages, read `u`, `begin` the next step, read `rest`."""
+    """The inputs of the shards at step t: `take` messages, read `u`, `begin` the next step, read `rest`."""
 
     def __init__(self, sizes: Sequence[int], incidences: Sequence[int]) -> None:
         """`sizes` are the numbers of nodes and `incidences` those of the incidences, by shard."""
@@ -74,7 +74,7 @@ class Inputs:
     def rest(self) -> tuple[Array, Sequence[Buffer]]:
         """Return the reports, (REPORT_ROWS, n), and by shard the Flag bits taken in, of the step of the last `u`.
 
-        No bits stand for all of them. `begin` may have been called since.
+        Empty flags mean that everything was taken in. `begin` may have been called since.
         """
         if self._row is not None:
             return self._row.take(self._report_at), ()

@@ -343,7 +343,7 @@ class Plant:
     # Incoming messages: each method below takes the lock.
 
     def _take_input(self, p: int, message: bytes) -> None:
-        with self._lock:  # not the condition, whose `with` costs three times as much
+        with self._lock:  # `with` of the condition costs three times as much
             shard, missing = self.shards.all[p], self.shards.missing
             if p in missing and self.running:
                 if self._inputs.take(p, message):
