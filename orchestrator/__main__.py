@@ -2,37 +2,68 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
-import sys
-import time
+from hedgerow.wire import first
 
-import hedgerow
-from hedgerow.topologies.escape import echo
-from hedgerow.wire import start
+first.quiet()
+
+import contextlib  # noqa: E402 (a Ctrl-C while they load must find the handler of `first`)
+import os  # noqa: E402
+import sys  # noqa: E402
+import time  # noqa: E402
+from typing import NoReturn  # noqa: E402
+
+import hedgerow  # noqa: E402
+from hedgerow.topologies.escape import echo  # noqa: E402
+from hedgerow.wire import start  # noqa: E402
 
 BEGAN = time.monotonic()
+MIN_OPEN_FILES = 32
+"""With fewer, libraries end a process without a word."""
 
 
-def main() -> None:
+def main() -> NoReturn:
+    """Run the command line as the whole of this process, and exit with its code."""
+    code: int = start.INTERRUPTED
+    with contextlib.suppress(KeyboardInterrupt):
+        # Before all other imports: until then, a Ctrl-C ends with a traceback.
+        start.begin()
+        _settle_environment()
+        from hedgerow.wire.stderr_relay import StderrRelay  # noqa: PLC0415
+
+        with StderrRelay():
+            code = _code()
+    with contextlib.suppress(OSError, ValueError, KeyboardInterrupt):
+        sys.stdout.flush()
+        sys.stderr.flush()
+    # Not sys.exit: a stalled viewer's threads must not hold the process (orchestrator.views.rerun.stream).
+    os._exit(code)
+
+
+def _code() -> int:
     """Run the command line; for `up`, start the fork server first, so that both load at the same time."""
-    start.begin()
-    _settle_environment()
+    from hedgerow.topologies.errors import Exit, HedgerowError  # noqa: PLC0415
+    from hedgerow.wire import limits  # noqa: PLC0415
+
     launches = "up" in sys.argv[1:2] and not {"--help", "--detach"} & set(sys.argv)
     try:
+        limits.need_open_files(MIN_OPEN_FILES, "a command")
         from hedgerow.orchestrator.launch.fork_client import ForkClient  # noqa: PLC0415
 
         fork_client = ForkClient() if launches else None
         from hedgerow.orchestrator.cli.main import run_command  # noqa: PLC0415
 
-        run_command(BEGAN, fork_client)
+        return run_command(BEGAN, fork_client)
     except KeyboardInterrupt:  # before there was a run to end
-        os._exit(start.INTERRUPTED)
+        return start.INTERRUPTED
+    except HedgerowError as error:
+        with contextlib.suppress(OSError):
+            echo(f"error: {error}", error=True)
+        return Exit.UNKNOWN
     except BaseException as error:
         if isinstance(error, ModuleNotFoundError) and (error.name or "").partition(".")[0] in hedgerow.NEEDED:
             echo(f"error: {hedgerow.missing('this command', error.name)}", error=True)
-            os._exit(2)
-        os._exit(_failed(error))
+            return Exit.USER_MISTAKE
+        return _failed(error)
 
 
 def _settle_environment() -> None:
@@ -53,10 +84,9 @@ def _is_size(text: str) -> bool:
 def _failed(error: BaseException) -> int:
     """Say in one line what ended us before the command line could; the exit code."""
     from hedgerow.topologies.errors import Exit  # noqa: PLC0415
-    from hedgerow.wire import crash  # noqa: PLC0415
-    from hedgerow.wire.limits import limit_reached  # noqa: PLC0415
+    from hedgerow.wire import crash, limits  # noqa: PLC0415
 
-    reached = limit_reached(error)
+    reached = limits.limit_reached(error)
     with contextlib.suppress(OSError):
         echo(f"error: {reached or crash.report(error)}", error=True)
     return Exit.CRASH if reached is None else Exit.UNKNOWN

@@ -64,7 +64,7 @@ def limit_in(words: str) -> str | None:
 
 def limit_reached(error: BaseException) -> HedgerowError | None:
     """Return the limit of the machine that an exception, or a cause of it, is about; None if there is none."""
-    for one in _causes(error):
+    for one in causes(error):
         if isinstance(one, HedgerowError):
             continue
         found: str | None = None
@@ -79,7 +79,8 @@ def limit_reached(error: BaseException) -> HedgerowError | None:
     return None
 
 
-def _causes(error: BaseException) -> Iterator[BaseException]:
+def causes(error: BaseException) -> Iterator[BaseException]:
+    """Return an exception, and those that it came of."""
     seen: set[int] = set()
     one: BaseException | None = error
     while one is not None and id(one) not in seen:

@@ -17,6 +17,7 @@ from types import FrameType
 from typing import Any
 
 from hedgerow.topologies.escape import EscapedStream
+from hedgerow.wire import first
 
 INTERRUPTED = 128 + signal.SIGINT
 """The exit code after a Ctrl-C."""
@@ -66,7 +67,7 @@ def quiet_ctrl_c() -> None:
     Python's own stays: a SIGINT that was ignored at the start stays ignored.
     """
     here = threading.current_thread() is threading.main_thread()
-    if here and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+    if here and signal.getsignal(signal.SIGINT) in (signal.default_int_handler, first.end):
         signal.signal(signal.SIGINT, _interrupt)
 
 

@@ -5,18 +5,17 @@ from __future__ import annotations
 import contextlib
 import errno
 import io
-import os
 import select
 import sys
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING
 
 import typer
 
 from hedgerow.topologies.errors import Code, Exit, HedgerowError, TopologyError, UserError
 from hedgerow.topologies.escape import echo
 from hedgerow.wire import crash, start
-from hedgerow.wire.limits import limit_reached
+from hedgerow.wire.limits import causes, limit_reached
 
 if TYPE_CHECKING:
     from hedgerow.orchestrator.metrics.verdict import Verdict
@@ -54,8 +53,10 @@ def _unexpected(error: BaseException) -> int:
         return Exit.VALID  # a reader who has left has read enough; click makes a SystemExit of it
     if isinstance(error, SystemExit):
         return error.code if isinstance(error.code, int) else 0 if error.code is None else Exit.UNKNOWN
-    if isinstance(error, OSError) and error.errno in FULL:
-        _complain(f"error: what was to be written is lost: {error.strerror}; make room, or write it elsewhere")
+    # A library that closes its file may fail for a second time, and hide the first error.
+    full = next((one for one in causes(error) if isinstance(one, OSError) and one.errno in FULL), None)
+    if full is not None:
+        _complain(f"error: what was to be written is lost: {full.strerror}; make room, or write it elsewhere")
         return Exit.USER_MISTAKE
     if isinstance(error, Exception) and hasattr(error, "show"):
         with contextlib.suppress(OSError):
@@ -88,12 +89,3 @@ def code_of_run(verdict: Verdict, display: Screen) -> int:
 def _complain(text: str) -> None:
     with contextlib.suppress(OSError):
         echo(text, error=True)
-
-
-def leave(code: int) -> NoReturn:
-    """End this process, whatever threads of a stalled viewer there are."""
-    # Not sys.exit: a stalled viewer's threads must not hold the process (orchestrator.views.rerun.stream).
-    for stream in (sys.stdout, sys.stderr):
-        with contextlib.suppress(OSError):
-            stream.flush()
-    os._exit(code)

@@ -31,7 +31,7 @@ from hedgerow.orchestrator.cli import runs as cli_runs
 from hedgerow.orchestrator.cli import soak as cli_soak
 from hedgerow.orchestrator.cli import sweep as cli_sweep
 from hedgerow.orchestrator.cli import watch as cli_watch
-from hedgerow.orchestrator.cli.exit_code import code_of_run, leave, run_to_exit_code
+from hedgerow.orchestrator.cli.exit_code import code_of_run, run_to_exit_code
 from hedgerow.orchestrator.cli.names import EXPERIMENT, INSPECT, RUN, WATCH, Commands
 from hedgerow.orchestrator.cli.options import AsJson, File, Law, Quiet, RunDir, Running, Seed, Sets, Steps
 from hedgerow.orchestrator.cli.topology import importable, read
@@ -41,7 +41,6 @@ from hedgerow.topologies.escape import command, echo
 from hedgerow.topologies.paths import user_path
 from hedgerow.wire.child import escape_warnings
 from hedgerow.wire.runtime import let_numbers_overflow
-from hedgerow.wire.stderr_relay import StderrRelay
 
 # A topology takes most of a second to load: each command imports what it needs itself.
 if TYPE_CHECKING:
@@ -90,15 +89,13 @@ def _whole(
     """Run networks of independent controllers, each its own process, over Zenoh."""
 
 
-def run_command(began: float, fork_client: ForkClient | None) -> None:
-    """Run the command line, and exit with its code. `began` is the start of the process by time.monotonic()."""
+def run_command(began: float, fork_client: ForkClient | None) -> int:
+    """Run the command line, and return its exit code. `began` is the start of the process by time.monotonic()."""
     global _BEGAN, _FORK_CLIENT
     _BEGAN, _FORK_CLIENT = began, fork_client
     let_numbers_overflow()
     escape_warnings()
-    with StderrRelay():
-        code = run_to_exit_code(lambda: app(standalone_mode=False) or 0)
-    leave(code)
+    return run_to_exit_code(lambda: app(standalone_mode=False) or 0)
 
 
 @app.command(rich_help_panel=RUN)

@@ -85,7 +85,8 @@ def whole_folder(folder: Path, said: str, mode: int = 0o777) -> Iterator[Path]:
     except BaseException:
         shutil.rmtree(part, ignore_errors=True)
         if made:
-            folder.rmdir()
+            with contextlib.suppress(OSError):  # the user has put something into it
+                folder.rmdir()
         raise
 
 
@@ -117,7 +118,7 @@ def create(topology: Topology, directory: Path | None) -> RunFolder:
             folder.note = _point_latest(folder.path.parent, folder.path)
     except OSError as error:
         raise UserError(
-            f"no run folder: {error.filename or directory}: {error.strerror}; choose another with --run-dir",
+            f"no run folder: {error.filename or directory or 'runs'}: {error.strerror}; choose another with --run-dir",
             code=Code.OUTPUT,
         ) from None
     return folder

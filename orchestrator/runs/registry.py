@@ -55,7 +55,8 @@ def _directory() -> Path:
         found = directory.lstat()
     except OSError as error:
         raise UserError(
-            f"{base}: no place to list running networks: {error.strerror}; set XDG_RUNTIME_DIR to a folder of your own",
+            f"{base or 'TMPDIR'}: no place to list running networks: {error.strerror};"
+            " set XDG_RUNTIME_DIR to a folder of your own",
             code=Code.OUTPUT,
         ) from None
     if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o077:
