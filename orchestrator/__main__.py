@@ -9,6 +9,7 @@ first.quiet()
 import contextlib  # noqa: E402 (a Ctrl-C while they load must find the handler of `first`)
 import os  # noqa: E402
 import sys  # noqa: E402
+import threading  # noqa: E402
 import time  # noqa: E402
 from typing import NoReturn  # noqa: E402
 
@@ -17,8 +18,8 @@ from hedgerow.topologies.escape import echo  # noqa: E402
 from hedgerow.wire import start  # noqa: E402
 
 BEGAN = time.monotonic()
-MIN_OPEN_FILES = 32
-"""With fewer, libraries end a process without a word."""
+MIN_OPEN_FILES, MIN_MEMORY, MIN_MEMORY_UP = 32, 1200 * 10**6, 2000 * 10**6
+"""With less, libraries end a process without a word, or wait for ever. Most of the memory is reserved and never used."""
 
 
 def main() -> NoReturn:
@@ -31,6 +32,7 @@ def main() -> NoReturn:
         from hedgerow.wire.stderr_relay import StderrRelay  # noqa: PLC0415
 
         with StderrRelay():
+            sys.unraisablehook, threading.excepthook = _ignored, _failed_thread
             code = _code()
     with contextlib.suppress(OSError, ValueError, KeyboardInterrupt):
         sys.stdout.flush()
@@ -47,6 +49,7 @@ def _code() -> int:
     launches = "up" in sys.argv[1:2] and not {"--help", "--detach"} & set(sys.argv)
     try:
         limits.need_open_files(MIN_OPEN_FILES, "a command")
+        limits.need_memory(MIN_MEMORY_UP if launches else MIN_MEMORY, "`up`" if launches else "a command")
         from hedgerow.orchestrator.launch.fork_client import ForkClient  # noqa: PLC0415
 
         fork_client = ForkClient() if launches else None
@@ -64,6 +67,21 @@ def _code() -> int:
             echo(f"error: {hedgerow.missing('this command', error.name)}", error=True)
             return Exit.USER_MISTAKE
         return _failed(error)
+
+
+def _ignored(found: sys.UnraisableHookArgs) -> None:
+    """Say in one line what Python ignores, such as an exception while a library lets go of something."""
+    with contextlib.suppress(Exception):
+        echo(f"ignored: {found.exc_type.__name__}: {found.exc_value}", error=True)
+
+
+def _failed_thread(found: threading.ExceptHookArgs) -> None:
+    """Say in one line what ended a thread, and in which file its traceback is."""
+    from hedgerow.wire import crash  # noqa: PLC0415
+
+    if found.exc_value is not None and not isinstance(found.exc_value, SystemExit):
+        with contextlib.suppress(Exception):
+            echo(f"error: a thread ended: {crash.told(found.exc_value)}; {crash.kept(found.exc_value)}", error=True)
 
 
 def _settle_environment() -> None:

@@ -6,6 +6,7 @@ import codecs
 import contextlib
 import gc
 import os
+import re
 import signal
 import sys
 import time
@@ -13,6 +14,9 @@ from types import TracebackType
 from typing import NoReturn
 
 from hedgerow.topologies.escape import EscapedStream, escape
+
+_COLOUR = re.compile(r"\x1b\[[0-9;]*m")
+"""Libraries colour their lines also for what is no terminal."""
 
 
 class StderrRelay:
@@ -80,6 +84,6 @@ def _relay(reads: int, real: int) -> NoReturn:
         decode = codecs.getincrementaldecoder("utf-8")("replace").decode
         while data := os.read(0, 2**16):
             with contextlib.suppress(OSError):  # nobody reads it
-                os.write(1, escape(decode(data)).encode(errors="backslashreplace"))
+                os.write(1, escape(_COLOUR.sub("", decode(data))).encode(errors="backslashreplace"))
     finally:
         os._exit(0)

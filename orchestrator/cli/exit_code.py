@@ -23,6 +23,11 @@ if TYPE_CHECKING:
 
 FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
 """Where standard output leads, no more can be written."""
+OF_PATHS = {
+    *(errno.EACCES, errno.EEXIST, errno.EISDIR, errno.ELOOP, errno.ENAMETOOLONG, errno.ENOENT, errno.ENOTDIR),
+    *(errno.ENOTEMPTY, errno.EPERM, errno.EROFS, errno.ETXTBSY, errno.ESTALE, errno.ENXIO, errno.EINVAL),
+}
+"""What is wrong with a path that the user gave, or with a folder that it leads to."""
 
 
 def run_to_exit_code(command: Callable[[], int]) -> int:
@@ -65,6 +70,9 @@ def _unexpected(error: BaseException) -> int:
             echo(said.getvalue(), error=True, end="")
         return Exit.USER_MISTAKE
     reached = limit_reached(error)
+    if reached is None and isinstance(error, OSError) and error.errno in OF_PATHS and error.filename is not None:
+        _complain(f"error: {error.filename!s}: {error.strerror}. Name another path, or correct its permissions.")
+        return Exit.USER_MISTAKE
     _complain(f"error: {reached or crash.report(error)}")
     return Exit.CRASH if reached is None else Exit.UNKNOWN
 

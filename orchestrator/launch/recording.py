@@ -34,6 +34,10 @@ if TYPE_CHECKING:
     from hedgerow.orchestrator.views.rerun.stream import RerunStream
 
 CLOSE_DEADLINE_S = 5.0
+RERUN_DEADLINE_S = 30.0
+"""what Rerun may take for one job; some of its calls never return once it could not write"""
+BOUNDS_DEADLINE_S = 60.0
+"""what the solver may take: at a limit of memory it may never return"""
 CERTIFIED = 300
 """Number of nodes up to which the bounds on the gain are solved beside a run, in seconds; its end waits for them."""
 TABLES = ("telemetry", "edges", "summary")
@@ -78,6 +82,7 @@ class Recording:
         """the thread of the replay: a step of it takes as long as one of an agent, and the loop is not to wait"""
         self._replayed = replayed
         self._stream: RerunStream | None = None
+        self._left_out = False
         self._bounding: BackgroundThread | None = None
         """the thread that solves for the bounds on the gain: it begins after the first step"""
         if len(topology.ids) <= CERTIFIED:
@@ -140,7 +145,7 @@ class Recording:
         def solve() -> None:
             certificate.known = certified(plant_of(self.topology.network), self.topology.network.gamma_star)
 
-        self._bounding = BackgroundThread("bounds", self._leave_out_bounds)
+        self._bounding = BackgroundThread("the solver of the bounds", self._leave_out_bounds, BOUNDS_DEADLINE_S)
         self._bounding.do(solve)
 
     def _leave_out_bounds(self, error: BaseException) -> None:
@@ -225,7 +230,7 @@ class Recording:
             )
         if path is None and self.viewer is None:
             return
-        self._background = BackgroundThread("rerun", self._leave_out)
+        self._background = BackgroundThread("Rerun", self._leave_out, RERUN_DEADLINE_S)
         self._background.do(lambda: self._load(path))
         for note in self._notes:
             self.note(*note)
@@ -237,7 +242,7 @@ class Recording:
         from hedgerow.orchestrator.views.rerun.stream import RerunStream  # noqa: PLC0415
 
         part_bytes = int(self._watching.split_mb * 1e6)
-        self._stream = RerunStream(
+        stream = RerunStream(
             self.topology,
             self.observer,
             self.folder.name,
@@ -247,10 +252,12 @@ class Recording:
             self.warnings.append,
             processes=self._processes,
         )
+        if not self._left_out:  # it came too late
+            self._stream = stream
 
     def _leave_out(self, error: BaseException) -> None:
         """Go on without the recording and the viewer, which only help, and say so once."""
-        self._stream = None
+        self._stream, self._left_out = None, True
         why = str(limit_reached(error) or error)
         expected = isinstance(error, HedgerowError | OSError | ImportError) or limit_reached(error) is not None
         if not expected:
@@ -289,8 +296,8 @@ class Recording:
             if self.observer.adaptive is not None:
                 self.observer.adaptive.finish()
             if self._background is not None:
+                self._background.do(self._close_stream)
                 self._background.close()
-            self._close_stream()
             self.close_tables()
         except (OSError, HedgerowError) as error:  # a full disk: the streams hold what was recorded, and can be read
             self.ending.stopped = self.ending.stopped or str(error)

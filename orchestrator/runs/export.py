@@ -95,7 +95,7 @@ def _files(run: Run, to: str, out: Path | None) -> dict[Path, Write]:
 
 def _csv(table: Table, path: Path) -> None:
     """The shortest numbers that are read back to the same bits; nothing where there is null."""
-    with CSVWriter(str(path), table.schema) as writer:
+    with CSVWriter(spelled(path), table.schema) as writer:
         for batch in table.batches():
             writer.write_batch(batch)
 
