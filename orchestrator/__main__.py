@@ -1,4 +1,4 @@
-"""`orchestrator`, the command."""
+"""The command `orchestrator`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from hedgerow.wire import start  # noqa: E402
 
 BEGAN = time.monotonic()
 MIN_OPEN_FILES, MIN_MEMORY, MIN_MEMORY_UP = 32, 1200 * 10**6, 2000 * 10**6
-"""With less, libraries end a process without a word, or wait for ever. Most of the memory is reserved and never used."""
+"""With less, libraries end a process without a message, or wait for ever. Most of the memory is only reserved."""
 
 
 def main() -> NoReturn:
@@ -69,6 +69,11 @@ def _code() -> int:
         return _failed(error)
 
 
+MOST_FILES = 10
+"""Tracebacks of threads that are kept: a law may start a thread at every step."""
+_FAILED: list[BaseException] = []
+
+
 def _ignored(found: sys.UnraisableHookArgs) -> None:
     """Say in one line what Python ignores, such as an exception while a library lets go of something."""
     with contextlib.suppress(Exception):
@@ -79,20 +84,21 @@ def _failed_thread(found: threading.ExceptHookArgs) -> None:
     """Say in one line what ended a thread, and in which file its traceback is."""
     from hedgerow.wire import crash  # noqa: PLC0415
 
-    if found.exc_value is not None and not isinstance(found.exc_value, SystemExit):
+    if found.exc_value is not None and not isinstance(found.exc_value, SystemExit) and len(_FAILED) < MOST_FILES:
+        _FAILED.append(found.exc_value)
         with contextlib.suppress(Exception):
             echo(f"error: a thread ended: {crash.told(found.exc_value)}; {crash.kept(found.exc_value)}", error=True)
 
 
 def _settle_environment() -> None:
-    """Set what our libraries read from the environment; child processes inherit it."""
-    # Threads of linear algebra would take from the network the cores that they share; and one is always the same sum.
+    """Set the environment variables that our libraries read; child processes inherit them."""
+    # Threads of linear algebra would compete with the network for its cores, and the order of a sum would vary.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    # A notebook sets a backend that only its own interpreter has; we draw to files.
+    # A notebook sets a backend that exists only in its interpreter; we draw to files.
     os.environ["MPLBACKEND"] = "Agg"
     for name in ("COLUMNS", "LINES"):
         if not _is_size(os.environ.get(name, "1")):
-            del os.environ[name]  # a terminal of no size: its own size is asked for
+            del os.environ[name]  # a terminal of size zero: let libraries ask the terminal
 
 
 def _is_size(text: str) -> bool:
@@ -100,7 +106,7 @@ def _is_size(text: str) -> bool:
 
 
 def _failed(error: BaseException) -> int:
-    """Say in one line what ended us before the command line could; the exit code."""
+    """Print one line about an error before the command line existed; return the exit code."""
     from hedgerow.topologies.errors import Exit  # noqa: PLC0415
     from hedgerow.wire import crash, limits  # noqa: PLC0415
 

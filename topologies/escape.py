@@ -1,4 +1,4 @@
-"""Text for a terminal, a log or a shell: no character of it acts on the terminal, and none leaves its word."""
+"""Text for a terminal, a log or a shell: no character acts on the terminal or ends a quoted word."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ import sys
 from collections.abc import Iterable, Iterator
 from typing import Any, TextIO
 
-# The terminal obeys C0, DEL and C1. The bidirectional controls and the two separators change the order of what is read.
-# A lone surrogate is a byte that is no UTF-8, and standard output would write that byte again: 0x9B begins a command.
-# Invisible characters make two names look equal. The two joiners (U+200C, U+200D) stay, because scripts need them.
+# The terminal obeys C0, DEL and C1. The bidirectional controls and the two separators change the order of the visible
+# text. A lone surrogate is an invalid byte of UTF-8. Standard output would write that byte again, and 0x9B begins a
+# command. Invisible characters make two names look equal. The two joiners (U+200C, U+200D) stay, because scripts need
+# them.
 _UNSAFE = re.compile(
     "[\x00-\x1f\x7f-\x9f\xad\u061c\u180e\u200b\u200e\u200f\u2028\u2029\u202a-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb"
     "\ud800-\udfff\U000e0000-\U000e007f]"
@@ -39,7 +40,7 @@ def _written_out(character: str) -> str:
 
 
 def shorten(text: str, most: int = 80) -> str:
-    """Return one line of at most `most` characters for a text of others."""
+    """Return a foreign text as one line of at most `most` characters."""
     cut = text if len(text) <= most else text[: most - 1] + "…"
     line = escape(cut, keep="")
     return line if len(line) <= most else line[: most - 1] + "…"
@@ -49,7 +50,7 @@ _MARKS = re.compile(r"[\\`*_{}\[\]<>#|~&!$]")
 
 
 def markdown(text: str) -> str:
-    """Return `text` as words of one Markdown line: no emphasis, link, HTML, or cell of a table begins or ends in it."""
+    """Return `text` as words of one Markdown line, without active emphasis, links, HTML or table cells."""
     return _MARKS.sub(r"\\\g<0>", escape(text, keep=""))
 
 
@@ -79,7 +80,7 @@ def answers_alone() -> Iterator[None]:
 def echo(text: object, *, error: bool = False, end: str = "\n") -> None:
     """Print the escaped text to standard output, or to standard error if `error`, and flush it.
 
-    Raises OSError if it cannot be written.
+    Raise OSError if it cannot be written.
     """
     stream = sys.stderr if error else answers()
     print(escape(str(text)), file=stream, end=end, flush=True)
@@ -127,7 +128,7 @@ def _quoted(word: str) -> str:
 
 
 def _octal(found: re.Match[str]) -> str:
-    """Return the bytes of a character in octal, which take three digits each and so end where they should."""
+    """Return the bytes of a character in octal, three digits each, so each number has a definite end."""
     byte_of_a_path = "\udc80" <= found[0] <= "\udcff"
     data = found[0].encode(errors="surrogateescape" if byte_of_a_path else "surrogatepass")
     return "".join(f"\\{byte:03o}" for byte in data)

@@ -33,6 +33,7 @@ RunDir = Annotated[
     Path | None, typer.Option(parser=user_path, metavar="DIR", help="the run's folder, new or empty [runs/NAME-TIME]")
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="print the verdict and nothing else")]
+NoProgress = Annotated[bool, typer.Option("--quiet", "-q", help="print no progress")]
 
 
 def _alone(context: typer.Context, as_json: bool) -> bool:

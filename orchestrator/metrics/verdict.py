@@ -116,7 +116,9 @@ class Verdict:
     """The verdict as verdict.json holds it."""
 
     verdict: str
+    """`valid`, `INVALID` or `unknown`; empty if there is no verdict yet"""
     content: dict[str, Any]
+    """the keys of verdict.json (docs/run-folder.md)"""
     error: HedgerowError | None = None
     """the error of the law that ended a run in this process"""
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     import networkx as nx
 
 GROWTH = 60
-"""bytes of memory for a byte of a file: networkx holds a dictionary for each node and edge"""
+"""the memory per byte of a file: networkx holds a dictionary for each node and edge"""
 _LABELS = ("label", "Label", "name", "Name")
 _PLACES = (("x", "y"), ("Longitude", "Latitude"), ("longitude", "latitude"), ("lon", "lat"), ("lng", "lat"))
 
@@ -36,7 +36,7 @@ def read(path: Path, options: Options, kind: str) -> Found:
     }
     try:
         graph = readers[kind]()
-    except Exception as error:  # each reader of networkx raises what its parser raises
+    except Exception as error:  # each reader of networkx passes on the errors of its parser
         text = str(error).strip("\"'\n") or type(error).__name__
         raise refuse(path, f"is no {kind} file that networkx can read: {text[:200]}", "Check its format") from None
     return of_networkx(graph, options, str(path))
@@ -49,7 +49,7 @@ def _gml(data: bytes) -> Any:
     try:
         return nx.parse_gml(lines)
     except nx.NetworkXError as error:
-        # Labels are the names of nodes by default, and a file may lack them or give one twice.
+        # By default, labels are the names of nodes, but a file may have none or repeat one.
         if "label" not in str(error):
             raise
         return nx.parse_gml(lines, label="id")
