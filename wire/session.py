@@ -222,8 +222,8 @@ def open_client(
 def _open_aside(config: zenoh.Config, timeout_s: float) -> zenoh.Session:
     """Open a session on a separate thread. Zenoh would block the main thread, which handles the signals.
 
-    Several short tries would never reach a router that is slow to answer. Raises HedgerowError past `timeout_s`: at a limit
-    of the machine, a thread of Zenoh can end so that its open never returns.
+    Several short tries would never reach a router that is slow to answer. Raises HedgerowError past `timeout_s`: at a
+    limit of the machine, a thread of Zenoh can end so that its open never returns.
     """
     opened: SimpleQueue[zenoh.Session | BaseException] = SimpleQueue()
 

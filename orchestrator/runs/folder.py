@@ -188,9 +188,12 @@ def _point_latest(runs: Path, path: Path) -> str:
     """Point runs/latest to a run; return why that cannot be, in one line, else nothing."""
     # Replace it by a rename, so that `latest` exists at every moment while other runs start.
     link = runs / f".latest-{os.getpid()}"
+    latest = runs / "latest"
+    if latest.exists() and not latest.is_symlink():
+        return "runs/latest: does not point to this run: it is no link. Move what is there away, or name the run."
     try:
         link.symlink_to(path.name, target_is_directory=True)
-        link.replace(runs / "latest")
+        link.replace(latest)
     except OSError as error:
         with contextlib.suppress(OSError):
             link.unlink(missing_ok=True)

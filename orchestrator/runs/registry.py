@@ -185,7 +185,7 @@ def find(run: str | None) -> Entry:
 def _named(run: str, entries: Sequence[Entry]) -> list[Entry]:
     """Return the networks of a name or folder; if there are none, those whose name begins with it."""
     # A relative path is a folder of this working directory; a bare word is a name first.
-    path = os.path.realpath(os.path.expanduser(run)) if run else ""
+    path = os.path.realpath(os.path.expanduser(run)) if run and "\0" not in run else ""
     for fits in (
         lambda entry: entry.run == run,
         lambda entry: run in (entry.folder, Path(entry.folder).name) or path == os.path.realpath(entry.folder),

@@ -7,6 +7,7 @@ the result; and worst.npz, from which the same search goes on.
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -145,6 +146,8 @@ def _state_beside(out: Path) -> Path:
         raise UserError(f"--out {out}: is no name of a network. Name a file such as {NAME}.", code=Code.OPTION)
     kept, told = out.with_suffix(".npz"), out.with_suffix(".json")
     try:
+        if not os.access(out.parent, os.W_OK | os.X_OK) or not out.parent.is_dir():
+            raise UserError(f"--out {out}: {out.parent} is no folder to write in. Choose another.", code=Code.OUTPUT)
         is_ours = kept.exists()  # else `Hunt.resume` refuses it
         if told.exists():
             content = read_json(told)
