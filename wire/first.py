@@ -3,7 +3,7 @@
 Nothing is imported here that Python has not loaded already: until `quiet` was called, a Ctrl-C shows a traceback.
 """
 
-import _signal
+import _signal  # type: ignore[import-not-found]
 import os
 
 

@@ -65,7 +65,7 @@ def test_a_search_goes_on_from_its_own_files_and_refuses_damaged_ones(pair: Path
     with np.load(io.BytesIO(state)) as kept:
         arrays = dict(kept)
     for name, wrong in (("m0", np.zeros((2, 2))), ("w0", np.full((3, 2), np.nan)), ("s0", np.zeros(5))):
-        np.savez(pair / "worst.npz", **{**arrays, name: wrong})  # type: ignore[arg-type]
+        np.savez(pair / "worst.npz", **{**arrays, name: wrong})
         assert run(*WORST) == Exit.USER_MISTAKE, name
     (pair / "worst.npz").write_bytes(state[:-100])
     assert run(*WORST) == Exit.USER_MISTAKE
