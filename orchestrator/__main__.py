@@ -28,6 +28,7 @@ def main() -> NoReturn:
     with contextlib.suppress(KeyboardInterrupt):
         # Before all other imports: until then, a Ctrl-C ends with a traceback.
         start.begin()
+        start.end_by_signals()
         _settle_environment()
         from hedgerow.wire.stderr_relay import StderrRelay  # noqa: PLC0415
 
@@ -55,9 +56,10 @@ def _code() -> int:
         fork_client = ForkClient() if launches else None
         from hedgerow.orchestrator.cli.main import run_command  # noqa: PLC0415
 
+        start.command_begins()
         return run_command(BEGAN, fork_client)
     except KeyboardInterrupt:  # before there was a run to end
-        return start.INTERRUPTED
+        return start.code_after_signal()
     except HedgerowError as error:
         with contextlib.suppress(OSError):
             echo(f"error: {error}", error=True)

@@ -34,6 +34,8 @@ def run_to_exit_code(command: Callable[[], int]) -> int:
     """Run `command` and return the exit code of this process."""
     try:
         code = command()
+        if code == start.INTERRUPTED:  # typer has caught the KeyboardInterrupt
+            code = start.code_after_signal()
         with contextlib.suppress(BrokenPipeError):  # a reader who has left has read enough
             sys.stdout.flush()
     except TopologyError as error:
@@ -46,7 +48,7 @@ def run_to_exit_code(command: Callable[[], int]) -> int:
         _complain(f"error: {error}")
         code = Exit.CRASH if error.code == Code.CRASH else Exit.UNKNOWN
     except (typer.Abort, KeyboardInterrupt):
-        code = start.INTERRUPTED
+        code = start.code_after_signal()
     except BaseException as error:  # a panic of a Rust library is no Exception
         code = _unexpected(error)
     return code

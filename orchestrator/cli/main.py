@@ -297,13 +297,14 @@ def simulate(
     from hedgerow.orchestrator.views.screen import screen  # noqa: PLC0415
 
     topology = importable(read(file, sets, steps=steps, seed=seed, law=law), file)
-    folder = folders.create(topology, run_dir)
     viewer = _viewer(viewer)
+    folder = folders.create(topology, run_dir)
     with contextlib.closing(screen(topology, as_json, plain, quiet, watched=viewer != "none")) as display:
         for line in filter(None, [folder.note, *told(topology)]):
             display.say(line)
         watching = Watching(record, viewer, split_recording)
-        return code_of_run(simulate_into(topology, folder, layout(topology, 1), watching, display), display)
+        begin = functools.partial(simulate_into, topology, folder, layout(topology, 1), watching, display)
+        return code_of_run(folders.begun_or_withdrawn(folder, begin), display)
 
 
 @app.command(rich_help_panel=RUN)

@@ -139,16 +139,18 @@ def reserve(name: str) -> RunFolder:
 
 
 def begun_or_withdrawn(folder: RunFolder, begin: Callable[[], T]) -> T:
-    """Return `begin()`; if it raises HedgerowError, undo `create` first."""
+    """Return `begin()`; if it raises HedgerowError, or a signal ends it, undo `create` first."""
     try:
         return begin()
-    except HedgerowError:
+    except (HedgerowError, KeyboardInterrupt):
         withdraw(folder)
         raise
 
 
 def withdraw(folder: RunFolder) -> None:
     """Undo `create` for a run that was refused before it began: its folder goes, and runs/latest points back."""
+    if any(path.suffix in (".arrows", ".parquet", ".json") for path in folder.path.iterdir()):
+        return  # it began: the second Ctrl-C may come at any moment
     _empty(folder.path)
     with contextlib.suppress(OSError):
         if folder.made:
@@ -165,7 +167,7 @@ def withdraw(folder: RunFolder) -> None:
 def _empty(folder: Path) -> None:
     """Remove what `create` has put into a folder."""
     shutil.rmtree(folder / LAW, ignore_errors=True)
-    for path in (folder / "topology.yaml", folder / "logs", folder / "processes"):
+    for path in (folder / "topology.yaml", folder / "events.jsonl", folder / "logs", folder / "processes"):
         with contextlib.suppress(OSError):
             path.rmdir() if path.is_dir() else path.unlink(missing_ok=True)
 
