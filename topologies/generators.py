@@ -9,7 +9,8 @@
     scale_free          every node gets earlier neighbours in proportion to their degrees (Barabási and Albert)
     geometric           nodes in a square, with an edge between two near ones
 
-Nodes are 0 .. n-1. The edges of 10^6 nodes are made by a few NumPy calls; a graph library would be slower.
+Nodes are 0 .. n-1. A few NumPy calls make the edges of 10^6 nodes, in less time and memory than igraph takes
+(`python -m benchmarks.graphs`). With a graph library, the edges of a file would depend on the release of the library.
 """
 
 from __future__ import annotations
@@ -91,10 +92,15 @@ class Generator(Model):
         """Return the edges (i, j), i < j, each once, in ascending order, (E, 2); `seed` is that of the file."""
         own = seed if self.seed is None else self.seed
         stream = np.random.default_rng([own, zlib.crc32(kind_of(self).encode())])  # type: ignore[union-attr]
-        pairs = self._make(stream)
-        low, high = pairs.min(axis=1), pairs.max(axis=1)
-        key = np.unique(low[low < high] * self.nodes + high[low < high])
-        return np.stack([key // self.nodes, key % self.nodes], axis=1)
+        key = _keys(self._make(stream), self.nodes)
+        # np.unique takes ten times as long, and most rules make each edge once, in order.
+        if not (key[1:] > key[:-1]).all():
+            key.sort()
+            key = key[np.append(True, key[1:] != key[:-1])]
+        edges = np.empty((len(key), 2), dtype=np.int64)
+        np.divmod(key, self.nodes, out=(edges[:, 0], edges[:, 1]))
+        loops = edges[:, 0] == edges[:, 1]
+        return edges[~loops] if loops.any() else edges
 
     def weights(self, seed: int, edges: Index) -> Array | None:
         """Return the weights of the edges from `edges`, (E,), None if all are 1."""
@@ -118,12 +124,30 @@ class Generator(Model):
         return kept
 
 
+def _keys(pairs: Index, n: int) -> Index:
+    """Return one number for each edge, low * n + high, (E,)."""
+    one, other = pairs[:, 0], pairs[:, 1]
+    key: Index = np.minimum(one, other)
+    key *= n
+    key += np.maximum(one, other)
+    return key
+
+
+def _repeats(key: Index) -> Index:
+    """Return the places of numbers that repeat an earlier one, in any order."""
+    # np.unique with the places takes several times as long.
+    order = key.argsort(kind="stable")
+    there = key[order]
+    repeats: Index = order[1:][there[1:] == there[:-1]]
+    return repeats
+
+
 def _first_of_each(pairs: Index, n: int) -> Index:
-    """Return the edges without loops, and only the first of repeated edges, in the given order."""
-    low, high = pairs.min(axis=1), pairs.max(axis=1)
-    first = np.sort(np.unique(low * n + high, return_index=True)[1])
-    kept: Index = pairs[first[(low < high)[first]]]
-    return kept
+    """Without loops, and of repeated edges the first, in the order given."""
+    kept = pairs[:, 0] != pairs[:, 1]
+    kept[_repeats(_keys(pairs, n))] = False
+    found: Index = pairs[kept]
+    return found
 
 
 class Line(Generator):
@@ -218,7 +242,7 @@ class RandomTree(Generator):
     @model_validator(mode="after")
     def _room(self) -> Self:
         if self.max_degree == 1 and self.nodes > 2:
-            raise PydanticCustomError("graph", "is no tree with at most one neighbour a node; allow 2 or more")
+            raise PydanticCustomError("graph", "is no tree with at most one neighbour a node; allow at least 2")
         return self
 
     def _make(self, stream: np.random.Generator) -> Index:
@@ -279,10 +303,9 @@ class RandomRegular(Generator):
 
     def _bad(self, pairs: Index) -> Index:
         """Return the edges that are loops or repeat another edge."""
-        good = np.zeros(len(pairs), dtype=bool)
-        low, high = pairs.min(axis=1), pairs.max(axis=1)
-        good[np.unique(low * self.nodes + high, return_index=True)[1]] = True
-        return np.flatnonzero(~good | (low == high))
+        bad = pairs[:, 0] == pairs[:, 1]
+        bad[_repeats(_keys(pairs, self.nodes))] = True
+        return np.flatnonzero(bad)
 
 
 class SmallWorld(Generator):
@@ -362,7 +385,9 @@ class Geometric(Generator):
 
         places = stream.random((self.nodes, 2))
         radius = float(np.sqrt(self.mean_degree / (np.pi * self.nodes)))
-        pairs = cKDTree(places).query_pairs(radius, output_type="ndarray").astype(np.int64).reshape(-1, 2)
+        pairs: Index = cKDTree(places).query_pairs(radius, output_type="ndarray").astype(np.int64).reshape(-1, 2)
+        if self.max_degree is None:
+            return pairs
         squared = ((places[pairs[:, 0]] - places[pairs[:, 1]]) ** 2).sum(axis=1)
         return self._kept(pairs[np.lexsort((pairs[:, 1], pairs[:, 0], squared))])
 

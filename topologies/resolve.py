@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from hedgerow.topologies import lots, table
 from hedgerow.topologies.base import Uniform
+from hedgerow.topologies.disturbances import Confuse, Disturbance, Nothing, Samples
 from hedgerow.topologies.edges import Edge
 from hedgerow.topologies.errors import Code, HedgerowError, TopologyError
 from hedgerow.topologies.faults import Fault, Jump
@@ -26,21 +27,10 @@ from hedgerow.topologies.hinf import allowed_intervals, smallest_eigenpair
 from hedgerow.topologies.network import PARAMETERS, Group, Network, gains, labels
 from hedgerow.topologies.nodes import SPELLED_OUT, Edges, Nodes
 from hedgerow.topologies.reading import Reading
+from hedgerow.topologies.record import SAMPLED, WHOLE
 from hedgerow.topologies.rules import broken_faults
 from hedgerow.topologies.samples import columns
-from hedgerow.topologies.schema import (
-    PER_NODE,
-    SAMPLED,
-    WHOLE,
-    Confuse,
-    Defaults,
-    Disturbance,
-    Drawn,
-    Node,
-    Nothing,
-    Samples,
-    Topology,
-)
+from hedgerow.topologies.schema import PER_NODE, Defaults, Drawn, Node, Topology
 from hedgerow.topologies.source import FLOAT
 from hedgerow.topologies.table import Table
 

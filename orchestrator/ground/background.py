@@ -1,4 +1,4 @@
-"""A thread for jobs that the loop does not wait for; it yields the processor to other threads."""
+"""A thread for jobs beside the loop; it has a lower priority than the other threads."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ WAITING, WAITING_BYTES = 4, 2**27
 CHECK_S = 0.2
 """How often a caller that waits looks whether a job stalls."""
 NICE = 3
-"""Half of the share of other threads. More would delay a thread that waits for Python's lock."""
+"""Half of the share of other threads. A lower priority would delay a thread that waits for Python's lock."""
 
 
 class BackgroundThread:
-    """Does jobs in the order in which they come.
+    """A thread that does jobs in the order of their arrival.
 
     After an error no job is done any more, and `failed` has been called with it, on this thread. A job that takes
     longer than `stalls_s` is such an error, of which the caller that waits for it calls `failed`.
@@ -42,7 +42,7 @@ class BackgroundThread:
         self._thread.start()
 
     def do(self, job: Job, size: int = 0) -> None:
-        """Hand over a job that holds on to so many bytes."""
+        """Queue a job that needs this memory [bytes]."""
         self._put(job, size)
 
     def close(self) -> None:

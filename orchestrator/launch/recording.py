@@ -36,13 +36,11 @@ if TYPE_CHECKING:
 
 CLOSE_DEADLINE_S = 5.0
 RERUN_DEADLINE_S = 30.0
-"""what Rerun may take for one job; some of its calls never return once it could not write"""
-BOUNDS_DEADLINE_S = 60.0
-"""what the solver may take: at a limit of memory it may never return"""
-CERTIFIED = 300
-"""The maximum number of nodes for a computation of the gain bounds beside the run, which takes seconds; the end of the
-run waits for it.
-"""
+"""the longest time for one job of Rerun [s]: after a failed write, some of its calls never return"""
+BOUNDS_DEADLINE_S = 120.0
+"""the longest time for the bounds [s]: at a limit of memory, the solver may never return"""
+CERTIFIED = 10_000
+"""The maximum number of nodes for a computation of the gain bounds beside the run. The end of the run waits for it."""
 TABLES = ("telemetry", "edges", "summary")
 """the names of the tables; `record:` can omit the summary"""
 
@@ -138,7 +136,7 @@ class Recording:
             return
         if self._replaying is None:
             self._replaying = BackgroundThread("replay", self._leave_out_replay)
-            first = self.topology  # the faults at the first step, whatever changes before the thread begins
+            first = self.topology  # the faults at the first step, before any later change
             self._replaying.do(lambda: self._begin_replay(first))
         self._replaying.do(lambda: self._take_replayed(rows), size)
 
@@ -227,7 +225,7 @@ class Recording:
             self.folder.event("fault", fault=number, entry=fault.written())
 
     def warn(self, screen: Screen) -> None:
-        """Print the warnings about the viewer that came since the last call."""
+        """Print the new warnings about the viewer."""
         while self.warnings:
             screen.say(self.warnings.popleft())
 
@@ -239,7 +237,7 @@ class Recording:
             self.viewer = start(self._watching.viewer)
         except (OSError, HedgerowError) as error:
             self.warnings.append(
-                f"no viewer: {str(limit_reached(error) or error).rstrip('.')}; the run goes on without it"
+                f"no viewer: {str(limit_reached(error) or error).rstrip('.')}; the run continues without it"
             )
         if path is None and self.viewer is None:
             return
@@ -276,7 +274,7 @@ class Recording:
         if not expected:
             why = crash.report(error, self.folder.logs / "orchestrator.log")
         what = "run.rrd is not complete" if self._watching.record else "the viewer is left out"
-        self.warnings.append(f"{what}: {why.rstrip('.')}; the run goes on without it")
+        self.warnings.append(f"{what}: {why.rstrip('.')}; the run continues without it")
 
     def _show(self, show: Callable[[RerunStream], object], size: int = 0) -> None:
         def job() -> None:

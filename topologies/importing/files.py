@@ -63,4 +63,4 @@ def _json(path: Path) -> tuple[str, str, str | None]:
         raise refuse(path, f"is no JSON: {error}", "Check its format") from None
     if isinstance(content, dict) and content.get("_class") == "pandapowerNet":
         return "power", "read_pandapower", None
-    return "graphs", "read", "node-link"
+    return "graphs", "read", "JSON"

@@ -63,6 +63,11 @@ class Found:
         ends = f"edge {self.names[i]} - {self.names[j]}"
         return ends if self.edge_names is None else f"{self.edge_names[k]} ({ends})"
 
+    def place(self, k: int) -> str:
+        """Return the file and the name of edge k, as the start of a message."""
+        name = self.edge_name(k)
+        return name if name.startswith(f"{self.source}:") else f"{self.source}: {name}"
+
 
 def numbers(
     source: str, what: str, name: str, values: Sequence[Any], named: Callable[[int], str], missing: float = np.nan
@@ -82,11 +87,12 @@ def numbers(
             found[k] = float(value)
         except (TypeError, ValueError):
             shown = "is missing" if value is None else f"{str(value)[:40]!r} is not a number"
-            raise refuse(
-                source,
-                f"{named(k)}: {what} attribute `{name}` {shown}",
-                "Name an attribute that all of them have, or write `--weight 1`",
-            ) from None
+            cure = "Name an attribute that all of them have, or write `--weight 1`"
+            if isinstance(value, str) and as_number(value.replace(",", ".", 1)) is not None:
+                cure = "Write decimals with a point"
+            # The place of an edge in a file begins with the file already.
+            place = named(k) if named(k).startswith(f"{source}:") else f"{source}: {named(k)}"
+            raise refuse(place, f"{what} attribute `{name}` {shown}", cure) from None
     return found
 
 
@@ -113,9 +119,11 @@ def weights_of(
         return numbers(source, "the", asked, [own.get(asked) for own in attributes], named), (
             f"The weights are the attribute `{asked}` of the edges"
         )
-    if any(own.get("weight") is not None for own in attributes):
-        return numbers(source, "the", "weight", [own.get("weight") for own in attributes], named), (
-            "The weights are the attribute `weight` of the edges"
+    # Gephi writes `Weight`.
+    spelled = next((key for key in ("weight", "Weight") if any(own.get(key) is not None for own in attributes)), None)
+    if spelled is not None:
+        return numbers(source, "the", spelled, [own.get(spelled) for own in attributes], named), (
+            f"The weights are the attribute `{spelled}` of the edges"
         )
     whole = sorted(str(key) for key, count in keys.items() if count == len(attributes))
     hint = f"; --weight can take {', '.join(whole)}" if whole else ""

@@ -28,7 +28,7 @@ def read_market(path: Path, options: Options) -> Found:
     try:
         rows, columns, entries, form, field, symmetry = mminfo(io.BytesIO(data))
         if field == "complex":
-            raise ValueError("it holds complex numbers")
+            raise refuse(path, "holds complex numbers", "Save the moduli, or the real parts")
         if max(rows, columns) > MOST or rows != columns:
             raise ValueError(f"it has {rows} rows and {columns} columns")
         # scipy.io.mmread ends the process on some damaged files: numpy reads the numbers, and we check their places.
@@ -60,7 +60,7 @@ def _array(numbers: Array, n: int, symmetry: str) -> Array:
     if n * n > 2 * len(values) + n:
         raise ValueError(f"{len(values)} numbers for {n} rows")
     matrix = np.zeros((n, n))
-    i, j = np.triu_indices(n, 1 if symmetry == "skew-symmetric" else 0)  # transposed, these go down the columns
+    i, j = np.triu_indices(n, 1 if symmetry == "skew-symmetric" else 0)  # transposed, these are the columns in order
     if symmetry == "general":
         i, j = (index.ravel() for index in np.indices((n, n)))
     if len(values) != len(i):

@@ -19,6 +19,8 @@ class Options:
     """a node attribute, or a number for all nodes: b_i = b/sqrt(storage)"""
     junction_storage: float | None = None
     """the storage of nodes without a value, such as the junctions of a water network [m^2]"""
+    directed: bool = False
+    """an edge from i to j and one from j to i are one edge, also in a source without directions"""
     largest_component: bool = False
     max_degree: int | None = None
     b: float | None = None

@@ -27,7 +27,9 @@ def simple(found: Found, options: Options) -> Found:
         kept = low != high
         edges, low, high = edges[kept], low[kept], high[kept]
         weights = None if weights is None else weights[kept]
-    edges, weights, parallel, both = _merged(len(found.names), edges, low, high, weights, found.directed)
+    edges, weights, parallel, both = _merged(
+        len(found.names), edges, low, high, weights, found.directed or options.directed
+    )
     if parallel:
         changes.append(f"{_count(parallel, 'parallel edge')} merged: their weights are added")
     if both:
@@ -53,7 +55,7 @@ def _check_weights(found: Found) -> None:
         what = found.sign(float(weights[k]))
         more = f", and {len(bad) - 1} more like it" if len(bad) > 1 else ""
         raise refuse(
-            f"{found.source}: {found.edge_name(k)}",
+            found.place(k),
             f"the weight {weights[k]:g} is not above 0{f', {what}' if what else ''}{more}",
             "Remove the edge, or choose weights with --weight",
         )

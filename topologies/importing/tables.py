@@ -65,8 +65,14 @@ def _rows(path: Path) -> list[tuple[int, list[str]]]:
 
 
 def _separator(lines: Sequence[str]) -> str:
-    """Return the separator of the cells: the first of `,;TAB|` that every line has, otherwise blanks."""
-    return next((sign for sign in _SEPARATORS[:-1] if lines and all(sign in line for line in lines)), " ")
+    """Return the character that separates the cells: the first of `,;TAB|` that every line has, else blanks.
+
+    If no line has cells without it, the first one of most lines: the others lack an end.
+    """
+    signs = _SEPARATORS[:-1]
+    of_all = next((sign for sign in signs if lines and all(sign in line for line in lines)), None)
+    of_most = next((sign for sign in signs if 2 * sum(sign in line for line in lines) > len(lines)), " ")
+    return of_all or of_most
 
 
 def _number(cell: str) -> float | None:
@@ -114,6 +120,14 @@ def _edges(path: Path, rows: Sequence[tuple[int, list[str]]], options: Options) 
         len(first) > 2 and all(_number(cell) is None for cell in first) and _numeric_column(rows[1:])
     ):
         header, rows = first, rows[1:]
+    if header is not None and not rows:
+        raise refuse(path, "has a header and no edges", "Write an edge per row, such as `1,2`")
+    if header is not None and len(known) < 2 and _places(lower):
+        raise refuse(
+            f"{path}:1",
+            "the header is that of a table of nodes",
+            "Name a table of edges, with columns source and target",
+        )
     i, j = _columns(header)
     for line, row in rows:
         if len(row) <= max(i, j) or not row[i] or not row[j]:
@@ -121,6 +135,11 @@ def _edges(path: Path, rows: Sequence[tuple[int, list[str]]], options: Options) 
     others = _attributes(header, rows, (i, j))
     named = [f"{path}:{line}" for line, _ in rows]
     return of_pairs([row[i] for _, row in rows], [row[j] for _, row in rows], others, options, str(path), named)
+
+
+def _places(header: Sequence[str]) -> bool:
+    """Return True if a header names the coordinates of nodes."""
+    return any({*pair} <= {*header} for pair in (("x", "y"), ("lon", "lat"), ("longitude", "latitude")))
 
 
 def _numeric_column(rows: Sequence[tuple[int, list[str]]]) -> bool:

@@ -8,6 +8,7 @@ point). A step of dt seconds makes (1) from it, with b_i = 1/sqrt(c_i), weights 
 from __future__ import annotations
 
 import math
+import tempfile
 import warnings
 from collections.abc import Hashable
 from pathlib import Path
@@ -53,17 +54,31 @@ def read(path: Path, options: Options) -> Found:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             model = wntr.network.WaterNetworkModel(str(path))
-    except Exception as error:  # wntr passes on the errors of its parser
-        raise refuse(path, f"wntr cannot read it: {str(error)[:200]}", "Check it in EPANET") from None
+    except Exception as error:  # wntr raises what its parser raises
+        text = " ".join(str(error).split())[:200]
+        raise refuse(path, f"wntr cannot read it: {text}", "Check it in EPANET") from None
+    if not model.num_junctions + model.num_tanks:
+        raise refuse(path, "has no junctions and no tanks", "Name a file that holds a network")
     demand = _demand(model)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             model.options.time.duration = 0
-            results = wntr.sim.WNTRSimulator(model).run_sim()
+            results = _simulated(model)
     except Exception as error:  # the simulation does not converge, or the model has no source
         raise refuse(path, f"wntr cannot simulate its start: {str(error)[:200]}", "Check it in EPANET") from None
     return _Reading(path, model, results, demand, options).found()
+
+
+def _simulated(model: wntr.network.WaterNetworkModel) -> Any:
+    """Return the hydraulic state at the start, by wntr, or by its EPANET for what wntr cannot simulate."""
+    import wntr  # noqa: PLC0415
+
+    try:
+        return wntr.sim.WNTRSimulator(model).run_sim()
+    except NotImplementedError:  # Darcy-Weisbach head losses, and general-purpose valves
+        with tempfile.TemporaryDirectory(prefix="hedgerow-") as folder:
+            return wntr.sim.EpanetSimulator(model).run_sim(file_prefix=f"{folder}/start")
 
 
 def _demand(model: wntr.network.WaterNetworkModel) -> tuple[Array, Any]:
@@ -309,7 +324,7 @@ class _Reading:
 
 
 def _head_loss(pipe: Any, q: float, power: float) -> float:
-    """Return the head loss [m] of a pipe at a flow [m^3/s], by Hazen-Williams, else a friction factor of 0.02."""
+    """Return the head loss [m] of a pipe at a flow [m^3/s], by Hazen-Williams, or by a friction factor of 0.02."""
     if power == 1.852:
         return float(10.667 * pipe.length * pipe.roughness**-1.852 * pipe.diameter**-4.871 * q**1.852)
     return float(0.02 * pipe.length / pipe.diameter * (q / (math.pi * pipe.diameter**2 / 4)) ** 2 / (2 * 9.81))
