@@ -50,7 +50,8 @@ def bundle(
     from hedgerow.orchestrator.deploy.bundle import write, write_secure  # noqa: PLC0415
     from hedgerow.orchestrator.ground.assignment import layout, places, views_of  # noqa: PLC0415
     from hedgerow.orchestrator.launch.certificates import LIFE_DAYS  # noqa: PLC0415
-    from hedgerow.orchestrator.launch.external_agents import configs, namespace_of  # noqa: PLC0415
+    from hedgerow.orchestrator.launch.external_agents import configs  # noqa: PLC0415
+    from hedgerow.orchestrator.launch.endpoints import namespace_of  # noqa: PLC0415
     from hedgerow.orchestrator.runs.folder import whole_folder  # noqa: PLC0415
     from hedgerow.wire.session import check_endpoint, check_namespace  # noqa: PLC0415
 
@@ -59,7 +60,7 @@ def bundle(
     _refuse_days(topology.secure, days)
     router = router or f"{'tls' if topology.secure else 'tcp'}/localhost:7447"
     check_endpoint(router)
-    meet = namespace_of(topology) if namespace is None else namespace
+    meet = namespace_of(topology.name) if namespace is None else namespace
     check_namespace(meet)
     told = configs(topology, shards, router, meet)
     try:
@@ -118,7 +119,7 @@ def compose(
     from hedgerow.orchestrator.deploy.kubernetes import MOST_MAP_BYTES, to_kubernetes  # noqa: PLC0415
     from hedgerow.orchestrator.ground.assignment import layout, places, views_of  # noqa: PLC0415
     from hedgerow.orchestrator.launch.certificates import write_private  # noqa: PLC0415
-    from hedgerow.orchestrator.launch.external_agents import namespace_of  # noqa: PLC0415
+    from hedgerow.orchestrator.launch.endpoints import namespace_of  # noqa: PLC0415
     from hedgerow.wire.session import check_namespace  # noqa: PLC0415
 
     check_options(rate=rate)
@@ -130,7 +131,7 @@ def compose(
             code=Code.LAW,
         )
     shards = layout(topology, topology.process_count)
-    meet, docker, folder = namespace_of(topology) if namespace is None else namespace, form is Format.COMPOSE, None
+    meet, docker, folder = namespace_of(topology.name) if namespace is None else namespace, form is Format.COMPOSE, None
     check_namespace(meet)
     beside = out.parent if out else Path()
     _refuse_days(topology.secure, days)

@@ -70,11 +70,6 @@ class External:
         return ", ".join(self.names)
 
 
-def namespace_of(topology: Topology) -> str:
-    """Return the default namespace of a network, for processes without an option for it."""
-    return f"hedgerow/{topology.name}"
-
-
 def fingerprint(topology: Topology) -> str:
     """Return a hash of a resolved network, which differs from that of any other network."""
     return hashlib.sha256(to_yaml(topology).encode()).hexdigest()[:16]
