@@ -50,8 +50,8 @@ def bundle(
     from hedgerow.orchestrator.deploy.bundle import write, write_secure  # noqa: PLC0415
     from hedgerow.orchestrator.ground.assignment import layout, places, views_of  # noqa: PLC0415
     from hedgerow.orchestrator.launch.certificates import LIFE_DAYS  # noqa: PLC0415
-    from hedgerow.orchestrator.launch.external_agents import configs  # noqa: PLC0415
     from hedgerow.orchestrator.launch.endpoints import namespace_of  # noqa: PLC0415
+    from hedgerow.orchestrator.launch.external_agents import configs  # noqa: PLC0415
     from hedgerow.orchestrator.runs.folder import whole_folder  # noqa: PLC0415
     from hedgerow.wire.session import check_endpoint, check_namespace  # noqa: PLC0415
 

@@ -236,8 +236,8 @@ def _elsewhere(
                 code=Code.OPTION,
             )
         return None
-    from hedgerow.orchestrator.launch.external_agents import chosen  # noqa: PLC0415
     from hedgerow.orchestrator.launch.endpoints import namespace_of  # noqa: PLC0415
+    from hedgerow.orchestrator.launch.external_agents import chosen  # noqa: PLC0415
 
     meet = namespace or namespace_of(topology.name)
     return chosen(external, topology, shards, router, listen, meet, wait or 600.0)
