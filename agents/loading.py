@@ -117,5 +117,5 @@ def local_of(view: View, parameters: Mapping[str, Any]) -> Local:
         neighbour=known[view.column],
         weight=np.ones(len(view.row)) if view.weights is None else view.weights,
         parameters=parameters,
-        seed=view.seed,
+        seeds=view.seed,
     )

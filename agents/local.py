@@ -42,8 +42,15 @@ class Local:
     """per incidence: the weight of the edge, (m,); 1 unless the network has weights"""
     parameters: Mapping[str, Any]
     """the parameters of the law, by name"""
-    seed: int
-    """a function of the seed of the run; it does not reveal that seed, from which the truth is drawn"""
+    seeds: int | lots.Words
+    """`seed`, or for networks side by side that of each node, (k,)"""
+
+    @property
+    def seed(self) -> int:
+        """Return a function of the seed of the run, which does not reveal the seed that the truth is drawn from."""
+        if isinstance(self.seeds, int):
+            return self.seeds
+        raise AttributeError("the nodes of this shard have different seeds; use draw()")
 
     @cached_property
     def degree(self) -> Array:
@@ -53,7 +60,7 @@ class Local:
 
     def draw(self, t: int, field: str = "law") -> Array:
         """Return a number in [0, 1) per node, (k,): a function of (seed, field, node id, t), in every layout."""
-        return lots.uniforms(lots.at(lots.keys(self.seed, field, self._words), np.array([t])))
+        return lots.uniforms(lots.at(lots.keys(self.seeds, field, self._words), np.array([t])))
 
     @cached_property
     def _words(self) -> lots.Words:

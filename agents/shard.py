@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from hedgerow.agents.law import Array
+from hedgerow.agents.law import Array, Law
 from hedgerow.agents.law_lines import line_of, place_of, running
 from hedgerow.agents.loading import LawError, new_law
 from hedgerow.agents.local import Heard, asks
@@ -57,9 +57,10 @@ class Shard:
     layout of the network over processes.
     """
 
-    def __init__(self, view: View) -> None:
+    def __init__(self, view: View, law: Law | None = None) -> None:
+        """Take the law of the view, or a `law` that is there already."""
         self._view = view
-        self._law = new_law(view)
+        self._law = new_law(view) if law is None else law
         self.k, self.m = view.k, len(view.row)
         self.degrees: Index = np.bincount(view.row, minlength=self.k)
         self._row = view.row

@@ -28,11 +28,11 @@ from hedgerow.topologies.resolve import resolve
 
 IMAGES = Path(__file__).parent / "images"
 PICTURES = {
-    "report-paper7": ("paper7", ("2", "3", "4", "5")),
-    "report-authors7": ("authors7", ("2", "3", "4", "5")),
+    "report-paper7": ("paper7", ("paper",)),
+    "report-authors7": ("authors7", ("paper",)),
     "report-paper7-ours": ("paper7", ("estimates", "regret", "cost", "gain")),
 }
-DPI, GAP, COLOURS = 200, 24, 64
+DPI, GAP, COLOURS = 180, 24, 48
 
 
 def ran(name: str, scratch: Path) -> Run:
@@ -44,17 +44,23 @@ def ran(name: str, scratch: Path) -> Run:
 
 
 def picture(run: Run, keys: tuple[str, ...]) -> Image.Image:
-    """Return four figures, two beside each other."""
+    """Return one figure, or four in two columns."""
     drawn = []
     for kind in FIGURES:
         if kind.key in keys:
             png = io.BytesIO()
             kind.draw([run]).savefig(png, format="png", dpi=DPI)
             drawn.append(Image.open(png).convert("RGB"))
-    heights = [max(one.height for one in row) for row in (drawn[:2], drawn[2:])]
-    whole = Image.new("RGB", (2 * drawn[0].width + GAP, sum(heights) + GAP), "white")
-    for k, one in enumerate(drawn):
-        whole.paste(one, (k % 2 * (one.width + GAP), k // 2 * (heights[0] + GAP)))
+    if len(drawn) == 1:
+        return drawn[0]
+    columns = drawn[::2], drawn[1::2]
+    height = max(sum(one.height for one in column) for column in columns) + GAP
+    whole = Image.new("RGB", (2 * drawn[0].width + GAP, height), "white")
+    for k, column in enumerate(columns):
+        below = 0
+        for one in column:
+            whole.paste(one, (k * (one.width + GAP), below))
+            below += one.height + GAP
     return whole
 
 

@@ -25,19 +25,19 @@ NODE = 2  # the position of node 3
 WINDOWS = {
     (0, 12): "drop\nmessages between 2 and 3 are lost",
     (22, 32): "cut\nnothing flows between 3 and 4",
-    (42, 52): "crash\nagent 3 is dead",
+    (42, 52): "crash\nagent 3 is absent",
 }
 NOTES = (
-    (1, 6, 0.15, "no samples:\nits first candidate stays"),
-    (1, 13.5, 0.62, "back-filled: as if\nnothing was lost"),
+    (1, 6, 0.15, "no samples:\nthe first candidate stays"),
+    (1, 13.5, 0.62, "back-filled: as\nwithout the fault"),
     (1, 27, 0.73, "this flow is known to be 0:\nno sample is lost"),
-    (1, 47, 0.79, "nobody estimates"),
-    (1, 52.2, 0.62, "what it would\nhave had"),
+    (1, 47, 0.79, "no estimate"),
+    (1, 52.2, 0.62, "as without\nthe fault"),
     (2, 14.6, 2.2, "a wrong estimate costs regret"),
-    (2, 37, 0.35, "the oracle's twin has the same edges closed: no regret"),
+    (2, 37, 0.35, "the oracle has the same edges closed: no regret"),
 )
 """(panel, step, height, text)"""
-FAULTY, WITHOUT, SHADE = "#c2410c", "#475569", "#e8edf3"
+FAULTY, WITHOUT, SHADE = "#D55E00", "#555555", "#e8edf3"
 
 
 def ran(*overrides: str) -> tuple[Observer, Batch]:
@@ -55,7 +55,10 @@ def ran(*overrides: str) -> tuple[Observer, Batch]:
 def draw(axes: np.ndarray[tuple[int], np.dtype[np.object_]], faulty: Batch, without: Batch) -> None:
     """Draw state, estimate and regret of the node, in three rows."""
     state, estimate, regret = axes
-    for batch, colour, label, width in ((without, WITHOUT, "without faults", 1.2), (faulty, FAULTY, "with them", 2.0)):
+    for batch, colour, label, width in (
+        (without, WITHOUT, "without faults", 1.2),
+        (faulty, FAULTY, "with faults", 2.0),
+    ):
         style = {"color": colour, "lw": width, "label": label, "ls": "--" if batch is without else "-"}
         state.plot(batch.t, batch.x[:, NODE], **style)
         estimate.step(batch.t, batch.ahat[:, NODE], where="post", **style)

@@ -21,6 +21,7 @@ from hedgerow.orchestrator.experiments.compare import compare as run_comparison
 from hedgerow.orchestrator.experiments.compare.plan import comparison
 from hedgerow.orchestrator.experiments.worst import Found
 from hedgerow.orchestrator.experiments.worst import worst as search
+from hedgerow.orchestrator.ground import law_source
 from hedgerow.orchestrator.ground.laws import checked
 from hedgerow.orchestrator.launch import simulation
 from hedgerow.orchestrator.launch.running import Running, run_to_the_end
@@ -30,7 +31,7 @@ from hedgerow.orchestrator.runs.folder import RunFolder, new_folder, reserve, wi
 from hedgerow.orchestrator.runs.reader import load_run
 from hedgerow.orchestrator.runs.run import Run
 from hedgerow.topologies.errors import Code, HedgerowError, UserError, check_options
-from hedgerow.topologies.named import Named, resolved
+from hedgerow.topologies.named import Named, resolved, text_of
 from hedgerow.topologies.paths import user_path
 from hedgerow.topologies.regular_file import read_regular
 from hedgerow.topologies.resolve import to_yaml
@@ -56,15 +57,21 @@ def load(network: Named, *settings: str, **overrides: object) -> Topology:
     return resolved(network, [*settings, *_settings(overrides)])
 
 
-def simulate(network: Named, *settings: str, run_dir: str | Path | None = None, **overrides: object) -> Run:
+def simulate(
+    network: Named,
+    *settings: str,
+    run_dir: str | Path | None = None,
+    kept_law: bool = False,
+    **overrides: object,
+) -> Run:
     """Run a network in this process, without Zenoh, and return the run.
 
     `network`, `settings` and `overrides` are those of `load`. If the file of a law changed since it was loaded, it is
     loaded again. `run_dir` is a new folder for the run, by default one in runs/. Warns if `network` is the folder of a
-    run that kept another source of the law. Raises UserError for a mistake, LawError if the law fails, and
-    HedgerowError if no step was made.
+    run that kept another source of the law; with `kept_law`, the law is loaded from that folder. Raises UserError for a
+    mistake, LawError if the law fails, and HedgerowError if no step was made.
     """
-    return simulation.simulate(network, *settings, *_settings(overrides), run_dir=run_dir)
+    return simulation.simulate(network, *settings, *_settings(overrides), run_dir=run_dir, kept=kept_law)
 
 
 def run(
@@ -75,18 +82,21 @@ def run(
     record: bool = False,
     viewer: str = "none",
     run_dir: str | Path | None = None,
+    kept_law: bool = False,
     **overrides: object,
 ) -> Run:
     """Run a network as real processes over Zenoh to its end, as `orchestrator up` does, and return the run.
 
     `network`, `settings` and `overrides` are those of `load`; `processes=3` packs the nodes into 3 processes. `rate`
     is in steps per second, 0 for as fast as possible. `verify` repeats the run in one process and compares all bits.
-    `record` writes run.rrd, and `viewer` is `native`, `web`, `none` or a URL. Ctrl-C ends the network.
+    `kept_law` loads the law from the folder of a run that `network` is. `record` writes run.rrd, and `viewer` is
+    `native`, `web`, `none` or a URL. Ctrl-C ends the network.
     Raises UserError for a mistake, and HedgerowError if the run has no verdict.
     """
     topology = _importable(load(network, *settings, **overrides))
     options = [*_options(rate, record, viewer), *(["--verify"] if verify else [])]
-    with _folder(topology, run_dir) as folder:
+    kept = law_source.kept_law(text_of(network)[2] / law_source.FOLDER) if kept_law else contextlib.nullcontext()
+    with kept, _folder(topology, run_dir) as folder:
         return run_to_the_end(topology, folder.path, *options)
 
 

@@ -385,7 +385,7 @@ class Geometric(Generator):
 
         places = stream.random((self.nodes, 2))
         radius = float(np.sqrt(self.mean_degree / (np.pi * self.nodes)))
-        pairs = cKDTree(places).query_pairs(radius, output_type="ndarray").astype(np.int64).reshape(-1, 2)
+        pairs: Index = cKDTree(places).query_pairs(radius, output_type="ndarray").astype(np.int64).reshape(-1, 2)
         if self.max_degree is None:
             return pairs
         squared = ((places[pairs[:, 0]] - places[pairs[:, 1]]) ** 2).sum(axis=1)

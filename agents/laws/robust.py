@@ -33,6 +33,13 @@ class Robust:
         self._report = np.stack([np.full(k, float(theta)), np.full(k, np.nan)])
         self.memory = np.empty((0, k))
 
+    @classmethod
+    def of_nodes(cls, b: Gain, thetas: Array) -> Robust:
+        """Return the law of networks side by side, with the theta of each node's own network, (k,)."""
+        law = cls(b, thetas[None], theta=float(thetas[0]))
+        law._report[0] = thetas
+        return law
+
     def act(self, x: Array) -> Array:
         """Return the inputs of equation (6)."""
         return control(self.b, x, self._report[0])

@@ -124,12 +124,6 @@ def compose(
 
     check_options(rate=rate)
     topology = read(file, sets, steps=steps, seed=seed, law=law, processes=processes, secure=secure)
-    if ":" in topology.law:
-        raise UserError(
-            f"law {topology.law}: the images of these containers hold the laws of the project only. Choose one of them,"
-            " or carry the network with `orchestrator bundle`, which includes the source of the law.",
-            code=Code.LAW,
-        )
     shards = layout(topology, topology.process_count)
     meet, docker, folder = namespace_of(topology.name) if namespace is None else namespace, form is Format.COMPOSE, None
     check_namespace(meet)
@@ -145,6 +139,13 @@ def compose(
     most = MOST_BYTES if docker else MOST_MAP_BYTES
     one = containers(topology, shards, meet, rate, most, folder, registry)
     text = to_compose(one, beside) if docker else to_kubernetes(one)
+    if docker and one.law.files:
+        try:
+            one.law.write(beside / one.law_folder)
+        except OSError as error:
+            raise UserError(
+                f"{beside / one.law_folder}: {error.strerror}. Choose another --out.", code=Code.OUTPUT
+            ) from None
     if out is None:
         echo(text, end="")
         return 0

@@ -14,6 +14,7 @@ from hedgerow.orchestrator.deploy.containers import (
     CREDENTIALS,
     HOMES,
     KEYS,
+    LAW,
     OBSERVER_MEMORY,
     OBSERVERS,
     PAGE_CHECK,
@@ -42,7 +43,7 @@ MOST_BYTES = 100_000
 def to_compose(one: Containers, folder: Path) -> str:
     """Return a Compose file for `docker compose up` and `docker stack deploy`, to be written into `folder`."""
     services = [_service(one, config) for config in one.configs]
-    return "\n".join([_head(one), *services, _observer(one), *_all_secrets(one, folder)])
+    return "\n".join([_head(one), *services, _observer(one), *_law_files(one), *_all_secrets(one, folder)])
 
 
 HEAD = """\
@@ -63,7 +64,7 @@ x-agent: &agent
   depends_on: [router, plant]
   restart: on-failure
   deploy: {{restart_policy: {{condition: on-failure, delay: 1s}}, {agent_limits}}}
-{confined_agent}  stop_grace_period: 5s
+{confined_agent}{law}  stop_grace_period: 5s
 {user}  healthcheck: &takes-part
     test: {check}
     interval: 10s
@@ -99,7 +100,7 @@ AGENT = """\
   {process}:
     <<: *agent
 {own_keys}    environment:
-      {variable}: |
+{law_path}      {variable}: |
 {text}
 """
 PLANT = """\
@@ -143,8 +144,8 @@ OBSERVER = """\
       timeout: 10s
       retries: 3
       start_period: {start}s
-{own_keys}    environment:
-      HEDGEROW_TOPOLOGY: |
+{law}{own_keys}    environment:
+{law_path}      HEDGEROW_TOPOLOGY: |
 {text}
 """
 
@@ -169,6 +170,7 @@ def _head(one: Containers) -> str:
         router_keys=_own_keys(one, ROUTERS, f"    {_user()}    working_dir: {KEYS}/{ROUTER}\n"),
         secure=HEAD_SECURE.format(keys=escape(str(one.keys), keep="")) if one.keys else "",
         user=f"  {_user()}" if one.keys else "",
+        law=_law(one, "  "),
     )
 
 
@@ -176,6 +178,7 @@ def _service(one: Containers, config: Config) -> str:
     form = PLANT if config.process == keys.PLANT else AGENT
     return form.format(
         process=config.process,
+        law_path=_law_path(one),
         confined=_confined("    "),
         limits=_limits(PLANT_MEMORY),
         image=one.image("hedgerow-agent"),
@@ -191,6 +194,8 @@ def _observer(one: Containers) -> str:
     return OBSERVER.format(
         image=one.image("hedgerow"),
         command=command(one.observer("runs/topology.yaml")).replace("$", "$$"),
+        law=_law(one, "    "),
+        law_path=_law_path(one),
         own_keys=_own_keys(one, OBSERVERS, f"    {_user()}"),
         page=PAGE_PORT,
         check=_test(PAGE_CHECK),
@@ -247,6 +252,23 @@ def _all_secrets(one: Containers, beside: Path) -> list[str]:
         for file in some
     ]
     return ["\n".join(["secrets:", *lines, ""])]
+
+
+def _law(one: Containers, indent: str) -> str:
+    """Return the files of a law of the user's own that a container has."""
+    places = [_path(f"{LAW}/{file}") for file in one.law.files]
+    lines = [f"{indent}  - {{source: law-{k}, target: {place}}}\n" for k, place in enumerate(places)]
+    return "".join([f"{indent}configs:\n", *lines]) if lines else ""
+
+
+def _law_path(one: Containers) -> str:
+    return f"      PYTHONPATH: {LAW}\n" if one.law.files else ""
+
+
+def _law_files(one: Containers) -> list[str]:
+    """Return where these files lie, from the folder of the Compose file."""
+    lines = [f"  law-{k}: {{file: {_path(f'./{one.law_folder}/{file}')}}}" for k, file in enumerate(one.law.files)]
+    return ["\n".join(["configs:", *lines, ""])] if lines else []
 
 
 def _path(path: str) -> str:

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from hedgerow.agents.law_source import LawSource, source_of
 from hedgerow.orchestrator.deploy.bundle import release
 from hedgerow.orchestrator.ground.assignment import Layout
 from hedgerow.orchestrator.launch.certificates import CONFIGURATION, LIFE_DAYS, SETTINGS, carried, to_carry
@@ -55,6 +56,8 @@ AGENT_MEMORY, PLANT_MEMORY, ROUTER_MEMORY, OBSERVER_MEMORY = 1024, 2048, 1024, 4
 CPUS, PIDS = 1, 256
 """Limits of each container; Docker refuses more cores than the machine has."""
 TEMPORARY = "/tmp"
+LAW = "/law"
+"""The folder of a law of the user's own in the containers of the agents and the observer."""
 HOMES = tuple(f"/home/hedgerow/{name}" for name in (".cache", ".config", ".local"))
 """The folders of the viewer's settings; only these and the volumes are writable."""
 MOST_SECRET_BYTES = 500_000
@@ -80,7 +83,14 @@ class Containers:
     keys: Path | None = None
     """that folder, in a secure network"""
     registry: str = ""
-    """the registry of the images, e.g. registry.example/team; empty for images on the machine"""
+    """where the images are, e.g. registry.example/team; on the machine itself if it is empty"""
+    law: LawSource = field(default_factory=LawSource)
+    """the source of a law of the user's own"""
+
+    @property
+    def law_folder(self) -> str:
+        """Return the name of the folder beside the Compose file that holds the source of the law."""
+        return f"law-{self.law.digest}"
 
     @property
     def namespace(self) -> str:
@@ -179,8 +189,15 @@ def containers(
             " --processes, or `orchestrator bundle`, with files of any size",
             code=Code.TOPOLOGY,
         )
+    law = source_of(topology.law)
+    if (size := sum(map(len, law.files.values()))) > MOST_SECRET_BYTES:
+        raise UserError(
+            f"law {topology.law}: its source has {size} bytes, and a container takes at most {MOST_SECRET_BYTES}. Use"
+            " `orchestrator bundle`, whose files can be of any size.",
+            code=Code.LAW,
+        )
     services = dict(zip(homes, (one.process for one in told), strict=True))
-    return Containers(topology, told, rate, services, folder, registry.rstrip("/"))
+    return Containers(topology, told, rate, services, folder, registry.rstrip("/"), law)
 
 
 def _named(config: Config) -> Config:

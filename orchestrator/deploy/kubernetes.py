@@ -10,11 +10,13 @@ from typing import Any
 
 import yaml
 
+from hedgerow.agents.law_source import LawSource
 from hedgerow.orchestrator.deploy.containers import (
     AGENT_MEMORY,
     CPUS,
     HOMES,
     KEYS,
+    LAW,
     OBSERVER_MEMORY,
     OBSERVERS,
     PAGE_CHECK,
@@ -33,6 +35,7 @@ from hedgerow.topologies.resolve import to_yaml
 from hedgerow.wire import keys
 from hedgerow.wire.access import ROUTER
 
+NO_LAW = LawSource()
 MOST_MAP_BYTES = 1_000_000
 """The maximum size of a ConfigMap; the limit of Kubernetes is 1 MiB."""
 USER_ID = 10001
@@ -45,7 +48,7 @@ def to_kubernetes(one: Containers) -> str:
     """
     name = one.topology.name
     originals = {service: home for home, service in one.services.items()}
-    documents: list[Mapping[str, Any]] = [*_secrets(one, name, ROUTERS), *_router(one, name)]
+    documents: list[Mapping[str, Any]] = [*_secrets(one, name, ROUTERS), *_router(one, name), *_law(one, name)]
     for config in one.configs:
         again, own = config.process != keys.PLANT, one.own(config)
         mounted = _mounted(one, own)
@@ -61,6 +64,7 @@ def to_kubernetes(one: Containers) -> str:
                 again,
                 mounted,
                 originals[config.process],
+                one.law if again else NO_LAW,
             ),
         ]
     check = list(PAGE_CHECK)
@@ -69,7 +73,7 @@ def to_kubernetes(one: Containers) -> str:
         *_secrets(one, name, OBSERVERS),
         _config_map(name, "orchestrator", "topology.yaml", to_yaml(one.topology)),
         _volume_claim(name),
-        _job(name, "orchestrator", one.image("hedgerow"), command, check, False, _mounted(one, OBSERVERS)),
+        _job(name, "orchestrator", one.image("hedgerow"), command, check, False, _mounted(one, OBSERVERS), law=one.law),
         _page(name),
     ]
     return HEAD_KUBERNETES.format(name=label(name), page=PAGE_PORT) + yaml.safe_dump_all(
@@ -213,6 +217,13 @@ def _config_map(network: str, process: str, file: str, text: str, original: str 
     return {"apiVersion": "v1", "kind": "ConfigMap", "metadata": meta, "data": {file: text}}
 
 
+def _law(one: Containers, network: str) -> Iterator[Mapping[str, Any]]:
+    """A ConfigMap for the files of a law of the user's own."""
+    if one.law.files:
+        data = {f"file-{k}": base64.b64encode(text).decode() for k, text in enumerate(one.law.files.values())}
+        yield {"apiVersion": "v1", "kind": "ConfigMap", "metadata": _meta(network, "law"), "binaryData": data}
+
+
 def _volume_claim(network: str) -> Mapping[str, Any]:
     spec = {"accessModes": ["ReadWriteOnce"], "resources": {"requests": {"storage": "1Gi"}}}
     return {"apiVersion": "v1", "kind": "PersistentVolumeClaim", "metadata": _meta(network, "runs"), "spec": spec}
@@ -227,6 +238,7 @@ def _job(
     again: bool,
     own: Keys,
     original: str = "",
+    law: LawSource = NO_LAW,
 ) -> Mapping[str, Any]:
     """Return the job of one process, with a restart after a failure if `again`; its ConfigMap holds only its own
     config.
@@ -251,6 +263,11 @@ def _job(
         "resources": _resources(memory),
     }
     volumes: list[dict[str, Any]] = [{"name": "told", "configMap": {"name": label(process)}}, *key_volumes, *temporary]
+    if law.files:
+        container["env"] = [{"name": "PYTHONPATH", "value": LAW}]
+        container["volumeMounts"].append({"name": "law", "mountPath": LAW, "readOnly": True})
+        items = [{"key": f"file-{k}", "path": path} for k, path in enumerate(law.files)]
+        volumes.append({"name": "law", "configMap": {"name": "law", "items": items}})
     if observer:
         container["ports"] = [{"containerPort": PAGE_PORT}]
         container["volumeMounts"].append({"name": "runs", "mountPath": "/home/hedgerow/runs"})

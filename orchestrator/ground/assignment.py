@@ -62,7 +62,7 @@ def history_of(topology: Topology) -> int:
     """Return the number of past steps that every process stores for back-filling: that of the file, limited by the
     memory.
     """
-    graph = topology.network.graph
+    graph = topology.graph
     row = 8 * (3 * graph.n + 2 * len(graph.edges))
     return min(topology.history, max(1, HISTORY_BYTES // row)) if topology.backfill else 0
 
@@ -82,14 +82,15 @@ def candidates_of(topology: Topology) -> Array:
             return network.candidates
 
 
-def law_seed(topology: Topology) -> int:
-    """Return the seed of the laws: a function of the seed of the run that does not reveal the truth.
+def law_seed(topology: Topology, seed: int | None = None) -> int:
+    """Return the seed of the laws: a function of the seed of the run, from which the truth cannot be found.
 
-    It is 0 for the laws of the paper, which draw nothing: an agent receives only what its law may need.
+    `seed` stands for that of the topology if it is given. It is 0 for the laws of the paper, which draw nothing: an
+    agent is given what its law may need, and no more.
     """
     if topology.law in LAWS:
         return 0
-    return int(lots.keys(topology.seed, "law", lots.words_of(["seed"]))[0] >> np.uint64(1))
+    return int(lots.keys(topology.seed if seed is None else seed, "law", lots.words_of(["seed"]))[0] >> np.uint64(1))
 
 
 def law_of(topology: Topology) -> str:
@@ -97,8 +98,11 @@ def law_of(topology: Topology) -> str:
     return "minimax" if topology.law in ("hinf", "nominal") else topology.law
 
 
-def views_of(topology: Topology, shards: Layout) -> list[View]:
-    """Return the local view of each agent process: its nodes and their neighbours, but never the truth or the graph."""
+def views_of(topology: Topology, shards: Layout, source: str = "") -> list[View]:
+    """Return the local view of each agent process: its nodes and their neighbours, but never the truth or the graph.
+
+    `source` is the digest of the source of the law, for processes that load it themselves.
+    """
     graph, ids, candidates = topology.network.graph, id_array(topology.ids), candidates_of(topology)
     b, law, history = topology.network.b, law_of(topology), history_of(topology)
     home = np.empty(graph.n, dtype=np.int64)
@@ -136,6 +140,7 @@ def views_of(topology: Topology, shards: Layout) -> list[View]:
                 heard=ids[heard % graph.n],
                 history=history,
                 seed=law_seed(topology),
+                law_source=source,
             )
         )
     return views

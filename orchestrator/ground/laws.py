@@ -11,6 +11,7 @@ import typing
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import numpy as np
 from pydantic import ConfigDict, TypeAdapter, ValidationError, create_model
 
 from hedgerow.agents.contract import Trial, check_law
@@ -78,8 +79,8 @@ def _keeps_contract(law: type[Law], choice: LawChoice, topology: Topology) -> No
     trial = Trial.default()
     if topology.is_drawn:
         network = topology.network
-        trial = Trial.of(network.ids, network.b, network.candidates)
-    key = law, str(choice), trial.candidates.tobytes()
+        trial = Trial.of(network.ids, network.b, network.candidates, network.graph.weight is not None)
+    key = law, str(choice), trial.candidates.tobytes() + np.asarray(trial.b).tobytes() + bytes([trial.weighted])
     if key not in _KEPT:
         name = str(choice)
         _within_deadline(law, name, lambda called: check_law(law, trial, choice.parameters, name, on_call=called))

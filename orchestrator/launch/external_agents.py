@@ -16,6 +16,7 @@ from pathlib import Path
 
 import zenoh
 
+from hedgerow.agents.law_source import source_digest
 from hedgerow.orchestrator.ground.assignment import Layout, process_name, truth_of, views_of
 from hedgerow.orchestrator.launch.control import ask
 from hedgerow.orchestrator.launch.endpoints import Connection
@@ -141,7 +142,8 @@ def configs(topology: Topology, shards: Layout, router: str, namespace: str) -> 
     """Return the config of each process, the plant first; see `orchestrator bundle`."""
     network = fingerprint(topology)
     told = {keys.PLANT: truth_of(topology, shards).to_dict()}
-    told |= {process_name(view): view.to_dict() for view in views_of(topology, shards)}
+    views = views_of(topology, shards, source_digest(topology.law))
+    told |= {process_name(view): view.to_dict() for view in views}
     return [Config(name, namespace, router, network, one) for name, one in told.items()]
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import zenoh
 
+from hedgerow.agents.law_source import source_digest
 from hedgerow.orchestrator.ground.assignment import Layout, places, truth_of, views_of
 from hedgerow.orchestrator.ground.signals import Interrupts
 from hedgerow.orchestrator.launch.certificates import host_of
@@ -65,7 +66,7 @@ class Launch:
         """`wake` is called when a process ends."""
         self._topology, self._folder, self._shards, self._options = topology, folder, shards, options
         self._screen, self._fork_client, self._wake = screen, fork_client, wake
-        self.views = views_of(topology, shards)
+        self.views = views_of(topology, shards, source_digest(topology.law))
         """the local view of every agent process"""
         self.connection = self._wire()
         """the router's endpoint, the namespace and the credentials"""

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from hedgerow.plant.faults import Lots
 from hedgerow.topologies.effects import FOREVER, Effect
 from hedgerow.topologies.faults import effects
-from hedgerow.topologies.graph import Index, Mask
+from hedgerow.topologies.graph import Graph, Index, Mask
+from hedgerow.topologies.lots import Words
 from hedgerow.topologies.schema import Topology
 
 
@@ -27,10 +29,19 @@ class Schedule:
     """The effects of all faults of a resolved topology."""
 
     def __init__(self, topology: Topology) -> None:
-        self._n = len(topology.ids)
-        self.faults = len(topology.faults)
-        self.effects = effects(topology.faults, topology) if topology.faults else []
-        self._lots = Lots(topology.graph, topology.ids, topology.seed)
+        found = effects(topology.faults, topology) if topology.faults else []
+        self._begin(topology.graph, topology.ids, topology.seed, len(topology.faults), found)
+
+    @classmethod
+    def of(cls, graph: Graph, ids: Any, seed: int | Words, faults: int, found: Sequence[Effect]) -> Schedule:
+        """Return the schedule of some effects; `seed` is one, or one per node, (n,)."""
+        schedule = cls.__new__(cls)
+        schedule._begin(graph, ids, seed, faults, found)
+        return schedule
+
+    def _begin(self, graph: Graph, ids: Any, seed: int | Words, faults: int, found: Sequence[Effect]) -> None:
+        self._n, self.faults, self.effects = graph.n, faults, list(found)
+        self._lots = Lots(graph, ids, seed)
         self._lots.take(self.effects)
 
     def between(self, first: int, stop: int) -> list[Effect]:

@@ -207,8 +207,8 @@ def judge(topology: Topology, observer: Observer, ending: Ending) -> Verdict:
         checks["deaths"] = _deaths(ending.survivors)
     adaptive = observer.adaptive
     if adaptive is not None and adaptive.known is not None:
-        for premise, bound in adaptive.known.bounds.items():
-            if (track := adaptive.tracks[premise]).check.steps:
+        for premise, track in adaptive.tracks.items():  # not the order in which the bounds were found
+            if (bound := adaptive.known.bounds.get(premise)) is not None and track.check.steps:
                 checks[f"gain_{premise}"] = _gain(premise, track, bound)
     if ending.audit is not None:
         checks["information"] = {"ok": not ending.audit.wrong, "claim": CLAIM, "why": ending.audit.wrong}

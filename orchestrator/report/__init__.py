@@ -74,7 +74,7 @@ def report(
 def _chosen(known: Sequence[Kind], figures: str | None, runs: Sequence[Run]) -> list[Kind]:
     """Return the requested figures in the order of the report; without a request, all figures with content."""
     if figures is None:
-        return [kind for kind in known if kind.has(runs)]
+        return [kind for kind in known if kind.has(runs) and not kind.on_request]
     asked = [key.strip() for key in figures.split(",")]
     there = [kind.key for kind in known]
     for key in asked:

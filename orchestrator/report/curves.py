@@ -121,7 +121,7 @@ def zoom(axis: Axes, run: Run, values: Array) -> None:
     low, high = extremes(values[start:])
     if start < 2 or as_quantiles(run, values) or not 0 < DWARFED * max(-low, high) < np.nanmax(np.abs(values)):
         return
-    inset = axis.inset_axes((0.42, 0.42, 0.56, 0.52))
+    inset = axis.inset_axes((0.42, 0.42, 0.58, 0.52))
     for of_node in values.T:
         t, shown = highest(of_node)
         inset.plot(t, shown, lw=0.8)

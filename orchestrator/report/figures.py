@@ -30,6 +30,8 @@ class Kind:
     has: Callable[[Runs], bool] = lambda _: True
     more: Callable[[Runs], str] = lambda _: ""
     """further sentences about some runs"""
+    on_request: bool = False
+    """True if only `--figures` with its key draws it"""
 
     def caption(self, runs: Runs) -> str:
         """Return the caption for some runs, with the reductions that were made."""
@@ -88,6 +90,16 @@ FIGURES = (
         draw=nodes.nominal,
         array="nominal_gap",
         more=lambda runs: nodes.largest(runs, "nominal_gap"),
+    ),
+    Kind(
+        key="paper",
+        file="figures-2-to-5",
+        title="Figures 2 to 5",
+        shows="Figures 2 to 5 as the panels (a) to (d) of one figure, as wide as a page with two columns.",
+        draw=nodes.paper,
+        array="x",
+        has=lambda runs: len(runs) == 1,
+        on_request=True,
     ),
     Kind(
         key="estimates",

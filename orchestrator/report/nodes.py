@@ -18,32 +18,63 @@ from hedgerow.orchestrator.report.curves import (
     steps_axis,
     zoom,
 )
-from hedgerow.orchestrator.report.style import sheet
+from hedgerow.orchestrator.report.style import PAGE_IN, label_panels, sheet
 from hedgerow.orchestrator.runs.run import Run
 
 Runs = Sequence[Run]
+_STATE, _ORACLE = "$x_i(t)$ [units of $x$]", r"$x_i^*\!(t)$ [units of $x$]"
+_REGRET, _GAP = (
+    r"$|x_i(t) - x_i^*\!(t)|$ [units of $x$]",
+    r"$|x_i^*\!(t) - x_i^{\mathrm{nom}}(t)|$ [units of $x$]",
+)
 
 
 def states(runs: Runs) -> Figure:
     """Draw figure 2: x, on the axes of figure 3."""
-    return _panels(runs, "x", "$x_i(t)$ [units of $x$]", _limits(runs, "x", "x_oracle"), behind="x_oracle")
+    return _panels(runs, "x", _STATE, _limits(runs, "x", "x_oracle"), behind="x_oracle")
 
 
 def oracle(runs: Runs) -> Figure:
     """Draw figure 3: x*, on the axes of figure 2."""
-    return _panels(runs, "x_oracle", r"$x_i^*\!(t)$ [units of $x$]", _limits(runs, "x", "x_oracle"))
+    return _panels(runs, "x_oracle", _ORACLE, _limits(runs, "x", "x_oracle"))
 
 
 def regret(runs: Runs) -> Figure:
     """Draw figure 4: |x - x*|, on the axes of figure 5."""
-    label = r"$|x_i(t) - x_i^*\!(t)|$ [units of $x$]"
-    return _panels(runs, "regret", label, _limits(runs, "regret", "nominal_gap"))
+    return _panels(runs, "regret", _REGRET, _limits(runs, "regret", "nominal_gap"))
 
 
 def nominal(runs: Runs) -> Figure:
     """Draw figure 5: |x* - x^nom|, on the axes of figure 4."""
-    label = r"$|x_i^*\!(t) - x_i^{\mathrm{nom}}(t)|$ [units of $x$]"
-    return _panels(runs, "nominal_gap", label, _limits(runs, "regret", "nominal_gap"))
+    return _panels(runs, "nominal_gap", _GAP, _limits(runs, "regret", "nominal_gap"))
+
+
+def paper(runs: Runs) -> Figure:
+    """Draw figures 2 to 5 of one run as the panels (a) to (d) of a figure as wide as a page, with one legend."""
+    (run,) = runs
+    figure = sheet(4.2, PAGE_IN)
+    axes = figure.subplots(2, 2, sharex=True, sharey="row")
+    panels = (
+        ("x", _STATE, "x_oracle"),
+        ("x_oracle", _ORACLE, ""),
+        ("regret", _REGRET, ""),
+        ("nominal_gap", _GAP, ""),
+    )
+    for axis, (name, label, behind) in zip(axes.flat, panels, strict=True):
+        entries = draw_nodes(axis, run, getattr(run, name))
+        if behind and (grey := draw_behind(axis, run, getattr(run, behind))) is not None:
+            first = Entries([*entries.handles, grey], [*entries.names, "oracle"])
+        elif name == "x":
+            first = entries
+        zoom(axis, run, getattr(run, name))
+        axis.set_ylabel(label)
+    for row, names in zip(axes, (("x", "x_oracle"), ("regret", "nominal_gap")), strict=True):
+        row[0].set_ylim(*_limits(runs, *names))
+    for axis in axes[-1]:
+        steps_axis(axis, runs)
+    label_panels(axes.flat)
+    legend(figure, first)
+    return figure
 
 
 def _panels(runs: Runs, name: str, label: str, limits: tuple[float, float], behind: str = "") -> Figure:

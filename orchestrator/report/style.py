@@ -111,9 +111,16 @@ def width_in() -> float:
     return float(matplotlib.rcParams["figure.figsize"][0])
 
 
-def sheet(height_in: float) -> Figure:
-    """Return an empty figure of the width of the look."""
-    return Figure(figsize=(width_in(), height_in))
+PAGE_IN = 7.16
+"""the width of a page with two columns"""
+COLUMN_IN = 3.5
+"""the width of the figures in hedgerow.mplstyle"""
+
+
+def sheet(height_in: float, otherwise_in: float | None = None) -> Figure:
+    """Return an empty figure of the width of the look; of `otherwise_in` if the user asks for no width."""
+    asked = width_in()
+    return Figure(figsize=(otherwise_in if otherwise_in and asked == COLUMN_IN else asked, height_in))
 
 
 def label_panels(axes: Iterable[Axes]) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from hedgerow.agents.law import Law
 from hedgerow.agents.loading import LawError
 from hedgerow.agents.shard import Shard
 from hedgerow.agents.view import View
@@ -16,15 +17,16 @@ from hedgerow.topologies.graph import Array
 from hedgerow.wire.codec import REPORT_ROWS, End, Telemetry, gather
 
 
-def run(truth: Truth, views: Sequence[View]) -> Iterator[Telemetry | End]:
+def run(truth: Truth, views: Sequence[View], law: Law | None = None) -> Iterator[Telemetry | End]:
     """Yield the telemetry of every step, then the end; equal bit for bit to the messages of the plant.
 
-    Raise LawError after the end, at the step where the law failed.
+    `law` stands for that of the view, if there is one view. Raises LawError after the end, which is where the law
+    failed.
     """
     world, began = World(truth), time.monotonic()
     failure: LawError | None = None
     try:
-        yield from _steps(world, views, truth.steps)
+        yield from _steps(world, views, truth.steps, law)
     except LawError as error:
         failure = error
     yield End(world.t, world.x, time.monotonic() - began, world.links.forgotten)
@@ -32,8 +34,8 @@ def run(truth: Truth, views: Sequence[View]) -> Iterator[Telemetry | End]:
         raise failure
 
 
-def _steps(world: World, views: Sequence[View], steps: int) -> Iterator[Telemetry]:
-    shards = [Shard(view) for view in views]
+def _steps(world: World, views: Sequence[View], steps: int, law: Law | None) -> Iterator[Telemetry]:
+    shards = [Shard(view, law) for view in views]
     ends = {(view.shard, peer.shard): q for view in views for q, peer in enumerate(view.peers)}
     """By sender and receiver: the index of the receiver among the sender's peers."""
     while world.t < steps:

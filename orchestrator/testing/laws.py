@@ -28,6 +28,7 @@ def check_law(law: type[Any] | str, network: Named | None = None, /, **parameter
     trial, seed = None, 0
     if network is not None:
         topology = resolved(network)
-        trial, seed = Trial.of(topology.network.ids, topology.network.b, candidates_of(topology)), law_seed(topology)
+        drawn, seed = topology.network, law_seed(topology)
+        trial = Trial.of(drawn.ids, drawn.b, candidates_of(topology), drawn.graph.weight is not None)
     label = name.partition("(")[0]
     _check(tested, trial, with_defaults(tested, given, f"law {label}"), label, seed)

@@ -218,7 +218,7 @@ def test_what_a_process_is_told_goes_through_its_file(
         view.write(folder / f"{view.shard}.npz")
         with np.load(folder / f"{view.shard}.npz") as file:
             settings_of, arrays = json.loads(file["settings"].tobytes()), {*file.files} - {"settings"}
-        assert settings_of.keys() - {"b"} == {"shard", "law", "history", "seed", "ids"}
+        assert settings_of.keys() - {"b"} == {"shard", "law", "law_source", "history", "seed", "ids"}
         own = {"ids", "candidates", "row", "column", "peers", "say", "heard"}
         assert arrays - {"b", "weights"} == own
         assert ("b" in settings_of) != ("b" in arrays)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-import itertools
 import json
-from collections.abc import Container, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hedgerow.orchestrator.experiments.sweep.plan import Chunk, Plan, Setting, split
+from hedgerow.orchestrator.experiments.sweep.plan import Plan, Setting, split
 from hedgerow.orchestrator.ground import laws as law_checks
 from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.law_choice import NAMES
@@ -22,8 +21,6 @@ from hedgerow.topologies.schema import Topology
 
 BESIDE = ("hinf", "nominal")
 """laws that every comparison has: the oracle, and the nominal controller"""
-NODES_AT_ONCE = 350
-"""the maximum number of nodes of all networks in one batch: a larger batch delays Ctrl-C, a smaller one is slower"""
 AS_FILE = "file"
 PRESETS: dict[str, Any] = {
     "sinusoid": {
@@ -54,14 +51,6 @@ class Comparison(Plan):
     def disturbances(self) -> list[str]:
         """Return the disturbances, in the order of the tables."""
         return list(dict.fromkeys(one.values[0] for one in self.settings))
-
-    def chunks(self, done: Container[tuple[int, int]]) -> Iterator[Chunk]:
-        """Yield the missing runs, with as many runs of a setting as one process makes together."""
-        for k, setting in enumerate(self.settings):
-            size = max(1, NODES_AT_ONCE // len(setting.topology.ids))
-            lacking = (seed for seed in self.seeds if (k, seed) not in done)
-            while seeds := tuple(itertools.islice(lacking, size)):
-                yield Chunk(k, seeds)
 
     @property
     def default_out(self) -> Path:

@@ -24,6 +24,8 @@ from hedgerow.topologies.source import read_source
 ENGINES = ("in-process", "zenoh")
 MAX_RUNS = 10_000_000
 _STEPS_A_CHUNK = 600
+LEAST_CHUNKS = 8
+"""chunks of a plan with enough seeds, so that several processes share them"""
 
 
 class Chunk(NamedTuple):
@@ -102,10 +104,11 @@ class Plan:
 
     def chunks(self, done: Container[tuple[int, int]]) -> Iterator[Chunk]:
         """Yield the runs without those that are `done`: (place of the setting, seed)."""
+        pieces = -(-LEAST_CHUNKS // len(self.settings))
         for k, setting in enumerate(self.settings):
             size = 1 if self.engine == "zenoh" else max(1, _STEPS_A_CHUNK // setting.topology.steps)
             if not self.one_by_one[k]:
-                size = batch.seeds_at_once(setting.topology)
+                size = min(batch.seeds_at_once(setting.topology), -(-len(self.seeds) // pieces))
             lacking = (seed for seed in self.seeds if (k, seed) not in done)
             while seeds := tuple(itertools.islice(lacking, size)):
                 yield Chunk(k, seeds)

@@ -161,9 +161,8 @@ def test_a_law_that_fails_makes_its_runs_unknown_and_no_others(here: Path) -> No
 
 # Stopped, killed, gone on with.
 
-DROP = "faults=[{kind: drop, link: [2, 4], steps: [0, 300]}]"
-"""a network with faults is run one by one, so that a sweep of it takes a while"""
-LONG = ("sweep", "paper7", "--seeds", "0:24", "--set", "steps=300", "--set", "law=minimax,hinf", "--set", DROP)
+LINE401 = str(Path(__file__).parents[2] / "tools" / "line401.yaml")
+LONG = ("sweep", LINE401, "--seeds", "0:24", "--set", "law=minimax,hinf")
 
 
 @pytest.fixture(scope="module")
