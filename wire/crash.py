@@ -9,7 +9,7 @@ import traceback
 from pathlib import Path
 
 
-def told(error: BaseException) -> str:
+def summary(error: BaseException) -> str:
     """Return one line about an unexpected exception."""
     words = " ".join(str(error).split())
     return f"{type(error).__name__}: {words[:200]}" if words else type(error).__name__
@@ -20,7 +20,7 @@ def report(error: BaseException, log: Path | None = None) -> str:
     text = "".join(traceback.format_exception(error))
     file = _written(text, log)
     where = f"the traceback is in {file}" if file is not None else f"no file can be written; it was at {_place(error)}"
-    return f"this is a defect of hedgerow: {told(error)}; {where}"
+    return f"this is a defect of hedgerow: {summary(error)}; {where}"
 
 
 def _written(text: str, log: Path | None) -> Path | None:

@@ -62,16 +62,16 @@ def bundle(
     check_endpoint(router)
     meet = namespace_of(topology.name) if namespace is None else namespace
     check_namespace(meet)
-    told = configs(topology, shards, router, meet)
+    parts = configs(topology, shards, router, meet)
     try:
         if topology.secure:
-            write_secure(out, topology, told, places(views_of(topology, shards)), days or LIFE_DAYS)
+            write_secure(out, topology, parts, places(views_of(topology, shards)), days or LIFE_DAYS)
         else:
             with whole_folder(out, f"--out {out}") as part:
-                write(part, topology, told)
+                write(part, topology, parts)
     except OSError as error:
         raise UserError(f"--out {out}: {error.strerror}; choose another folder", code=Code.OUTPUT) from None
-    echo(f"{out}: {len(told)} processes; {out / 'README.md'} explains the start")
+    echo(f"{out}: {len(parts)} processes; {out / 'README.md'} explains the start")
     return 0
 
 

@@ -269,13 +269,13 @@ def _check_cluster(on: str, external: str | None) -> None:
 def _introduce(topology: Topology, processes: int, folder: RunFolder, display: Screen) -> None:
     """Print the size of the network, the run folder, and the rows that are recorded."""
     from hedgerow.orchestrator.metrics.summary import count  # noqa: PLC0415
-    from hedgerow.orchestrator.runs.selection import told  # noqa: PLC0415
+    from hedgerow.orchestrator.runs.selection import notes  # noqa: PLC0415
 
     what = f"{count(len(topology.ids), 'node')} in {count(processes, 'process', 'es')}, {topology.steps} steps"
     display.say(f"{topology.name}: {what}, run {folder.name}")
     if folder.note:
         display.say(folder.note)
-    for line in told(topology):
+    for line in notes(topology):
         display.say(line)
 
 
@@ -312,14 +312,14 @@ def simulate(
     from hedgerow.orchestrator.launch.recording import Watching  # noqa: PLC0415
     from hedgerow.orchestrator.launch.simulation import simulate_into  # noqa: PLC0415
     from hedgerow.orchestrator.runs import folder as folders  # noqa: PLC0415
-    from hedgerow.orchestrator.runs.selection import told  # noqa: PLC0415
+    from hedgerow.orchestrator.runs.selection import notes  # noqa: PLC0415
     from hedgerow.orchestrator.views.screen import screen  # noqa: PLC0415
 
     topology = importable(read(file, sets, steps=steps, seed=seed, law=law), file, kept_law)
     folder = folders.create(topology, run_dir)
     viewer = _viewer(viewer)
     with contextlib.closing(screen(topology, as_json, plain, quiet, watched=viewer != "none")) as display:
-        for line in filter(None, [folder.note, *told(topology)]):
+        for line in filter(None, [folder.note, *notes(topology)]):
             display.say(line)
         watching = Watching(record, viewer, split_recording)
         return code_of_run(simulate_into(topology, folder, layout(topology, 1), watching, display), display)

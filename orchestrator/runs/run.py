@@ -25,7 +25,7 @@ from hedgerow.orchestrator.runs import guaranteed, replayed
 from hedgerow.orchestrator.runs.difference import Estimates, equal, explain_estimates, lost_messages
 from hedgerow.orchestrator.runs.properties import actions, flags, recomputed, states, total
 from hedgerow.orchestrator.runs.rows import frozen, spread
-from hedgerow.orchestrator.runs.selection import Kept, kept
+from hedgerow.orchestrator.runs.selection import Selection, selection
 from hedgerow.orchestrator.runs.table import Table
 from hedgerow.topologies.describe import describe
 from hedgerow.topologies.errors import Code, UserError
@@ -71,29 +71,29 @@ class Run:
             raise UserError(f"{self.folder}: no whole step of the run is recorded yet", code=Code.RUN_MISSING)
 
     @cached_property
-    def kept(self) -> Kept:
+    def selection(self) -> Selection:
         """Return the steps, nodes and edges that have rows."""
-        return kept(self.topology)
+        return selection(self.topology)
 
     @property
     def whole(self) -> bool:
         """Return True if every step of every node has rows."""
-        return self.kept.whole
+        return self.selection.whole
 
     def need_all(self, what: str) -> None:
         """Raise UserError if some rows were not recorded; `what` names the purpose that needs them."""
         if not self.whole:
             again = command(["orchestrator", "simulate", self.folder, "--set", "record={nodes: all}"])
             raise UserError(
-                f"{self.folder}: {what} needs all rows, and the run kept {self.kept}; it can be run again with all of"
-                f" them, to the same bits: {again}",
+                f"{self.folder}: {what} needs all rows, and the run has {self.selection}; it can be run again with all"
+                f" of them, to the same bits: {again}",
                 code=Code.NOT_RECORDED,
             )
 
     def __repr__(self) -> str:
         size = f"{self.T} steps of {len(self.ids)} nodes"
         if not self.whole:
-            size = f"{self.T} steps, with rows for {self.kept}"
+            size = f"{self.T} steps, with rows for {self.selection}"
         return f"<Run {self.name}: {size}, {self.verdict.verdict or 'no verdict'}>"
 
     def __eq__(self, other: object) -> bool:
@@ -132,36 +132,36 @@ class Run:
     def b(self) -> Gain:
         """Return the gain b of equation (1): one number, or one per node, (n,)."""
         b = self.topology.network.b
-        return b if isinstance(b, float) else frozen(b[self.kept.nodes])
+        return b if isinstance(b, float) else frozen(b[self.selection.nodes])
 
     @cached_property
     def weights(self) -> Array:
         """Return the weight of each edge, (E,)."""
         weights = self.topology.graph.weights
-        return frozen(np.ones(len(self.kept.edges)) if weights is None else weights[self.kept.edges])
+        return frozen(np.ones(len(self.selection.edges)) if weights is None else weights[self.selection.edges])
 
     @cached_property
     def ids(self) -> tuple[int | str, ...]:
         """Return the node ids in the order of the columns."""
         every = self.topology.ids
-        return tuple(every) if self.kept.all_nodes else tuple(every[k] for k in self.kept.nodes.tolist())
+        return tuple(every) if self.selection.all_nodes else tuple(every[k] for k in self.selection.nodes.tolist())
 
     @cached_property
     def edges(self) -> Index:
         """Return the positions in `ids` of the two ends of each edge, -1 for a node without rows, (E, 2)."""
         places = np.full(self.topology.graph.n, -1)
-        places[self.kept.nodes] = np.arange(len(self.kept.nodes))
-        return frozen(places[self.topology.graph.edges[self.kept.edges]])
+        places[self.selection.nodes] = np.arange(len(self.selection.nodes))
+        return frozen(places[self.topology.graph.edges[self.selection.edges]])
 
     @cached_property
     def candidates(self) -> Array:
         """Return the candidates of each node, padded with NaN, (n, M)."""
-        return frozen(self.topology.network.candidates[:, self.kept.nodes].T.copy())
+        return frozen(self.topology.network.candidates[:, self.selection.nodes].T.copy())
 
     @cached_property
     def nominal(self) -> Array:
         """Return the a that the nominal controller assumes, (n,)."""
-        return frozen(self.topology.network.nominal[self.kept.nodes])
+        return frozen(self.topology.network.nominal[self.selection.nodes])
 
     @cached_property
     def gamma_star(self) -> float:
@@ -179,7 +179,7 @@ class Run:
         due = np.arange(self.T)
         if not self.whole and "summary" in self.tables:
             return frozen(np.setdiff1d(due, self.tables["summary"].steps(1)))
-        return frozen(np.setdiff1d(due[self.kept.rows(due)], self.recorded))
+        return frozen(np.setdiff1d(due[self.selection.rows(due)], self.recorded))
 
     x = states("x")
     """States, (T + 1, n)."""
@@ -239,7 +239,7 @@ class Run:
         """Return the true a of each step, jumps included, (T, n)."""
         if self.whole:
             return self._by_step(self._observed[0].a)
-        nodes = self.kept.nodes
+        nodes = self.selection.nodes
         a = np.repeat(self.topology.network.a[None, nodes], self.T, axis=0)
         for jump in Schedule(self.topology).jumps(0):
             a[jump.start :, nodes == jump.targets[0]] = jump.a
@@ -358,7 +358,7 @@ class Run:
     @cached_property
     def truth(self) -> Array:
         """Return the true a before any jump, (n,)."""
-        return frozen(self.topology.network.a[self.kept.nodes])
+        return frozen(self.topology.network.a[self.selection.nodes])
 
     def column(self, node: NodeId) -> int:
         """Return the column of a node in the arrays: `run.x[:, run.column(4)]`. Raises UserError."""

@@ -115,8 +115,8 @@ def worst(
     stopped search continues with the files of `out`. Raises UserError for a network that is too large.
     """
     hunt = Hunt(topology, seed, faults, steps)
-    kept = None if out is None else out.with_suffix(".npz")
-    if kept is not None and kept.exists() and hunt.resume(kept):
+    state_file = None if out is None else out.with_suffix(".npz")
+    if state_file is not None and state_file.exists() and hunt.resume(state_file):
         say(f"continues after {hunt.state.seconds:.0f} s, with gain {hunt.best_score() ** 0.5:.4f}")
     hunt.run(budget_s, say, quit_now)
     attack, network = hunt.proved()
@@ -128,9 +128,9 @@ def worst(
         {hunt.named(breaks): gain for breaks, gain in hunt.fault_gains.items()},
         hunt.state.seconds,
     )
-    if out is not None and kept is not None:
+    if out is not None and state_file is not None:
         try:
-            hunt.save(kept)
+            hunt.save(state_file)
             out.write_text(to_yaml(network), encoding="utf-8")
             out.with_suffix(".json").write_text(json.dumps(found.to_dict(), indent=1) + "\n", encoding="utf-8")
         except OSError as error:
@@ -143,9 +143,9 @@ def worst(
 def at_least(plant: Plant, folder: Path) -> float | None:
     """Return the gain in a worst.json, found for minimax on a network without faults; None if there is none."""
     try:
-        told = read_json((folder / NAME).with_suffix(".json"))
-        if told["network"] == fingerprint(plant) and told["law"] == "minimax" and not told["faulty"]:
-            return float(told["limit"])
+        earlier = read_json((folder / NAME).with_suffix(".json"))
+        if earlier["network"] == fingerprint(plant) and earlier["law"] == "minimax" and not earlier["faulty"]:
+            return float(earlier["limit"])
     except (UserError, OSError, ValueError, KeyError, TypeError):
         pass
     return None

@@ -78,7 +78,7 @@ from hedgerow.orchestrator.launch.supervisor import Processes
 def kill(self, shard, life, restart):
     "Claim that the process has ended, and leave it alone."
     _, agent = self._agent(shard)
-    agent.killed, agent.alive, agent.told, agent.again = True, False, False, False
+    agent.killed, agent.alive, agent.reported, agent.again = True, False, False, False
 
 Processes.kill = kill
 main()
