@@ -66,7 +66,7 @@ def names(figure: Figure) -> list[str]:
 
 
 class Page(HTMLParser):
-    """A page as a reader gets it: its elements are closed in order, what they ask for, and the text in them."""
+    """A page for a reader: its elements are closed in order; its references, and its text."""
 
     def __init__(self, text: str) -> None:
         super().__init__()

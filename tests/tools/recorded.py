@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from hypothesis import given, settings
 
 from hedgerow.orchestrator.ground.assignment import layout
 from hedgerow.orchestrator.launch.recording import Watching
@@ -21,9 +19,7 @@ from hedgerow.orchestrator.views.screen import Quiet
 from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import resolve
 from hedgerow.topologies.schema import Topology
-from tests.test_faults import faulty
-from tests.tools import networks
-from tests.tools.networks import observe, read
+from tests.tools.networks import read
 
 NAMED = """
 name: named
@@ -107,16 +103,3 @@ def assert_as_live(run: Run, live: Batch, observer: Observer) -> None:
     if observer.end is not None:
         assert same(run.x[-1], observer.end.x)
         assert same(run.x_oracle[-1], observer.x_oracle_end)
-
-
-@settings(max_examples=10)
-@given(topology=faulty())
-def test_every_array_is_what_was_computed_live(topology: Topology) -> None:
-    """The network has any faults: jumps, crashes, cuts, lost messages."""
-    with tempfile.TemporaryDirectory() as folder:
-        run = ran(topology, Path(folder) / "run")
-        observer, live = observe(topology, networks.simulate(topology))
-        assert (run.T, run.ids, list(run.lost)) == (topology.steps, topology.ids, [])
-        assert_as_live(run, live, observer)
-        ended = {name: None if value is None else float(value) for name, value in run.metrics.items()}
-        assert ended == run.verdict.content["metrics"]

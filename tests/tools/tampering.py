@@ -51,7 +51,7 @@ class Tampering:
     """the changed agent without its law"""
     world: type[World] | None = None
     rows: Rows | None = None
-    """the telemetry that arrives in place of what was sent"""
+    """the telemetry that arrives instead of the sent one"""
     topology: Topology = WATCHED
 
     def run(self) -> Trajectory:
@@ -64,7 +64,7 @@ class Tampering:
             views[k] = replace(views[k], law=f"{self.law.__module__}:{self.law.__name__}")
         changed = self.shard or Shard
 
-        def shard(view: View) -> Shard:
+        def shard(view: View, law: None) -> Shard:
             return (changed if view.ids[0] == NODE else Shard)(view)
 
         with mock.patch.multiple(reference, World=self.world or World, Shard=shard), np.errstate(all="ignore"):
@@ -78,7 +78,7 @@ class Tampering:
 
 
 def verdict(topology: Topology, rows: Sequence[Telemetry], end: End | None) -> Verdict:
-    """The verdict of an observer and a replay of these rows."""
+    """Return the verdict of an observer and a replay of these rows."""
     observer, replay = Observer(topology), Replay(topology)
     for row in rows:
         with np.errstate(all="ignore"):
@@ -200,7 +200,7 @@ ALL = list(_all())
 
 
 def told(tampering: Tampering) -> list[str]:
-    """The row of the table: where, what, the verdict, the first check that fails, and the step and node it names."""
+    """Return the row of the table: place, change, verdict, the first failed check, and its step and node."""
     content = tampering.verdict().content
     failed = {name: check for name, check in content["checks"].items() if not check["ok"]}
     named = [(name, check) for name, check in failed.items() if check.get("node") is not None]

@@ -8,7 +8,7 @@ from tests.tools.networks import read
 from tests.tools.schedules import with_faults
 
 NODE = 2
-"""the id of the agent that is changed"""
+"""the id of the changed agent"""
 
 
 TEXT = """

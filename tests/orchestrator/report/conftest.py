@@ -46,5 +46,5 @@ def written(paper: Run, folder: Path) -> dict[str, Path]:
 
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Figures take no time where they are not what is looked at."""
+    """Figures take time only if they are wanted."""
     monkeypatch.setattr("hedgerow.orchestrator.report.style.save", lambda *_: b"<svg/>")

@@ -53,7 +53,7 @@ def test_a_figure_of_the_paper_is_its_array(key: str, paper: Run) -> None:
     assert len({to_hex(line.get_color()) for line in axis.lines[:7]}) == 7
 
 
-def test_what_is_to_be_compared_has_the_same_axes(paper: Run) -> None:
+def test_compared_figures_have_the_same_axes(paper: Run) -> None:
     """Figure 3 beside 2, and 5 beside 4, whichever of them are drawn."""
     limits = {key: drawn(key, paper).axes[0].get_ylim() for key in PAPERS}
     assert limits["2"] == limits["3"] != limits["4"] == limits["5"]
@@ -61,7 +61,7 @@ def test_what_is_to_be_compared_has_the_same_axes(paper: Run) -> None:
 
 
 def test_estimates_stand_over_the_truth(paper: Run) -> None:
-    """A panel a node; node 6 is wrong by too little to be seen, so a bar and a number say it."""
+    """There is one panel per node; node 6 is wrong by an invisible amount, which a bar and a number show."""
     figure = drawn("estimates", paper)
     panels = [axis for axis in figure.axes if axis.get_visible()]
     assert [axis.get_title("left") for axis in panels] == [f"node {node}" for node in paper.ids]
@@ -94,7 +94,7 @@ def test_totals_are_the_runs(paper: Run) -> None:
     assert f"above the axis, at up to {paper.gain[0]:.3g}" in KINDS["gain"].caption([paper])
 
 
-def test_the_timeline_is_what_was_recorded(faulty: Run) -> None:
+def test_the_timeline_equals_the_recording(faulty: Run) -> None:
     """2-3 is dropped, 3-4 is cut, 3 crashes: its edges carry nothing then, and its messages are lost."""
     figure = drawn("faults", faulty)
     (axis,) = figure.axes
@@ -125,8 +125,8 @@ def test_an_a_that_jumps_is_marked(folder: Path) -> None:
     assert [*figure.axes[0].lines[0].get_xdata()] == [15]  # type: ignore[misc]
 
 
-def test_many_nodes_are_quantiles_and_the_caption_says_so(grid: Run) -> None:
-    """16 nodes: median and bands of figure 2, a heat map of the errors; nothing is hidden."""
+def test_many_nodes_are_quantiles_as_the_caption_explains(grid: Run) -> None:
+    """16 nodes: median and bands in figure 2, and a heat map of the errors; every node is included."""
     figure = drawn("2", grid)
     (axis,) = figure.axes
     np.testing.assert_array_equal(curves(axis)[0], np.median(grid.x, axis=1))
@@ -154,7 +154,7 @@ def test_long_runs_are_drawn_by_the_extremes_of_bins(folder: Path) -> None:
     assert f"in {BINS} bins" in KINDS["4"].caption([run])
 
 
-def test_what_was_lost_is_a_gap() -> None:
+def test_lost_steps_are_gaps() -> None:
     values = np.where(np.arange(2000) // 100 == 7, np.nan, 1.0)[:, None]
     _, (median,) = quantiles(values, (0.5,))
     assert np.isnan(median).sum() == BINS // 20
@@ -190,7 +190,7 @@ def test_a_law_without_estimates_has_no_such_figure(folder: Path, monkeypatch: p
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 @pytest.mark.parametrize("steps", [160, 2000])
-def test_a_law_that_lets_the_network_run_away_is_drawn_and_told(
+def test_a_law_under_which_the_network_diverges_is_drawn_and_reported(
     steps: int, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its states are numbers for 161 steps, their squares for half as many."""

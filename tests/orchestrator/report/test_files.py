@@ -45,7 +45,7 @@ def test_a_figure_is_a_column_wide_with_its_fonts_in_it(written: dict[str, Path]
 
 
 def test_the_same_run_gives_the_same_bytes(paper: Run, folder: Path) -> None:
-    """In another process, on another day, under other settings of matplotlib, with other hashes."""
+    """The second report is from another process and day, with other settings of matplotlib and other hashes."""
     keys = "1,4"
     here = report([paper], folder / "once", keys)
     (folder / "matplotlibrc").write_text("lines.linewidth: 9\npdf.fonttype: 3\n", encoding="utf-8")
@@ -75,11 +75,11 @@ def test_the_operator_loads_matplotlib_only_to_report() -> None:
 
 
 @pytest.mark.usefixtures("quick")
-def test_what_is_there_is_replaced_only_when_asked(paper: Run, tmp_path: Path) -> None:
-    """And what is of no report never is."""
+def test_existing_files_are_replaced_only_on_request(paper: Run, tmp_path: Path) -> None:
+    """Foreign files are never replaced."""
     out = tmp_path / "deep" / "out"
     report([paper], out, "2")
-    with pytest.raises(UserError, match="is there already; --force replaces it"):
+    with pytest.raises(UserError, match="already exists; --force replaces it"):
         report([paper], out, "4")
     (out / "report.html").write_text("old", encoding="utf-8")
     report([paper], out, "4", force=True)
@@ -91,8 +91,8 @@ def test_what_is_there_is_replaced_only_when_asked(paper: Run, tmp_path: Path) -
         report([paper], out / "thesis.tex", "4", force=True)
 
 
-def test_whole_or_not_at_all(paper: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The disk fills up at the second figure: the old report stays, and nothing else is left."""
+def test_a_report_is_complete_or_absent(paper: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The disk fills up at the second figure: the old report remains, without further files."""
     out = tmp_path / "out"
     out.mkdir()
     (out / "report.html").write_text("old", encoding="utf-8")
@@ -109,8 +109,3 @@ def test_whole_or_not_at_all(paper: Run, tmp_path: Path, monkeypatch: pytest.Mon
         report([paper], out, "cost,gain", force=True)
     assert [path.name for path in tmp_path.rglob("*")] == ["out", "report.html"]
     assert (out / "report.html").read_text(encoding="utf-8") == "old"
-
-
-def test_too_many_runs(paper: Run, tmp_path: Path) -> None:
-    with pytest.raises(UserError, match="8 runs: a report is of 1 to 7"):
-        report([paper] * 8, tmp_path / "out")

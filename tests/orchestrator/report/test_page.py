@@ -19,7 +19,7 @@ from tests.tools.figures import DRAWN, Page, page, ran
 
 
 def test_the_page_has_the_numbers_of_the_verdict(paper: Run, written: dict[str, Path]) -> None:
-    """As a table of all metrics and checks, and verdict.json itself, whole."""
+    """The page has a table of all metrics and checks, and the complete verdict.json."""
     shown = page(written["report.html"])
     for name, words in METRICS.items():
         value = paper.verdict.content["metrics"][name]
@@ -65,7 +65,7 @@ def test_the_file_in_the_page_repeats_the_run(paper: Run, written: dict[str, Pat
         assert (again.folder / table).read_bytes() == (paper.folder / table).read_bytes()
 
 
-def test_what_repeats_a_run_that_was_stopped_stops_there_too(paper: Run, folder: Path) -> None:
+def test_the_repetition_of_a_stopped_run_stops_at_the_same_step(paper: Run, folder: Path) -> None:
     longer = paper.topology.model_copy(update={"steps": 1000})
     path, *_ = report([replace(paper, topology=longer)], folder / "stopped-report", "gain")
     assert "orchestrator simulate paper.yaml --steps 30\n" in "".join(page(path).text)
@@ -86,8 +86,8 @@ def test_names_are_text(paper: Run, folder: Path) -> None:
     assert "orchestrator report '<script>alert(\"$x$\")&'\"'\"'' paper" in shown.text
 
 
-def test_faults_and_what_they_did(faulty: Run, folder: Path) -> None:
-    """Each with its account, and how much of D came about in its steps."""
+def test_faults_and_their_effects(faulty: Run, folder: Path) -> None:
+    """Each fault has its account, and the part of D from its steps."""
     path, *_ = report([faulty], folder / "faulty-report", "faults")
     shown = page(path)
     D = faulty.regret_sum

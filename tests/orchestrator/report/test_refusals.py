@@ -32,7 +32,7 @@ def test_a_figure_that_there_is_not(paper: Run, tmp_path: Path, figures: str, sa
     assert [*tmp_path.iterdir()] == []
 
 
-def test_without_matplotlib_it_says_what_to_install(
+def test_without_matplotlib_the_message_names_the_package(
     paper: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name in [*sys.modules]:

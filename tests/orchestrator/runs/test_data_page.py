@@ -73,7 +73,7 @@ NOTEBOOK = ROOT / "docs/figure4.ipynb"
 
 @pytest.mark.slow
 def test_the_notebook_ends_with_figure_4(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As a reader would run it, in an empty folder; its last picture shows r_i(t) of all nodes."""
+    """The notebook runs in an empty folder; its last picture shows r_i(t) of all nodes."""
     nbformat, nbclient = importlib.import_module("nbformat"), importlib.import_module("nbclient")
     monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
     for name in ("IPYTHONDIR", "JUPYTER_RUNTIME_DIR", "JUPYTER_CONFIG_DIR"):

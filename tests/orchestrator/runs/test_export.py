@@ -23,8 +23,8 @@ from tests.tools.processes import COMMAND, DEADLINE_S, orchestrator
 from tests.tools.recorded import same
 
 
-def test_frames_hold_what_the_table_holds(run: Run) -> None:
-    """Whole numbers stay whole where some are missing, and what is null is missing in each library's own way."""
+def test_frames_equal_the_table(run: Run) -> None:
+    """Whole numbers stay whole beside missing ones, and null is the missing value of each library."""
     pandas = importlib.import_module("pandas")
     for arrow, frames in (
         (run.telemetry(), {kind: run.telemetry(kind) for kind in ("pandas", "polars")}),
@@ -39,7 +39,7 @@ def test_frames_hold_what_the_table_holds(run: Run) -> None:
 
 
 def test_to_record_a_run_loads_no_library_of_frames(here: Path) -> None:
-    """It would take half a second of its first steps."""
+    """An import would take half a second of the first steps."""
     told = [sys.executable, "-X", "importtime", *COMMAND[1:], "simulate", "paper7", "--no-record"]
     done = subprocess.run(told, capture_output=True, text=True, check=True, timeout=DEADLINE_S)
     loaded = {line.rpartition("|")[2].strip() for line in done.stderr.splitlines() if line.startswith("import time")}
@@ -47,7 +47,7 @@ def test_to_record_a_run_loads_no_library_of_frames(here: Path) -> None:
     assert not {"pandas", "polars"} & loaded
 
 
-def test_a_frame_of_a_library_that_is_not_there(paper7: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_frame_of_a_missing_library(paper7: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(UserError, match=r"pandas is not installed; install it with: pip install pandas"):
         paper7.telemetry("pandas")
@@ -85,7 +85,7 @@ def test_a_number_in_csv_is_the_number(value: float, tmp_path: Path) -> None:
     assert float((tmp_path / "x.csv").read_text().splitlines()[1]).hex() == value.hex()
 
 
-def test_parquet_is_what_the_run_left(run: Run, tmp_path: Path) -> None:
+def test_parquet_equals_the_tables_of_the_run(run: Run, tmp_path: Path) -> None:
     for file in export(run, "parquet", tmp_path / "tables"):
         assert file.read_bytes() == (run.folder / file.name).read_bytes()
 
@@ -107,7 +107,7 @@ def test_npz_is_read_back_to_the_bit(run: Run, tmp_path: Path) -> None:
 
 
 def test_mat_is_read_back_to_the_bit(run: Run, tmp_path: Path) -> None:
-    """Numbers are doubles, flags logical, names cells of text; what counts places counts from 1."""
+    """Numbers are doubles, flags logical, names cells of text; positions count from 1."""
     (file,) = export(run, "mat", tmp_path / "run.mat")
     kinds = {name: kind for name, _, kind in whosmat(file)}
     content = loadmat(file)
@@ -158,7 +158,7 @@ def test_mistakes_at_the_command_line(paper7: Run, here: Path) -> None:
     assert not list(here.glob("paper7*[.-]*"))
     first = orchestrator("export", "paper7", "--to", "mat")
     assert (first.returncode, first.stdout) == (0, "30 steps of paper7: paper7.mat\n")
-    assert refused("paper7", "--to", "mat").startswith("error: paper7.mat: is there already; --force replaces it")
+    assert refused("paper7", "--to", "mat").startswith("error: paper7.mat: already exists; --force replaces it")
 
 
 def test_nothing_is_overwritten_unasked(paper7: Run, here: Path) -> None:
@@ -183,7 +183,7 @@ def test_nothing_is_overwritten_unasked(paper7: Run, here: Path) -> None:
 
 
 def small_files_only() -> None:
-    """In the command's process alone: what this one writes its report to may be a large file."""
+    """The limit is in the command's process alone, because this process may write a large report."""
     resource.setrlimit(resource.RLIMIT_FSIZE, (2048, 2048))
 
 

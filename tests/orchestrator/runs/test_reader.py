@@ -42,7 +42,7 @@ def without(folder: Path, *names: str) -> Path:
     return folder
 
 
-def test_what_is_no_run_says_so(paper7: Run, here: Path) -> None:
+def test_a_folder_that_is_not_a_run_is_reported(paper7: Run, here: Path) -> None:
     def copy() -> Path:
         shutil.rmtree(here / "copy", ignore_errors=True)
         return shutil.copytree(paper7.folder, here / "copy")
@@ -103,7 +103,7 @@ def test_a_text_that_came_to_harm_is_not_read_from_elsewhere(paper7: Run) -> Non
         load_run(paper7.folder)
 
 
-def test_a_run_of_no_whole_step_says_so(here: Path) -> None:
+def test_a_run_without_a_complete_step_is_reported(here: Path) -> None:
     """One row is there, and the state after it is not."""
     topology = NETWORKS["paper7"]()
     folder, rows = create(topology, here / "run"), networks.simulate(topology).rows

@@ -2,20 +2,39 @@
 
 from __future__ import annotations
 
+import tempfile
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
 
 from hedgerow import simulate
 from hedgerow.orchestrator.runs.run import Run
 from hedgerow.topologies.errors import Code, HedgerowError, UserError
+from hedgerow.topologies.schema import Topology
 from tests.test_docs import ROOT
-from tests.tools.recorded import same
+from tests.test_faults import faulty
+from tests.tools import networks
+from tests.tools.networks import observe
+from tests.tools.recorded import assert_as_live, ran, same
 
 
-def test_what_is_identifiable_is_estimated(paper7: Run) -> None:
-    """Where nothing is missing, (7) chooses the candidate nearest a_LS; and that is a + beta."""
+@settings(max_examples=10)
+@given(topology=faulty())
+def test_every_array_equals_the_live_one(topology: Topology) -> None:
+    """The network has any faults: jumps, crashes, cuts, lost messages."""
+    with tempfile.TemporaryDirectory() as folder:
+        run = ran(topology, Path(folder) / "run")
+        observer, live = observe(topology, networks.simulate(topology))
+        assert (run.T, run.ids, list(run.lost)) == (topology.steps, topology.ids, [])
+        assert_as_live(run, live, observer)
+        ended = {name: None if value is None else float(value) for name, value in run.metrics.items()}
+        assert ended == run.verdict.content["metrics"]
+
+
+def test_identifiable_models_are_estimated(paper7: Run) -> None:
+    """Without missing samples, (7) chooses the candidate nearest to a_LS, which is a + beta."""
     known = np.isfinite(paper7.a_ls)
     assert (paper7.identifiable == (paper7.ahat == paper7.a))[known].all()
     assert 0 < paper7.identifiable[known].sum() < known.sum()
@@ -23,7 +42,7 @@ def test_what_is_identifiable_is_estimated(paper7: Run) -> None:
     assert paper7.faultless
 
 
-def test_a_run_says_who_heard_whom(run: Run) -> None:
+def test_a_run_has_the_received_messages(run: Run) -> None:
     """Arrays of edges have the ends where the file has them."""
     for k, (i, j) in enumerate(run.edges):
         assert (run.ids[i], run.ids[j]) == run.topology.pairs[k]

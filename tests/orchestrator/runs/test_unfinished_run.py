@@ -63,7 +63,7 @@ def continues(before: Run, after: Run) -> bool:
     )
 
 
-def test_a_run_that_goes_on_and_then_is_killed(lively: Orchestrator, here: Path) -> None:
+def test_a_run_that_continues_and_then_is_killed(lively: Orchestrator, here: Path) -> None:
     """The run is read while it grows, and after its end: earlier numbers do not change, and the twins continue from
     them.
     """
@@ -104,7 +104,7 @@ def test_a_run_that_is_interrupted_after_a_jump(lively: Orchestrator, here: Path
 
 
 def test_a_simulation_that_is_interrupted(tmp_path: Path) -> None:
-    """Its tables are closed, and the state after the last input never came."""
+    """Its tables are closed, and the state after the last input is missing."""
     topology = NETWORKS["named"]()
     ran, folder = networks.simulate(topology), create(topology, tmp_path / "run")
     recording = Recording(topology, folder, Watching(record=False), Ending("run", "in-process", 0, stopped="by SIGINT"))
@@ -129,7 +129,7 @@ def streamed(topology: Topology, folder: Path) -> tuple[Trajectory, Path]:
 
 
 @pytest.mark.parametrize("kept", [1.0, 0.99, 0.8, 0.6])
-def test_a_stream_cut_short_is_whole_up_to_its_last_batch(kept: float, tmp_path: Path) -> None:
+def test_a_truncated_stream_is_complete_up_to_its_last_batch(kept: float, tmp_path: Path) -> None:
     topology = NETWORKS["named"]()
     ran, folder = streamed(topology, tmp_path / "run")
     for stream in folder.glob("*.arrows"):
@@ -163,8 +163,8 @@ def test_a_table_that_is_behind_the_other(tmp_path: Path) -> None:
     assert same(run.x, ran.x[:11])
 
 
-def test_steps_whose_telemetry_was_lost(tmp_path: Path) -> None:
-    """Row t stays step t: what is not known is NaN, and the others are what the observer made of them."""
+def test_steps_without_telemetry(tmp_path: Path) -> None:
+    """Row t stays step t: unknown values are NaN, and the others are those of the observer."""
     topology = NETWORKS["named"]()
     ran = networks.simulate(topology)
     folder = create(topology, tmp_path / "run")
