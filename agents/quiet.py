@@ -1,4 +1,4 @@
-"""The quiet step of a few nodes in Python's floats: equations (6) and (7) without numpy.
+"""The quiet step of a few nodes in Python's floats: a law of the project without numpy.
 
 A step is quiet if every edge is open, every message of the step before is there, and nothing is learned late. Almost
 every step is. An array of one number costs as much as one of a hundred, so a shard of a few nodes makes its quiet steps
@@ -16,6 +16,8 @@ from typing import NamedTuple
 import numpy as np
 
 from hedgerow.agents.law import Array, Law, Minimax
+from hedgerow.agents.local import asks
+from hedgerow.agents.quiet_laws import Rule, Sample, rule_of
 from hedgerow.agents.view import View
 from hedgerow.wire.codec import Link
 
@@ -32,6 +34,8 @@ class _Node(NamedTuple):
     b: float
     candidates: Sequence[float]
     incidences: Sequence[tuple[int, int, float]]
+    rule: Rule | None
+    """of a law other than `Minimax`"""
 
 
 class Answer(NamedTuple):
@@ -42,13 +46,13 @@ class Answer(NamedTuple):
     inputs: Sequence[float]
     """of step t - 1, which the flow was summed of: our own, then the peers'"""
     states: Sequence[float]
-    """our own, of step t - 1"""
+    """our own, of step t - 1; then the peers', for a law that asks"""
 
 
 class QuietLaw:
-    """The law `Minimax` of a few nodes, and their last states and inputs, in floats."""
+    """The law of a few nodes, and their last states and inputs, in floats."""
 
-    def __init__(self, view: View, law: Minimax) -> None:
+    def __init__(self, view: View, law: Law) -> None:
         k, weights = view.k, view.weights
         w = [1.0] * len(view.row) if weights is None else weights.tolist()
         incidences: list[list[tuple[int, int, float]]] = [[] for _ in range(k)]
@@ -56,8 +60,11 @@ class QuietLaw:
             incidences[i].append((i, j, weight))
         gains = np.broadcast_to(np.asarray(view.b, dtype=float), k).tolist()
         columns = [column[~np.isnan(column)].tolist() for column in view.candidates.T]
-        self._nodes = [_Node(*one) for one in zip(gains, columns, incidences, strict=True)]
-        self._law, self._models = law, len(view.candidates)
+        rules = [rule_of(law, node) for node in range(k)]
+        self._nodes = [_Node(*one) for one in zip(gains, columns, incidences, rules, strict=True)]
+        self._law, self._rows = law, len(law.memory)
+        self._learns_of = asks(law.learn, "sample")
+        """the law keeps its neighbours' states too, for samples that are learned again"""
         self._own = struct.Struct(f"<{k}d")
         self._report = struct.Struct(f"<{2 * k}d")
         self._peers = [struct.Struct(f"<{peer.hear}d") for peer in view.peers]
@@ -70,7 +77,10 @@ class QuietLaw:
     @classmethod
     def of(cls, view: View, law: Law) -> QuietLaw | None:
         """Return the quiet law of a view; None if its nodes are too many, or its law is of another class."""
-        if type(law) is not Minimax or view.k > FEW_NODES or len(view.row) > MOST_INCIDENCES:
+        if view.k > FEW_NODES or len(view.row) > MOST_INCIDENCES:
+            return None
+        # The rules of other laws know lists of one length only.
+        if type(law) is not Minimax and (np.isnan(view.candidates).any() or rule_of(law, 0) is None):
             return None
         # Python raises an error where numpy divides by zero. Only the end of a candidate list may have padding.
         listed = ~np.isnan(view.candidates)
@@ -91,31 +101,52 @@ class QuietLaw:
         self._x, self._u = x.tolist(), u.tolist()
         if isfinite(sum(self._x) + sum(self._u)):
             memory = self._law.memory.T.tolist()
-            self._J = [J[: len(node.candidates)] for J, node in zip(memory, self._nodes, strict=True)]
+            self._J = [
+                J[: len(node.candidates)] if node.rule is None else J
+                for J, node in zip(memory, self._nodes, strict=True)
+            ]
 
     def settle(self) -> None:
         """Hand everything learned back to the law."""
-        J = np.full((self._models, len(self._nodes)), np.inf)
+        J = np.full((self._rows, len(self._nodes)), np.inf)
         for column, own in zip(J.T, self._J, strict=True):
             column[: len(own)] = own
         self._law.memory = J
         self._J, self._quiet = [], 0
 
-    def step(self, x_next: Array, links: Sequence[Link]) -> Answer | None:
+    def step(self, x_next: Array, links: Sequence[Link], past: int) -> Answer | None:
         """Learn the sample of t - 1, equation (7), and act at t, equation (6), for the states x(t), (k,).
 
-        `links` are the peers' messages of t - 1. Return None, and change nothing, if a number is missing or too large.
+        `past` is t - 1, and `links` are the peers' messages of that step. Return None, and change nothing, if a number
+        is missing or too large.
         """
         states, x = x_next.tolist(), self._x
         row = [*self._u]
         for peer, link in zip(self._peers, links, strict=False):
             row += peer.unpack_from(link[3], len(link[3]) - peer.size)  # the newest row comes last
+        of_step = x
+        if self._learns_of:
+            of_step = [*x]
+            for peer, link in zip(self._peers, links, strict=False):
+                of_step += peer.unpack_from(link[2], len(link[2]) - peer.size)
         costs, inputs, estimates, margins = [], [], [], []
-        for (b, candidates, incidences), J, now, before in zip(self._nodes, self._J, states, x, strict=False):
+        for (b, candidates, incidences, rule), J, now, before in zip(self._nodes, self._J, states, x, strict=False):
             flow = 0.0
             for i, j, weight in incidences:
                 flow += weight * (row[i] - row[j])
             moved = now - b * flow
+            if rule is not None:
+                try:
+                    learned, u, ahat, margin = rule(J, Sample(past, before, moved, b * now))
+                except (ArithmeticError, ValueError):  # numpy has inf or NaN there
+                    return None
+                if not isfinite(u + sum(learned)):
+                    return None
+                costs.append(learned)
+                inputs.append(u)
+                estimates.append(ahat)
+                margins.append(margin)
+                continue
             learned = []
             for cost, a in zip(J, candidates, strict=False):
                 residual = a * before - moved
@@ -132,4 +163,4 @@ class QuietLaw:
             estimates.append(ahat)
             margins.append(ordered[1] - least if len(ordered) > 1 else inf)
         self._J, self._x, self._u = costs, states, inputs
-        return Answer(self._own.pack(*inputs), self._report.pack(*estimates, *margins), row, x)
+        return Answer(self._own.pack(*inputs), self._report.pack(*estimates, *margins), row, of_step)

@@ -179,7 +179,7 @@ class Shard:
             if (link := mail.get(t - 1)) is None:
                 return False
             links.append(link)
-        if (answer := quiet.step(x, links)) is None:
+        if (answer := quiet.step(x, links, t - 1)) is None:
             return False
         for mail in self._mail:
             del mail[t - 1]
