@@ -107,7 +107,7 @@ def check_law(
     seed: int = 0,
     on_call: Callable[[], None] = lambda: None,
 ) -> None:
-    """Raise LawError with the line, the method, the node and a cure if a law breaks the contract.
+    """Raise LawError with the line, the method, the node and a fix if a law breaks the contract.
 
     `trial` is the network of the test, by default one of five nodes. `parameters` are those of the law. `name` is the
     name of the law in messages. `on_call` is called before every call of the law.

@@ -1,7 +1,7 @@
-"""The local knowledge that a law may ask for: a record per shard, and a record per step.
+"""The local data that a law may request: a record per shard, and a record per step.
 
 A law asks by naming an argument. `local` of its constructor is a `Local`, `now` of `act` and `sample` of `learn` are
-each a `Heard`. A law that names none of them is called without, and costs nothing more.
+each a `Heard`. A law without these arguments is called without them, at no extra cost.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class Local:
 
 
 class Heard(NamedTuple):
-    """The step of a call, the nodes that it is for, and what the links brought from their neighbours.
+    """The step of a call, its nodes, and the values of their neighbours from the links.
 
     `act(x, now)` at step t gets the newest values that have arrived by then, each with its step. `learn(x, flow,
     x_next, sample)` of the sample of step t gets the values of step t alone, over the edges that carried flow at t. A

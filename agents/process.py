@@ -70,7 +70,7 @@ PATIENCE_S = 1.0
 
 
 SLOW_LAW = "has been running for"
-"""in the log: the words of a law that takes long; the operator finds them by this"""
+"""the words in the log about a slow law; the operator searches for them"""
 SLOW_EVERY_S = 5.0
 """time between two such lines"""
 

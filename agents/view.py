@@ -21,7 +21,7 @@ Ids = NDArray[Any]
 
 @dataclass(frozen=True, eq=False)
 class Peer:
-    """Another shard with neighbours of ours."""
+    """Another shard that contains neighbours of our nodes."""
 
     shard: int
     say: Index

@@ -1,4 +1,4 @@
-"""The floor: as many messages over Zenoh as paper7, of the same length, and nothing else.
+"""The floor: as many messages over Zenoh as paper7 has, of the same length, without any other work.
 
 There are no law, no dynamics, no checks, no deadlines and no telemetry. Processes wake each other up in lockstep over
 the same keys, sessions and router, with constant payloads. The result is the cost of Zenoh and the kernel.

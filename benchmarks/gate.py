@@ -5,7 +5,7 @@ with each revision, and the order alternates from round to round. Rounds continu
 compares the two runs of one round, so load that lasts longer than a round cancels. The table has the geometric mean of
 the ratios B / A and its 95 % interval (Student's t on the logarithms).
 
-The exit code is 1 if the whole interval of a case lies below `--least`: revision B lost speed.
+The exit code is 1 if the whole interval of a case is below `--least`: revision B lost speed.
 """
 
 from __future__ import annotations
@@ -176,7 +176,7 @@ def table(ratios: Mapping[tuple[str, str], Ratio], least: float) -> str:
 
 
 def lost(one: Ratio, least: float) -> bool:
-    """Return True if the rounds show that the ratio lies below `least`."""
+    """Return True if the rounds show that the ratio is below `least`."""
     return one.rounds >= FEWEST and one.high < least
 
 

@@ -3,7 +3,7 @@
     python docs/generate.py           write it
     python docs/generate.py --check   exit with 1 when it is stale
 
-A line `<!-- generate: NAME ARGUMENT -->` of the template is replaced by what the function of that name returns.
+The result of the function NAME replaces a line `<!-- generate: NAME ARGUMENT -->` of the template.
 """
 
 from __future__ import annotations
@@ -166,7 +166,7 @@ def flow(value: Any) -> str:
 def keys(model: type[Model], hide: Sequence[str] = (), default: Callable[[str], str] | None = None) -> str:
     """Return the table of a model's keys."""
     hints = typing.get_type_hints(model, include_extras=True)
-    rows = ["| key | type | default | what it says |", "|---|---|---|---|"]
+    rows = ["| key | type | default | description |", "|---|---|---|---|"]
     for name, field in model.model_fields.items():
         if name in hide:
             continue
@@ -277,7 +277,7 @@ def of_faults() -> str:
 
 def random() -> str:
     """Return the models of random values, and the keys that accept them."""
-    rows = ["| written | may stand at | what is drawn |", "|---|---|---|"]
+    rows = ["| written | valid at | drawn value |", "|---|---|---|"]
     owners: list[type[Model]] = [schema.Node, *_kinds()]
     for model in (schema.Drawn, Uniform, disturbance_models.NonNegativeUniform):
         inside = "M" if model is schema.Drawn else "[low, high]"

@@ -148,9 +148,9 @@ def sweep(
 
     `network` is that of `load`; give the file rather than a Topology if each seed is to draw its own numbers. Each
     setting is `path=values`, as for `--set` on the command line: `"nodes.2.x0=1,2"`. Each keyword is a top-level key
-    with a value or a list of values: `law=["minimax", "nominal"]`. `seeds` is a range with stride 1. Runs that `out`
-    already holds are not repeated; the default is a folder in sweeps/. `jobs` is the number of runs at a time.
-    Raises UserError for a mistake, and HedgerowError if the sweep was interrupted.
+    with a value or a list of values: `law=["minimax", "nominal"]`. `seeds` is a range with stride 1. Runs in `out` are
+    not repeated; the default is a folder in sweeps/. `jobs` is the number of runs at a time. Raises UserError for a
+    mistake, and HedgerowError if the sweep was interrupted.
     """
     import pyarrow.parquet as pq  # noqa: PLC0415 (Arrow takes a while to load)
 
@@ -192,7 +192,7 @@ def report(
 
 @contextlib.contextmanager
 def _folder(topology: Topology, run_dir: str | Path | None) -> Iterator[RunFolder]:
-    """Yield the folder for a run; if the block raises before the run has begun, the folder goes."""
+    """Yield the folder for a run; remove it if the block raises an error before the run begins."""
     if run_dir is None:
         folder = reserve(topology.name)
     else:

@@ -37,7 +37,7 @@ def test_nothing_that_is_read_shows_a_traceback_or_hangs(kind: str, cases: int) 
 
 
 def test_an_exception_a_hang_and_a_death_are_findings() -> None:
-    """The fuzzer itself: what it looks for, planted."""
+    """The fuzzer itself, with planted findings."""
     counts, findings = fuzz("planted", SEED, range(6))
     assert [(one.number, one.what.partition(":")[0]) for one in findings] == [
         (1, "KeyError"),
@@ -84,7 +84,7 @@ def test_check_loads_the_law_when_it_is_asked_to(here: Path) -> None:
 # ---- files that are no files, or not ours to read
 
 
-def test_a_loop_of_links_and_a_link_to_nowhere_are_said(here: Path) -> None:
+def test_a_loop_of_links_and_a_broken_link_are_reported(here: Path) -> None:
     for name, target in (("loop.yaml", "loop.yaml"), ("nowhere.yaml", "gone.yaml"), ("zero.yaml", "/dev/zero")):
         (here / name).symlink_to(target)
         done = orchestrator("check", name)
@@ -93,7 +93,7 @@ def test_a_loop_of_links_and_a_link_to_nowhere_are_said(here: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["topology.yaml", "verdict.json", "events.jsonl", "telemetry.parquet"])
-def test_what_came_to_harm_in_a_runs_folder_is_named(name: str, here: Path) -> None:
+def test_a_damaged_file_of_a_run_folder_is_named(name: str, here: Path) -> None:
     assert orchestrator("simulate", "paper7", "--no-record", "--run-dir", "run").returncode == 0
     (here / "run" / name).write_bytes(b"{]\n\xff\n")
     with pytest.raises(UserError, match=name):
@@ -115,13 +115,13 @@ def test_a_verdict_that_lacks_a_number_is_read_without_it(here: Path) -> None:
     assert {name: metrics(load_run("run"))[name] for name in METRICS} == pytest.approx(whole)
 
 
-def test_a_recording_of_nothing_is_said(tmp_path: Path) -> None:
+def test_an_empty_recording_is_reported(tmp_path: Path) -> None:
     file = tmp_path / "run.rrd"
     rrb.Blueprint().save("nothing", str(file))
     assert _unreadable([file]) == "run.rrd cannot be read (it holds no recording)"
 
 
-def test_a_folder_that_may_not_be_read_is_said(here: Path) -> None:
+def test_an_unreadable_folder_is_reported(here: Path) -> None:
     if os.geteuid() == 0:
         pytest.skip("root may read everything")
     assert orchestrator("simulate", "paper7", "--no-record", "--run-dir", "run").returncode == 0
@@ -131,11 +131,11 @@ def test_a_folder_that_may_not_be_read_is_said(here: Path) -> None:
     assert "Permission denied" in done.stderr
 
 
-# ---- a disk that is full
+# ---- a full disk
 
 
 @pytest.mark.parametrize("record", [True, False])
-def test_a_disk_that_fills_up_ends_the_run_with_what_was_recorded(record: bool, here: Path) -> None:
+def test_a_full_disk_ends_the_run_with_the_recorded_steps(record: bool, here: Path) -> None:
     """Over Zenoh, with the recording and without: the run reports it, ends with `unknown`, and its steps can be
     read.
     """
@@ -186,8 +186,8 @@ def wall_clock(node: ast.AST) -> bool:
     )
 
 
-def test_nobody_waits_by_a_clock_that_may_jump() -> None:
-    """Deadlines and pauses go by time.monotonic(): a wall clock is read to be shown, and compared with nothing."""
+def test_no_code_waits_by_a_clock_that_may_jump() -> None:
+    """Deadlines and pauses use time.monotonic(): a wall clock is only shown, and never compared."""
     for path in sources():
         tree = ast.parse(path.read_text(encoding="utf-8"))
         name = str(path.relative_to(ROOT))
@@ -200,7 +200,7 @@ def test_nobody_waits_by_a_clock_that_may_jump() -> None:
                 assert not looked or name in BY_DATE, f"{name}:{node.lineno}"
 
 
-def test_the_command_line_is_what_is_fuzzed() -> None:
+def test_the_fuzzer_runs_the_command_line() -> None:
     """Should a command be added that reads files, the fuzzer is to know it."""
     names = {command.name or getattr(command.callback, "__name__", "") for command in cli.app.registered_commands}
     reading = {"check", "simulate", "up", "export", "report", "open", "watch", "soak", "import", "runs"}

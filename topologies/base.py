@@ -101,8 +101,8 @@ _WHOLE = re.compile(r"0|-?[1-9][0-9]{0,3999}")
 def node_id(value: Any) -> Any:
     """Return the node id in a text: an integer if the text is the shortest form of one, otherwise the text.
 
-    Keys of JSON, headers of CSV files and words of the command line are always text. Only the shortest form becomes an
-    integer, so every id has exactly one text: `7` is an integer, and `007` is a text.
+    Keys in JSON, headers of CSV files and arguments on the command line are always text. Only the shortest form becomes
+    an integer, so every id has exactly one text: `7` is an integer, and `007` is a text.
     """
     return int(value) if isinstance(value, str) and _WHOLE.fullmatch(value) else value
 

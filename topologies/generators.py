@@ -134,7 +134,7 @@ def _keys(pairs: Index, n: int) -> Index:
 
 
 def _repeats(key: Index) -> Index:
-    """Return the places of all numbers that an earlier place holds too, in any order."""
+    """Return the places of numbers that repeat an earlier one, in any order."""
     # np.unique with the places takes several times as long.
     order = key.argsort(kind="stable")
     there = key[order]
@@ -302,7 +302,7 @@ class RandomRegular(Generator):
         return pairs
 
     def _bad(self, pairs: Index) -> Index:
-        """Edges that are loops, or stand there already."""
+        """Return the edges that are loops or repeat another edge."""
         bad = pairs[:, 0] == pairs[:, 1]
         bad[_repeats(_keys(pairs, self.nodes))] = True
         return np.flatnonzero(bad)

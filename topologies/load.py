@@ -110,7 +110,7 @@ def parse(
     if isinstance(found, Topology):
         return found
     if overrides and not all(problem.origin for problem in found) and _is_good(name, text, folder):
-        # The file is valid without the options, so the options cause the mistake, wherever it shows.
+        # The file is valid without the options, so the options cause the mistake, even if it shows elsewhere.
         blamed = " ".join(map(origin_of, overrides))
         found = Problems(problem if problem.origin else replace(problem, origin=blamed) for problem in found)
     raise TopologyError(name, found)

@@ -60,7 +60,7 @@ def _unexpected(error: BaseException) -> int:
     if isinstance(error, Exception) and hasattr(error, "show"):
         with contextlib.suppress(OSError):
             said = io.StringIO()
-            error.show(file=said)  # a wrong option or argument, in the words of the command line library
+            error.show(file=said)  # a wrong option or argument, with the message of the command line library
             echo(said.getvalue(), error=True, end="")
         return Exit.USER_MISTAKE
     reached = limit_reached(error)

@@ -55,7 +55,7 @@ from hedgerow.wire.child import escape_warnings
 from hedgerow.wire.runtime import let_numbers_overflow
 from hedgerow.wire.stderr_relay import StderrRelay
 
-# A topology takes most of a second to load: each command imports what it needs itself.
+# Loading the topology modules takes most of a second: each command imports what it needs.
 if TYPE_CHECKING:
     from hedgerow.orchestrator.ground.assignment import Layout
     from hedgerow.orchestrator.launch.external_agents import External
@@ -222,7 +222,7 @@ def up(
 
 
 def _keeps(keep: bool | None, display: Screen) -> bool:
-    """Return True if a page stays after the run: as asked, else if a terminal can send Ctrl-C."""
+    """Return True if a page stays after the run: as requested, or by default if a terminal can send Ctrl-C."""
     return keep if keep is not None else display.interactive or _is_terminal(sys.stdin)
 
 

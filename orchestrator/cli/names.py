@@ -26,7 +26,7 @@ RUN, WATCH, INSPECT, EXPERIMENT, DEPLOY = "Run", "Watch and control", "Inspect",
 class Commands(typer.core.TyperGroup):
     """A group of commands in panels, which also knows the command that a wrong word means.
 
-    Close spelling alone would suggest `heal` for `help`.
+    The closest spelling alone would suggest `heal` for `help`.
     """
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:

@@ -224,7 +224,7 @@ def _limits(megabytes: int) -> str:
 
 
 def _user() -> str:
-    """Return the user of a container, who can read the files of the keys; Swarm lets every user in it read them."""
+    """Return the user of a container: the owner of the key files; Swarm lets every user in it read them."""
     return f'user: "{os.getuid()}:{os.getgid()}"\n'
 
 

@@ -218,7 +218,7 @@ def _config_map(network: str, process: str, file: str, text: str, original: str 
 
 
 def _law(one: Containers, network: str) -> Iterator[Mapping[str, Any]]:
-    """A ConfigMap for the files of a law of the user's own."""
+    """Yield a ConfigMap with the files of the user's law, if there are any."""
     if one.law.files:
         data = {f"file-{k}": base64.b64encode(text).decode() for k, text in enumerate(one.law.files.values())}
         yield {"apiVersion": "v1", "kind": "ConfigMap", "metadata": _meta(network, "law"), "binaryData": data}

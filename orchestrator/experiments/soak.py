@@ -62,8 +62,8 @@ START_DEADLINE_S = 60.0
 END_DEADLINE_S = 30.0
 
 GROWTH, GROWTH_MB = 0.03, 2.0
-"""A process is flat if the line through its sizes rises by less than this share of their mean, or by less than this
-number of MB, over the judged time.
+"""A process is flat if the line through its sizes rises, over the judged time, by less than this share of their mean or
+this number of MB.
 """
 MORE = 2.0
 """The maximum rise of the line through its numbers of threads and of open files."""

@@ -106,7 +106,7 @@ def completed(topology: Topology) -> Topology:
 
 
 CALL_DEADLINE_S = 10.0
-"""time that one call of a law may take in the contract test"""
+"""the maximum time of one call of a law in the contract test"""
 
 
 def _within_deadline(law: type[Law], name: str, test: Callable[[Callable[[], None]], None]) -> None:

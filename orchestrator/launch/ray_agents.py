@@ -3,7 +3,7 @@
 Ray chooses a machine for each agent, restarts it when it dies, and brings its log here. For the run it is a separate
 agent (launch/external_agents.py), with its config as an argument. Agents and plant exchange messages over Zenoh.
 
-A machine of the cluster loads this module and needs only what an agent needs: other imports are late.
+A machine of the cluster loads this module and needs only the packages of an agent: other imports are late.
 """
 
 from __future__ import annotations

@@ -131,7 +131,7 @@ class Recording:
             return
         if self._replaying is None:
             self._replaying = BackgroundThread("replay", self._leave_out_replay)
-            first = self.topology  # the faults at the first step, whatever changes before the thread begins
+            first = self.topology  # the faults at the first step, before any later change
             self._replaying.do(lambda: self._begin_replay(first))
         self._replaying.do(lambda: self._take_replayed(rows), size)
 
@@ -220,7 +220,7 @@ class Recording:
             self.folder.event("fault", fault=number, entry=fault.written())
 
     def warn(self, screen: Screen) -> None:
-        """Print the warnings about the viewer that came since the last call."""
+        """Print the new warnings about the viewer."""
         while self.warnings:
             screen.say(self.warnings.popleft())
 

@@ -78,8 +78,8 @@ class Network:
     ) -> Verdict:
         """Launch, observe until the end or an interrupt, clean up, and judge.
 
-        `on_first_step` receives the seconds from the command to the first step, after that step. `at_last` is left at
-        the very end, while a signal still asks for nothing but the end.
+        `on_first_step` receives the seconds from the command to the first step, after that step. `at_last` ends last,
+        while a signal still only asks for the end.
         """
         found = Fates()
         with Interrupts(self._wake.set) as interrupts, at_last, self._launch.announced():

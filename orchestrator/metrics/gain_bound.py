@@ -154,7 +154,7 @@ def _bound(plant: Plant, premise: Premise, method: Method, until: float) -> Boun
         program, p = _whole(plant, premise, full=method == Method.FULL)
     for _ in range(ATTEMPTS):
         y = program.solve(margin, until - time.monotonic())
-        # Half the margin is left to the solver, and half is proved.
+        # The solver needs half of the margin, and the other half is proved.
         if (magnitude_ := program.proof(y, margin / 2)) is not None:
             storage = y[p]
             if method == Method.FULL:

@@ -30,7 +30,7 @@ from hedgerow.topologies.graph import Array, Index, Mask
 SECTOR = 16 * UNIT
 """A blend of a few inputs, each within the sector, may leave it by so much, relative to the largest."""
 WAITING_BYTES = 2**26
-"""The rows that wait for the bounds take at most this; what comes then is not checked before the bounds are there."""
+"""The maximum memory of the rows that wait for the bounds; later rows are not checked before the bounds are known."""
 CLAIMS = {
     Premise.ESTIMATES: "sum cost <= g sum |w|^2 + sum p_i x_i(0)^2 - sum p_i x_i(t+1)^2 at every step before the first"
     " with a closed edge, a jump of a, or a u outside the sector of its list",
@@ -177,7 +177,7 @@ class GainCertificate:
         return slack
 
     def covers_rounding(self, bound: Bound) -> bool:
-        """Return True if the margin of a bound is more than what rounding may cost in a step."""
+        """Return True if the margin of a bound covers the rounding errors of a step."""
         return bound.margin >= self._margin_needed * bound.magnitude
 
     def to_dict(self, n_steps: int) -> dict[str, Any]:

@@ -32,7 +32,7 @@ REMEMBERED = 64
 
 @dataclass(frozen=True)
 class Guarantee:
-    """Bounds by premise, and why there is none of the others."""
+    """Bounds by premise, and the reason for each missing one."""
 
     gamma_star: float
     """the optimal gain if every a is known and every edge is open; NaN if it is not known"""
@@ -85,7 +85,7 @@ class Guarantee:
 
 
 def plant_of(network: Network) -> Plant:
-    """Return the numbers of a network that its bounds depend on; the lists are the file's, whatever the law is."""
+    """Return the numbers of a network that affect its bounds; the lists are those of the file, under any law."""
     return Plant.of(
         network.a,
         network.b,

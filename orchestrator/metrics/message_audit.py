@@ -1,6 +1,6 @@
 """The audit of the messages of a run: each is counted at its sender and at its receiver.
 
-A message that its only permitted sender did not send came from an intruder, whatever router it used.
+A message that its only permitted sender did not send came from an intruder, over any router.
 """
 
 from __future__ import annotations

@@ -130,18 +130,18 @@ class Program:
         y = np.array(solution.x)
         status = str(solution.status)
         if "Infeasible" in status:
-            raise NoBoundError("no storage of this form bounds the gain, as far as the solver can tell")
+            raise NoBoundError("no storage of this form bounds the gain, according to the solver")
         if status == "MaxTime" or not np.isfinite(y).all():
             raise NoBoundError(f"the solver ended with {status} after {solution.solve_time:.0f} s")
         y[signed] = np.maximum(y[signed], 0.0)
         return y
 
     def proof(self, y: Array, margin: float) -> float | None:
-        """Return the largest magnitude in a block if every block at y is at most -margin I, else None.
+        """Return the largest magnitude in a block if every block at y is at most -margin I, otherwise None.
 
         A Cholesky factorisation proves each, rounding included. Assembling an entry of k terms errs by at most k u sum
-        |terms|. If a factorisation of an m by m matrix A succeeds in floating point, it is exact for A + E with |E| <=
-        (m + 1) u trace(A) / (1 - (m + 1) u). The magnitude is a sum of |terms| over a row.
+        |terms|. A factorisation of an m by m matrix A may succeed in floating point. It is then exact for A + E with
+        |E| <= (m + 1) u trace(A) / (1 - (m + 1) u). The magnitude is a sum of |terms| over a row.
         """
         largest = 0.0
         for blocks in self.blocks:

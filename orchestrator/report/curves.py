@@ -133,7 +133,7 @@ def zoom(axis: Axes, run: Run, values: Array) -> None:
 
 
 def as_quantiles(run: Run, values: Array) -> bool:
-    """Return True for too many nodes for lines, or so many steps that signed lines would cover the figure."""
+    """Return True if there are too many nodes for lines, or too many steps for lines with both signs."""
     return len(run.ids) > NODES or (len(values) > STEPS and bool(np.nanmin(values) < 0))
 
 

@@ -18,7 +18,7 @@ Runs = Sequence[Run]
 
 @dataclass(frozen=True)
 class Kind:
-    """One figure: its key for `--figures`, its files, its content, and whether some runs have that content."""
+    """One figure: its key for `--figures`, its files, its content, and a test for runs with that content."""
 
     key: str
     file: str

@@ -1,4 +1,4 @@
-"""Quick figures of a run, for a notebook or a Python prompt; `orchestrator report` draws those for a paper."""
+"""Simple figures of a run, for a notebook or a Python prompt; `orchestrator report` draws those for a paper."""
 
 from __future__ import annotations
 

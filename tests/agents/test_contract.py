@@ -1,4 +1,4 @@
-"""The contract test of laws: it passes laws that keep the contract, and names the method of those that do not."""
+"""The contract test of laws: it passes correct laws, and names the method of others."""
 
 from __future__ import annotations
 

@@ -1,9 +1,8 @@
 """`python -m tests.tools.fuzz`: damaged files and messages, and their results.
 
-Each case is drawn from (seed, number) alone, so `--only NUMBER` tries one again. Files go through the commands that a
-user would give them to; a file is refused in words, or it is good all the way. Messages go through the decoders; one
-is taken, or is a MessageError. Anything else is a finding: another exception, 20 s of processor time, 4 GB of memory,
-a death.
+Each case is drawn from (seed, number) alone, so `--only NUMBER` tries one again. Files go through the commands of a
+user; each file is refused with a message or fully accepted. Messages go through the decoders; one is taken, or is a
+MessageError. Anything else is a finding: another exception, 20 s of processor time, 4 GB of memory, a death.
 
 The cases run in a separate process, which prints the number of each case first: so a case that dies or hangs is known.
 """
@@ -74,7 +73,7 @@ SHOWN = 20
 Random = random.Random
 
 
-# ---- what is bent
+# ---- the damage
 
 FAULTY = b"""\
 name: faulty
@@ -147,7 +146,7 @@ def record_folder(directory: Path) -> Path:
 
 @dataclass(frozen=True)
 class Finding:
-    """A case that came to no good end."""
+    """A case with a finding."""
 
     kind: str
     number: int
@@ -183,7 +182,7 @@ class Files:
 
     @cached_property
     def _viewer(self) -> Viewer:
-        """Something that takes what a viewer takes."""
+        """A stand-in for a viewer, which accepts the same calls."""
         import rerun as rr  # noqa: PLC0415
 
         self._server = rr.RecordingStream("fuzz")
@@ -224,7 +223,7 @@ class Files:
 
     def _check_and_run(self, file: Path) -> None:
         self._run("check", str(file))
-        # As far as it was checked it is good: so it runs. (Its steps and its law are whatever they came to be.)
+        # The checked topology is valid, so it must run. (Its steps and its law may be arbitrary.)
         if len(resolve(load(str(file)), file.parent).ids) < 1000:
             sets = ("--steps", "3", "--set", "faults=[]", "--set", "law=minimax", "--set", "processes=1")
             with contextlib.suppress(HedgerowError):  # samples may be too short for 3 steps
@@ -362,7 +361,7 @@ class Payloads:
         """Try a case; raise an exception for a finding."""
         rng = Random(f"payloads {self._seed} {number}")
         message = rng.choice(self._messages)
-        if rng.random() < 0.3:  # a header that is right, and anything behind it
+        if rng.random() < 0.3:  # a valid header with any bytes after it
             kind = rng.randrange(10)
             head = codec._HEADER.pack(codec.VERSION, kind, 0, rng.choice((0, 3, 4, 2**32 - 1)), rng.choice((0, 7, -1)))
             depth = rng.choice((1, 100, 100_000))
@@ -411,13 +410,13 @@ KINDS: dict[str, Callable[[int, Path], Files | Payloads | Planted | fuzz_inputs.
 }
 
 
-# ---- the worker: one case after the other, and a line for each
+# ---- the worker: one case after another, with one line each
 
 
 def work(kind: str, seed: int, numbers: Sequence[int], scratch: Path) -> None:
     """Try these cases; print each number before its case, and the result after it."""
     resource.setrlimit(resource.RLIMIT_DATA, (MEMORY_BYTES, MEMORY_BYTES))
-    warnings.simplefilter("ignore")  # numbers that overflow are what the file asked for
+    warnings.simplefilter("ignore")  # the file may cause overflows
     out = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
 
@@ -446,7 +445,7 @@ def work(kind: str, seed: int, numbers: Sequence[int], scratch: Path) -> None:
 
 
 def fuzz(kind: str, seed: int, numbers: Sequence[int]) -> tuple[Counter[str], list[Finding]]:
-    """Try these cases of a kind: how often what became of them, and the findings."""
+    """Try these cases of a kind; return the counts of the results, and the findings."""
     counts: Counter[str] = Counter()
     findings: list[Finding] = []
     left = list(numbers)

@@ -1,4 +1,4 @@
-"""Send every signal to every process of a run at every time, and record what is kept and what remains.
+"""Send every signal to every process of a run at every time, and record the saved steps and the remains.
 
 Run it with `python -m tests.tools.kill_table`.
 
@@ -61,7 +61,7 @@ DEADLINE_S = 90.0
 ENDED_S = 30.0
 """so long after the signal the command must have ended"""
 GONE_S = 5.0
-"""so long after the command has ended, nothing may be left"""
+"""the time after the end of the command until which all remains must be gone [s]"""
 MARK = "HEDGEROW_KILL_TABLE"
 
 ROUTER = """
@@ -83,7 +83,7 @@ class Cell:
 
     @property
     def wire(self) -> str:
-        """How its processes find each other: of any two cells side by side in the table, one is secure."""
+        """The connection of its processes: of any two neighbouring cells in the table, one is secure."""
         if self.who == "router":
             return "TCP"
         return ("socket", "TLS")[(WHAT.index(self.what) + WHEN.index(self.when)) % 2]
@@ -116,14 +116,14 @@ class Outcome:
     ended_s: float
     """from the signal to the command's end"""
     gone_s: float
-    """from there until nothing was left"""
+    """the time from there until nothing remained"""
     left: tuple[str, ...]
-    """what still was after GONE_S"""
+    """the processes that remained after GONE_S"""
     output: str
 
 
 def run_cell(cell: Cell, directory: Path) -> Outcome:
-    """Run a network in an empty directory, send the signal, wait for the end, and look at what is there."""
+    """Run a network in an empty directory, send the signal, wait for the end, and inspect the remains."""
     with contextlib.ExitStack() as stack:
         return _Run(cell, directory, stack).outcome()
 
@@ -233,7 +233,7 @@ class _Run:
         """Speed up the rest of the run."""
         events = self._folder / "events.jsonl"
         self._wait_for(lambda: events.exists() and '"first_step"' in events.read_text(encoding="utf-8"), "a step")
-        with contextlib.suppress(WireError, OSError):  # it may have come to its end
+        with contextlib.suppress(WireError, OSError):  # it may have ended
             for listed in self._runtime.glob("*/*.json"):
                 with Live(Entry(**json.loads(listed.read_text(encoding="utf-8")))) as live:
                     live.rate(0)
@@ -302,7 +302,7 @@ class _Run:
                 raise TimeoutError(f"{self._cell}: never came to {what}: {self._output.read_text()}")
             pause.wait(look_s)
 
-    # ---- what is there
+    # ---- the remains
 
     def _recorded(self) -> int:
         """Steps in the streams of both tables, with the state after them."""
@@ -344,7 +344,7 @@ class _Run:
         return shared
 
     def _left(self) -> tuple[str, ...]:
-        """Whatever of this run is still on the machine, besides what it recorded."""
+        """Return the remains of this run on the machine, besides its recorded files."""
         left = [f"process {one.pid}" for one in self._ours()]
         left += [f"socket {path.name}" for path in self._folder.glob("*.sock*")]
         left += [f"part {path.name}" for path in self._folder.rglob("*.part")]
@@ -354,7 +354,7 @@ class _Run:
         return tuple(left)
 
 
-# ---- what should become of it
+# ---- the expected results
 
 
 def wrong(cell: Cell, outcome: Outcome) -> list[str]:
@@ -415,7 +415,7 @@ def _try(cell: Cell) -> Outcome:
 
 
 def main() -> None:
-    """Run every cell, print the table, and say what is wrong; exit code 1 if anything is."""
+    """Run every cell, print the table and the broken promises; exit code 1 if there is one."""
     parser = argparse.ArgumentParser(prog="python -m tests.tools.kill_table", description=main.__doc__)
     parser.add_argument("--only", default="", help="cells with this text in their names: agent-SIGTERM-start, …")
     parser.add_argument("--write", action="store_true", help="put the table into docs/reliability.md")

@@ -27,7 +27,7 @@ def nothing_lives_on() -> Iterator[None]:
         stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
-        start_new_session=True,  # what ends pytest's group does not end it
+        start_new_session=True,  # a signal to pytest's process group does not end it
     )
     os.environ[MARK] = mark
     yield

@@ -60,10 +60,10 @@ def _runs(pid: int) -> bool:
 
 
 class Orchestrator:
-    """A command that is running; killed at the end of the block if it still is."""
+    """A running command; the end of the block kills it if it still runs."""
 
     def __init__(self, *arguments: str, inside: Sequence[str] = ()) -> None:
-        """`inside` is a command that runs others somewhere else."""
+        """`inside` is a command that runs other commands elsewhere."""
         self._process = subprocess.Popen(
             [*inside, *COMMAND, *arguments],
             stdout=subprocess.PIPE,
@@ -116,7 +116,7 @@ class Orchestrator:
         return found[-1]
 
     def wait_for_step(self, step: int) -> None:
-        """Wait until the latest run has come so far."""
+        """Wait until the latest run has reached this step."""
         deadline, pause = time.monotonic() + DEADLINE_S, threading.Event()
         with Live() as live:
             while live.status()["step"] < step:
@@ -134,7 +134,7 @@ class Orchestrator:
 
     @property
     def children(self) -> dict[str, int]:
-        """Process ids of the plant and the agents by name, of those that were started last."""
+        """Return the ids of the latest processes of plant and agents by name."""
         pids: dict[str, int] = dict(_events()[0]["pids"])
         again = {event["process"]: event["pid"] for event in _events() if event["event"] == "restarted"}
         return pids | again
@@ -149,7 +149,7 @@ class Orchestrator:
         self._process.send_signal(number)
 
     def kill_until_it_stays_down(self, name: str) -> None:
-        """Kill an agent's process as often as it comes back, each life once it has reached the router."""
+        """Kill an agent's process repeatedly, each life after it has reached the router."""
         for life in range(1, RESTARTS + 2):
             self.wait_for_log(name, "ready: ", life)
             os.kill(self.children[name], signal.SIGKILL)

@@ -24,7 +24,7 @@ def windows(steps: int) -> st.SearchStrategy[list[int]]:
 
 @st.composite
 def schedules(draw: st.DrawFn, topology: Topology, most: int = 5) -> list[dict[str, Any]]:
-    """Some faults of any kinds, as a file spells them."""
+    """Draw some faults of any kinds, as a file spells them."""
     ids, steps = list(topology.ids), topology.steps
     kinds = ["sensor", "actuator", "crash", "jump"]
     if topology.edges:
@@ -64,7 +64,7 @@ def _fault(draw: st.DrawFn, kind: str, topology: Topology, ids: list[Any], steps
 
 
 def with_faults(topology: Topology, faults: list[dict[str, Any]], **more: Any) -> Topology:
-    """The same resolved network, with these faults."""
+    """Return the same resolved network with these faults."""
     return Topology.model_validate(json.loads(topology.model_dump_json()) | {"faults": faults} | more)
 
 
@@ -124,7 +124,7 @@ class Plain:
                         learned_from[i] = t + 1
                     continue
                 estimates[t, i] = self._estimate(i, t, known, blind, x, int(learned_from[i]))
-            # What crosses at t is known at t + 1.
+            # A message of t is known at t + 1.
             lost, late = self.struck("drop", t), self.late(t)
             for c, (i, j) in enumerate(zip(graph.node.tolist(), graph.neighbour.tolist(), strict=True)):
                 if c in lost or self.absent[t, j] or (self.absent[t, i] and self.absent[t + 1, i]):

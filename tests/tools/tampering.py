@@ -38,7 +38,7 @@ PAGE = Path(__file__).parents[2] / "docs" / "reliability.md"
 BEGIN, STOP = "<!-- tampering table: python -m tests.tools.tampering --write -->", "<!-- end of tampering table -->"
 
 NODE = 2
-"""the id of the agent that is changed"""
+"""the id of the changed agent"""
 TEXT = """
 name: watched
 b: 0.1
@@ -85,7 +85,7 @@ class Tampering:
     """the changed agent without its law"""
     world: type[World] | None = None
     rows: Rows | None = None
-    """the telemetry that arrives in place of what was sent"""
+    """the telemetry that arrives instead of the sent one"""
     topology: Topology = WATCHED
 
     def run(self) -> Trajectory:
@@ -112,7 +112,7 @@ class Tampering:
 
 
 def verdict(topology: Topology, rows: Sequence[Telemetry], end: End | None) -> Verdict:
-    """The verdict of an observer and a replay of these rows."""
+    """Return the verdict of an observer and a replay of these rows."""
     observer, replay = Observer(topology), Replay(topology)
     for row in rows:
         with np.errstate(all="ignore"):
@@ -616,7 +616,7 @@ ALL = list(_all())
 
 
 def told(tampering: Tampering) -> list[str]:
-    """The row of the table: where, what, the verdict, the first check that fails, and the step and node it names."""
+    """Return the row of the table: place, change, verdict, the first failed check, and its step and node."""
     content = tampering.verdict().content
     failed = {name: check for name, check in content["checks"].items() if not check["ok"]}
     named = [(name, check) for name, check in failed.items() if check.get("node") is not None]

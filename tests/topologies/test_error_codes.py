@@ -1,4 +1,4 @@
-"""Every mistake that is raised names its kind: a code, or the option that the message begins with."""
+"""Every raised mistake names its kind: a code, or the option at the start of the message."""
 
 import ast
 

@@ -75,7 +75,7 @@ def test_a_first_row_or_column_with_two_readings_is_refused(nodes: str, table: s
     assert code_of(tmp_path, nodes, table) == Code.FILE_AMBIGUOUS
 
 
-def test_header_says_which_reading_is_meant(tmp_path: Path) -> None:
+def test_header_selects_the_reading(tmp_path: Path) -> None:
     bits = "1,0\n1,1\n0,0\n1,0\n"
     assert first_samples(sampled(tmp_path, "[0, 1]", bits, "ids")) == {1: 1.0, 0: 1.0}
     assert first_samples(sampled(tmp_path, "[0, 1]", bits, "none")) == {0: 1.0, 1: 0.0}
@@ -163,7 +163,7 @@ def test_a_file_is_read_in_one_way_or_refused(names: list[str], rows: list[list[
 
 
 @pytest.mark.parametrize("written", ["007", "012", "-01", "00", "12e4", "1e3", "+7", "1.5", "1.0", "true", ".inf"])
-def test_an_id_with_two_readings_is_refused_wherever_it_stands(written: str) -> None:
+def test_an_id_with_two_readings_is_refused_everywhere(written: str) -> None:
     for text in (f"nodes: [{written}, z]", f"nodes: {{{written}: {{}}, z: }}"):
         with pytest.raises(TopologyError) as refused:
             parse((HEAD + text).encode(), "n.yaml", Path())
@@ -204,7 +204,7 @@ def test_quoted_ids_stay_text_unless_they_are_spelled_as_a_number_is() -> None:
 @given(st.lists(st.integers(-(10**30), 10**30), min_size=2, max_size=5, unique=True))
 @settings(max_examples=30)
 def test_ids_are_any_integers_in_yaml_and_json(ids: list[int]) -> None:
-    """Keys of JSON are text, and references can be numbers: both name the same node, whatever its size."""
+    """Keys in JSON are text, and references can be numbers: both name the same node, of any size."""
     listed = f"{HEAD}nodes: {ids}\nedges: [[{ids[0]}, '{ids[1]}']]\n"
     mapped = ", ".join(f'"{node}": {{}}' for node in ids)
     json = f'{{"name": "n", "b": 0.1, "steps": 3, "nodes": {{{mapped}}}, "edges": [[{ids[0]}, "{ids[1]}"]]}}'

@@ -48,7 +48,7 @@ run_alone(lambda: [print("loud", file=sys.stderr) for _ in range(10**6)])
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_a_signal_ends_a_process_whose_main_thread_is_held(number: int, code: int) -> None:
+def test_a_signal_ends_a_process_with_a_blocked_main_thread(number: int, code: int) -> None:
     with subprocess.Popen([sys.executable, "-c", STUCK], stdout=subprocess.PIPE, text=True) as process:
         try:
             assert process.stdout is not None

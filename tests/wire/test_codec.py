@@ -1,4 +1,4 @@
-"""Messages: what is sent is what arrives, bit for bit; anything else is refused in words."""
+"""Messages arrive as they were sent, bit for bit; anything else is refused with a message."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ def messages(draw: st.DrawFn) -> Message:
 
 
 def same(sent: Any, arrived: Any) -> bool:
-    """Every bit and the shape, where the receiver leaves it in its bytes these alone."""
+    """Check every bit and the shape; the receiver may leave these fields in bytes."""
     if isinstance(arrived, bytes | memoryview):
         return (sent if isinstance(sent, bytes) else np.asarray(sent).tobytes()) == bytes(arrived)
     if isinstance(arrived, np.ndarray):
@@ -126,8 +126,8 @@ def same(sent: Any, arrived: Any) -> bool:
 
 
 @given(messages())
-def test_what_is_sent_is_what_arrives(message: Message) -> None:
-    """Every field has the bits and the shape that it had, NaN payloads and -0.0 included."""
+def test_a_sent_message_arrives_unchanged(message: Message) -> None:
+    """Every field keeps its bits and its shape, NaN payloads and -0.0 included."""
     assert all(same(sent, arrived) for sent, arrived in zip(message.sent, message.read(message.raw), strict=True))
 
 
@@ -159,7 +159,7 @@ def test_another_kind_is_refused(message: Message, kind: int) -> None:
 
 @given(messages(), st.integers(1, 2**32 - 1))
 def test_another_number_of_nodes_is_refused(message: Message, more: int) -> None:
-    """Even where the length would fit."""
+    """This holds even if the length would fit."""
     nodes = (int.from_bytes(message.raw[4:8], "little") + more) % 2**32
     with pytest.raises(MessageError, match=f"with {nodes} nodes in"):
         message.read(message.raw[:4] + nodes.to_bytes(4, "little") + message.raw[8:])
@@ -275,7 +275,7 @@ def test_rows_are_of_steps_that_were(t: int, first: int) -> None:
 
 
 def test_the_layout_of_a_message_is_the_documented_one() -> None:
-    """Other implementations rely on these very bytes: little-endian, header first."""
+    """Other implementations depend on these exact bytes: little-endian, header first."""
     one, two = (np.array([value]).tobytes() for value in (1.0, -2.0))
     raw = codec.encode_link(Link(258, 257, one, two), 1)
     assert raw.hex(" ", 4) == (

@@ -18,7 +18,7 @@ class Options:
     storage: str | float | None = None
     """a node attribute, or a number for all nodes: b_i = b/sqrt(storage)"""
     junction_storage: float | None = None
-    """of nodes that have none of their own; of the junctions of a water network [m^2]"""
+    """the storage of nodes without a value, such as the junctions of a water network [m^2]"""
     directed: bool = False
     """an edge from i to j and one from j to i are one edge, also in a source without directions"""
     largest_component: bool = False

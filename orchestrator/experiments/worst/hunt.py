@@ -53,7 +53,7 @@ class Attack:
     w: Array
     """(T, n)"""
     holds: bool
-    """True if the last value stays"""
+    """True if the disturbance keeps its last value"""
     breaks: Breaks
     gain: float
     """the gain of a run of `steps` steps"""

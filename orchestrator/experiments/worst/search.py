@@ -20,7 +20,7 @@ class Kind(NamedTuple):
     length: int
     """number of its values"""
     holds: bool
-    """True if the last value stays"""
+    """True if the disturbance keeps its last value"""
 
 
 @dataclass

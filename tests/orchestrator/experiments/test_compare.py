@@ -1,4 +1,4 @@
-"""`orchestrator compare` and `hg.compare`: the same numbers as single runs, paired tests, and what is kept."""
+"""`orchestrator compare` and `hg.compare`: the same numbers as single runs, paired tests, and stored results."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_many_runs_at_once_are_the_runs_by_themselves(faults: list[object]) -> N
         assert together == [row for one in alone for row in one], setting.values  # type: ignore[union-attr]
 
 
-def test_a_row_is_what_the_trajectory_says() -> None:
+def test_a_row_agrees_with_the_trajectory() -> None:
     plan = comparison(TREES, ["minimax"], ["white"], range(1))
     topology = resolve(plan.settings[0].topology.model_copy(update={"seed": 0}))
     ran = simulate(topology)
@@ -59,7 +59,7 @@ def test_a_row_is_what_the_trajectory_says() -> None:
     assert row["switches"] == (ahat[1:] != ahat[:-1]).sum() / 5
 
 
-def test_an_estimate_between_candidates_speaks_for_the_nearest() -> None:
+def test_an_estimate_between_candidates_supports_the_nearest() -> None:
     found = judged(
         np.array([0.31, 0.62, np.nan]), np.array([0.3, 0.9, 0.3]), np.array([[0.3, 0.6, 0.3], [0.6, 0.9, np.nan]])
     )
@@ -70,7 +70,7 @@ def test_an_estimate_between_candidates_speaks_for_the_nearest() -> None:
 
 @given(st.lists(st.floats(0, 1), max_size=12))
 def test_holm_is_its_definition(p: list[float]) -> None:
-    """The k-th smallest p is times the number that are left, and never below one before it."""
+    """The k-th smallest p is multiplied by the number of remaining ones, and never below the one before."""
     found = holm(np.array(p))
     largest = 0.0
     for k, place in enumerate(sorted(range(len(p)), key=lambda i: (p[i], i))):
@@ -110,7 +110,7 @@ def test_intervals_and_undefined_numbers() -> None:
     assert math.isnan(nothing.half)
 
 
-def test_the_oracle_and_the_nominal_law_are_always_there() -> None:
+def test_the_oracle_and_the_nominal_law_are_always_included() -> None:
     plan = comparison(TREES, ["notch", "hinf"], ["white"], range(2))
     assert plan.laws == ["notch", "hinf", "nominal"]
 
@@ -134,7 +134,7 @@ def test_a_comparison_in_python_leaves_its_folder_and_is_found_again(tmp_path: P
     assert [one.mean for one in again.cells if one.n] == [one.mean for one in found.cells if one.n]
 
 
-def test_runs_that_are_there_are_not_made_again(tmp_path: Path) -> None:
+def test_finished_runs_are_not_repeated(tmp_path: Path) -> None:
     """A comparison that was stopped in the middle of a line continues after the last complete one."""
     plan = comparison(TREES, ["minimax"], ["white"], range(3))
     whole = compare(plan, tmp_path / "c", 1, quiet=True)

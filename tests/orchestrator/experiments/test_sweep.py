@@ -47,7 +47,7 @@ def rows(out: Path) -> list[dict[str, Any]]:
 
 
 def made(what: Plan, out: Path) -> list[list[Row]]:
-    """The runs of a plan, those that lack made here and the table written; by setting."""
+    """Return the runs of a plan by setting; make the missing ones here, and write the table."""
     with SweepFolder(what, out) as folder:
         for chunk in what.chunks(folder.rows):
             found = answer(what, chunk)
@@ -82,7 +82,7 @@ def workers(sweeping: Orchestrator) -> dict[str, int]:
     return {str(child.pid): child.pid for child in below}
 
 
-# What the shares of right estimates are.
+# The shares of right estimates.
 
 
 def agrees(shares: Sequence[float], figure: float) -> bool:
@@ -114,10 +114,10 @@ def test_shares_of_right_estimates_after_3000_steps_are_those_of_the_theory(here
         assert agrees(shares, figure), (x0, w, np.mean(shares))
 
 
-# What a row is.
+# The content of a row.
 
 
-def test_a_row_holds_what_the_verdict_of_that_run_does(here: Path) -> None:
+def test_a_row_agrees_with_the_verdict_of_its_run(here: Path) -> None:
     made(plan("ring6", "3:5", ["law=minimax,nominal", "steps=5,8"], "in-process"), here / "out")
     table = rows(here / "out")
     assert [(r["law"], r["steps"], r["seed"]) for r in table] == [
@@ -159,7 +159,7 @@ def test_a_law_that_fails_makes_its_runs_unknown_and_no_others(here: Path) -> No
     assert said.stdout.splitlines()[-1].startswith("unknown (first seed 0, law=mine:Tired: ")
 
 
-# Stopped, killed, gone on with.
+# Interruption, kill and continuation.
 
 LINE401 = str(Path(__file__).parents[2] / "tools" / "line401.yaml")
 LONG = ("sweep", LINE401, "--seeds", "0:24", "--set", "law=minimax,hinf")
@@ -173,7 +173,7 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     return (out / "sweep.parquet").read_bytes()
 
 
-def test_a_sweep_that_is_stopped_and_killed_goes_on_to_the_same_bytes(here: Path, undisturbed: bytes) -> None:
+def test_a_stopped_and_killed_sweep_continues_to_the_same_bytes(here: Path, undisturbed: bytes) -> None:
     command, out = (*LONG, "--jobs", "3", "--out", "out"), here / "out"
     with Orchestrator(*command) as sweeping:
         wait_for_runs(out, 4)
@@ -233,7 +233,7 @@ def test_a_killed_worker_costs_nothing(here: Path, undisturbed: bytes) -> None:
     assert (here / "out/sweep.parquet").read_bytes() == undisturbed
 
 
-def test_a_sweep_whose_workers_cannot_live_says_so(here: Path) -> None:
+def test_a_sweep_with_dying_workers_is_reported(here: Path) -> None:
     (here / "deadly.py").write_text(
         "import multiprocessing, os, signal\nfrom hedgerow.agents.law import Minimax\n\nclass Deadly(Minimax):\n"
         "    def learn(self, x, flow, x_next):\n"
@@ -280,7 +280,7 @@ def test_seeds_may_grow(tmp_path: Path) -> None:
         ("0:20000000", [], "ask for fewer"),
     ],
 )
-def test_a_mistake_is_one_line_that_says_what_to_do(seeds: str, sets: list[str], says: str) -> None:
+def test_a_mistake_is_one_line_with_a_fix(seeds: str, sets: list[str], says: str) -> None:
     with pytest.raises(UserError, match=says) as mistake:
         plan("paper7", seeds, sets, "in-process")
     assert "\n" not in str(mistake.value)
@@ -303,7 +303,7 @@ def test_a_folder_holds_one_sweep(tmp_path: Path, other: Plan, says: str) -> Non
         pass
 
 
-def test_a_file_that_changed_is_another_sweep(tmp_path: Path) -> None:
+def test_a_changed_file_is_a_new_sweep(tmp_path: Path) -> None:
     text = "{name: one, b: 0.1, steps: 3, nodes: {1: {x0: %d}}}"
     file = tmp_path / "one.yaml"
     file.write_text(text % 1, encoding="utf-8")
@@ -315,7 +315,7 @@ def test_a_file_that_changed_is_another_sweep(tmp_path: Path) -> None:
         pass
 
 
-def test_nothing_else_is_written_into(tmp_path: Path) -> None:
+def test_a_foreign_folder_is_not_changed(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").touch()
     with (
         pytest.raises(UserError, match=r"holds thesis\.tex, and no sweep; name a new folder"),
@@ -336,7 +336,7 @@ def test_a_damaged_line_is_named(tmp_path: Path, damage: str) -> None:
         pass
 
 
-def test_a_disk_that_fills_up_keeps_what_was_done_and_the_same_command_goes_on(here: Path, undisturbed: bytes) -> None:
+def test_a_full_disk_keeps_the_finished_runs_and_the_same_command_continues(here: Path, undisturbed: bytes) -> None:
     command = (*LONG, "--jobs", "1", "--out", "out")
     done = orchestrator(*command, largest=10_000)
     assert done.returncode == 2
@@ -352,7 +352,7 @@ def test_two_sweeps_do_not_share_a_folder(tmp_path: Path) -> None:
         pass
 
 
-def test_a_seed_whose_network_cannot_be_is_named() -> None:
+def test_a_seed_with_an_impossible_network_is_named() -> None:
     # The file's own seed draws lists of which one holds this a; another seed's does not.
     a = resolve(load("paper7")).nodes[1].candidates[0]  # type: ignore[index]
     what = of(f"faults=[{{kind: jump, node: 1, at: 3, a: {a!r}}}]", seeds="1:9")

@@ -1,6 +1,6 @@
 """Agents on the machines of a Ray cluster: Ray places them and starts them again, and the run is the same to the bit.
 
-The cluster has two machines, network namespaces with an address each, so that what crosses between them crosses a wire.
+The cluster has two machines, which are network namespaces with an address each. So their messages cross a network.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def kept_by_ray() -> Iterator[Path]:
 
 @pytest.fixture(scope="module")
 def cluster(tmp_path_factory: pytest.TempPathFactory, kept_by_ray: Path) -> Iterator[Machines]:
-    """Two machines, `head` and `other`; `spare`, which a test may add; and `bench`, which is none of the cluster."""
+    """Provide two machines, `head` and `other`; `spare`, which a test may add; and `bench`, outside of the cluster."""
     place = tmp_path_factory.mktemp("ray")
     with ExitStack() as stack:
         head = ("--head", "--port", "6379", "--ray-client-server-port", "10001", "--temp-dir", str(kept_by_ray))
@@ -176,7 +176,7 @@ def test_an_agent_that_is_killed_on_a_cluster_is_started_again_by_ray(
 
 @needs_ray
 @pytest.mark.slow
-def test_agents_of_a_machine_that_is_gone_for_good_live_on_where_there_is_room(
+def test_agents_of_a_lost_machine_restart_on_other_machines(
     cluster: Machines, environment: None, tmp_path: Path
 ) -> None:
     """All processes of the machine are killed at once, Ray's included, without a farewell message."""
@@ -234,7 +234,7 @@ def test_ctrl_c_leaves_nothing_of_a_cluster_that_we_started(environment: None) -
 def test_a_cluster_that_is_not_there_is_a_mistake_in_words(environment: None) -> None:
     done = orchestrator("up", "paper7", "--on", "ray://127.0.0.1:1")
     assert done.returncode == 2
-    said = "no cluster: Connection refused; is `ray start --head` running there? clients come in at port 10001"
+    said = "no cluster: Connection refused; is `ray start --head` running there? clients use port 10001"
     assert done.stderr.startswith(f"error: --on ray://127.0.0.1:1: {said}"), done.stderr
     assert not Path("runs").exists()
 
@@ -247,14 +247,14 @@ def test_a_cluster_that_is_not_there_is_a_mistake_in_words(environment: None) ->
         (("--on", "ray", "--external", "3"), "error: --external --on: choose one; on a cluster, Ray starts all agents"),
     ],
 )
-def test_what_names_no_cluster_is_said_at_once(here: Path, arguments: tuple[str, ...], said: str) -> None:
+def test_an_invalid_cluster_is_refused_at_once(here: Path, arguments: tuple[str, ...], said: str) -> None:
     done = orchestrator("up", "paper7", *arguments)
     assert done.returncode == 2
     assert done.stderr == f"{said}\n"
 
 
 @pytest.mark.parametrize("command", [("up", "paper7"), ("sweep", "paper7", "--seeds", "0:2")])
-def test_without_ray_it_says_what_to_install(
+def test_without_ray_the_message_names_the_package(
     here: Path, monkeypatch: pytest.MonkeyPatch, command: tuple[str, ...]
 ) -> None:
     (here / "ray.py").write_text("raise ModuleNotFoundError('there is no ray', name='ray')\n")
@@ -264,7 +264,7 @@ def test_without_ray_it_says_what_to_install(
     assert done.stderr == "error: --on ray: Ray is not installed; install it with: pip install 'hedgerow[ray]'\n"
 
 
-def test_a_machine_of_a_cluster_needs_what_an_agent_needs() -> None:
+def test_a_machine_of_a_cluster_needs_only_the_packages_of_an_agent() -> None:
     """The module that Ray loads there imports numpy and Zenoh, but no packages of the operator."""
     code = """
 import sys
@@ -281,7 +281,7 @@ def test_every_agent_has_a_cpu_where_there_are_enough_and_else_a_part_of_one() -
     for agents, cpus in ((7, [2, 2]), (5, [1, 1, 2]), (38, [2]), (100, [3, 5])):
         share = share_of(agents, float(sum(cpus)), len(cpus))
         assert sum(cpu // share for cpu in cpus) >= agents
-    with pytest.raises(UserError, match=f"{MOST_PER_CPU} a CPU at most: add machines, .* --processes 38"):
+    with pytest.raises(UserError, match=f"{MOST_PER_CPU} per CPU. Add machines, .* --processes 38"):
         share_of(1000, 2.0, 2)
     with pytest.raises(UserError, match="0 free CPUs on 2 machines"):
         share_of(1, 0.0, 2)

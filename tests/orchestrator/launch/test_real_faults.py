@@ -60,7 +60,7 @@ class Lab:
             command("ip", "netns", "exec", host, "nft", f"table netdev faults {{ {chain}; }}")
 
     def link(self, state: str) -> None:
-        """Take the link `down` or `up`."""
+        """Set the link `down` or `up`."""
         command("ip", "-n", self.hosts[1], "link", "set", "wire", state)
 
     def start_router(self) -> None:
@@ -86,7 +86,7 @@ class Lab:
         return Orchestrator("up", "paper7", *RUN, "--router", self.endpoint, *arguments, inside=inside)
 
     def tear_down(self) -> None:
-        """Leave nothing."""
+        """Remove everything."""
         self.kill_router()
         for host in self.hosts:
             with contextlib.suppress(FileNotFoundError):
@@ -116,12 +116,12 @@ def complete(folder: Path) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("one_of", [20, 5])
-def test_a_link_that_loses_packets_costs_time_and_nothing_else(lab: Lab, one_of: int) -> None:
+def test_a_link_that_loses_packets_costs_only_time(lab: Lab, one_of: int) -> None:
     with lab.up("--steps", "100", "--rate", "50", "--deadline", "60") as network:
         network.wait_for("running")
         lab.lose(one_of)
         assert network.wait() == 0, network.output
-        print(network.output)  # `pytest -rP` shows what it does to the round trips
+        print(network.output)  # `pytest -rP` shows the effect on the answer times
         assert gone(network.children)
     assert complete(Path("runs/latest"))["missing_inputs"] == 0
 
@@ -146,7 +146,7 @@ def test_a_router_that_dies_and_returns(lab: Lab) -> None:
     assert complete(Path("runs/latest"))["missing_inputs"] == 0
 
 
-def test_a_link_that_stays_down_ends_the_run_by_name_with_what_was_recorded(lab: Lab) -> None:
+def test_a_link_that_stays_down_ends_the_run_with_names_and_recorded_steps(lab: Lab) -> None:
     with lab.up("--steps", "100000", "--rate", "200", "--deadline", "2") as network:
         network.wait_for("running")
         lab.link("down")

@@ -1,4 +1,4 @@
-"""Processes that do not keep to the information structure, over real Zenoh: what they try, and what becomes of it."""
+"""Processes that violate the information structure, over real Zenoh: their attempts, and the results."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class Secure:
         stack.callback(close, self.router)
 
     def client(self, credentials: Path | None) -> zenoh.Session:
-        """A session with these credentials; WireError if they do not do."""
+        """Return a session with these credentials; raise WireError if they are refused."""
         session = open_client(self.endpoint, NAMESPACE, credentials, timeout_s=2)
         self._stack.callback(close, session)
         return session
@@ -185,7 +185,7 @@ def test_tokens_and_commands_are_their_owners(secure: Secure) -> None:
     }
 
 
-def test_who_asks_for_its_place_without_end_is_heard_now_and_then(secure: Secure) -> None:
+def test_endless_requests_for_a_place_are_limited(secure: Secure) -> None:
     """Each request costs the plant an answer, and every observer receives a refusal; other requests still arrive."""
     asked, began = Counter[str](), time.monotonic()
 
@@ -205,8 +205,8 @@ def test_who_asks_for_its_place_without_end_is_heard_now_and_then(secure: Secure
     del declared
 
 
-def test_the_largest_command_gets_to_the_plant_where_agents_say_little(tmp_path: Path) -> None:
-    """Without back-filling no agent has more than some hundred bytes to say; a fault may name a link at each step."""
+def test_the_largest_command_reaches_the_plant_of_a_small_network(tmp_path: Path) -> None:
+    """Without back-filling, an agent's largest message has some hundred bytes; a fault may name a link at each step."""
     network = resolve(load("paper7", ["backfill=false"]))
     small = places(views_of(network, layout(network, None)))
     command = bytes(LEAST_BYTES + BYTES_PER_INCIDENCE * 2 * len(network.edges))
@@ -225,7 +225,7 @@ def test_the_largest_command_gets_to_the_plant_where_agents_say_little(tmp_path:
         del declared
 
 
-def test_who_has_no_certificate_of_this_run_is_not_let_in(secure: Secure, tmp_path: Path) -> None:
+def test_a_client_without_a_certificate_of_the_run_is_refused(secure: Secure, tmp_path: Path) -> None:
     (tmp_path / "other").mkdir()
     Authority().issue(tmp_path / "other/agent-1", "agent-1")
     for credentials in (None, tmp_path / "other/agent-1"):
@@ -233,8 +233,8 @@ def test_who_has_no_certificate_of_this_run_is_not_let_in(secure: Secure, tmp_pa
             secure.client(credentials)
 
 
-def test_a_name_that_is_nobodys_may_do_nothing(secure: Secure, tmp_path: Path) -> None:
-    """By the run's own authority, yet under another name: it can connect, and that is all."""
+def test_an_unknown_name_has_no_rights(secure: Secure, tmp_path: Path) -> None:
+    """The certificate is from the run's own authority but has another name: it can connect, and has no rights."""
     with contextlib.ExitStack() as stack:
         authority = Authority()
         endpoint = f"tls/127.0.0.1:{free_port()}"
@@ -304,7 +304,7 @@ FLOOD_S = 1.5
 
 
 class Victim:
-    """paper7 making its first hundred steps, slowly, and waiting there however long it is disturbed; a way into it."""
+    """paper7 after its first hundred slow steps, waiting during any disturbance; and a way into it."""
 
     def __init__(self, here: Path, stack: contextlib.ExitStack, *options: str) -> None:
         self._here, self._stack = here, stack
@@ -316,7 +316,7 @@ class Victim:
         self.entry = json.loads(orchestrator("ps", "--json").stdout)[0]
 
     def rogue(self, name: str) -> zenoh.Session:
-        """With what was stolen from a process, if there is anything to steal."""
+        """The intruder uses the keys of a process, if the run has keys."""
         own = self.entry["credentials"]
         credentials = Path(own).parent / name if own else None
         session = open_client(self.entry["endpoint"], self.entry["namespace"], credentials)
@@ -363,7 +363,7 @@ def victim(here: Path) -> Iterator[Callable[..., Victim]]:
         yield lambda *options: Victim(here, stack, *options)
 
 
-def test_a_stolen_certificate_is_worth_what_its_agent_may_do_and_no_more(victim: Callable[..., Victim]) -> None:
+def test_a_stolen_certificate_gives_only_the_rights_of_its_agent(victim: Callable[..., Victim]) -> None:
     """The certificate is that of agent 1, with agent 2 as its only neighbour.
 
     The router drops all other messages, and the agent's own channels refuse garbage.
@@ -402,15 +402,17 @@ def test_a_stolen_certificate_is_worth_what_its_agent_may_do_and_no_more(victim:
     assert verdict["verdict"] == "valid", verdict["reasons"]
     assert set(overheard) <= {keys.link(1, 0), keys.state(0)}
     refused = {one["key"]: one["refused"] for one in verdict["information"]["channels"] if one["refused"]}
-    # The router takes nothing so large in from an agent as the 16 MB, nor, on a busy machine, one right behind another.
+    # The router accepts from an agent neither a message of 16 MB nor, on a busy machine, one right after another.
     assert refused.keys() == {keys.link(0, 1), keys.input_(0)}
     assert max(refused.values()) <= 9
     assert running.named() == {keys.link(0, 1): 1, keys.input_(0): 1}
     del eavesdropper, tokens
 
 
-def test_a_stolen_certificate_may_lie_of_its_own_agent_which_the_audit_finds(victim: Callable[..., Victim]) -> None:
-    """Inputs of this step and of the next, well formed, that agent 1 never gave; one that is no number is missing."""
+def test_the_audit_finds_false_messages_under_a_stolen_certificate(victim: Callable[..., Victim]) -> None:
+    """These are valid inputs of this step and of the next that agent 1 never sent; one that is NaN counts as
+    missing.
+    """
     running = victim("--secure")
     rogue = running.rogue("agent-1")
     now, slowly = running.step(), threading.Event()
@@ -430,7 +432,7 @@ def test_a_stolen_certificate_may_lie_of_its_own_agent_which_the_audit_finds(vic
     assert np.isfinite(load_run(running.run).x).all()
 
 
-def test_who_floods_its_own_channels_holds_nobody_up(victim: Callable[..., Victim]) -> None:
+def test_flooding_of_its_own_channels_delays_no_process(victim: Callable[..., Victim]) -> None:
     """The intruder sends as many messages as possible on each channel, and one of 64 MB, during the run: few get
     through.
 
@@ -465,7 +467,7 @@ def test_who_floods_its_own_channels_holds_nobody_up(victim: Callable[..., Victi
     assert running.named() == {keys.link(0, 1): 1, keys.input_(0): 1}
 
 
-def test_on_an_open_router_what_is_no_message_changes_nothing_and_what_is_one_is_found_out(
+def test_on_an_open_router_garbage_changes_nothing_and_the_audit_finds_forged_messages(
     victim: Callable[..., Victim],
 ) -> None:
     """Without security, any client may publish on any key.

@@ -169,8 +169,8 @@ def constant_run(plant: Plant, reported: Array, steps: int, scale: float) -> Wor
     return certificate.tracks[Premise.ESTIMATES].check
 
 
-def test_a_plant_whose_w_is_one_per_cent_larger_than_reported_violates_it() -> None:
-    """The worst constant disturbance of the oracle leaves it nothing to hide in."""
+def test_a_plant_with_one_per_cent_more_w_than_reported_violates_it() -> None:
+    """The worst constant disturbance of the oracle leaves no slack."""
     plant = UNEQUAL
     incidence = np.array([[1.0, 0.0], [-1.0, 1.0], [0.0, -1.0]]) * plant.root_weights
     B = plant.b[:, None] * incidence
@@ -212,7 +212,7 @@ def test_a_recorded_run_has_the_bound_and_the_slack_of_every_step(tmp_path: Path
         run.certificate_slack("hope")
 
 
-def test_a_network_too_large_for_a_bound_in_time_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_network_too_large_for_a_bound_in_time_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(recording, "CERTIFIED", 2)
     content = folder_run(read(TEXT), tmp_path / "run")
     assert content["verdict"] == VALID

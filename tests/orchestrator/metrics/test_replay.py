@@ -45,7 +45,7 @@ def assert_agrees(replayed: Replay, ran: Trajectory) -> None:
 
 @settings(max_examples=150, deadline=None)
 @given(faulty(), st.data())
-def test_a_run_as_its_file_says_agrees_with_its_replay(topology: Topology, data: st.DataObject) -> None:
+def test_a_run_that_equals_its_file_agrees_with_its_replay(topology: Topology, data: st.DataObject) -> None:
     """Any network, any faults, any layout over processes, and with any number of replayed nodes."""
     ran = simulate(topology, data.draw(partitions(topology.graph.n)))
     assert_agrees(replay(topology, ran.rows), ran)
@@ -129,7 +129,7 @@ def test_nothing_is_claimed_from_a_lost_row_on(lost: int) -> None:
 
 
 def test_a_run_without_its_replay_is_unknown(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The replay cannot be had: nothing is claimed, and nothing is blamed."""
+    """The replay is impossible: there are no claims and no failures."""
 
     def no_room(*_: object) -> None:
         raise MemoryError

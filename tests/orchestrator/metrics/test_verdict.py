@@ -27,7 +27,7 @@ from tests.tools.networks import Trajectory, listed, networks, observe, read, si
 
 PAPER = resolve(load("paper7"))
 GOOD = simulate(PAPER)
-"""30 steps of the paper's network, in which nothing is wrong."""
+"""Thirty steps of the paper's network without a mistake."""
 
 
 def verdict(ran: Trajectory, topology: Topology = PAPER, ending: Ending | None = None) -> Verdict:
@@ -41,7 +41,7 @@ def failures(judged: Verdict) -> list[str]:
 
 
 def altered(step: int, **columns: Any) -> Trajectory:
-    """The good run with other telemetry at one step."""
+    """Return the good run with other telemetry at one step."""
     rows = list(GOOD.rows)
     rows[step] = rows[step]._replace(**columns)
     return Trajectory(rows, GOOD.end)
@@ -55,7 +55,7 @@ def one_ulp_off(values: Array, node: int = 2) -> Array:
 
 
 class Careless(Minimax):
-    """A law that is not (6): it acts on half of its state."""
+    """A law other than (6): it acts on half of its state."""
 
     def act(self, x: Array) -> Array:
         return control(self.b, 0.5 * x, self.ahat)
@@ -99,7 +99,7 @@ def test_the_first_of_many_wrong_steps_is_named() -> None:
 
 
 def test_an_input_that_is_not_equation_6_is_noticed() -> None:
-    """An agent that acts on half its state, in a world that is right: that claim fails alone."""
+    """An agent acts on half of its state in a correct world: only that claim fails."""
     shards = layout(PAPER, None)
     views = views_of(PAPER, shards)
     views[3] = replace(views[3], law=CARELESS)
@@ -121,7 +121,7 @@ def test_an_estimate_that_is_no_candidate_is_noticed() -> None:
 
 
 @pytest.mark.parametrize("column", ["x", "u", "w"])
-def test_what_is_not_a_number_is_never_valid(column: str) -> None:
+def test_nan_is_never_valid(column: str) -> None:
     values = getattr(GOOD.rows[6], column).copy()
     values[1] = np.nan
     bad = verdict(altered(6, **{column: values}))
@@ -130,7 +130,7 @@ def test_what_is_not_a_number_is_never_valid(column: str) -> None:
 
 
 def one_sided(topology: Topology, ahat: Sequence[Sequence[float]]) -> Trajectory:
-    """A plant that is wrong: from step 2 on, the edge carries flow at its first end only."""
+    """The plant is wrong: from step 2 on, the edge carries flow at its first end only."""
     a, b, graph = truth(topology), topology.b, topology.graph
     x = np.array([own.x0 for own in topology.nodes.values()], dtype=float)
     rows, on, no_w = [], np.ones(1, np.uint8), np.zeros(2)
@@ -146,7 +146,7 @@ def one_sided(topology: Topology, ahat: Sequence[Sequence[float]]) -> Trajectory
     return Trajectory(rows, End(topology.steps, x, 0.0))
 
 
-def test_one_sided_flow_is_noticed_and_so_is_what_it_does_to_stability() -> None:
+def test_one_sided_flow_and_its_effect_on_stability_are_noticed() -> None:
     """Two nodes, b = .1, a = .97: with switching estimates such a plant is unstable."""
     topology = read(
         "{name: pair, b: 0.1, steps: 4, nodes: [1, 2], edges: [[1, 2]],"
@@ -159,7 +159,7 @@ def test_one_sided_flow_is_noticed_and_so_is_what_it_does_to_stability() -> None
     assert bad.content["checks"]["estimates"]["ok"], "its agents did nothing wrong"
 
 
-def test_a_law_of_ones_own_makes_no_claim_of_the_papers() -> None:
+def test_a_users_law_has_no_claims_of_the_paper() -> None:
     """No claim covers (6) or its contraction; but the dynamics must hold."""
     topology = PAPER.model_copy(update={"law": CARELESS})
     ran = simulate(topology)
@@ -209,7 +209,7 @@ def test_a_run_that_was_stopped_is_unknown() -> None:
 
 
 def test_a_run_without_a_single_row_is_unknown() -> None:
-    """Stopped before its first step: no metrics, and nothing to divide by."""
+    """The run was stopped before its first step: there are no metrics, and no division by zero."""
     observer = Observer(PAPER)
     observer.finish(End(0, observer.x0, 0.0))
     nothing = judge(PAPER, observer, Ending("run", "in-process", 1, stopped="stopped at step 0"))
@@ -255,7 +255,7 @@ def test_without_a_disturbance_there_is_no_gain() -> None:
         (0, "{kind: drop, link: [2, 4], steps: [9, 10]}", "(gamma* 2.974 is the oracle's)"),
     ],
 )
-def test_gains_are_told_with_what_they_may_be_compared_with(x0: float, faults: str, said: str) -> None:
+def test_gains_are_reported_with_their_references(x0: float, faults: str, said: str) -> None:
     topology = resolve(load("paper7", [f"defaults.x0={x0}", f"faults=[{faults}]"]))
     assert said in verdict(simulate(topology), topology).line()
 

@@ -1,4 +1,4 @@
-"""The report: figures that hold the run's own numbers, files that a journal takes, and a page that needs nothing else.
+"""The report: figures with the numbers of the run, files for a journal, and a self-contained page.
 
 paper  --report-->  figures 2 3 4 5, estimates, regret, cost, gain
 faulty --report-->  the same, and faults
@@ -147,7 +147,7 @@ def test_a_figure_of_the_paper_is_its_array(key: str, paper: Run) -> None:
     assert len({to_hex(line.get_color()) for line in axis.lines[:7]}) == 7
 
 
-def test_what_is_to_be_compared_has_the_same_axes(paper: Run) -> None:
+def test_compared_figures_have_the_same_axes(paper: Run) -> None:
     """Figure 3 beside 2, and 5 beside 4, whichever of them are drawn."""
     limits = {key: drawn(key, paper).axes[0].get_ylim() for key in PAPERS}
     assert limits["2"] == limits["3"] != limits["4"] == limits["5"]
@@ -155,7 +155,7 @@ def test_what_is_to_be_compared_has_the_same_axes(paper: Run) -> None:
 
 
 def test_estimates_stand_over_the_truth(paper: Run) -> None:
-    """A panel a node; node 6 is wrong by too little to be seen, so a bar and a number say it."""
+    """There is one panel per node; node 6 is wrong by an invisible amount, which a bar and a number show."""
     figure = drawn("estimates", paper)
     panels = [axis for axis in figure.axes if axis.get_visible()]
     assert [axis.get_title("left") for axis in panels] == [f"node {node}" for node in paper.ids]
@@ -188,7 +188,7 @@ def test_totals_are_the_runs(paper: Run) -> None:
     assert f"above the axis, at up to {paper.gain[0]:.3g}" in KINDS["gain"].caption([paper])
 
 
-def test_the_timeline_is_what_was_recorded(faulty: Run) -> None:
+def test_the_timeline_equals_the_recording(faulty: Run) -> None:
     """2-3 is dropped, 3-4 is cut, 3 crashes: its edges carry nothing then, and its messages are lost."""
     figure = drawn("faults", faulty)
     (axis,) = figure.axes
@@ -219,8 +219,8 @@ def test_an_a_that_jumps_is_marked(folder: Path) -> None:
     assert [*figure.axes[0].lines[0].get_xdata()] == [15]  # type: ignore[misc]
 
 
-def test_many_nodes_are_quantiles_and_the_caption_says_so(grid: Run) -> None:
-    """16 nodes: median and bands of figure 2, a heat map of the errors; nothing is hidden."""
+def test_many_nodes_are_quantiles_as_the_caption_explains(grid: Run) -> None:
+    """16 nodes: median and bands in figure 2, and a heat map of the errors; every node is included."""
     figure = drawn("2", grid)
     (axis,) = figure.axes
     np.testing.assert_array_equal(curves(axis)[0], np.median(grid.x, axis=1))
@@ -248,7 +248,7 @@ def test_long_runs_are_drawn_by_the_extremes_of_bins(folder: Path) -> None:
     assert f"in {BINS} bins" in KINDS["4"].caption([run])
 
 
-def test_what_was_lost_is_a_gap() -> None:
+def test_lost_steps_are_gaps() -> None:
     values = np.where(np.arange(2000) // 100 == 7, np.nan, 1.0)[:, None]
     _, (median,) = quantiles(values, (0.5,))
     assert np.isnan(median).sum() == BINS // 20
@@ -284,7 +284,7 @@ def test_a_law_without_estimates_has_no_such_figure(folder: Path, monkeypatch: p
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 @pytest.mark.parametrize("steps", [160, 2000])
-def test_a_law_that_lets_the_network_run_away_is_drawn_and_told(
+def test_a_law_under_which_the_network_diverges_is_drawn_and_reported(
     steps: int, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its states are numbers for 161 steps, their squares for half as many."""
@@ -341,7 +341,7 @@ def test_a_figure_is_a_column_wide_with_its_fonts_in_it(written: dict[str, Path]
 
 
 def test_the_same_run_gives_the_same_bytes(paper: Run, folder: Path) -> None:
-    """In another process, on another day, under other settings of matplotlib, with other hashes."""
+    """The second report is from another process and day, with other settings of matplotlib and other hashes."""
     keys = "1,4"
     here = report([paper], folder / "once", keys)
     (folder / "matplotlibrc").write_text("lines.linewidth: 9\npdf.fonttype: 3\n", encoding="utf-8")
@@ -374,7 +374,7 @@ def test_the_operator_loads_matplotlib_only_to_report() -> None:
 
 
 class Page(HTMLParser):
-    """A page as a reader gets it: its elements are closed in order, what they ask for, and the text in them."""
+    """A page for a reader: its elements are closed in order; its references, and its text."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -412,7 +412,7 @@ def page(path: Path) -> Page:
 
 
 def test_the_page_has_the_numbers_of_the_verdict(paper: Run, written: dict[str, Path]) -> None:
-    """As a table of all metrics and checks, and verdict.json itself, whole."""
+    """The page has a table of all metrics and checks, and the complete verdict.json."""
     shown = page(written["report.html"])
     for name, words in METRICS.items():
         value = paper.verdict.content["metrics"][name]
@@ -458,7 +458,7 @@ def test_the_file_in_the_page_repeats_the_run(paper: Run, written: dict[str, Pat
         assert (again.folder / table).read_bytes() == (paper.folder / table).read_bytes()
 
 
-def test_what_repeats_a_run_that_was_stopped_stops_there_too(paper: Run, folder: Path) -> None:
+def test_the_repetition_of_a_stopped_run_stops_at_the_same_step(paper: Run, folder: Path) -> None:
     longer = paper.topology.model_copy(update={"steps": 1000})
     path, *_ = report([replace(paper, topology=longer)], folder / "stopped-report", "gain")
     assert "orchestrator simulate paper.yaml --steps 30\n" in "".join(page(path).text)
@@ -479,8 +479,8 @@ def test_names_are_text(paper: Run, folder: Path) -> None:
     assert "orchestrator report '<script>alert(\"$x$\")&'\"'\"'' paper" in shown.text
 
 
-def test_faults_and_what_they_did(faulty: Run, folder: Path) -> None:
-    """Each with its account, and how much of D came about in its steps."""
+def test_faults_and_their_effects(faulty: Run, folder: Path) -> None:
+    """Each fault has its account, and the part of D from its steps."""
     path, *_ = report([faulty], folder / "faulty-report", "faults")
     shown = page(path)
     D = faulty.regret_sum
@@ -502,7 +502,9 @@ def test_a_run_without_a_verdict_is_reported_so_far(paper: Run, folder: Path) ->
 
 
 def test_two_laws_on_the_same_axes(paper: Run, fixed: Run, folder: Path) -> None:
-    """A panel each with the same limits, totals over each other, numbers side by side, and what differs in words."""
+    """Each run has a panel with the same limits; totals overlap, numbers are side by side, and differences are in
+    words.
+    """
     upper, lower = drawn("4", paper, fixed).axes
     np.testing.assert_array_equal(np.array(curves(upper)).T, paper.regret)
     np.testing.assert_array_equal(np.array(curves(lower)).T, fixed.regret)
@@ -533,24 +535,27 @@ def test_other_networks_are_not_compared_without_a_warning(paper: Run, grid: Run
     ("overrides", "said"),
     [
         ([], "B repeats A"),
-        (["seed=2"], "B differs from A in true a and candidates and the disturbances. So its oracle is another"),
+        (["seed=2"], "B differs from A in true a and candidates and the disturbances. So it has a different oracle"),
         (["faults=[{kind: drop, link: [2, 4], steps: [3, 9]}]"], "B differs from A in the faults."),
-        (["steps=20", "defaults.x0=1"], "B differs from A in x(0) and the steps (20, not 30). So its oracle"),
+        (
+            ["steps=20", "defaults.x0=1"],
+            "B differs from A in x(0) and the steps (20, not 30). So it has a different oracle",
+        ),
         (["b=0.09"], "B is of another network than A: it has other b (0.09, not 0.1)."),
     ],
 )
-def test_what_differs_is_said(paper: Run, tmp_path: Path, overrides: Sequence[str], said: str) -> None:
+def test_differences_are_reported(paper: Run, tmp_path: Path, overrides: Sequence[str], said: str) -> None:
     comparable, sentences = notices([paper, ran(resolve(load("paper7", overrides)), tmp_path / "run")])
     assert sentences[0].startswith(said)
     assert comparable == ("another network" not in said)
 
 
-# What goes wrong
+# Failures
 
 
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Figures take no time where they are not what is looked at."""
+    """Figures take time only if they are wanted."""
     monkeypatch.setattr("hedgerow.orchestrator.report.style.save", lambda *_: b"<svg/>")
 
 
@@ -569,11 +574,11 @@ def test_a_figure_that_there_is_not(paper: Run, tmp_path: Path, figures: str, sa
 
 
 @pytest.mark.usefixtures("quick")
-def test_what_is_there_is_replaced_only_when_asked(paper: Run, tmp_path: Path) -> None:
-    """And what is of no report never is."""
+def test_existing_files_are_replaced_only_on_request(paper: Run, tmp_path: Path) -> None:
+    """Foreign files are never replaced."""
     out = tmp_path / "deep" / "out"
     report([paper], out, "2")
-    with pytest.raises(UserError, match="is there already; --force replaces it"):
+    with pytest.raises(UserError, match="already exists; --force replaces it"):
         report([paper], out, "4")
     (out / "report.html").write_text("old", encoding="utf-8")
     report([paper], out, "4", force=True)
@@ -585,8 +590,8 @@ def test_what_is_there_is_replaced_only_when_asked(paper: Run, tmp_path: Path) -
         report([paper], out / "thesis.tex", "4", force=True)
 
 
-def test_whole_or_not_at_all(paper: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The disk fills up at the second figure: the old report stays, and nothing else is left."""
+def test_a_report_is_complete_or_absent(paper: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The disk fills up at the second figure: the old report remains, without further files."""
     out = tmp_path / "out"
     out.mkdir()
     (out / "report.html").write_text("old", encoding="utf-8")
@@ -610,7 +615,7 @@ def test_too_many_runs(paper: Run, tmp_path: Path) -> None:
         report([paper] * 8, tmp_path / "out")
 
 
-def test_without_matplotlib_it_says_what_to_install(
+def test_without_matplotlib_the_message_names_the_package(
     paper: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name in [*sys.modules]:

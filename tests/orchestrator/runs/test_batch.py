@@ -1,4 +1,4 @@
-"""Many runs at once: the metrics of each are those of the run by itself, to the bit."""
+"""Many runs in one batch: the metrics of each equal those of a single run, bit for bit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The source of a law is part of a run: kept, compared, and never a stale one."""
+"""The source of a law is part of a run: stored, compared, and always current."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ EDITS = count()
 
 
 def edit(here: Path, factor: float, gain: float = 1.0) -> None:
-    """Write the law and its module, of the same size and with times in one second, as a quick edit leaves them."""
+    """Write the law and its module with equal sizes and with times in one second, as after a fast edit."""
     second = int(time.time()) * 10**9 + 10**6 * next(EDITS)
     for name, text in {"kept_law.py": LAW.format(factor=factor), "gains_of_mine.py": f"GAIN = {gain}\n"}.items():
         (here / name).write_text(text)

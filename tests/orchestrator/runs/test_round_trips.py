@@ -86,7 +86,7 @@ def test_the_viewer_has_a_line_a_process_or_the_quantiles_of_many(tmp_path: Path
         assert shown.shape == (3, 3)
 
 
-def test_an_agent_that_sleeps_is_the_one_whose_answer_takes_long(here: Path) -> None:
+def test_a_sleeping_agent_has_the_longest_answer_time(here: Path) -> None:
     arguments = ("paper7", "--steps", "400", "--rate", "200", "--viewer", "none", "--no-record", "--verify")
     with Orchestrator("up", *arguments) as network:
         network.wait_for("running")

@@ -86,7 +86,7 @@ def row_of(node: int, lines: list[str]) -> list[str]:
     return row
 
 
-def test_the_table_says_how_far_the_run_is_and_what_it_costs() -> None:
+def test_the_table_shows_progress_and_costs() -> None:
     topology = paper7()
     lines = picture(after(topology, 40))
     standing = list(batches(topology))[7]
@@ -113,7 +113,7 @@ def test_a_wrong_model_is_a_word_as_well_as_a_colour() -> None:
     assert "\x1b[32mright" in coloured
 
 
-def test_who_is_dead_and_what_is_cut_stands_there_while_it_lasts() -> None:
+def test_dead_nodes_and_cut_edges_are_shown_while_they_last() -> None:
     topology = paper7(*FAULTS)
     before, while_it_lasts, afterwards = (picture(after(topology, step)) for step in (30, 40, 65))
     assert not [line for line in before if line.startswith("edges down") or line.endswith("dead")]
@@ -134,13 +134,13 @@ def test_who_is_dead_and_what_is_cut_stands_there_while_it_lasts() -> None:
     assert "20 missing inputs" in " ".join(afterwards)
 
 
-def test_a_node_that_lives_and_sends_nothing_is_not_called_dead() -> None:
+def test_a_silent_but_running_node_is_not_shown_as_dead() -> None:
     lines = picture(after(paper7({"kind": "sensor", "node": 6, "steps": [8, 10]}), 10))
     assert row_of(6, lines)[-3:] == ["2", "no", "input"]
     assert lines[2].split()[0] == "6"
 
 
-def test_what_has_no_room_is_counted() -> None:
+def test_rows_without_space_are_counted() -> None:
     topology = ring(100)
     lines = picture(after(topology, 10), height=12)
     assert len(lines) == 12
@@ -184,7 +184,7 @@ def test_it_is_drawn_four_times_a_second_at_most_and_once_more_at_the_end() -> N
     assert "gamma*" in last
 
 
-def test_what_is_said_while_the_table_stands_is_among_its_last_three_events() -> None:
+def test_messages_during_the_table_are_among_its_last_three_events() -> None:
     now, console = [0.0], terminal()
     table = Table(paper7(), console, lambda: now[0])
     table.progress(next(batches(paper7())))
@@ -327,7 +327,7 @@ def test_a_network_on_a_terminal_that_is_resized_and_interrupted() -> None:
     assert ran.leaves_the_terminal_as_it_was()
 
 
-def test_even_when_it_is_killed_the_cursor_is_there() -> None:
+def test_the_cursor_is_visible_even_after_a_kill() -> None:
     with Pty("simulate", "paper7", "--no-record", "--steps", "1000000") as ran:
         ran.wait_for("left")
     assert re.findall(r"\x1b\[\?25([hl])", ran.output)[-1:] == ["h"]
@@ -348,7 +348,7 @@ class Tty(io.StringIO):
         (Json, {"as_json": True, "plain": True}, "xterm"),
     ],
 )
-def test_what_a_terminal_shows(
+def test_the_picture_on_a_terminal(
     expected: type, options: dict[str, bool], term: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("TERM", term)

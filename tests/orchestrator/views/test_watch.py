@@ -69,7 +69,7 @@ def inside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 class Saver:
-    """A viewer that draws nothing, and writes down all that it is sent."""
+    """A viewer that draws nothing and writes all received data to a file."""
 
     def __init__(self, path: Path) -> None:
         port = free_port()
@@ -79,7 +79,7 @@ class Saver:
         Viewer(self.url).wait_until_it_listens()
 
     def close(self) -> None:
-        """End it, once it has written down what it was sent: it does not say so, but its file stops growing."""
+        """End it after it has written its received data: its file then stops growing."""
         sizes = [-1] * 20
 
         def still() -> bool:
@@ -147,7 +147,7 @@ def assert_shows(files: list[Path] | Path, folder: Path, done: int | None = None
     for column in columns:
         table = recorded(folder, column)
         if not column.startswith("x"):
-            table = table[:-1] if done is None else table  # at the last step nothing acts
+            table = table[:-1] if done is None else table  # no input acts at the last step
         steps, values = shown(files, column)
         expected = table[:done]
         np.testing.assert_array_equal(steps, np.arange(len(expected)), err_msg=column)
@@ -172,7 +172,7 @@ def series(files: list[Path] | Path, entity: str) -> list[list[str]]:
 
 
 def test_a_stream_is_read_while_it_grows(tmp_path: Path) -> None:
-    """However few bytes come at a time, each batch comes once and whole, and the end is known."""
+    """For any number of bytes at a time, each batch arrives once and complete, and the end is known."""
     folder = tmp_path / "run"
     folder.mkdir()
     topology = resolve(load("paper7", ["steps=20"]))
@@ -197,7 +197,7 @@ def test_a_stream_is_read_while_it_grows(tmp_path: Path) -> None:
 
 
 def test_a_trail_is_the_telemetry_that_made_it(tmp_path: Path) -> None:
-    """Rows that were recorded come back, links that were down and readings that failed among them."""
+    """Recorded rows are read back, including links that were down and failed readings."""
     faults = [
         {"kind": "drop", "from": 1, "to": 2, "steps": [5, 9]},
         {"kind": "cut", "edge": [2, 3], "steps": [8, 12]},
@@ -231,7 +231,7 @@ def test_a_trail_is_the_telemetry_that_made_it(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_whoever_comes_late_sees_all_of_it(saver: Saver) -> None:
+def test_a_late_watcher_sees_the_whole_run(saver: Saver) -> None:
     """Two watch a run that began long ago; a fault begins meanwhile; both were shown every step, and the verdict."""
     with Orchestrator("up", "paper7", *LONG) as up:
         up.wait_for("running")
@@ -262,7 +262,7 @@ def test_whoever_comes_late_sees_all_of_it(saver: Saver) -> None:
 
 
 @pytest.mark.slow
-def test_a_watcher_whose_viewer_is_closed_says_so_and_the_run_goes_on() -> None:
+def test_a_watcher_reports_a_closed_viewer_and_the_run_continues() -> None:
     viewer = begin_headless()
     try:
         with Orchestrator(
@@ -281,7 +281,7 @@ def test_a_watcher_whose_viewer_is_closed_says_so_and_the_run_goes_on() -> None:
 
 
 @pytest.mark.slow
-def test_a_frozen_viewer_holds_up_nobody() -> None:
+def test_a_frozen_viewer_delays_no_process() -> None:
     """`up` and `watch` feed a viewer, which freezes: the steps continue, Ctrl-C works, run.rrd has every step."""
     viewer = begin_headless()
     assert viewer.process is not None
@@ -309,14 +309,14 @@ def test_a_frozen_viewer_holds_up_nobody() -> None:
     assert_shows(folder / "run.rrd", folder)
 
 
-def test_a_viewer_of_another_version_is_told_with_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_viewer_of_another_version_is_reported_with_a_fix(monkeypatch: pytest.MonkeyPatch) -> None:
     """Both commands name the two versions and continue; for a viewer too old to answer, they report that."""
     ours = rr.__version__
     monkeypatch.setattr(rr, "__version__", "0.99.0")
     viewer, said = begin_headless(), list[str]()
     stranger = Viewer(viewer.url)
-    expected = f"the viewer at {viewer.url} is Rerun {ours}, and this is 0.99.0: what it shows may be wrong;"
-    expected += " install rerun-sdk==0.99.0 there"
+    expected = f"the viewer at {viewer.url} is Rerun {ours}, and this is 0.99.0: its display may be wrong."
+    expected += " Install rerun-sdk==0.99.0 there"
     topology = resolve(load("paper7"))
     observer, run = Observer(topology), simulate(topology)
     try:
@@ -332,8 +332,8 @@ def test_a_viewer_of_another_version_is_told_with_what_to_do(monkeypatch: pytest
         kill(viewer)
 
 
-def test_a_viewer_that_does_not_say_its_version_is_told() -> None:
-    """As one before 0.41 does not, nor a page's server."""
+def test_a_viewer_without_a_version_is_reported() -> None:
+    """Neither a viewer before 0.41 nor a page's server reports its version."""
     server, said = start("web"), list[str]()
     assert server is not None
     try:
@@ -417,8 +417,8 @@ def send(stream: rr.RecordingStream, values: Array, first: int) -> None:
     stream.send_columns("x", index, rr.Scalars.columns(scalars=values))
 
 
-def test_a_recording_goes_on_in_parts(tmp_path: Path) -> None:
-    """Each part is about as large as asked for, begins with what does not change, and together they have all rows."""
+def test_a_recording_continues_in_parts(tmp_path: Path) -> None:
+    """Each part has about the requested size and begins with the static data; together they have all rows."""
     path = tmp_path / "run.rrd"
     file = RrdFile(path, streams, part_bytes=200_000)
     values = np.random.default_rng(1).normal(size=(100, 500, 1))
@@ -443,7 +443,7 @@ def test_a_recording_goes_on_in_parts(tmp_path: Path) -> None:
     np.testing.assert_array_equal(shown(whole, "x")[1], values.reshape(-1, 1))
 
 
-def test_a_part_that_is_deleted_is_missed_by_nobody(tmp_path: Path) -> None:
+def test_a_deleted_part_causes_no_error(tmp_path: Path) -> None:
     file = RrdFile(tmp_path / "run.rrd", streams, part_bytes=10**9)
     (tmp_path / "run.rrd").unlink()
     file.write(lambda stream: stream.log("x", rr.Scalars([1.0])))
@@ -556,7 +556,7 @@ def drawn(screenshot: Path) -> list[int]:
 @pytest.mark.slow
 @pytest.mark.skipif(not CHROMIUM.exists(), reason="there is no Chromium here")
 def test_a_page_shows_the_run_while_it_runs(tmp_path: Path) -> None:
-    """The link that `up` prints opens in Chromium: each node's line is drawn, what is lost and cut is broken."""
+    """The link of `up` opens in Chromium: each node's line is drawn, with breaks at lost messages and cuts."""
     api: Any = pytest.importorskip("playwright.sync_api", reason="pip install playwright")
     faults = "--set=faults=[{kind: drop, link: [2, 4]}, {kind: cut, edge: [3, 5]}]"
     options = ["--processes", "1", "--steps", "1000000", "--rate", "50", "--viewer", "web", "--no-record", faults]
