@@ -19,7 +19,7 @@ from hedgerow.agents.laws.hysteresis import Hysteresis
 from hedgerow.agents.laws.notch import TINY, Notch
 from hedgerow.agents.laws.rls import RLS
 from hedgerow.agents.laws.robust import Robust
-from hedgerow.agents.laws.set_membership import SetMembership
+from hedgerow.agents.laws.set_membership import TIE, SetMembership
 from hedgerow.agents.laws.thompson import Thompson
 from hedgerow.topologies import lots
 
@@ -77,7 +77,10 @@ def _set_membership(law: SetMembership, node: int) -> Rule:
     def rule(memory: Memory, sample: Sample) -> Act:
         _, x, y, bx = sample
         J = [max(j, abs(a * x - y)) for j, a in zip(memory, candidates, strict=True)]
-        return _first_least(J, candidates, J, bx)
+        ordered = sorted(J)
+        limit = TIE * ordered[0]
+        ahat = next((a for j, a in zip(J, candidates, strict=True) if j <= limit), nan)
+        return J, bx / (ahat - 1.0), ahat, ordered[1] - ordered[0] if len(J) > 1 else inf
 
     return rule
 
