@@ -6,8 +6,8 @@ Source: Fogel and Huang, "On the value of information in system identification: 
 1982. See also: Milanese and Vicino, "Optimal estimation theory for dynamic systems with set membership uncertainty: an
 overview", Automatica 27(6), 1991. It is right if w is bounded and its bound is often reached. It fails if w has
 outliers: one large residual of the true model counts forever. If w reaches its bound again and again, as a constant w
-does, the scores of several candidates differ by rounding only. So scores within a share of 1e-9 of the least one tie, and
-the first candidate wins.
+does, the scores of several candidates differ by rounding only. So scores within a share of 1e-9 of the least one tie,
+and the first candidate wins.
 """
 
 from __future__ import annotations
