@@ -59,11 +59,11 @@ class View:
     history: int
     """number of past steps kept for back-filling; with 0, missed samples are never learned"""
     seed: int | NDArray[np.uint64] = 0
-    """for laws that draw numbers; a function of the seed of the run. For networks side by side: per node, (k,)"""
+    """the seed of laws that draw numbers, a function of the run's seed; for networks side by side: per node, (k,)"""
     weights: Array | None = None
     """per incidence: the weight of its edge, (m,); None if all are 1"""
     law_source: str = ""
-    """digest of the source of a law of the user's own, which the process compares with its own; empty for none"""
+    """the digest of a user's law; the process compares it with its own source. Empty for laws of the project."""
 
     @property
     def k(self) -> int:

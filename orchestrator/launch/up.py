@@ -106,8 +106,8 @@ class Network:
             run.warn(self._screen)
             from hedgerow.orchestrator.runs.round_trips import line  # noqa: PLC0415  # pyarrow delays the first step
 
-            if told := line(verdict.content["round_trips"] or {}):
-                self._screen.say(told)
+            if times := line(verdict.content["round_trips"] or {}):
+                self._screen.say(times)
             self._screen.verdict(verdict, self._folder.path)
             if run.viewer is not None:
                 self._serve(run.viewer, interrupts)
