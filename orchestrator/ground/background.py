@@ -17,7 +17,7 @@ Job = Callable[[], None]
 WAITING, WAITING_BYTES = 4, 2**27
 """Limits on the number and size of waiting jobs, at least one; a caller with one more waits."""
 CHECK_S = 0.2
-"""How often a caller that waits looks whether a job stalls."""
+"""The time between two checks of a waiting caller for a stalled job [s]."""
 NICE = 3
 """Half of the share of other threads. A lower priority would delay a thread that waits for Python's lock."""
 
