@@ -21,7 +21,14 @@ Budget = Annotated[str, typer.Option(metavar="TIME", help="how long to search, a
 Faults = Annotated[bool, typer.Option("--faults", help="search cuts and drops too")]
 SearchSeed = Annotated[int, typer.Option("--seed", min=0, help="seed of the search")]
 Length = Annotated[
-    int, typer.Option("--steps", min=100, max=10**6, help="steps of a disturbance that holds its last value")
+    int | None,
+    typer.Option(
+        "--steps",
+        min=100,
+        max=10**6,
+        help="steps of the run of a disturbance that holds its last value [10000; 4000 of more than 100 nodes]",
+        show_default=False,
+    ),
 ]
 Out = Annotated[Path, typer.Option(parser=user_path, metavar="FILE", help="the network that repeats the gain")]
 
@@ -52,7 +59,7 @@ def worst(
     law: Law = None,
     faults: Faults = False,
     seed: SearchSeed = 0,
-    steps: Length = 4000,
+    steps: Length = None,
     out: Out = Path("worst.yaml"),
     sets: Sets = None,
     as_json: AsJson = False,

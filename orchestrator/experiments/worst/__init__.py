@@ -6,8 +6,10 @@ the result; and worst.npz, from which the same search goes on.
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,7 +27,7 @@ from hedgerow.orchestrator.metrics.guarantee import (
 )
 from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.json_file import read_json
-from hedgerow.topologies.resolve import to_yaml
+from hedgerow.topologies.resolve import save
 from hedgerow.topologies.schema import Topology
 
 NAME = "worst.yaml"
@@ -42,6 +44,8 @@ class Found:
     law: str
     faults: dict[str, float]
     """by single fault: the best gain with it; empty unless faults were searched"""
+    faults_of: int
+    """number of single faults that there are; the search may have tried fewer"""
     seconds: float
     """of search, those before an interruption included"""
 
@@ -64,6 +68,8 @@ class Found:
         """Return the bounds on both sides in one line."""
         above = self.guarantee.bounds.get(self.premise)
         most = f"at most {rounded_up(above.gain, 4)}" if above else "no upper bound is known"
+        if not self.attack.within:
+            most = "no upper bound holds, because it acts outside the lists"
         return f"oracle {self.guarantee.gamma_star:.4g} <= {self.law}: at least {rounded_down(self.limit)}, {most}"
 
     def text(self) -> str:
@@ -76,7 +82,7 @@ class Found:
         if self.faults:
             worst = sorted(self.faults.items(), key=lambda one: -one[1])[:5]
             lines += [
-                "single faults that hurt most:",
+                f"single faults that hurt most, of {len(self.faults)} tried and {self.faults_of} in all:",
                 *(f"  {gain:.4f}  {what}" for what, gain in worst),
             ]
         return "\n".join(lines)
@@ -86,11 +92,13 @@ class Found:
         return {
             "network": fingerprint(plant_of(self.topology.network)),
             "law": self.law,
+            "within_lists": self.attack.within,
             "gain": self.gain,
             "limit": self.limit,
             "steps": self.attack.steps,
             "faulty": bool(len(self.attack.breaks)),
             "faults": self.faults,
+            "faults_in_all": self.faults_of,
             "seconds": self.seconds,
             "guarantee": self.guarantee.to_dict(),
         }
@@ -101,7 +109,7 @@ def worst(
     budget_s: float = 60.0,
     faults: bool = False,
     seed: int = 0,
-    steps: int = 4000,
+    steps: int | None = None,
     out: Path | None = None,
     say: Callable[[str], None] = lambda _: None,
     quit_now: Callable[[], bool] = lambda: False,
@@ -113,9 +121,40 @@ def worst(
     """
     hunt = Hunt(topology, seed, faults, steps)
     kept = None if out is None else out.with_suffix(".npz")
-    if kept is not None and kept.exists() and hunt.resume(kept):
-        say(f"goes on after {hunt.state.seconds:.0f} s, with gain {hunt.best_score() ** 0.5:.4f}")
-    hunt.run(budget_s, say, quit_now)
+    with contextlib.nullcontext() if kept is None else _held(kept):
+        if kept is not None and hunt.resume(kept):
+            say(f"goes on after {hunt.state.seconds:.0f} s, with gain {hunt.best_score() ** 0.5:.4f}")
+        hunt.run(budget_s, say, quit_now)
+        return _written(hunt, topology, out, kept)
+
+
+@contextlib.contextmanager
+def _held(kept: Path) -> Iterator[None]:
+    """Let no other search write the same files while the block runs; raises UserError."""
+    if kept.exists() and not kept.is_file():
+        raise UserError(f"{kept}: is no regular file. Choose another --out.", code=Code.OUTPUT)
+    try:
+        file = kept.open("ab")
+    except OSError as error:
+        raise UserError(
+            f"{kept}: cannot be written: {error.strerror}. Choose another --out.", code=Code.OUTPUT
+        ) from None
+    with file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            raise UserError(
+                f"{kept}: another search writes it. Wait for it, or choose another --out.", code=Code.OUTPUT
+            ) from None
+        try:
+            yield
+        finally:
+            if not kept.stat().st_size:  # nothing was found
+                kept.unlink()
+
+
+def _written(hunt: Hunt, topology: Topology, out: Path | None, kept: Path | None) -> Found:
+    """Return the result of a search, and write it if `out` names a file."""
     attack, network = hunt.proved()
     found = Found(
         network,
@@ -123,12 +162,13 @@ def worst(
         guarantee(plant_of(topology.network), topology.network.gamma_star),
         topology.law,
         {hunt.named(breaks): gain for breaks, gain in hunt.fault_gains.items()},
+        hunt.faults_of,
         hunt.state.seconds,
     )
     if out is not None and kept is not None:
         try:
             hunt.save(kept)
-            out.write_text(to_yaml(network), encoding="utf-8")
+            save(network, out)
             out.with_suffix(".json").write_text(json.dumps(found.to_dict(), indent=1) + "\n", encoding="utf-8")
         except OSError as error:
             raise UserError(

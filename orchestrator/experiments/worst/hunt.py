@@ -14,7 +14,7 @@ import numpy as np
 import yaml
 
 from hedgerow.orchestrator.experiments.sweep.runs import run_here
-from hedgerow.orchestrator.experiments.worst.loop import NONE, Breaks, Scene, play
+from hedgerow.orchestrator.experiments.worst.loop import NONE, Breaks, Played, Scene, play
 from hedgerow.orchestrator.experiments.worst.search import Island, Kind
 from hedgerow.orchestrator.metrics.guarantee import fingerprint, plant_of
 from hedgerow.topologies.errors import Code, HedgerowError, UserError
@@ -26,11 +26,14 @@ from hedgerow.topologies.schema import Topology
 
 KINDS = (Kind(1, True), Kind(6, False), Kind(4, True), Kind(8, False), Kind(12, False), Kind(20, False))
 """The disturbances that are tried, in this order."""
-SIZE = 48
+SIZE, SMALLEST, ROWS = 48, 8, 20_000
+"""Members of a population, and at least; fewer in large networks, so that they have about so many nodes together."""
 SLICE_S = 0.25
 """An island evolves for so long at a time."""
 STALE = 120
 """An island whose best gain has not grown for so many generations makes room for a new one."""
+STEPS, LEAST_STEPS, FEW = 10_000, 4_000, 100
+"""Steps of the run of a disturbance that holds its last value; the second for more than so many nodes."""
 LARGEST = 2_000
 """Number of nodes up to which a disturbance is sought."""
 SAME = 1e-9
@@ -39,6 +42,12 @@ BROKEN_SHARE = 0.5
 """Share of the budget for faults, where they are asked for."""
 MOST_FAULTS = 3
 LEAST_GENERATIONS = 3
+NUDGE, NUDGED, STEADY = 1e-8, 2, 1e-5
+"""Relative size of small changes of a disturbance, their number, and how much the gain may change, relative to it."""
+SCALES = np.array([1.0, 0.3, 0.1, 0.03, 0.01, 0.003, 0.001, 0.0])
+"""Factors of the impulses before a value that stays."""
+TRIED = 600
+"""Steps of the runs that choose the size of the impulses."""
 SETTLED = 1e-6
 """Change of 1/(1 - ahat) in the second half of a run that has settled."""
 
@@ -60,6 +69,8 @@ class Attack:
     limit: float
     """of a disturbance that holds the settled gain, which longer runs come near; else the gain"""
     steps: int
+    within: bool = True
+    """True if the law acts within the lists at every step, as the upper bounds need"""
 
 
 @dataclass
@@ -76,7 +87,8 @@ class State:
 class Hunt:
     """A search that can be stopped and goes on later."""
 
-    def __init__(self, topology: Topology, seed: int = 0, faults: bool = False, steps: int = 4000) -> None:
+    def __init__(self, topology: Topology, seed: int = 0, faults: bool = False, steps: int | None = None) -> None:
+        """`steps` is the length of the run of a disturbance that holds its last value; None chooses one."""
         if len(topology.ids) > LARGEST:
             raise UserError(
                 f"{topology.name}: has {len(topology.ids)} nodes; a disturbance is sought for {LARGEST}",
@@ -84,27 +96,33 @@ class Hunt:
             )
         self.topology = quiet(topology)
         self.scene = Scene.of(self.topology)
+        steps = steps or (STEPS if len(topology.ids) <= FEW else LEAST_STEPS)
         self.steps, self.faults = steps, faults
         self.rng = np.random.default_rng(seed)
+        self.size = min(SIZE, max(SMALLEST, ROWS // len(topology.ids)))
         self._key = f"{fingerprint(plant_of(topology.network))} {topology.law} {seed} {faults} {steps}"
         self.state = State([], {})
         self.fault_gains: dict[Breaks, float] = {}
-        """by single fault: the best gain with it"""
+        """by single fault: the best gain with it; of those under which a disturbance was found"""
+        self.faults_of = 0
+        """number of single faults that there are"""
 
     def run(self, budget_s: float, say: Say, quit_now: Quit = lambda: False) -> None:
         """Search for so long; `say` gets a line for every gain that is larger than before."""
-        until = time.monotonic() + budget_s * (1 - BROKEN_SHARE if self.faults else 1.0)
+        began = time.monotonic()
+        until = began + budget_s * (1 - BROKEN_SHARE if self.faults else 1.0)
         best = self.best_score()
         for island in self._turns():
-            if time.monotonic() >= until or quit_now():
+            # One generation is always made: the constant that is worst for the oracle is in it.
+            if best > 0 and (time.monotonic() >= until or quit_now()):
                 break
             self._evolve(island, NONE, min(until, time.monotonic() + SLICE_S))
             if self.best_score() > best * (1 + 1e-4):
                 best = self.best_score()
                 say(f"gain {best**0.5:.4f}")
         if self.faults:
-            self._break(time.monotonic() + budget_s * BROKEN_SHARE, say, quit_now)
-        self.state.seconds += budget_s
+            self._break(max(began + budget_s, time.monotonic()), say, quit_now)
+        self.state.seconds += time.monotonic() - began
 
     def best_score(self) -> float:
         """Return the largest gain squared so far."""
@@ -114,7 +132,7 @@ class Hunt:
         """Yield the number of the island whose turn it is: each in turn, and every second time the best."""
         islands = self.state.islands
         if not islands:
-            islands += [Island.new(self.scene, kind, SIZE, self.rng) for kind in KINDS]
+            islands += [Island.new(self.scene, kind, self.size, self.rng) for kind in KINDS]
             self.state.stale = [0] * len(islands)
         while True:
             for number in range(len(islands)):
@@ -131,7 +149,7 @@ class Hunt:
             self.state.stale[number] = 0 if grown else self.state.stale[number] + 1
             self._crown(island)
             if self.state.stale[number] > STALE:
-                self.state.islands[number] = Island.new(self.scene, island.kind, SIZE, self.rng, breaks)
+                self.state.islands[number] = Island.new(self.scene, island.kind, self.size, self.rng, breaks)
                 self.state.stale[number] = 0
                 return
             if time.monotonic() >= until:
@@ -149,6 +167,7 @@ class Hunt:
         best = max((found[1] for key, found in self.state.champions.items() if key[1] == NONE), default=0.0)
         singles = [Breaks(cuts=((e, first),)) for e in range(len(graph.edges)) for first in (0,)]
         singles += [Breaks(drops=((k, first),)) for k in range(len(graph.node)) for first in (0, 2, 4)]
+        self.faults_of = len(singles)
         while len(kept) < MOST_FAULTS:
             order = self.rng.permutation(len(singles))
             share = (until - time.monotonic()) / (MOST_FAULTS - len(kept))
@@ -159,7 +178,7 @@ class Hunt:
                     break
                 breaks = kept + singles[number]
                 score = self._under(breaks, time.monotonic() + each)
-                if not len(kept):
+                if not len(kept) and score > 0:
                     self.fault_gains[breaks] = score**0.5
                 found = max(found, (score, breaks), key=lambda one: one[0])
             if found[1] == kept or time.monotonic() >= until or quit_now():
@@ -171,9 +190,9 @@ class Hunt:
         """Return the best gain squared under some faults, from the best disturbances without them."""
         known = sorted(self.state.champions.items(), key=lambda one: -one[1][1])
         kind = Kind(4, True) if not known or known[0][0][0].holds else known[0][0][0]
-        island = Island.new(self.scene, kind, SIZE // 2, self.rng, breaks)
+        island = Island.new(self.scene, kind, self.size // 2, self.rng, breaks)
         alike = [_stretched(w, kind) for (own, _), (w, _, _) in known if own.holds == kind.holds]
-        for place, w in enumerate(alike[: SIZE // 4]):
+        for place, w in enumerate(alike[: self.size // 4]):
             island.members[place] = w
         while True:
             island.evolve(self.scene, self.rng)
@@ -195,23 +214,52 @@ class Hunt:
             if not kind.holds:
                 yield Attack(w[:steps], False, breaks, score**0.5, score**0.5, steps)
                 continue
-            w = w[-1] + (w - w[-1])  # noqa: PLW2901 (as the file has it: a constant and impulses)
-            played = play(self.scene, w[None], breaks, self.steps)
-            late = played.theta[-(self.steps // 2) :]
-            if played.sound[-1, 0] and np.ptp(late, axis=0).max() < SETTLED:
-                energy = np.square(played.w).sum(axis=2)
-                gain = float(played.cost.sum() / energy.sum()) ** 0.5
-                yield Attack(w, True, breaks, gain, float(played.cost[-1, 0] / energy[0, -1]) ** 0.5, self.steps)
+            # As the file has it: a constant, and impulses, of which small ones may do as well as large ones.
+            scales = SCALES if kind.length > 1 else np.ones(1)
+            tried = w[-1] + (w - w[-1]) * scales[:, None, None]
+            limits = self._limits(play(self.scene, tried, breaks, min(self.steps, TRIED)))
+            least = np.flatnonzero(limits >= limits.max() * (1 - SETTLED))[-1]
+            played = play(self.scene, tried[least][None], breaks, self.steps)
+            if (limit := self._limits(played)[0]) > 0:
+                gain = float(np.sqrt(played.cost.sum() / np.square(played.w).sum()))
+                yield Attack(tried[least], True, breaks, gain, float(limit), self.steps)
+
+    def _limits(self, played: Played) -> Array:
+        """Return the settled gains of some runs that hold their last value; 0 of those that have not settled."""
+        settled = np.ptp(played.theta[-(len(played.theta) // 2) :], axis=0).max(axis=1) < SETTLED
+        energy = np.square(played.w[:, -1]).sum(axis=1)
+        return np.where(settled & played.sound[-1], np.sqrt(played.cost[-1] / energy), 0.0)
 
     def proved(self) -> tuple[Attack, Topology]:
         """Return the best attack whose run repeats its gain, and the topology of that run."""
         for attack in self.attacks():
+            is_steady, within = self.steady(attack)
+            if not is_steady:
+                continue
             topology = self.topology_of(attack)
             content = run_here(topology)
             gain = content["metrics"].get("gain")
             if content["verdict"] == "valid" and gain is not None and abs(gain - attack.gain) <= SAME * attack.gain:
-                return replace(attack, gain=gain), topology
+                return replace(attack, gain=gain, within=within), topology
         raise HedgerowError(f"{self.topology.name}: no disturbance was found. Give a larger --budget.")
+
+    def steady(self, attack: Attack) -> tuple[bool, bool]:
+        """Return two properties of an attack, of any law.
+
+        The first is True if small changes of the disturbance hardly change its gain, so that it lives on no rounding
+        tie. The second is True if every input is within the sector of its list, so that the upper bound covers the run.
+        """
+        size = NUDGE * float(np.sqrt(np.square(attack.w).mean()))
+        change = size * np.random.default_rng(0).uniform(-1, 1, (NUDGED, *attack.w.shape))
+        # Of a change and its opposite, one breaks a tie the other way.
+        w = attack.w + np.concatenate([0 * change[:1], change, -change])
+        played = play(self.scene, w, attack.breaks, attack.steps)
+        gains = np.sqrt(played.cost.sum(axis=0) / np.square(played.w).sum(axis=(1, 2)))
+        candidates = self.topology.network.candidates
+        low, high = (1 / (1 - end(candidates, axis=0)) for end in (np.nanmin, np.nanmax))
+        theta, rests = played.theta[:, 0], played.x[:-1, 0] == 0
+        inside = (theta >= low * (1 - SAME)) & (theta <= high * (1 + SAME))
+        return bool((np.abs(gains - attack.gain) <= STEADY * attack.gain).all()), bool((inside | rests).all())
 
     def topology_of(self, attack: Attack) -> Topology:
         """Return the network under an attack, from x(0) = 0."""
@@ -296,4 +344,5 @@ def _impulses(value: Array) -> list[dict[str, Any]]:
 
 def quiet(topology: Topology) -> Topology:
     """Return a network without its faults and its disturbance, from x(0) = 0."""
-    return topology.model_copy(update={"faults": (), "disturbance": None})
+    nodes, edges = dict(topology.nodes), tuple(topology.edges)  # a large network has views of its table
+    return topology.model_copy(update={"faults": (), "disturbance": None, "nodes": nodes, "edges": edges})

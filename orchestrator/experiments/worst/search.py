@@ -49,6 +49,8 @@ class Island:
         members[:half] = course * rng.standard_normal((half, 1, n)) + 0.01 * members[:half]
         members[: half // 2] *= rng.random((half // 2, 1, n)) < 0.5
         members[::3] = np.abs(members[::3])
+        if kind.holds:
+            members[0] = scene.worst_of_oracle
         return cls(kind.holds, members, breaks)
 
     @property
