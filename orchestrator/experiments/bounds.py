@@ -7,7 +7,9 @@ from pathlib import Path
 
 from hedgerow.orchestrator.experiments.worst import at_least
 from hedgerow.orchestrator.metrics.gain_bound import Method
+from hedgerow.orchestrator.metrics.gain_learning import Learning, learning
 from hedgerow.orchestrator.metrics.guarantee import Guarantee, guarantee, plant_of
+from hedgerow.topologies.errors import HedgerowError
 from hedgerow.topologies.named import Named, resolved
 from hedgerow.topologies.schema import Topology
 
@@ -21,4 +23,10 @@ def bound(network: Named, method: Method | None = None) -> Guarantee:
     topology = network if isinstance(network, Topology) else resolved(network)
     found = topology.network
     plant = plant_of(found)
-    return replace(guarantee(plant, found.gamma_star, method), at_least=at_least(plant, Path()))
+    counted: Learning | str
+    try:
+        counted = learning(plant, found.candidates)
+    except HedgerowError as error:
+        counted = str(error)
+    bounds = guarantee(plant, found.gamma_star, method)
+    return replace(bounds, at_least=at_least(plant, Path()), learning=counted)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from hedgerow.orchestrator.metrics.gain_bound import Bound, Method, Premise, bound, method_for
+from hedgerow.orchestrator.metrics.gain_learning import Learning
 from hedgerow.orchestrator.metrics.gain_plant import Plant
 from hedgerow.topologies.errors import HedgerowError
 from hedgerow.topologies.network import Network
@@ -22,6 +23,7 @@ SAYS = {
     " crash)",
     Premise.JUMPS: "any estimates, any closed edges, and any a within its list at any step (jump)",
 }
+LEARNING = "the law (7) itself with what it learns, every edge open, every message on time, no a jumps"
 TIME_LIMIT_S = 600.0
 RUN_LIMIT_S = 30.0
 """of the bounds that certify a run, all three together: the end of the run waits for them"""
@@ -40,6 +42,8 @@ class Guarantee:
     not_computed: Mapping[Premise, str] = field(default_factory=dict)
     at_least: float | None = None
     """the gain of the worst disturbance that `orchestrator worst` found"""
+    learning: Learning | str | None = None
+    """the bound that counts what the law (7) learns, or why there is none; None if it was not asked for"""
 
     def to_dict(self) -> dict[str, Any]:
         """Return the guarantee as JSON holds it; the storage p_i of each bound with it."""
@@ -55,6 +59,11 @@ class Guarantee:
                 }
             elif premise in self.not_computed:
                 listed[premise] = {"not_computed": self.not_computed[premise]}
+        if isinstance(self.learning, Learning):
+            told = self.learning
+            listed["learning"] = {"gain": told.gain, "g": told.g, "theta": told.theta, "models": told.models}
+        elif self.learning is not None:
+            listed["learning"] = {"not_computed": self.learning}
         gamma_star = self.gamma_star if math.isfinite(self.gamma_star) else None
         return {"gamma_star": gamma_star, "at_least": self.at_least, "bounds": listed}
 
@@ -66,6 +75,10 @@ class Guarantee:
         ]
         if self.at_least is not None:
             lines.append(f"at least    {rounded_down(self.at_least):>8}  reached by what `orchestrator worst` found")
+        if isinstance(self.learning, Learning):
+            lines.append(f"at most     {rounded_up(self.learning.gain):>8}  under {LEARNING}")
+        elif self.learning is not None:
+            lines.append(f"not computed          under {LEARNING}: {self.learning}")
         for premise in Premise:
             if (found := self.bounds.get(premise)) is not None:
                 how = {Method.FULL: ", full P", Method.UNIFORM: ", one multiplier"}.get(found.method, "")
@@ -74,8 +87,8 @@ class Guarantee:
                 lines.append(f"not computed          under {SAYS[premise]}: {self.not_computed[premise]}")
         lines.append(
             "Gains are of sum |x|^2 + sum k_e (u_i - u_j)^2 against sum |w|^2 from x(0) = 0. An upper bound holds for"
-            " every disturbance and every number of steps, if each u acts within the lists; it ignores learning, so"
-            " the true gain may be less."
+            " every disturbance and every number of steps, if each u acts within the lists. Except in the bound of"
+            " (7) it ignores learning, so the true gain may be less."
         )
         return "\n".join(lines)
 
