@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from hedgerow.orchestrator.experiments.worst import at_least
+from hedgerow.orchestrator.experiments.worst import at_least, guarantee_of
 from hedgerow.orchestrator.metrics.gain_bound import Method
-from hedgerow.orchestrator.metrics.gain_learning import Learning, learning
-from hedgerow.orchestrator.metrics.guarantee import Guarantee, guarantee, plant_of
-from hedgerow.topologies.errors import HedgerowError
+from hedgerow.orchestrator.metrics.guarantee import Guarantee, plant_of
 from hedgerow.topologies.named import Named, resolved
 from hedgerow.topologies.schema import Topology
 
@@ -21,12 +19,4 @@ def bound(network: Named, method: Method | None = None) -> Guarantee:
     """
     # The text of a large network is a table beside it, which only a file has.
     topology = network if isinstance(network, Topology) else resolved(network)
-    found = topology.network
-    plant = plant_of(found)
-    counted: Learning | str
-    try:
-        counted = learning(plant, found.candidates)
-    except HedgerowError as error:
-        counted = str(error)
-    bounds = guarantee(plant, found.gamma_star, method)
-    return replace(bounds, at_least=at_least(plant, Path()), learning=counted)
+    return replace(guarantee_of(topology, method), at_least=at_least(plant_of(topology.network), Path()))

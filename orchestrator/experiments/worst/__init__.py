@@ -10,12 +10,13 @@ import contextlib
 import fcntl
 import json
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from hedgerow.orchestrator.experiments.worst.hunt import Attack, Hunt
-from hedgerow.orchestrator.metrics.gain_bound import Premise
+from hedgerow.orchestrator.metrics.gain_bound import Bound, Method, Premise
+from hedgerow.orchestrator.metrics.gain_learning import Learning, learning
 from hedgerow.orchestrator.metrics.gain_plant import Plant
 from hedgerow.orchestrator.metrics.guarantee import (
     Guarantee,
@@ -25,7 +26,7 @@ from hedgerow.orchestrator.metrics.guarantee import (
     rounded_down,
     rounded_up,
 )
-from hedgerow.topologies.errors import Code, UserError
+from hedgerow.topologies.errors import Code, HedgerowError, UserError
 from hedgerow.topologies.json_file import read_json
 from hedgerow.topologies.resolve import save
 from hedgerow.topologies.schema import Topology
@@ -64,10 +65,18 @@ class Found:
         """Return the premise of the upper bound that the run obeys."""
         return Premise.EDGES if self.attack.breaks.cuts else Premise.ESTIMATES
 
+    @property
+    def ceiling(self) -> float | None:
+        """Return the least upper bound on the gain of the law under the faults of the attack; None without one."""
+        above = self.guarantee.bounds.get(self.premise)
+        learning = self.guarantee.learning if self.law == "minimax" and not len(self.attack.breaks) else None
+        bounds = [one.gain for one in (above, learning) if isinstance(one, Bound | Learning)]
+        return min(bounds, default=None) if self.attack.within else None
+
     def sandwich(self) -> str:
         """Return the bounds on both sides in one line."""
-        above = self.guarantee.bounds.get(self.premise)
-        most = f"at most {rounded_up(above.gain, 4)}" if above else "no upper bound is known"
+        above = self.ceiling
+        most = f"at most {rounded_up(above, 4)}" if above is not None else "no upper bound is known"
         if not self.attack.within:
             most = "no upper bound holds, because it acts outside the lists"
         return f"oracle {self.guarantee.gamma_star:.4g} <= {self.law}: at least {rounded_down(self.limit)}, {most}"
@@ -92,6 +101,7 @@ class Found:
         return {
             "network": fingerprint(plant_of(self.topology.network)),
             "law": self.law,
+            "at_most": self.ceiling,
             "within_lists": self.attack.within,
             "gain": self.gain,
             "limit": self.limit,
@@ -159,7 +169,7 @@ def _written(hunt: Hunt, topology: Topology, out: Path | None, kept: Path | None
     found = Found(
         network,
         attack,
-        guarantee(plant_of(topology.network), topology.network.gamma_star),
+        guarantee_of(topology),
         topology.law,
         {hunt.named(breaks): gain for breaks, gain in hunt.fault_gains.items()},
         hunt.faults_of,
@@ -175,6 +185,18 @@ def _written(hunt: Hunt, topology: Topology, out: Path | None, kept: Path | None
                 f"{out}: cannot be written: {error.strerror}. Choose another --out.", code=Code.OUTPUT
             ) from None
     return found
+
+
+def guarantee_of(topology: Topology, method: Method | None = None) -> Guarantee:
+    """Return gamma* of a network and every upper bound on the gain of its law."""
+    network = topology.network
+    plant = plant_of(network)
+    counted: Learning | str
+    try:
+        counted = learning(plant, network.candidates)
+    except HedgerowError as error:
+        counted = str(error)
+    return replace(guarantee(plant, network.gamma_star, method), learning=counted)
 
 
 def at_least(plant: Plant, folder: Path) -> float | None:
