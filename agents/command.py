@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from typing import NoReturn
+from hedgerow.wire import first
 
-from hedgerow.wire import start
+first.quiet()
+
+from typing import NoReturn  # noqa: E402 (a Ctrl-C while it loads must find the handler of `first`)
+
+from hedgerow.wire import start  # noqa: E402
 
 
 def main() -> NoReturn:
     """Run the command `hedgerow-agent`; Ctrl-C during loading ends it without a traceback."""
     start.begin()
-    from hedgerow.agents.standalone import main as run  # noqa: PLC0415
+    with start.needs("hedgerow-agent"):
+        from hedgerow.agents.standalone import main as run  # noqa: PLC0415
 
     run()

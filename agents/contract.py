@@ -1,8 +1,8 @@
 """The contract test of a law: a trial of a few milliseconds before every run.
 
-A small network of its own, with missing flows and a missing reading, gives the law a list of calls. The test compares
-the law with itself: called twice, in another layout, restored from its memory, and restored for one node alone. A law
-that fails would make a run that depends on the layout, or that back-filling and restarts make wrong.
+A separate small network, with missing flows and a missing reading, gives the law a list of calls. The test compares the
+law with itself: with two calls in a row, in another layout, restored from its memory, and restored for one node alone.
+With a law that fails, a run would depend on the layout, or back-filling and restarts would make it wrong.
 """
 
 from __future__ import annotations
@@ -33,11 +33,12 @@ _RESTORED = 8
 
 
 class Trial(NamedTuple):
-    """The network of a trial: ids (n,), the gain b, and candidates (M, n) padded with NaN."""
+    """The network of a trial: ids (n,), the gain b, candidates (M, n) padded with NaN, and whether weights differ."""
 
     ids: Sequence[int | str]
     b: Gain
     candidates: Array
+    weighted: bool = False
 
     @classmethod
     def default(cls) -> Trial:
@@ -48,7 +49,7 @@ class Trial(NamedTuple):
         return cls(range(1, NODES + 1), 0.1, candidates)
 
     @classmethod
-    def of(cls, ids: Sequence[int | str], b: Gain, candidates: Array) -> Trial:
+    def of(cls, ids: Sequence[int | str], b: Gain, candidates: Array, weighted: bool = False) -> Trial:
         """Return a network of NODES nodes of a larger one; a smaller one gets copies of its nodes."""
         chosen = np.linspace(0, len(ids) - 1, NODES).round().astype(int)
         if len(ids) < NODES:
@@ -56,7 +57,7 @@ class Trial(NamedTuple):
         known = [ids[k] for k in dict.fromkeys(chosen.tolist())]
         more = (number for number in range(1, 2 * NODES + 1) if number not in known)
         names = known + [next(more) for _ in range(NODES - len(known))]
-        return cls(names, b if isinstance(b, float) else b[chosen], candidates[:, chosen])
+        return cls(names, b if isinstance(b, float) else b[chosen], candidates[:, chosen], weighted)
 
 
 class _Call(NamedTuple):
@@ -106,10 +107,10 @@ def check_law(
     seed: int = 0,
     on_call: Callable[[], None] = lambda: None,
 ) -> None:
-    """Raise LawError with the line, the method, the node and a cure if a law breaks the contract.
+    """Raise LawError with the line, the method, the node and a fix if a law breaks the contract.
 
-    `trial` is the network of the test, by default one of five nodes. `parameters` are those of the law. `name` stands
-    for the law in messages. `on_call` is called before every call of the law.
+    `trial` is the network of the test, by default one of five nodes. `parameters` are those of the law. `name` is the
+    name of the law in messages. `on_call` is called before every call of the law.
     """
     known = name or f"{law.__module__}:{law.__qualname__}"
     test = _Test(law, trial or Trial.default(), parameters or {}, known, seed, on_call)
@@ -132,6 +133,9 @@ class _Test:
         self._law, self._trial, self._parameters, self._name, self._seed = law, trial, parameters, name, seed
         ends = sorted([*_EDGES, *((j, i) for i, j in _EDGES)])
         self._row, self._other = np.array(ends, dtype=np.int64).T
+        self._weight = np.ones(len(ends))
+        if self._trial.weighted:
+            self._weight += 0.25 * ((self._row + self._other) % 5)  # both ends of an edge have the same
         self._all = np.arange(NODES)
         asked = {"act": "now", "learn": "sample"}
         self._asks = {method: asks(getattr(law, method, None), name) for method, name in asked.items()}
@@ -172,9 +176,9 @@ class _Test:
             candidates=candidates,
             node=np.array([place[i] for i in self._row[incidences].tolist()], dtype=np.int64),
             neighbour=ids[self._other[incidences]],
-            weight=np.ones(len(incidences)),
+            weight=self._weight[incidences],
             parameters=self._parameters,
-            seed=self._seed,
+            seeds=self._seed,
         )
 
     def _of(self, nodes: Index) -> Index:
@@ -193,7 +197,7 @@ class _Test:
                 method,
                 None,
                 f"memory has {said}",
-                f"Make it an array of numbers whose last axis is the {k} nodes, (…, {k}).",
+                f"Make it an array of numbers with a last axis of the {k} nodes, (…, {k}).",
             )
         return memory.copy()
 
@@ -211,7 +215,7 @@ class _Test:
         truth = x
         for t in range(STEPS):
             if t:
-                flow: Array = np.bincount(self._row, u[self._row] - u[self._other], NODES)  # type: ignore[assignment]
+                flow: Array = np.bincount(self._row, self._weight * (u[self._row] - u[self._other]), NODES)  # type: ignore[assignment]
                 w = rng.normal(0.0, 2.0, NODES) if t >= _QUIET else np.zeros(NODES)
                 past, truth = truth, a * truth + self._trial.b * flow + w
                 lost = _lost(t, self._row)
@@ -235,7 +239,7 @@ class _Test:
             self._broken(
                 "learn",
                 node,
-                "changes the memory of a node whose flow is missing (NaN)",
+                "changes the memory of a node without a flow (NaN)",
                 "Leave that column as it is, for example with np.where(np.isfinite(flow), new, self.memory).",
             )
         self._calls.append(call)
@@ -316,7 +320,7 @@ class _Test:
         """Restore the memory of the middle of the trial, then that of one node alone from the beginning."""
         begin = next(k for k, call in enumerate(self._calls) if call.t == _RESTORED and call.method == "act")
         self._assign(law, self._after[begin].memory.copy())
-        what = "a law whose memory was restored"
+        what = "a law with a restored memory"
         self._compare(law, self._calls[begin:], self._all, what, _HIDDEN, begin)
         last, node = self._after[-1].memory, 1
         partly = self._memory(law, NODES)
@@ -350,7 +354,7 @@ class _Test:
 
     def _raised(self, method: str, error: Exception) -> NoReturn:
         called = "memory" if method == "memory" else f"{method}()"
-        said = f"{called} raised {crash.told(error)}. Correct that line."
+        said = f"{called} raised {crash.summary(error)}. Correct that line."
         raise LawError(f"{place_of(error, self._law)}law {self._name}: {said}", method=method) from error
 
 
@@ -366,7 +370,7 @@ _LOST = {4: (1,), 6: (3, 4), 8: tuple(range(NODES))}
 
 
 def _lost(t: int, row: Index) -> NDArray[np.bool_]:
-    """Return the incidences whose message of step t - 1 is lost."""
+    """Return the incidences that lose their message of step t - 1."""
     return np.isin(row, _LOST.get(t, ()))
 
 
@@ -379,7 +383,7 @@ def _read(x: Array, t: int) -> Array:
 
 
 def _differ(one: NDArray[Any], other: NDArray[Any], nodes: Index) -> int | None:
-    """Return the first of the nodes whose columns differ, None if there is none; NaN equals NaN."""
+    """Return the first node with different columns, None if there is none; NaN equals NaN."""
     if one.shape != other.shape:
         return int(nodes[0]) if len(nodes) else None
     if one.dtype == other.dtype and one.tobytes() == other.tobytes():

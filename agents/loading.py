@@ -50,7 +50,8 @@ def law_class(name: str) -> type[Law]:
     except Exception as error:
         where = place_in_module(error)
         cure = "Correct that line." if where else "Give package.module:Class, importable here (docs/laws.md)."
-        raise UserError(f"{where}law {name}: cannot be loaded: {crash.told(error)}. {cure}", code=Code.LAW) from error
+        why = crash.summary(error)
+        raise UserError(f"{where}law {name}: cannot be loaded: {why}. {cure}", code=Code.LAW) from error
     if missing := [method for method in ("act", "learn", "report") if not callable(getattr(law, method, None))]:
         raise UserError(
             f"law {name}: has no {', '.join(missing)}(); a law has act, learn and report (docs/laws.md)", code=Code.LAW
@@ -65,8 +66,8 @@ _OURS = ("self", "b", "candidates", "local", "parameters")
 def declared(law: type[Any]) -> dict[str, Any]:
     """Return the default of every parameter that a class declares; `dataclasses.MISSING` for a required one.
 
-    A class declares its parameters by a nested dataclass or pydantic model `Parameters`, which its constructor gets as
-    `parameters`; or else by keyword-only arguments of its constructor.
+    A class declares its parameters by a nested dataclass or pydantic model `Parameters`, which its constructor receives
+    as `parameters`; or by keyword-only arguments of its constructor.
     """
     group = getattr(law, "Parameters", None)
     source = group if group is not None else law.__init__
@@ -98,7 +99,7 @@ def new_law(view: View) -> Law:
         begun = law(view.b, view.candidates, **more)
         shape = np.shape(begun.memory)
     except Exception as error:
-        said = f"__init__() raised {crash.told(error)}. Correct that line."
+        said = f"__init__() raised {crash.summary(error)}. Correct that line."
         raise LawError(f"{place_of(error, law)}law {view.law}: {said}", method="__init__") from error
     if shape[-1:] != (view.k,):
         said = f"memory has the shape {shape}. Make its last axis the {view.k} nodes."
@@ -117,5 +118,5 @@ def local_of(view: View, parameters: Mapping[str, Any]) -> Local:
         neighbour=known[view.column],
         weight=np.ones(len(view.row)) if view.weights is None else view.weights,
         parameters=parameters,
-        seed=view.seed,
+        seeds=view.seed,
     )

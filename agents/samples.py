@@ -5,7 +5,7 @@ skips a sample that lacks an input. If that input arrives late, the law returns 
 samples since then again, in the order of the steps. Its memory is then bit for bit the same as without the gap.
 
 A law that asks for its neighbours' states and inputs gets those of the sample's own step. So the states of neighbours
-are kept beside their inputs, for such a law alone, and a sample that is learned again has all of them.
+are stored beside their inputs, for such a law alone, and a sample has all of them when it is learned again.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ class LateRows(NamedTuple):
     first: int
     stop: int
     inputs: Array | None = None
-    """of the neighbour, (stop - first,); None where it is one of our own nodes"""
+    """the inputs of the neighbour, (stop - first,); None for one of our own nodes"""
     states: Array | None = None
-    """likewise"""
+    """the states of the neighbour, in the same way"""
 
 
 class _Mark(NamedTuple):
@@ -72,8 +72,9 @@ class Samples:
         """incidences with a wanted row that has not arrived"""
         self._everybody = np.ones(self.k, dtype=bool)
         self._marks: list[_Mark] = []
-        """by step, while an incidence is behind; valid for all nodes, but the first mark, at the oldest row, may be
-        valid only for nodes that came back"""
+        """the marks by step, while a sample is incomplete; all are valid for all nodes, except possibly the first mark,
+        at the oldest row, which may cover only returned nodes
+        """
         self._read: Array | None = None
         """the readings x(t + 1) of the last sample taken, None if one is missing"""
 
@@ -100,7 +101,7 @@ class Samples:
             self._learn(x, flow, x_next)
 
     def append_learned(self, x: Sequence[float], u: Sequence[float]) -> None:
-        """Keep the row of a step whose sample is learned already, and that lacks nothing: x (k,) and u (width,)."""
+        """Store the row of a step with a sample that is complete and learned: x (k,) and u (width,)."""
         self._history.append(x, u, self._all)
         self._read = None
 
@@ -168,14 +169,13 @@ class Samples:
         self._behind.update(incidences[wanted].tolist())
 
     def said(self, start: int, stop: int) -> tuple[Array, Array]:
-        """Return the states and inputs of our own nodes at steps start .
-
-        Stop - 1, as far as they are kept, (S, k) each.
+        """Return the states and inputs of our own nodes at steps start to stop - 1, as far as they are stored, (S, k)
+        each.
         """
         return self._history.x(start, stop)[:, : self.k], self._history.u(start, stop)[:, : self.k]
 
     def _completed(self, late_rows: Sequence[LateRows]) -> dict[int, int]:
-        """Write late rows into the history; return, by node, the first step whose sample waited for one of them."""
+        """Write late rows into the history; return, by node, the first step that waited for one of them."""
         history, since = self._history, dict[int, int]()
         for c, first, stop, inputs, states in late_rows:
             bits = history.bits(first, stop)[:, c]
@@ -287,10 +287,10 @@ class Samples:
         return flow
 
     def _heard(self, t: int, nodes: Mask, states: Array, u: Array, bits: Flags) -> Heard | None:
-        """Return the neighbours' values of step t, by incidence, for a law that asks; else None.
+        """Return the neighbours' values of step t, by incidence, for a law that asks; otherwise None.
 
-        A sample does not wait for the message over a closed edge. So it never has that message: else its values would
-        depend on whether the message was there when the sample was learned, or learned again.
+        A sample does not wait for the message over a closed edge. So the sample never has that message. Otherwise its
+        values would depend on the arrival of that message before the learning, or the second learning.
         """
         if not self.asks:
             return None
@@ -299,7 +299,7 @@ class Samples:
         return Heard(t, nodes.copy(), x, inputs, np.where(got, t, -1))
 
     def _learn(self, x: Array, flow: Array, x_next: Array, sample: Heard | None = None) -> None:
-        if np.isnan(np.add.reduce(x + x_next)):  # without a reading, the samples before and after it are missing
+        if not all_finite(x + x_next):  # without a reading, the samples before and after it are missing
             flow = np.where(np.isnan(x + x_next), np.nan, flow)
         if sample is None:
             self._law.learn(x, flow, x_next)

@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hedgerow.topologies import archive
+from hedgerow.topologies.errors import Code, UserError
+from hedgerow.topologies.json_file import read_json
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -21,7 +23,7 @@ Ids = NDArray[Any]
 
 @dataclass(frozen=True, eq=False)
 class Peer:
-    """Another shard with neighbours of ours."""
+    """Another shard that contains neighbours of our nodes."""
 
     shard: int
     say: Index
@@ -44,7 +46,7 @@ class View:
     law: str
     """the text of a LawChoice; hinf and nominal are minimax with one candidate"""
     ids: Ids
-    """of its own nodes, (k,)"""
+    """ids of our own nodes, (k,)"""
     candidates: Array
     """the models of each node in list order, padded with NaN, (M, k)"""
     row: Index
@@ -56,10 +58,12 @@ class View:
     """ids of the neighbours in other shards, peer by peer"""
     history: int
     """number of past steps kept for back-filling; with 0, missed samples are never learned"""
-    seed: int = 0
-    """for laws that draw numbers; a function of the seed of the run"""
+    seed: int | NDArray[np.uint64] = 0
+    """the seed of laws that draw numbers, a function of the run's seed; for networks side by side: per node, (k,)"""
     weights: Array | None = None
     """per incidence: the weight of its edge, (m,); None if all are 1"""
+    law_source: str = ""
+    """the digest of a user's law; the process compares it with its own source. Empty for laws of the project."""
 
     @property
     def k(self) -> int:
@@ -67,12 +71,16 @@ class View:
         return len(self.ids)
 
     def write(self, path: Path) -> None:
-        """Write the view as the .npz file that `read` reads."""
+        """Write the view as the file that `read` reads: JSON if the name ends with .json, else .npz."""
+        if path.suffix == ".json":
+            path.write_text(self.to_json(), encoding="utf-8")
+            return
         settings: dict[str, Any] = {
             "shard": self.shard,
             "law": self.law,
             "history": self.history,
             "seed": self.seed,
+            "law_source": self.law_source,
         }
         peers = [(peer.shard, len(peer.say), peer.hear) for peer in self.peers]
         say = [peer.say for peer in self.peers]
@@ -96,6 +104,14 @@ class View:
     @classmethod
     def read(cls, path: Path) -> View:
         """Return the view stored in a file."""
+        if path.suffix == ".json":
+            told = read_json(path)
+            try:
+                return cls.from_dict(told)
+            except (KeyError, TypeError, ValueError, AttributeError) as error:
+                raise UserError(
+                    f"{path}: is not a local view: {type(error).__name__}. Start the run again.", code=Code.FILE_FORMAT
+                ) from None
         settings, arrays = archive.read(path)
         with archive.reading(path):
             shards, says, hears = arrays.pop("peers").T
@@ -128,7 +144,8 @@ class View:
         ]
         b = self.b if isinstance(self.b, float) else self.b.tolist()
         told = {"shard": self.shard, "b": b, "law": self.law, "nodes": nodes, "peers": peers}
-        return {**told, "history": self.history, **({"seed": self.seed} if self.seed else {})}
+        more = {"seed": self.seed, "law_source": self.law_source}
+        return {**told, "history": self.history, **{key: value for key, value in more.items() if value}}
 
     @classmethod
     def from_dict(cls, told: Mapping[str, Any]) -> View:
@@ -171,4 +188,5 @@ class View:
             heard=archive.id_array(heard),
             history=told["history"],
             seed=told.get("seed", 0),
+            law_source=told.get("law_source", ""),
         )

@@ -1,4 +1,4 @@
-"""The processor time that the bounds on the gain take, by size and kind of network: `python -m benchmarks.gain`."""
+"""The processor time of the bounds on the gain, by size and kind of network: `python -m benchmarks.gain`."""
 
 from __future__ import annotations
 

@@ -1,15 +1,11 @@
-"""From a file, or the name of a bundled one, to a checked topology; every mistake of it at once."""
+"""The way from a file, or the name of a bundled one, to a checked topology; all mistakes are reported together."""
 
 from __future__ import annotations
 
 import contextlib
 import copy
 import difflib
-import functools
-import json
-import operator
-import re
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
 from importlib import resources
@@ -21,14 +17,10 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from hedgerow.topologies import budget, table
-from hedgerow.topologies.base import Model, kind_of, node_id
-from hedgerow.topologies.cures import cure_of_number, cure_of_text
-from hedgerow.topologies.edges import Edge
+from hedgerow.topologies.base import node_id
 from hedgerow.topologies.errors import Code, FileRefusedError, Problem, Problems, TopologyError, UserError
-from hedgerow.topologies.faults import KINDS, known_keys
-from hedgerow.topologies.generators import GENERATORS
-from hedgerow.topologies.graph import LARGEST
 from hedgerow.topologies.law_choice import LawChoice
+from hedgerow.topologies.mistakes import UNSPACED, as_written, in_words, sampled
 from hedgerow.topologies.nodes import Edges, Nodes
 from hedgerow.topologies.odd import no_id, odd_numbers
 from hedgerow.topologies.override import next_key, origin_of, split_setting, steps_of
@@ -36,21 +28,18 @@ from hedgerow.topologies.paths import user_path
 from hedgerow.topologies.piecewise import LENGTHS, errors, is_length, trace
 from hedgerow.topologies.regular_file import check_regular, read_regular
 from hedgerow.topologies.rules import broken_rules
-from hedgerow.topologies.schema import COMPONENTS, Defaults, Node, Record, Topology
-from hedgerow.topologies.source import BYTES_PER_FAULT, MAX_BYTES, Mark, Path, Source, place_of, read_source
-
-_SHOWN = 60
-_UNSPACED = re.compile(r"[A-Za-z_]\w*:[^\s:/]")
+from hedgerow.topologies.schema import Topology
+from hedgerow.topologies.source import BYTES_PER_FAULT, MAX_BYTES, Mark, Path, Source, read_source
 
 
 def bundled() -> list[str]:
-    """Names of the topologies that ship with the package."""
+    """Return the names of the topologies in the package."""
     files = resources.files("hedgerow.topologies").iterdir()
     return sorted(file.name.removesuffix(".yaml") for file in files if file.name.endswith(".yaml"))
 
 
 def find(name: str) -> FilePath:
-    """The file that `name` means: a path, the folder of a finished run, or a bundled name."""
+    """Return the file that `name` means: a path, the folder of a finished run, or a bundled name."""
     path = user_path(name)
     try:
         is_run = (path / "topology.yaml").is_file()
@@ -86,14 +75,14 @@ def _bundled_file(name: str) -> FilePath:
 def load(name: str, overrides: Sequence[str] = ()) -> Topology:
     """Read, validate and check a topology; `overrides` are `path=value` strings that replace values of the file.
 
-    Raises TopologyError with every mistake found, or UserError when there is no such file.
+    Raise TopologyError with every mistake found, or UserError if there is no such file.
     """
     path = find(name)
     return parse(content(path), str(path), path.parent, overrides)
 
 
 def content(path: FilePath) -> bytes:
-    """Return the bytes of a topology file; raise UserError if it is too large, not regular, or cannot be read."""
+    """Return the bytes of a topology file; raise UserError if it is too large, not regular, or unreadable."""
     try:
         if (size := check_regular(path).st_size) > MAX_BYTES:
             raise UserError(
@@ -111,9 +100,9 @@ def content(path: FilePath) -> bytes:
 def parse(
     text: bytes, name: str, folder: FilePath, overrides: Sequence[str] = (), named: Collection[str] = ()
 ) -> Topology:
-    """A topology from YAML text; `name` stands in messages, `folder` is where its CSV files lie.
+    """Return the topology in YAML text; messages use `name`, and `folder` holds its CSV files.
 
-    named: files of samples that may lie elsewhere, because the user named them and not the text.
+    named: files of samples that may be elsewhere, because the user named them and not the text.
     """
     source = read_source(name, text)
     source.named.update(named)
@@ -121,7 +110,7 @@ def parse(
     if isinstance(found, Topology):
         return found
     if overrides and not all(problem.origin for problem in found) and _is_good(name, text, folder):
-        # The file is right by itself: then the options make it wrong, wherever the mistake shows.
+        # The file is valid without the options, so the options cause the mistake, even if it shows elsewhere.
         blamed = " ".join(map(origin_of, overrides))
         found = Problems(problem if problem.origin else replace(problem, origin=blamed) for problem in found)
     raise TopologyError(name, found)
@@ -141,9 +130,9 @@ def _read(source: Source, name: str, folder: FilePath, overrides: Sequence[str])
         cure = "start from a bundled one, such as topologies/paper7.yaml"
         raise TopologyError(name, [Problem(0, "", "the file is empty", cure, Code.FILE_FORMAT)])
     if not isinstance(source.value, dict):
-        found = f"a topology is a mapping, this is {_shown(source.value)}"
+        found = f"a topology is a mapping, this is {as_written(source.value)}"
         text = source.value if isinstance(source.value, str) else ""
-        cure = "write a space after each colon" if _UNSPACED.match(text) else "start with `name: …`"
+        cure = "write a space after each colon" if UNSPACED.match(text) else "start with `name: …`"
         raise TopologyError(name, [Problem(1, "", found, cure, Code.FILE_FORMAT)])
     _nodes_as_mapping(source)
     for override in overrides:
@@ -169,7 +158,7 @@ def _read(source: Source, name: str, folder: FilePath, overrides: Sequence[str])
 
 
 def _refuse_many_faults(source: Source) -> None:
-    """Raise TopologyError for more faults than memory is allowed for: the models of a fault are made after this."""
+    """Raise TopologyError if the faults would exceed the memory limit: their models are made after this."""
     faults = source.value.get("faults")
     if isinstance(faults, list) and (why := budget.excess(len(faults) * BYTES_PER_FAULT)):
         problem = source.problem(("faults",), f"{len(faults):,} faults: {why}", code=Code.FILE_TOO_LARGE)
@@ -177,7 +166,7 @@ def _refuse_many_faults(source: Source) -> None:
 
 
 def _with_table(topology: Topology, file: str, folder: FilePath) -> Topology:
-    """The topology with what its table holds; if that is all of it, nothing is left to be drawn."""
+    """Return the topology with the content of its table; a complete table leaves nothing to draw."""
     found = table.read(file, folder, topology.table_nodes)
     whole = found.network(topology.b) if not topology.nodes and topology.disturbance is None else None
     topology = topology.with_table(found)
@@ -195,10 +184,10 @@ def _origin_of_law(source: Source) -> str:
 
 
 def _law_as_mapping(source: Source) -> None:
-    """Give `law:` the form that has a place for each parameter, for an override of one of them."""
+    """Give `law:` the form with a place for each parameter, for an override of one of them."""
     text = source.value.get("law", "minimax")
     if isinstance(text, str):
-        with contextlib.suppress(ValueError):  # the schema reports what is wrong with it
+        with contextlib.suppress(ValueError):  # the schema reports the mistake
             choice = LawChoice.parse(text)
             source.value["law"] = {"class" if ":" in choice.name else "name": choice.name, **choice.parameters}
 
@@ -218,7 +207,7 @@ def _override(source: Source, override: str) -> None:
         found = [replace(problem, line=0, column=0, origin=origin) for problem in error.problems]
         raise TopologyError(source.name, found) from None
     source.problems.extend(replace(problem, line=0, column=0, origin=origin) for problem in given.problems)
-    # What an option names lies where the user is, not where the topology is.
+    # A path in an option is relative to the user's folder, not to the topology's.
     value = _with_named(given.value, source.named)
     if isinstance(value, str) and steps_of(where)[-1].text == "file":
         value = _named(value, source.named)
@@ -239,7 +228,7 @@ def _override(source: Source, override: str) -> None:
         else:
             raise UserError(f"--set {override}: there is no {'.'.join(map(str, keys[: depth + 1]))} in {source.name}")
         at = at[key]
-    # What the command line says stands on no line of the file.
+    # A value from the command line has no line in the file.
     path = tuple(keys)
     for known in (source.marks, source.odd):
         for inside in [inside for inside in known if inside[: len(path)] == path]:
@@ -251,7 +240,7 @@ def _override(source: Source, override: str) -> None:
 
 
 def _with_named(value: Any, named: set[str]) -> Any:
-    """Return a value whose files of samples have whole paths, which are added to `named`."""
+    """Return a value with whole paths for its files of samples, and add these to `named`."""
     if isinstance(value, list):
         return [_with_named(one, named) for one in value]
     if not isinstance(value, dict):
@@ -266,13 +255,13 @@ def _named(file: str, named: set[str]) -> str:
     path = user_path(file)
     whole = str(FilePath.cwd() / path)
     if not path.is_absolute() and not FilePath(whole).exists():
-        return file  # it may lie beside the topology
+        return file  # it may be beside the topology
     named.add(whole)
     return whole
 
 
 def _nodes_as_mapping(source: Source) -> None:
-    """Give `nodes:` its one form, keyed by ids; the lines move along, and what can be no id is said and left out."""
+    """Give `nodes:` its one form, keyed by ids, and move the lines along; report and remove invalid ids."""
     nodes = source.value.get("nodes")
     if not isinstance(nodes, dict | list):
         return
@@ -289,10 +278,10 @@ def _nodes_as_mapping(source: Source) -> None:
         node = node_id(written)
         if not (isinstance(node, str) or type(node) is int):
             text = mark.text if listed else mark.key
-            what, cure, code = no_id(node, text, _shown(node))
+            what, cure, code = no_id(node, text, as_written(node))
             source.problems.append(source.problem(at, what, cure, code, "nodes"))
         elif node in mapping:
-            what = f"{node!r} stands here twice (first on line {marks['nodes', node].line})"
+            what = f"{node!r} occurs twice (first on line {marks['nodes', node].line})"
             source.problems.append(source.problem(at, what, "keep one of the two", place="nodes"))
         else:
             mapping[node] = {} if listed else nodes[written]
@@ -309,45 +298,16 @@ def _nodes_as_mapping(source: Source) -> None:
 
 
 _MANY = 2000
-"""mistakes of a schema; of more, those that are alike are only counted, and the rules are left for later"""
-_EACH = 100
-"""mistakes of one kind that are put in words"""
-
-
-def _sampled(source: Source, found: Iterable[ErrorDetails]) -> Problems:
-    """Return very many mistakes of the schema: the first of each kind in words, the others counted."""
-    problems, seen = Problems(), Counter[Any]()
-    last: dict[Any, Problem] = {}
-    for details in found:
-        like = _like(details)
-        seen[like] += 1
-        if seen[like] <= _EACH:
-            last[like] = _in_words(source, details)
-            problems.append(last[like])
-        else:
-            problems.count_more(last[like])
-    return problems
-
-
-def _like(details: ErrorDetails) -> tuple[Any, ...]:
-    """Return what mistakes share that differ only in an index, a node or an unknown key."""
-    loc: list[Any] = ["" if isinstance(step, int) else step for step in details["loc"]]
-    if details["type"] == "extra_forbidden":
-        loc[-1] = ""
-    if "nodes" in loc[:2]:  # `nodes:` and `lots: nodes:` have ids as keys
-        loc[loc.index("nodes") + 1 : loc.index("nodes") + 2] = [""]
-    return details["type"], *loc
-
-
-def _in_words(source: Source, details: ErrorDetails) -> Problem:
-    return (_no_fault if details["type"] == "fault" else _problem)(source, details)
+"""the maximum number of mistakes of a schema; above it, equal ones are only counted, and the rules are skipped"""
 
 
 def _validate(source: Source) -> tuple[Topology | None, Iterable[Problem]]:
-    """The topology and what the schema finds wrong; what is wrong is left out so that the rules can see the rest."""
+    """Return the topology and the mistakes that the schema finds; wrong values are left out, and the rules check the
+    rest.
+    """
     in_pieces = errors(Topology, source.value)
     if len(first := [*islice(in_pieces, _MANY + 1)]) > _MANY:
-        return None, _sampled(source, chain(first, in_pieces))
+        return None, sampled(source, chain(first, in_pieces))
     try:
         return Topology.model_validate(source.value), []
     except ValidationError as error:
@@ -356,10 +316,10 @@ def _validate(source: Source) -> tuple[Topology | None, Iterable[Problem]]:
         one for one in found if one["type"] not in LENGTHS or not is_length(one, trace(source.value, one["loc"])[1])
     ]
     if len(found) > _MANY:
-        return None, _sampled(source, found)
-    if any(problem.place == "nodes" for problem in source.problems):  # those that were left out are not missing
+        return None, sampled(source, found)
+    if any(problem.place == "nodes" for problem in source.problems):  # the nodes that were left out are not missing
         found = [one for one in found if (one["loc"], one["type"]) != (("nodes",), "too_short")]
-    problems = [_in_words(source, details) for details in found]
+    problems = [in_words(source, details) for details in found]
     if not isinstance(source.value.get("nodes", {}), dict) or any(
         details["loc"][:1] == ("graph",) for details in found
     ):
@@ -371,170 +331,35 @@ def _validate(source: Source) -> tuple[Topology | None, Iterable[Problem]]:
 
 
 _STAND_INS = {"name": "unnamed", "b": 1e-9, "steps": 1}
-"""For required keys that are wrong: values that break no rule which the right ones would keep."""
+"""Replacements for required keys with wrong values; they break no rule that right values would obey."""
 
 _NO_FAULT = {"kind": "crash", "process": 0, "at": 0}
-"""In place of a fault that is wrong, for the others to keep theirs: it breaks no rule."""
+"""A replacement for a wrong fault, to preserve the numbers of the others; it breaks no rule."""
 
 
 def _without(value: dict[str, Any], found: Iterable[ErrorDetails]) -> dict[str, Any]:
-    kept = dict(value)
+    valid = dict(value)
     if "nodes" in value:
-        kept["nodes"] = {node: dict(own) if isinstance(own, dict) else {} for node, own in value["nodes"].items()}
+        valid["nodes"] = {node: dict(own) if isinstance(own, dict) else {} for node, own in value["nodes"].items()}
     if isinstance(value.get("defaults"), dict):
-        kept["defaults"] = dict(value["defaults"])
+        valid["defaults"] = dict(value["defaults"])
     wrong: dict[str, set[int]] = {"edges": set(), "faults": set()}
     for details in found:
         match details["loc"]:
-            case ("nodes", node, field, *_) if isinstance(kept["nodes"].get(node), dict) and field != "[key]":
-                kept["nodes"][node].pop(field, None)
+            case ("nodes", node, field, *_) if isinstance(valid["nodes"].get(node), dict) and field != "[key]":
+                valid["nodes"][node].pop(field, None)
             case ("nodes", node, *_):
-                kept["nodes"].pop(node, None)
-            case ("defaults", field, *_) if isinstance(kept.get("defaults"), dict):
-                kept["defaults"].pop(field, None)
+                valid["nodes"].pop(node, None)
+            case ("defaults", field, *_) if isinstance(valid.get("defaults"), dict):
+                valid["defaults"].pop(field, None)
             case ("edges" | "faults" as key, int(k), *_):
                 wrong[key].add(k)
             case (key, *_):
-                kept.pop(str(key), None)
-    if wrong["edges"] and "edges" in kept:
-        kept["edges"] = [edge for k, edge in enumerate(value["edges"]) if k not in wrong["edges"]]
-    if wrong["faults"] and "faults" in kept:
-        kept["faults"] = [_NO_FAULT if k in wrong["faults"] else fault for k, fault in enumerate(value["faults"])]
+                valid.pop(str(key), None)
+    if wrong["edges"] and "edges" in valid:
+        valid["edges"] = [edge for k, edge in enumerate(value["edges"]) if k not in wrong["edges"]]
+    if wrong["faults"] and "faults" in valid:
+        valid["faults"] = [_NO_FAULT if k in wrong["faults"] else fault for k, fault in enumerate(value["faults"])]
     for key, stand_in in _STAND_INS.items():
-        kept.setdefault(key, stand_in)
-    return kept
-
-
-def _problem(source: Source, details: ErrorDetails) -> Problem:
-    path, at, _ = trace(source.value, details["loc"])
-    kind, last = details["type"], details["loc"][-1]
-    if kind == "budget":
-        return source.problem(path, details["msg"], code=Code.FILE_TOO_LARGE)
-    shown = _shown(at, source.written(path))
-    if kind == "missing":
-        of_pair = f"{shown} has too few members", "a pair has two"
-        return source.problem(
-            path, *(of_pair if isinstance(last, int) else (f"`{last}:` is missing", f"add `{last}: …`"))
-        )
-    if kind == "invalid_key":
-        path, at, _ = trace(source.value, details["loc"][:-1])
-        key = next((key for key in at if str(key) == str(last)), last)
-        names = ", ".join(_known_keys(source, path))
-        cure = f"known keys are {names}" if names else "remove it"
-        key_path = (*path, key)
-        shown = _shown(key, source.mark(key_path).key)
-        return source.problem(key_path, f"{shown} is no key", cure, place=place_of(path))
-    if kind == "literal_error" and last == "kind":
-        return source.problem(
-            path,
-            f"{shown} is no disturbance of a whole network",
-            "write `worst_case`, or give it to the nodes or under `defaults:`",
-        )
-    if kind == "extra_forbidden":
-        return source.problem(path, f"unknown key `{last}`", _near(source, path), place=place_of(path[:-1]))
-    context = details.get("ctx", {})
-    what, cure = {
-        "finite_number": ("is not a finite number", "write a finite number"),
-        "huge": (f"is beyond {LARGEST:g}, where sums of squares overflow", "choose a smaller one"),
-        "greater_than": (f"is not above {context.get('gt', 0):g}", "choose a larger one"),
-        "greater_than_equal": (f"is below {context.get('ge', 0):g}", "choose a larger one"),
-        "less_than": (f"is not below {context.get('lt', 0):g}", "choose a smaller one"),
-        "less_than_equal": (f"is above {context.get('le', 0):g}", "choose a smaller one"),
-        "int_type": ("is not a whole number", cure_of_number(at, whole=True)),
-        "bool_type": ("is neither true nor false", "write one of the two"),
-        "window": ("holds no step", "write [from, to): the first step, and the one after the last"),
-        "empty": ("is empty", "put the lower bound first"),
-        "number": ("is not a number", _cure_of_gain(shown) if path == ("b",) and _random(at) else cure_of_number(at)),
-        "literal_error": ("is neither a number nor `random`", "write one of the two"),
-        "string_type": ("is not text", cure_of_text(at, source.written(path))),
-        "too_short": ("has too few members", f"at least {context.get('min_length')} are needed"),
-        "too_long": ("has too many members", f"at most {context.get('max_length')} are allowed"),
-        "tuple_type": ("is not a list", "write [ … ]"),
-        "dict_type": ("is not a mapping", "write key: value"),
-        "model_type": ("is not a mapping", "write {key: value}"),
-    }.get(kind, (details["msg"][0].lower() + details["msg"][1:], ""))
-    return source.problem(path, f"{shown} {what}" if kind in _ABOUT_VALUE else f"{what} (found {shown})", cure)
-
-
-_ABOUT_VALUE = frozenset(
-    (
-        *("finite_number", "huge", "greater_than", "greater_than_equal", "less_than", "less_than_equal"),
-        *("int_type", "number", "empty", "literal_error", "string_type", "too_short", "too_long"),
-        *("tuple_type", "dict_type", "model_type", "bool_type", "window"),
-    )
-)
-
-
-def _random(value: Any) -> bool:
-    return isinstance(value, dict) and "random" in value
-
-
-def _cure_of_gain(shown: str) -> str:
-    return f"write a number here, and `defaults: {{b: {shown}}}` for gains that are drawn per node"
-
-
-def _no_fault(source: Source, details: ErrorDetails) -> Problem:
-    """Something that no `kind` makes a fault."""
-    path, written, _ = trace(source.value, details["loc"])
-    kinds = f"kinds are {', '.join(KINDS)}"
-    if not isinstance(written, dict):
-        shown = _shown(written, source.written(path))
-        unspaced = isinstance(written, str) and _UNSPACED.match(written)
-        cure = "write a space after the colon: {kind: …}" if unspaced else "write {kind: …}"
-        return source.problem(path, f"{shown} is not a mapping", cure)
-    if "kind" not in written:
-        return source.problem(path, "`kind:` is missing", kinds)
-    near = difflib.get_close_matches(str(written["kind"]), KINDS, 1, 0.5)
-    cure = f"did you mean `{near[0]}`? {kinds}" if near else kinds
-    path = (*path, "kind")
-    return source.problem(path, f"{_shown(written['kind'], source.written(path))} is no kind of fault", cure)
-
-
-def _near(source: Source, path: Path) -> str:
-    """What the unknown key at the end of `path` may have been meant to be."""
-    known = _known_keys(source, path[:-1])
-    listed = f"known keys are {', '.join(known)}" if known else "remove it"
-    if path[0] != "faults":
-        near = difflib.get_close_matches(str(path[-1]), known, 1, 0.5)
-        return f"did you mean `{near[0]}`?" if near else listed
-    # The keys of a fault are few and alike: one that stands there already is not meant.
-    others = [key for key in known if key not in source.value["faults"][path[1]]]
-    near = difflib.get_close_matches(str(path[-1]), others, 1, 0.5)
-    return f"did you mean `{near[0]}`? {listed}" if near else listed
-
-
-def _known_keys(source: Source, path: Path) -> list[str]:
-    kind = kind_of(functools.reduce(operator.getitem, path, source.value)) or ""
-    model: type[Model] | None = None
-    match path:
-        case ():
-            model = Topology
-        case ("graph",):
-            model = GENERATORS.get(kind)
-        case ("record",):
-            model = Record
-        case ("edges", _):
-            model = Edge
-        case ("faults", _):
-            model = KINDS.get(kind)
-        case ("defaults",):
-            model = Defaults
-        case ("nodes", _):
-            model = Node
-        case (*_, "disturbance") | (*_, "disturbance", _):
-            model = COMPONENTS.get(kind)
-    return known_keys(model) if model is not None else []
-
-
-def _shown(value: Any, text: str | None = None) -> str:
-    """Return a value as the user wrote it: `text` if that is known, else as JSON, which YAML reads."""
-    if text is not None:
-        return (text if len(text) <= _SHOWN else text[: _SHOWN - 1] + "…") or "an empty value"
-    if isinstance(value, dict | list) and len(value) > 8:
-        kind = "mapping" if isinstance(value, dict) else "list"
-        return f"a {kind} of {len(value)}"
-    try:
-        text = json.dumps(value, ensure_ascii=False, default=str)
-    except ValueError:  # a whole number of more digits than Python prints
-        return "a huge number"
-    return text if len(text) <= _SHOWN else text[: _SHOWN - 1] + "…"
+        valid.setdefault(key, stand_in)
+    return valid

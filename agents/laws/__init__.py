@@ -1,4 +1,4 @@
-"""The laws of the project, by name; each is a small file of its own, loaded when it is first used."""
+"""The laws of the project, by name. Each is a small file, loaded at its first use."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ LAWS: dict[str, str] = {
     "either": "Either",
     "robust": "Robust",
 }
-"""By the name that a file gives: the class, in the module of that name."""
+"""By name in a topology file: the class, in the module of that name."""
 
 
 def law_of_name(name: str) -> type[Law]:
-    """Return the class of a law of the project; KeyError if there is none of that name."""
+    """Return the class of a law of the project; raise KeyError for an unknown name."""
     attribute = LAWS[name]
     law: type[Law] = getattr(import_module(f"{__name__}.{name.replace('-', '_')}"), attribute)
     return law

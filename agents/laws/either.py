@@ -1,4 +1,4 @@
-"""The notch where it explains the samples far better, else the paper's law.
+"""The notch if it explains the samples far better, otherwise the paper's law.
 
     ahat_i is notch's if min_m J_notch,m < ratio min_m J_m, else that of (7)
 
@@ -23,14 +23,14 @@ from hedgerow.topologies.graph import Gain
 
 
 class Either(Listed):
-    """Two estimators, of which the one that explains the samples decides."""
+    """Two estimators; the one that explains the samples decides."""
 
     equation: ClassVar[str] = "notch if min J_notch < ratio min J, else (7)"
 
     def __init__(self, b: Gain, candidates: Array, *, ratio: float = 0.1) -> None:
         if not ratio >= 0:
             raise ValueError(f"ratio {ratio} is below 0")
-        self._ratio = ratio
+        self.ratio = ratio
         m = len(candidates)
         # J of (7), then the memory of the notch.
         super().__init__(b, candidates, more=3 * m + LAGS)
@@ -48,7 +48,7 @@ class Either(Listed):
 
     def _choose(self) -> None:
         J, notch = self._memory[: self.m], self._memory[self.m : 2 * self.m]
-        trust = notch.min(axis=0) < self._ratio * J.min(axis=0)
+        trust = notch.min(axis=0) < self.ratio * J.min(axis=0)
         scores = np.where(trust, notch, J)
         self.ahat[:] = self.candidates[scores.argmin(axis=0), self._nodes]
         if self.m > 1:
@@ -56,5 +56,5 @@ class Either(Listed):
             np.subtract(second, least, out=self.margin)
 
     def learn(self, x: Array, flow: Array, x_next: Array, sample: Heard) -> None:  # type: ignore[override]  # it asks
-        """Learn the sample of step `sample.t`; a node whose flow is unknown (NaN) skips it."""
+        """Learn the sample of step `sample.t`; skip nodes with an unknown flow (NaN)."""
         self._learn(x, flow, x_next, sample.t)

@@ -2,12 +2,11 @@
 
     keep m unless (1 + h) min_n J_i,n <= J_i,m;  then m is the first minimiser
 
-Morse, Mayne and Goodwin, "Applications of Hysteresis Switching in Parameter Adaptive Control", IEEE TAC 37(9), 1992;
-Hespanha, Liberzon and Morse, "Hysteresis-based switching algorithms for supervisory control of uncertain systems",
-Automatica 39(2), 2003.
-It is right if switching itself is harmful: it switches less often than the paper's law. It fails if speed matters: a
-better model must first win by the factor 1 + h. A tie of all costs at 0 switches to the first candidate. With h = 0 it
-is the paper's law.
+Source: Morse, Mayne and Goodwin, "Applications of Hysteresis Switching in Parameter Adaptive Control", IEEE TAC 37(9),
+1992. See also: Hespanha, Liberzon and Morse, "Hysteresis-based switching algorithms for supervisory control of
+uncertain systems", Automatica 39(2), 2003. It is right if switching itself is harmful: it switches less often than the
+paper's law. It fails if speed matters: a better model must first win by the factor 1 + h. A tie of all costs at 0
+switches to the first candidate. With h = 0 it is the paper's law.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ class Hysteresis(Listed):
     def __init__(self, b: Gain, candidates: Array, *, h: float = 0.5) -> None:
         if not h >= 0:
             raise ValueError(f"h {h} is below 0")
-        self._h = h
+        self.h = h
         super().__init__(b, candidates, more=1)  # the index of the model that is kept
 
     def update(self, memory: Array, candidates: Array, x: Array, y: Array, t: int) -> None:  # noqa: ARG002
@@ -40,7 +39,7 @@ class Hysteresis(Listed):
         J, kept = memory[:-1], memory[-1]
         J += residual
         best, nodes = J.argmin(axis=0), np.arange(len(kept))
-        switch = (1.0 + self._h) * J[best, nodes] <= J[kept.astype(np.int64), nodes]
+        switch = (1.0 + self.h) * J[best, nodes] <= J[kept.astype(np.int64), nodes]
         kept[switch] = best[switch]
 
     def _choose(self) -> None:

@@ -5,18 +5,17 @@ from __future__ import annotations
 import contextlib
 import errno
 import io
-import os
 import select
 import sys
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING
 
 import typer
 
 from hedgerow.topologies.errors import Code, Exit, HedgerowError, TopologyError, UserError
 from hedgerow.topologies.escape import echo
 from hedgerow.wire import crash, start
-from hedgerow.wire.limits import limit_reached
+from hedgerow.wire.limits import causes, limit_reached
 
 if TYPE_CHECKING:
     from hedgerow.orchestrator.metrics.verdict import Verdict
@@ -24,12 +23,19 @@ if TYPE_CHECKING:
 
 FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
 """Where standard output leads, no more can be written."""
+OF_PATHS = {
+    *(errno.EACCES, errno.EEXIST, errno.EISDIR, errno.ELOOP, errno.ENAMETOOLONG, errno.ENOENT, errno.ENOTDIR),
+    *(errno.ENOTEMPTY, errno.EPERM, errno.EROFS, errno.ETXTBSY, errno.ESTALE, errno.ENXIO, errno.EINVAL),
+}
+"""The errors of a path that the user gave, or of a folder on it."""
 
 
 def run_to_exit_code(command: Callable[[], int]) -> int:
     """Run `command` and return the exit code of this process."""
     try:
         code = command()
+        if code == start.INTERRUPTED:  # typer has caught the KeyboardInterrupt
+            code = start.code_after_signal()
         with contextlib.suppress(BrokenPipeError):  # a reader who has left has read enough
             sys.stdout.flush()
     except TopologyError as error:
@@ -42,34 +48,39 @@ def run_to_exit_code(command: Callable[[], int]) -> int:
         _complain(f"error: {error}")
         code = Exit.CRASH if error.code == Code.CRASH else Exit.UNKNOWN
     except (typer.Abort, KeyboardInterrupt):
-        code = start.INTERRUPTED
-    except BaseException as error:  # a panic of a Rust library is no Exception
+        code = start.code_after_signal()
+    except BaseException as error:  # a panic of a Rust library is not an Exception
         code = _unexpected(error)
     return code
 
 
 def _unexpected(error: BaseException) -> int:
-    """Say in one line what ended the command that is none of our own errors; the exit code."""
+    """Report in one line an unexpected error that ended the command; return the exit code."""
     if isinstance(error, OSError | SystemExit) and _nobody_reads():
-        return Exit.VALID  # a reader who has left has read enough; click makes a SystemExit of it
+        return Exit.VALID  # the reader has left; click turns this into a SystemExit
     if isinstance(error, SystemExit):
         return error.code if isinstance(error.code, int) else 0 if error.code is None else Exit.UNKNOWN
-    if isinstance(error, OSError) and error.errno in FULL:
-        _complain(f"error: what was to be written is lost: {error.strerror}; make room, or write it elsewhere")
+    # A library that closes its file may fail for a second time, and hide the first error.
+    full = next((one for one in causes(error) if isinstance(one, OSError) and one.errno in FULL), None)
+    if full is not None:
+        _complain(f"error: the output is incomplete: {full.strerror}; free space, or choose another place")
         return Exit.USER_MISTAKE
     if isinstance(error, Exception) and hasattr(error, "show"):
         with contextlib.suppress(OSError):
             said = io.StringIO()
-            error.show(file=said)  # a wrong option or argument, in the words of the command line library
+            error.show(file=said)  # a wrong option or argument, with the message of the command line library
             echo(said.getvalue(), error=True, end="")
         return Exit.USER_MISTAKE
     reached = limit_reached(error)
+    if reached is None and isinstance(error, OSError) and error.errno in OF_PATHS and error.filename is not None:
+        _complain(f"error: {error.filename!s}: {error.strerror}. Name another path, or correct its permissions.")
+        return Exit.USER_MISTAKE
     _complain(f"error: {reached or crash.report(error)}")
     return Exit.CRASH if reached is None else Exit.UNKNOWN
 
 
 def _nobody_reads() -> bool:
-    """Return True if standard output leads to a pipe whose reader has left, or to a terminal that was closed."""
+    """Return True if standard output is a pipe without a reader, or a terminal that was closed."""
     poll = select.poll()
     with contextlib.suppress(OSError, ValueError):
         poll.register(sys.stdout.fileno(), 0)
@@ -78,7 +89,7 @@ def _nobody_reads() -> bool:
 
 
 def code_of_run(verdict: Verdict, display: Screen) -> int:
-    """Return the exit code of a run; a valid one whose verdict could not be shown is unknown to its user."""
+    """Return the exit code of a run; it is unknown if the verdict of a valid run could not be shown."""
     if (lost := display.outlet.incomplete) is not None and verdict.exit_code == Exit.VALID:
         _complain(f"error: standard output: the verdict was not shown: {lost.strerror}. Read it in verdict.json.")
         return Exit.UNKNOWN
@@ -88,12 +99,3 @@ def code_of_run(verdict: Verdict, display: Screen) -> int:
 def _complain(text: str) -> None:
     with contextlib.suppress(OSError):
         echo(text, error=True)
-
-
-def leave(code: int) -> NoReturn:
-    """End this process, whatever threads of a stalled viewer there are."""
-    # Not sys.exit: a stalled viewer's threads must not hold the process (orchestrator.views.rerun.stream).
-    for stream in (sys.stdout, sys.stderr):
-        with contextlib.suppress(OSError):
-            stream.flush()
-    os._exit(code)

@@ -31,9 +31,21 @@ from hedgerow.orchestrator.cli import runs as cli_runs
 from hedgerow.orchestrator.cli import soak as cli_soak
 from hedgerow.orchestrator.cli import sweep as cli_sweep
 from hedgerow.orchestrator.cli import watch as cli_watch
-from hedgerow.orchestrator.cli.exit_code import code_of_run, leave, run_to_exit_code
+from hedgerow.orchestrator.cli.exit_code import code_of_run, run_to_exit_code
 from hedgerow.orchestrator.cli.names import EXPERIMENT, INSPECT, RUN, WATCH, Commands
-from hedgerow.orchestrator.cli.options import AsJson, File, Law, Quiet, RunDir, Running, Seed, Sets, Steps
+from hedgerow.orchestrator.cli.options import (
+    AsJson,
+    File,
+    KeptLaw,
+    Law,
+    NoProgress,
+    Quiet,
+    RunDir,
+    Running,
+    Seed,
+    Sets,
+    Steps,
+)
 from hedgerow.orchestrator.cli.topology import importable, read
 from hedgerow.orchestrator.launch.fork_client import ForkClient
 from hedgerow.topologies.errors import Code, DeadlineError, UserError, check_options
@@ -42,7 +54,7 @@ from hedgerow.topologies.paths import user_path
 from hedgerow.wire.child import escape_warnings
 from hedgerow.wire.runtime import let_numbers_overflow
 
-# A topology takes most of a second to load: each command imports what it needs itself.
+# Loading the topology modules takes most of a second: each command imports what it needs.
 if TYPE_CHECKING:
     from hedgerow.orchestrator.ground.assignment import Layout
     from hedgerow.orchestrator.launch.external_agents import External
@@ -89,13 +101,13 @@ def _whole(
     """Run networks of independent controllers, each its own process, over Zenoh."""
 
 
-def run_command(began: float, fork_client: ForkClient | None) -> None:
-    """Run the command line, and exit with its code. `began` is the start of the process by time.monotonic()."""
+def run_command(began: float, fork_client: ForkClient | None) -> int:
+    """Run the command line, and return its exit code. `began` is the start of the process by time.monotonic()."""
     global _BEGAN, _FORK_CLIENT
     _BEGAN, _FORK_CLIENT = began, fork_client
     let_numbers_overflow()
     escape_warnings()
-    leave(run_to_exit_code(lambda: app(standalone_mode=False) or 0))
+    return run_to_exit_code(lambda: app(standalone_mode=False) or 0)
 
 
 @app.command(rich_help_panel=RUN)
@@ -107,6 +119,7 @@ def up(
     steps: Steps = None,
     seed: Seed = None,
     law: Law = None,
+    kept_law: KeptLaw = False,
     rate: Annotated[float, typer.Option(metavar="R", help="steps per second, 0 for as fast as possible")] = 0.0,
     run_dir: RunDir = None,
     sets: Sets = None,
@@ -158,14 +171,16 @@ def up(
     from hedgerow.orchestrator.ground.assignment import layout, places, views_of  # noqa: PLC0415
     from hedgerow.orchestrator.launch.endpoints import check as check_security  # noqa: PLC0415
     from hedgerow.orchestrator.launch.endpoints import meeting_place  # noqa: PLC0415
+    from hedgerow.orchestrator.launch.options import Options  # noqa: PLC0415
     from hedgerow.orchestrator.launch.recording import Watching  # noqa: PLC0415
-    from hedgerow.orchestrator.launch.up import Network, Options  # noqa: PLC0415
+    from hedgerow.orchestrator.launch.up import Network  # noqa: PLC0415
     from hedgerow.orchestrator.runs import folder as folders  # noqa: PLC0415
     from hedgerow.orchestrator.views.screen import screen  # noqa: PLC0415
 
     check_options(rate=rate, deadline=deadline, wait=wait)
     count_of: object = int(processes) if processes and processes.lstrip("-").isdecimal() else processes
-    topology = importable(read(file, sets, steps=steps, seed=seed, law=law, processes=count_of, secure=secure), file)
+    drawn = read(file, sets, steps=steps, seed=seed, law=law, processes=count_of, secure=secure)
+    topology = importable(drawn, file, kept_law)
     shards = layout(topology, topology.process_count)
     where = places(views_of(topology, shards))
     check_security(topology.secure, router, keys, where, external is not None, listen, namespace)
@@ -204,7 +219,7 @@ def up(
 
 
 def _keeps(keep: bool | None, display: Screen) -> bool:
-    """Return True if a page stays after the run: as asked, else if a terminal can send Ctrl-C."""
+    """Return True if a page stays after the run: as requested, or by default if a terminal can send Ctrl-C."""
     return keep if keep is not None else display.interactive or _is_terminal(sys.stdin)
 
 
@@ -232,9 +247,10 @@ def _elsewhere(
                 code=Code.OPTION,
             )
         return None
-    from hedgerow.orchestrator.launch.external_agents import chosen, namespace_of  # noqa: PLC0415
+    from hedgerow.orchestrator.launch.endpoints import namespace_of  # noqa: PLC0415
+    from hedgerow.orchestrator.launch.external_agents import chosen  # noqa: PLC0415
 
-    meet = namespace or namespace_of(topology)
+    meet = namespace or namespace_of(topology.name)
     return chosen(external, topology, shards, router, listen, meet, wait or 600.0)
 
 
@@ -250,13 +266,13 @@ def _check_cluster(on: str, external: str | None) -> None:
 def _introduce(topology: Topology, processes: int, folder: RunFolder, display: Screen) -> None:
     """Print the size of the network, the run folder, and the rows that are recorded."""
     from hedgerow.orchestrator.metrics.summary import count  # noqa: PLC0415
-    from hedgerow.orchestrator.runs.selection import told  # noqa: PLC0415
+    from hedgerow.orchestrator.runs.selection import notes  # noqa: PLC0415
 
     what = f"{count(len(topology.ids), 'node')} in {count(processes, 'process', 'es')}, {topology.steps} steps"
     display.say(f"{topology.name}: {what}, run {folder.name}")
     if folder.note:
         display.say(folder.note)
-    for line in told(topology):
+    for line in notes(topology):
         display.say(line)
 
 
@@ -278,6 +294,7 @@ def simulate(
     steps: Steps = None,
     seed: Seed = None,
     law: Law = None,
+    kept_law: KeptLaw = False,
     run_dir: RunDir = None,
     sets: Sets = None,
     viewer: Viewer = "none",
@@ -292,17 +309,18 @@ def simulate(
     from hedgerow.orchestrator.launch.recording import Watching  # noqa: PLC0415
     from hedgerow.orchestrator.launch.simulation import simulate_into  # noqa: PLC0415
     from hedgerow.orchestrator.runs import folder as folders  # noqa: PLC0415
-    from hedgerow.orchestrator.runs.selection import told  # noqa: PLC0415
+    from hedgerow.orchestrator.runs.selection import notes  # noqa: PLC0415
     from hedgerow.orchestrator.views.screen import screen  # noqa: PLC0415
 
-    topology = importable(read(file, sets, steps=steps, seed=seed, law=law), file)
-    folder = folders.create(topology, run_dir)
+    topology = importable(read(file, sets, steps=steps, seed=seed, law=law), file, kept_law)
     viewer = _viewer(viewer)
+    folder = folders.create(topology, run_dir)
     with contextlib.closing(screen(topology, as_json, plain, quiet, watched=viewer != "none")) as display:
-        for line in filter(None, [folder.note, *told(topology)]):
+        for line in filter(None, [folder.note, *notes(topology)]):
             display.say(line)
         watching = Watching(record, viewer, split_recording)
-        return code_of_run(simulate_into(topology, folder, layout(topology, 1), watching, display), display)
+        begin = functools.partial(simulate_into, topology, folder, layout(topology, 1), watching, display)
+        return code_of_run(folders.begun_or_withdrawn(folder, begin), display)
 
 
 @app.command(rich_help_panel=RUN)
@@ -393,12 +411,13 @@ def chaos(
     ] = 0,
     runs: Annotated[int, typer.Option(min=1, help="number of seeds to try")] = 1,
     nodes: Annotated[int, typer.Option(min=2, max=200, help="largest number of nodes of a network")] = 12,
+    quiet: NoProgress = False,
 ) -> int:
     """Run random networks under random faults until a check fails; write the smallest file that fails; exit code 1."""
     from hedgerow.orchestrator.experiments.chaos import hunt, write  # noqa: PLC0415
 
     with tempfile.TemporaryDirectory(prefix="hedgerow-") as scratch:
-        finding = hunt(range(seed, seed + runs), nodes, Path(scratch), echo)
+        finding = hunt(range(seed, seed + runs), nodes, Path(scratch), (lambda _: None) if quiet else echo)
     if finding is None:
         return 0
     file = Path(f"chaos-{finding.seed}.yaml")

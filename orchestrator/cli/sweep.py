@@ -8,8 +8,10 @@ from typing import Annotated
 import typer
 
 from hedgerow.orchestrator.cli.names import EXPERIMENT
+from hedgerow.orchestrator.cli.options import Quiet
 from hedgerow.orchestrator.launch.ray_cluster import check
 from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.escape import echo
 from hedgerow.topologies.paths import user_path
 
 File = Annotated[str, typer.Argument(metavar="FILE", help="a topology file, or a bundled name")]
@@ -17,7 +19,9 @@ Seeds = Annotated[str, typer.Option(metavar="FIRST:STOP", help="every seed from 
 Sets = Annotated[
     list[str] | None, typer.Option("--set", metavar="PATH=VALUE,...", help="the values that a key of the file takes")
 ]
-Engine = Annotated[str, typer.Option(metavar="in-process|zenoh", help="in one process a run, or one an agent")]
+Engine = Annotated[
+    str, typer.Option(metavar="in-process|zenoh", help="in-process: one process per run; zenoh: one process per agent")
+]
 Out = Annotated[
     Path | None,
     typer.Option(parser=user_path, metavar="DIR", help="the sweep's folder, new or of this sweep [sweeps/NAME-HASH]"),
@@ -39,8 +43,9 @@ def sweep(
     out: Out = None,
     jobs: Jobs = None,
     on: On = None,
+    quiet: Quiet = False,
 ) -> int:
-    """Run a network under many seeds and settings, into one table; the same command goes on where it was stopped."""
+    """Run a network under many seeds and settings, into one table; the same command continues a stopped sweep."""
     from hedgerow.orchestrator.experiments.sweep import sweep as run  # noqa: PLC0415
     from hedgerow.orchestrator.experiments.sweep.plan import plan  # noqa: PLC0415
 
@@ -48,4 +53,6 @@ def sweep(
         raise UserError(f"--jobs {jobs}: is below 1; leave it out for all cores")
     if on is not None:
         check(on)
-    return run(plan(file, seeds, sets or [], engine), out, jobs, on)
+    done = run(plan(file, seeds, sets or [], engine), out, jobs, on, quiet)
+    echo(done.line)
+    return done.exit_code

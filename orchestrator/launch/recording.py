@@ -32,28 +32,33 @@ if TYPE_CHECKING:
     from hedgerow.orchestrator.runs.round_trips import RoundTrips
     from hedgerow.orchestrator.runs.writer import Recorder
     from hedgerow.orchestrator.views.rerun.stream import RerunStream
+    from hedgerow.orchestrator.views.screen import Screen
 
 CLOSE_DEADLINE_S = 5.0
+RERUN_DEADLINE_S = 30.0
+"""the longest time for one job of Rerun [s]: after a failed write, some of its calls never return"""
+BOUNDS_DEADLINE_S = 120.0
+"""the longest time for the bounds [s]: at a limit of memory, the solver may never return"""
 CERTIFIED = 10_000
-"""Number of nodes up to which the bounds on the gain are solved beside a run, in seconds; its end waits for them."""
+"""The maximum number of nodes for a computation of the gain bounds beside the run. The end of the run waits for it."""
 TABLES = ("telemetry", "edges", "summary")
-"""of which there is no summary where `record:` says so"""
+"""the names of the tables; `record:` can omit the summary"""
 
 
 @dataclass(frozen=True)
 class Watching:
-    """The destinations of Rerun data: run.rrd or none, and a viewer as `views.rerun.viewer.choose` names it."""
+    """The destinations of Rerun data: run.rrd or none, and a viewer as named by `views.rerun.viewer.choose`."""
 
     record: bool = True
     viewer: str = "none"
     split_mb: float = 256.0
-    """past so many MB run.rrd goes on in another file; 0 for never"""
+    """the size of run.rrd [MB] at which a next file begins; 0 for one file"""
     keep: bool = False
     """leave the page of a finished run open until Ctrl-C"""
 
 
 class Recording:
-    """Feeds the observer and keeps what it computes."""
+    """The recorder of one run: it feeds the observer and stores the results."""
 
     def __init__(
         self,
@@ -64,22 +69,26 @@ class Recording:
         processes: Sequence[str] = (),
         replayed: bool = True,
     ) -> None:
-        """`processes` are those that answer states, in the order of their shards. `replayed` adds a replay's checks."""
+        """Open the recording; `processes` are those that answer states, in the order of their shards.
+
+        `replayed` adds a replay's checks.
+        """
         self._processes = processes
         self._round_trips: RoundTrips | None = None
-        """where something crosses a wire, from the first step on"""
+        """the answer times in a run over Zenoh, from the first step on"""
         self.topology, self.folder, self.ending = topology, folder, ending
         self.observer = Observer(topology)
         self.rows_at_once = rows_at_once(self.observer.graph.n)
         self._watching = watching
         self._background: BackgroundThread | None = None
-        """who feeds the stream: Rerun takes a second to load, and nobody waits for it"""
+        """the thread that feeds the stream: loading Rerun takes a second, and the run does not wait for it"""
         self._replaying: BackgroundThread | None = None
-        """the thread of the replay: a step of it takes as long as one of an agent, and the loop is not to wait"""
+        """the thread of the replay: its step takes as long as that of an agent, and the loop must not wait"""
         self._replayed = replayed
         self._stream: RerunStream | None = None
+        self._left_out = False
         self._bounding: BackgroundThread | None = None
-        """the thread that solves for the bounds on the gain: it begins after the first step"""
+        """the thread that computes the gain bounds: it begins after the first step"""
         if len(topology.ids) <= CERTIFIED:
             self.observer.adaptive = GainCertificate(plant_of(topology.network), self.observer.x0)
         else:
@@ -87,23 +96,23 @@ class Recording:
                 f"{len(topology.ids)} nodes are more than {CERTIFIED}; `orchestrator bound` takes larger networks"
             )
         self._notes: list[tuple[str, str, int]] = []
-        """what was noted before there was a stream"""
+        """the notes from before the stream existed"""
         self.viewer: Viewer | None = None
         self.warnings: deque[str] = deque()
-        """Warnings about the viewer, for the command that started the run; other threads append to it."""
+        """warnings about the viewer that `warn` prints; other threads append to it"""
         self._watched = False
 
     @cached_property
     def _recorder(self) -> Recorder:
-        # Arrow takes a while to load: not before the processes of the run have been launched.
+        # Loading Arrow takes time: the processes of the run must start first.
         from hedgerow.orchestrator.runs.writer import Recorder  # noqa: PLC0415
 
         return Recorder(self.topology, self.folder.path)
 
     def take(self, rows: Sequence[Telemetry]) -> Batch | None:
-        """Observe and record some steps, `rows_at_once` at most; None if all of them were recorded before.
+        """Observe and record some steps, at most `rows_at_once`; return None if all were recorded before.
 
-        Raises OSError when the disk is full.
+        Raise OSError when the disk is full.
         """
         if not (rows := self.observer.in_order(rows)):
             return None
@@ -127,12 +136,12 @@ class Recording:
             return
         if self._replaying is None:
             self._replaying = BackgroundThread("replay", self._leave_out_replay)
-            first = self.topology  # by the faults at the first step, whatever comes before the thread begins
+            first = self.topology  # the faults at the first step, before any later change
             self._replaying.do(lambda: self._begin_replay(first))
         self._replaying.do(lambda: self._take_replayed(rows), size)
 
     def _bound(self) -> None:
-        """Solve for the bounds on the gain beside the run, once it has made its first step."""
+        """Compute the gain bounds beside the run, after its first step."""
         certificate = self.observer.adaptive
         if certificate is None or self._bounding is not None:
             return
@@ -140,27 +149,29 @@ class Recording:
         def solve() -> None:
             certificate.known = certified(plant_of(self.topology.network), self.topology.network.gamma_star)
 
-        self._bounding = BackgroundThread("bounds", self._leave_out_bounds)
+        self._bounding = BackgroundThread("the solver of the bounds", self._leave_out_bounds, BOUNDS_DEADLINE_S)
         self._bounding.do(solve)
 
     def _leave_out_bounds(self, error: BaseException) -> None:
-        """Go on without the certificate, which is only one check of several."""
+        """Continue without the certificate, which is only one of several checks."""
         reached = limit_reached(error)
         expected = isinstance(error, HedgerowError | OSError | ImportError) or reached is not None
         why = str(reached or error) if expected else crash.report(error, self.folder.logs / "orchestrator.log")
         self.observer.adaptive, self.observer.not_certified = None, why
 
     def _leave_out_replay(self, error: BaseException) -> None:
-        """Go on without the replay after a defect in it; the verdict is unknown, and names the traceback's file."""
+        """Continue without the replay after a defect in it; the verdict is unknown, and names the file of the
+        traceback.
+        """
         self.ending.replay = None
         self.ending.not_replayed = crash.report(error, self.folder.logs / "orchestrator.log")
 
     def _begin_replay(self, topology: Topology) -> None:
         try:
             self.ending.replay = Replay(topology)
-        except HedgerowError as error:  # a law that can be loaded where the agents are, and not here
+        except HedgerowError as error:  # a law that only the agents' machine can load
             self.ending.not_replayed = str(error)
-        except Exception as error:  # no room for a replay, say: that ends no run
+        except Exception as error:  # a failure of the replay, such as a lack of memory, must not end the run
             self.ending.not_replayed = f"{type(error).__name__}: {error}"
 
     def _take_replayed(self, rows: Sequence[Telemetry]) -> None:
@@ -172,23 +183,23 @@ class Recording:
             self.ending.replay.change(topology)
 
     def take_trips(self, trips: Trips) -> None:
-        """Record how long the processes took to answer, at some steps that were taken in; OSError as `take`."""
+        """Record the answer times of the processes at some recorded steps; OSError as in `take`."""
         assert self._round_trips is not None, "they come after their steps"
         self._round_trips.take(trips)
         at = time.time()
         self._show(lambda stream: stream.round_trips(trips, at))
 
     def finish(self, end: End) -> None:
-        """Take in the final state."""
+        """Record the final state."""
         self.observer.finish(end)
         self._recorder.write_end(self.observer, end)
         self._show(lambda stream: stream.end(self.observer))
         self.note(f"the run ended after {end.t} steps", "INFO", end.t)
 
     def change(self, topology: Topology) -> None:
-        """The faults are these from the next step on: the observer goes by them, and so will who runs the folder again.
+        """Change the faults from the next step on, for the observer and in the run's topology.yaml.
 
-        Raises OSError when the disk is full.
+        Raise OSError when the disk is full.
         """
         self.topology = topology
         self.observer.change(topology)
@@ -202,16 +213,21 @@ class Recording:
             part.unlink(missing_ok=True)
 
     def note(self, text: str, level: str, step: int) -> None:
-        """Show a line among the viewer's events; `level` is INFO, WARN or ERROR."""
+        """Show a line in the viewer's events; `level` is INFO, WARN or ERROR."""
         if self._watched:
             self._show(lambda stream: stream.event(text, level, step))
         else:
             self._notes.append((text, level, step))
 
     def tell_faults(self) -> None:
-        """Write down the faults that the file schedules."""
+        """Record the faults that the file schedules."""
         for number, fault in enumerate(self.topology.faults, 1):
             self.folder.event("fault", fault=number, entry=fault.written())
+
+    def warn(self, screen: Screen) -> None:
+        """Print the new warnings about the viewer."""
+        while self.warnings:
+            screen.say(self.warnings.popleft())
 
     def _open_stream(self) -> None:
         if not self._watching.record and self._watching.viewer == "none":
@@ -221,11 +237,11 @@ class Recording:
             self.viewer = start(self._watching.viewer)
         except (OSError, HedgerowError) as error:
             self.warnings.append(
-                f"no viewer: {str(limit_reached(error) or error).rstrip('.')}; the run goes on without it"
+                f"no viewer: {str(limit_reached(error) or error).rstrip('.')}; the run continues without it"
             )
         if path is None and self.viewer is None:
             return
-        self._background = BackgroundThread("rerun", self._leave_out)
+        self._background = BackgroundThread("Rerun", self._leave_out, RERUN_DEADLINE_S)
         self._background.do(lambda: self._load(path))
         for note in self._notes:
             self.note(*note)
@@ -237,7 +253,7 @@ class Recording:
         from hedgerow.orchestrator.views.rerun.stream import RerunStream  # noqa: PLC0415
 
         part_bytes = int(self._watching.split_mb * 1e6)
-        self._stream = RerunStream(
+        stream = RerunStream(
             self.topology,
             self.observer,
             self.folder.name,
@@ -247,16 +263,18 @@ class Recording:
             self.warnings.append,
             processes=self._processes,
         )
+        if not self._left_out:  # it came too late
+            self._stream = stream
 
     def _leave_out(self, error: BaseException) -> None:
-        """Go on without the recording and the viewer, which only help, and say so once."""
-        self._stream = None
+        """Go on without the recording and the viewer, which only help, and report this once."""
+        self._stream, self._left_out = None, True
         why = str(limit_reached(error) or error)
         expected = isinstance(error, HedgerowError | OSError | ImportError) or limit_reached(error) is not None
         if not expected:
             why = crash.report(error, self.folder.logs / "orchestrator.log")
         what = "run.rrd is not complete" if self._watching.record else "the viewer is left out"
-        self.warnings.append(f"{what}: {why.rstrip('.')}; the run goes on without it")
+        self.warnings.append(f"{what}: {why.rstrip('.')}; the run continues without it")
 
     def _show(self, show: Callable[[RerunStream], object], size: int = 0) -> None:
         def job() -> None:
@@ -267,7 +285,7 @@ class Recording:
             self._background.do(job, size)
 
     def close_tables(self) -> None:
-        """Bring the tables into their final form; nothing can be taken in afterwards."""
+        """Write the final form of the tables; no step can be recorded after that."""
         self._recorder.close()
         if self._round_trips is not None:
             self._round_trips.close()
@@ -289,10 +307,11 @@ class Recording:
             if self.observer.adaptive is not None:
                 self.observer.adaptive.finish()
             if self._background is not None:
+                self._background.do(self._close_stream)
                 self._background.close()
-            self._close_stream()
             self.close_tables()
-        except (OSError, HedgerowError) as error:  # a full disk: the streams hold what was recorded, and can be read
+        # A full disk: the stream files hold the recorded steps, and can be read.
+        except (OSError, HedgerowError) as error:
             self.ending.stopped = self.ending.stopped or str(error)
         if self._round_trips is not None:
             self.ending.round_trips = self._round_trips.summary()
@@ -304,7 +323,10 @@ class Recording:
 
 
 def same_tables(one: Path, other: Path) -> bool:
-    """Whether two run folders hold the same tables, bit for bit; by a summary's checksums, of all nodes and steps."""
+    """Return True if two run folders hold the same tables, bit for bit.
+
+    A summary has checksums over all nodes and steps.
+    """
     names = [f"{name}.parquet" for name in TABLES]
     return all(_digest(one / name) == _digest(other / name) for name in names)
 

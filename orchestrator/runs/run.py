@@ -23,8 +23,9 @@ from hedgerow.orchestrator.metrics.replay import Finding
 from hedgerow.orchestrator.metrics.verdict import Verdict
 from hedgerow.orchestrator.runs import guaranteed, replayed
 from hedgerow.orchestrator.runs.difference import Estimates, equal, explain_estimates, lost_messages
+from hedgerow.orchestrator.runs.properties import actions, flags, recomputed, states, total
 from hedgerow.orchestrator.runs.rows import frozen, spread
-from hedgerow.orchestrator.runs.selection import Kept, kept
+from hedgerow.orchestrator.runs.selection import Selection, selection
 from hedgerow.orchestrator.runs.table import Table
 from hedgerow.topologies.describe import describe
 from hedgerow.topologies.errors import Code, UserError
@@ -39,41 +40,14 @@ NodeId = int | str
 Pair = tuple[NodeId, NodeId]
 
 
-def _states(name: str) -> cached_property[Array]:
-    """Return a property that reads a column of telemetry, (T + 1, n)."""
-    return cached_property(lambda run: run._of_nodes(name, run.T + 1, np.nan))
-
-
-def _actions(name: str) -> cached_property[Array]:
-    """Return a property that reads a column of telemetry without the final state, (T, n)."""
-    return cached_property(lambda run: run._of_nodes(name, run.T, np.nan))
-
-
-def _flags(name: str) -> cached_property[Mask]:
-    """Return a property that reads a column of flags of edges, (T, E)."""
-    return cached_property(lambda run: run._of_edges(name, False))
-
-
-def _recomputed(name: str) -> cached_property[Array]:
-    """Return a property that recomputes a field of `metrics.observer.Batch`, (T,) or (T, n)."""
-    return cached_property(lambda run: run._by_step(getattr(run._observed[0], name)))
-
-
-def _total(name: str) -> cached_property[Array]:
-    """Return a property that recomputes a total, (T,), or reads it from the summary if not all rows were kept."""
-    return cached_property(
-        lambda run: run._by_step(getattr(run._observed[0], name)) if run.whole else run._summed(name, run.T)
-    )
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Run:
     """A run of T steps, n nodes and E edges, from a simulation, over Zenoh, from a test, or loaded from its folder.
 
-    Row t of every array is step t. A row that was not recorded holds NaN, -1 in `index` and `right`, and False in
-    flags. Columns are nodes or edges in the order of the file; `record:` may keep only some of them. Arrays are
-    read-only. Two runs are equal if all bits of their states, estimates, inputs and disturbances are equal.
-    docs/theory.md has the formulas.
+    Row t of every array is step t. A row that was not recorded is NaN, -1 in `index` and `right`, and False in flags.
+    Columns are nodes or edges in the order of the file; `record:` may select some of them. Arrays are read-only. Two
+    runs are equal if all bits of their states, estimates, inputs and disturbances are equal. docs/theory.md has the
+    formulas.
     """
 
     folder: Path
@@ -97,29 +71,29 @@ class Run:
             raise UserError(f"{self.folder}: no whole step of the run is recorded yet", code=Code.RUN_MISSING)
 
     @cached_property
-    def kept(self) -> Kept:
-        """The steps, nodes and edges that have rows."""
-        return kept(self.topology)
+    def selection(self) -> Selection:
+        """Return the steps, nodes and edges that have rows."""
+        return selection(self.topology)
 
     @property
     def whole(self) -> bool:
         """Return True if every step of every node has rows."""
-        return self.kept.whole
+        return self.selection.whole
 
     def need_all(self, what: str) -> None:
-        """Raise UserError if some rows were not kept; `what` names the purpose that needs them."""
+        """Raise UserError if some rows were not recorded; `what` names the purpose that needs them."""
         if not self.whole:
             again = command(["orchestrator", "simulate", self.folder, "--set", "record={nodes: all}"])
             raise UserError(
-                f"{self.folder}: {what} needs all rows, and the run kept {self.kept}; it can be run again with all of"
-                f" them, to the same bits: {again}",
+                f"{self.folder}: {what} needs all rows, and the run has {self.selection}; it can be run again with all"
+                f" of them, to the same bits: {again}",
                 code=Code.NOT_RECORDED,
             )
 
     def __repr__(self) -> str:
         size = f"{self.T} steps of {len(self.ids)} nodes"
         if not self.whole:
-            size = f"{self.T} steps, with rows for {self.kept}"
+            size = f"{self.T} steps, with rows for {self.selection}"
         return f"<Run {self.name}: {size}, {self.verdict.verdict or 'no verdict'}>"
 
     def __eq__(self, other: object) -> bool:
@@ -129,17 +103,17 @@ class Run:
 
     @property
     def name(self) -> str:
-        """The name of the run folder."""
+        """Return the name of the run folder."""
         return self.folder.name
 
     @property
     def law(self) -> str:
-        """The name of the law, or `package.module:Class`."""
+        """Return the name of the law, or `package.module:Class`."""
         return self.topology.law
 
     @cached_property
     def T(self) -> int:  # noqa: N802 (the paper's name)
-        """The number of steps whose inputs and following state are recorded: the last row of `x` is x(T)."""
+        """Return the number of steps with recorded inputs and next states: the last row of `x` is x(T)."""
         steps, edges = self.recorded, len(self.edges)
         if not edges or not len(steps):
             return int(steps[-1]) if len(steps) else 0
@@ -151,134 +125,136 @@ class Run:
 
     @property
     def steps(self) -> int:
-        """The number of steps, T."""
+        """Return the number of steps, T."""
         return self.T
 
     @property
     def b(self) -> Gain:
-        """The gain b of equation (1): one number, or one per node, (n,)."""
+        """Return the gain b of equation (1): one number, or one per node, (n,)."""
         b = self.topology.network.b
-        return b if isinstance(b, float) else frozen(b[self.kept.nodes])
+        return b if isinstance(b, float) else frozen(b[self.selection.nodes])
 
     @cached_property
     def weights(self) -> Array:
-        """The weight of each edge, (E,)."""
+        """Return the weight of each edge, (E,)."""
         weights = self.topology.graph.weights
-        return frozen(np.ones(len(self.kept.edges)) if weights is None else weights[self.kept.edges])
+        return frozen(np.ones(len(self.selection.edges)) if weights is None else weights[self.selection.edges])
 
     @cached_property
     def ids(self) -> tuple[int | str, ...]:
-        """Node ids in the order of the columns."""
+        """Return the node ids in the order of the columns."""
         every = self.topology.ids
-        return tuple(every) if self.kept.all_nodes else tuple(every[k] for k in self.kept.nodes.tolist())
+        return tuple(every) if self.selection.all_nodes else tuple(every[k] for k in self.selection.nodes.tolist())
 
     @cached_property
     def edges(self) -> Index:
-        """The positions in `ids` of the two ends of each edge, -1 for a node without rows, (E, 2)."""
+        """Return the positions in `ids` of the two ends of each edge, -1 for a node without rows, (E, 2)."""
         places = np.full(self.topology.graph.n, -1)
-        places[self.kept.nodes] = np.arange(len(self.kept.nodes))
-        return frozen(places[self.topology.graph.edges[self.kept.edges]])
+        places[self.selection.nodes] = np.arange(len(self.selection.nodes))
+        return frozen(places[self.topology.graph.edges[self.selection.edges]])
 
     @cached_property
     def candidates(self) -> Array:
-        """The candidates of each node, padded with NaN, (n, M)."""
-        return frozen(self.topology.network.candidates[:, self.kept.nodes].T.copy())
+        """Return the candidates of each node, padded with NaN, (n, M)."""
+        return frozen(self.topology.network.candidates[:, self.selection.nodes].T.copy())
 
     @cached_property
     def nominal(self) -> Array:
-        """The a that the nominal controller assumes, (n,)."""
-        return frozen(self.topology.network.nominal[self.kept.nodes])
+        """Return the a that the nominal controller assumes, (n,)."""
+        return frozen(self.topology.network.nominal[self.selection.nodes])
 
     @cached_property
     def gamma_star(self) -> float:
-        """The optimal gain of the oracle for the a of step 0."""
+        """Return the optimal gain of the oracle for the a of step 0."""
         return self.topology.network.gamma_star
 
     @cached_property
     def rows(self) -> Index:
-        """The steps up to T that have rows, ascending, (K,)."""
+        """Return the steps up to T that have rows, ascending, (K,)."""
         return frozen(self.recorded[self.recorded <= self.T].copy())
 
     @cached_property
     def lost(self) -> Index:
-        """The steps before T whose telemetry was lost, (L,)."""
+        """Return the steps before T that lost their telemetry, (L,)."""
         due = np.arange(self.T)
         if not self.whole and "summary" in self.tables:
             return frozen(np.setdiff1d(due, self.tables["summary"].steps(1)))
-        return frozen(np.setdiff1d(due[self.kept.rows(due)], self.recorded))
+        return frozen(np.setdiff1d(due[self.selection.rows(due)], self.recorded))
 
-    x = _states("x")
+    x = states("x")
     """States, (T + 1, n)."""
-    x_oracle = _states("x_oracle")
+    x_oracle = states("x_oracle")
     """States of the oracle, the twin that knows every a, (T + 1, n)."""
-    x_nominal = _states("x_nominal")
+    x_nominal = states("x_nominal")
     """States of the nominal twin, which assumes `nominal`, (T + 1, n)."""
-    u = _actions("u")
+    u = actions("u")
     """Inputs, NaN where the plant received none, (T, n)."""
-    w = _actions("w")
+    w = actions("w")
     """Disturbances, (T, n)."""
-    ahat = _actions("ahat")
+    ahat = actions("ahat")
     """Estimates, NaN where the agent was absent, (T, n)."""
 
-    margin = _actions("margin")
+    margin = actions("margin")
     """The margin J_(2) - J_(1) of the best candidate over the next, NaN where there is none, (T, n)."""
 
     @cached_property
     def index(self) -> NDArray[np.int32]:
-        """The position of ahat among the candidates, from 0; -1 where there is no estimate, (T, n)."""
+        """Return the position of ahat among the candidates, from 0; -1 without an estimate, (T, n)."""
         return frozen(np.nan_to_num(self._of_nodes("index", self.T, np.nan), nan=-1.0).astype(np.int32))
 
     @cached_property
     def wrong(self) -> NDArray[np.bool_]:
-        """True where ahat is a candidate other than the truth, (T, n)."""
+        """Return True where ahat is a candidate other than the truth, (T, n)."""
         return frozen((self.index >= 0) & np.isfinite(self.ahat) & (self.ahat != self.a[: self.T]))
 
     @property
     def real_estimates(self) -> bool:
-        """Return True if some estimate is no candidate: the law estimates real numbers."""
+        """Return True if some estimate is not a candidate: the law estimates real numbers."""
         return bool((np.isfinite(self.ahat) & (self.index < 0)).any())
 
     @cached_property
     def u_edge(self) -> Array:
-        """The input u_j - u_i of each edge (i, j), 0 where it was closed, (T, E)."""
+        """Return the input u_j - u_i of each edge (i, j), 0 where it was closed, (T, E)."""
         return self._of_edges("u_edge", np.nan)
 
-    edge_open = _flags("open")
+    edge_open = flags("open")
     """True if an edge carried flow, (T, E)."""
-    i_hears = _flags("i_hears")
+    i_hears = flags("i_hears")
     """True if the message of node j arrived at node i in its own step, (T, E)."""
-    j_hears = _flags("j_hears")
+    j_hears = flags("j_hears")
     """True if the message of node i arrived at node j in its own step, (T, E)."""
 
     @cached_property
     def regret(self) -> Array:
-        """The regret r_i = |x_i - x_i*| of each node, the paper's figure 4, (T + 1, n)."""
+        """Return the regret r_i = |x_i - x_i*| of each node, the paper's figure 4, (T + 1, n)."""
         return frozen(np.abs(self.x - self.x_oracle))
 
     @cached_property
     def nominal_gap(self) -> Array:
-        """The distance |x_i* - x_i^nom| of the two twins, the paper's figure 5, (T + 1, n)."""
+        """Return the distance |x_i* - x_i^nom| of the two twins, the paper's figure 5, (T + 1, n)."""
         return frozen(np.abs(self.x_oracle - self.x_nominal))
 
     @cached_property
     def a(self) -> Array:
-        """The true a of each step, jumps included, (T, n)."""
+        """Return the true a of each step, jumps included, (T, n)."""
         if self.whole:
             return self._by_step(self._observed[0].a)
-        nodes = self.kept.nodes
+        nodes = self.selection.nodes
         a = np.repeat(self.topology.network.a[None, nodes], self.T, axis=0)
         for jump in Schedule(self.topology).jumps(0):
             a[jump.start :, nodes == jump.targets[0]] = jump.a
         return frozen(a)
 
-    a_ls = _recomputed("a_ls")
+    a_ls = recomputed("a_ls")
     """The least-squares a of all earlier steps, received by the node or not; NaN at first, (T, n)."""
-    beta = _recomputed("beta")
+    beta = recomputed("beta")
     """The bias a_LS - a, (T, n)."""
 
     @cached_property
     def identifiable(self) -> Mask:
-        """True if the candidate nearest to a_LS is the truth; the first of equally near ones counts, (T, n)."""
+        """Return True where the candidate nearest to a_LS is the truth; the first of equally near ones counts, (T,
+        n).
+        """
         nearest = np.broadcast_to(self.candidates[:, 0], self.a_ls.shape)
         for rival in self.candidates.T[1:]:
             nearest = np.where(np.abs(self.a_ls - rival) < np.abs(self.a_ls - nearest), rival, nearest)
@@ -286,35 +262,35 @@ class Run:
 
     @cached_property
     def faultless(self) -> bool:
-        """True if all edges were open and no a jumped at any step, as gamma* assumes."""
+        """Return True if all edges were open and no a jumped at any step, as gamma* assumes."""
         return bool(self.edge_open.all() and (self.a == self.a[:1]).all())
 
-    cost = _total("cost")
+    cost = total("cost")
     """The cost c = |x|^2 + sum_e k_e u_e^2, (T,)."""
-    cost_oracle = _total("cost_oracle")
+    cost_oracle = total("cost_oracle")
     """The cost c* of the oracle, (T,)."""
-    cost_sum = _total("cost_sum")
+    cost_sum = total("cost_sum")
     """The cumulative cost C, (T,)."""
-    cost_oracle_sum = _total("cost_oracle_sum")
+    cost_oracle_sum = total("cost_oracle_sum")
     """The cumulative cost C* of the oracle, (T,)."""
-    energy_sum = _total("energy_sum")
+    energy_sum = total("energy_sum")
     """The cumulative sum of |w|^2, (T,)."""
 
     @cached_property
     def cost_regret(self) -> Array:
-        """The cost regret R = C - C*, signed, (T,)."""
+        """Return the cost regret R = C - C*, signed, (T,)."""
         return frozen(self.cost_sum - self.cost_oracle_sum)
 
     @cached_property
     def right(self) -> NDArray[np.int64]:
-        """The number of estimates that are right, (T,)."""
+        """Return the number of right estimates, (T,)."""
         if self.whole:
             return self._by_step(self._observed[0].right)
         return frozen(np.nan_to_num(self._summed("right", self.T), nan=-1.0).astype(np.int64))
 
     @cached_property
     def regret_sum(self) -> Array:
-        """The regret D(t), the cumulative sum of r_i^2 including the final state, (T + 1,)."""
+        """Return the regret D(t), the cumulative sum of r_i^2 including the final state, (T + 1,)."""
         if not self.whole:
             return self._summed("regret_sum", self.T + 1)
         batch, observer = self._observed
@@ -322,7 +298,7 @@ class Run:
 
     @cached_property
     def nominal_regret_sum(self) -> Array:
-        """The regret D(t) of the nominal twin, (T + 1,)."""
+        """Return the regret D(t) of the nominal twin, (T + 1,)."""
         if not self.whole:
             return self._summed("nominal_regret_sum", self.T + 1)
         batch, observer = self._observed
@@ -330,18 +306,19 @@ class Run:
 
     @cached_property
     def gain(self) -> Array:
-        """The empirical gain sqrt(C / sum |w|^2), NaN until w is not 0, (T,)."""
+        """Return the empirical gain sqrt(C / sum |w|^2), NaN until w is not 0, (T,)."""
         return frozen(gain(self.cost_sum, self.energy_sum))
 
     @cached_property
     def gain_less_x0(self) -> Array:
-        """The empirical gain after subtracting V(x(0)), a bound on the oracle's cost of x(0), from C, (T,)."""
+        """Return the empirical gain with V(x(0)), a bound on the oracle's cost of x(0), subtracted from C, (T,)."""
         network = self.topology.network
         return frozen(gain(self.cost_sum, self.energy_sum, float(storage(network.x0[None], network.a)[0])))
 
     @cached_property
     def ceiling(self) -> Array:
-        """The least bound on the gain of the law that holds at each step, NaN without one, (T,); docs/guarantee.md.
+        """Return the smallest valid bound on the gain of the law at each step, NaN without one, (T,);
+        docs/guarantee.md.
 
         It bounds the gain from x(0) = 0.
         """
@@ -361,7 +338,7 @@ class Run:
 
     @property
     def metrics(self) -> dict[str, float | int | None]:
-        """The final numbers, as in verdict.json."""
+        """Return the final numbers, as in verdict.json."""
         if not self.whole and self.verdict.content.get("metrics"):
             return dict(self.verdict.content["metrics"])
         return self._observed[1].summary()
@@ -376,7 +353,7 @@ class Run:
 
     @cached_property
     def heard(self) -> Mask:
-        """True if the message of a step arrived in that step, by incidence of `topology.graph`, (T, 2E)."""
+        """Return True where the message of a step arrived in that step, by incidence of `topology.graph`, (T, 2E)."""
         self.need_all("the messages by incidence")
         heard = np.empty((self.T, 2 * len(self.edges)), dtype=np.bool_)
         ends = at_ends(self.topology.graph)
@@ -385,8 +362,8 @@ class Run:
 
     @cached_property
     def truth(self) -> Array:
-        """The true a before any jump, (n,)."""
-        return frozen(self.topology.network.a[self.kept.nodes])
+        """Return the true a before any jump, (n,)."""
+        return frozen(self.topology.network.a[self.selection.nodes])
 
     def column(self, node: NodeId) -> int:
         """Return the column of a node in the arrays: `run.x[:, run.column(4)]`. Raises UserError."""
@@ -403,22 +380,23 @@ class Run:
             raise UserError(f"estimates_at({t}): the run has steps 0 to {self.T - 1}", code=Code.OPTION)
         return Estimates(self, t)
 
-    def missing(self, link: Pair) -> list[int]:
-        """Return the steps whose message from the first node of `link` to the second was lost or late."""
-        sender, receiver = map(self.column, link)
+    def _edge(self, ends: Pair) -> tuple[int, bool]:
+        """Return the column of an edge, and True if the file has its ends in the other order. Raises UserError."""
+        pair = (self.column(ends[0]), self.column(ends[1]))
         for column, (i, j) in enumerate(self.edges.tolist()):
-            if (i, j) in ((sender, receiver), (receiver, sender)):
-                arrived = self.j_hears if i == sender else self.i_hears
-                return [int(t) for t in np.flatnonzero(~arrived[:, column])]
-        raise UserError(f"missing({link}): {link[0]} and {link[1]} are not neighbours", code=Code.OPTION)
+            if (i, j) in (pair, pair[::-1]):
+                return column, (i, j) != pair
+        raise UserError(f"{ends}: {ends[0]} and {ends[1]} are not neighbours", code=Code.OPTION)
+
+    def missing(self, link: Pair) -> list[int]:
+        """Return the steps with a lost or late message from the first node of `link` to the second."""
+        column, turned = self._edge(link)
+        arrived = self.i_hears if turned else self.j_hears
+        return [int(t) for t in np.flatnonzero(~arrived[:, column])]
 
     def open(self, edge: Pair) -> list[int]:
         """Return the steps at which an edge carried flow."""
-        ends = {*map(self.column, edge)}
-        for column, pair in enumerate(self.edges.tolist()):
-            if {*pair} == ends:
-                return [int(t) for t in np.flatnonzero(self.edge_open[:, column])]
-        raise UserError(f"open({edge}): {edge[0]} and {edge[1]} are not neighbours", code=Code.OPTION)
+        return [int(t) for t in np.flatnonzero(self.edge_open[:, self._edge(edge)[0]])]
 
     def assert_same_estimates(self, other: Run, t: int | None = None) -> None:
         """Assert that all estimates of two runs are equal at step t, or at every step if t is None."""
@@ -466,7 +444,7 @@ class Run:
 
     @cached_property
     def recorded(self) -> Index:
-        """The step of each row of telemetry; it may hold one step more than `rows`."""
+        """The step of each row of telemetry, (K,), or (K + 1,) with a step after T."""
         return frozen(self.tables["telemetry"].steps(len(self.ids)) if self.ids else self._summary.steps(1))
 
     def _of_nodes(self, name: str, rows: int, missing: float) -> Array:
@@ -487,5 +465,5 @@ class Run:
 
     @cached_property
     def _observed(self) -> tuple[Batch, Observer]:
-        """The result of the observer for this telemetry."""
+        """Return the result of the observer for this telemetry."""
         return replayed.observe(self)

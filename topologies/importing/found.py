@@ -1,4 +1,4 @@
-"""A graph as a reader finds it, before it is made undirected and simple."""
+"""A graph as a reader finds it, before it becomes undirected and simple."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ def refuse(place: object, problem: str, fix: str = "", code: Code = Code.FILE_FO
 
 @dataclass(eq=False)
 class Found:
-    """Nodes and edges of a source, with what it says of them; loops and repeated edges included."""
+    """Nodes and edges of a source, with their attributes; loops and repeated edges included."""
 
     source: str
     """the file or object, for messages"""
     names: Sequence[Hashable]
-    """of the nodes, each once"""
+    """the names of the nodes, each once"""
     edges: Index
     """positions in `names`, (E, 2)"""
     directed: bool = False
-    """whether an edge from i to j can have another one from j to i"""
+    """True if an edge from i to j may have a second one from j to i"""
     labels: Sequence[str | None] | None = None
     positions: Array | None = None
     """(n, 2), y upwards; NaN where a node has none"""
@@ -40,22 +40,22 @@ class Found:
     storage: Array | None = None
     """c_i of each node, above 0, (n,); None if all have 1"""
     a: float | None = None
-    """the true a of every node, where the source gives it"""
+    """the true a of every node, if the source gives it"""
     b: float | None = None
-    """the gain, where the source gives its unit"""
+    """the gain, if the source gives its unit"""
     samples: Array | None = None
     """w_i(t), (n, T)"""
     steps: int | None = None
     edge_names: Sequence[str] | None = None
-    """for messages, (E,)"""
+    """the names of edges in messages, (E,)"""
     sign: Callable[[float], str] = field(default=lambda _: "")
-    """what a weight that is not above 0 means in the source"""
+    """the meaning in the source of a weight that is not above 0"""
     facts: list[str] = field(default_factory=list)
-    """sentences: what the numbers of the topology are in the source"""
+    """sentences about the meaning of the numbers in the source"""
     assumptions: list[str] = field(default_factory=list)
-    """sentences: what the source does not say"""
+    """sentences about values that the source does not give"""
     changes: list[str] = field(default_factory=list)
-    """sentences: what was merged and dropped"""
+    """sentences about merged and dropped parts"""
 
     def edge_name(self, k: int) -> str:
         """Return the name of edge k for a message."""
@@ -63,13 +63,18 @@ class Found:
         ends = f"edge {self.names[i]} - {self.names[j]}"
         return ends if self.edge_names is None else f"{self.edge_names[k]} ({ends})"
 
+    def place(self, k: int) -> str:
+        """Return the file and the name of edge k, as the start of a message."""
+        name = self.edge_name(k)
+        return name if name.startswith(f"{self.source}:") else f"{self.source}: {name}"
+
 
 def numbers(
     source: str, what: str, name: str, values: Sequence[Any], named: Callable[[int], str], missing: float = np.nan
 ) -> Array:
-    """Return the values of an attribute as numbers; raise UserError for text, and for a value that is missing.
+    """Return the values of an attribute as numbers; raise UserError for text, and for a missing value.
 
-    A value None is `missing`, if that is a number.
+    `missing` replaces a value None, if it is a number.
     """
     found = np.empty(len(values))
     for k, value in enumerate(values):
@@ -82,18 +87,19 @@ def numbers(
             found[k] = float(value)
         except (TypeError, ValueError):
             shown = "is missing" if value is None else f"{str(value)[:40]!r} is not a number"
-            raise refuse(
-                source,
-                f"{named(k)}: {what} attribute `{name}` {shown}",
-                "Name an attribute that all of them have, or write `--weight 1`",
-            ) from None
+            cure = "Name an attribute that all of them have, or write `--weight 1`"
+            if isinstance(value, str) and as_number(value.replace(",", ".", 1)) is not None:
+                cure = "Write decimals with a point"
+            # The place of an edge in a file begins with the file already.
+            place = named(k) if named(k).startswith(f"{source}:") else f"{source}: {named(k)}"
+            raise refuse(place, f"{what} attribute `{name}` {shown}", cure) from None
     return found
 
 
 def weights_of(
     source: str, asked: str | None, attributes: Sequence[Mapping[str, Any]], named: Callable[[int], str]
 ) -> tuple[Array | None, str]:
-    """Return the weights of edges, (E,) or None for all ones, and a sentence that says where they come from.
+    """Return the weights of edges, (E,) or None for all ones, and a sentence about their source.
 
     asked: the attribute that the user names, or a number for all edges; None takes `weight` if every edge has it.
     """
@@ -103,7 +109,7 @@ def weights_of(
             if isinstance(value, int | float | np.number) and not isinstance(value, bool):
                 keys[key] = keys.get(key, 0) + 1
     if asked is not None and (number := as_number(asked)) is not None:
-        return np.full(len(attributes), number), f"Every edge has the weight {number:g}, as the command says"
+        return np.full(len(attributes), number), f"Every edge has the weight {number:g}, by the option"
     if asked is not None:
         if not any(asked in own for own in attributes):
             known = ", ".join(sorted(map(str, keys))) or "none that are numbers"
@@ -113,9 +119,11 @@ def weights_of(
         return numbers(source, "the", asked, [own.get(asked) for own in attributes], named), (
             f"The weights are the attribute `{asked}` of the edges"
         )
-    if any(own.get("weight") is not None for own in attributes):
-        return numbers(source, "the", "weight", [own.get("weight") for own in attributes], named), (
-            "The weights are the attribute `weight` of the edges"
+    # Gephi writes `Weight`.
+    spelled = next((key for key in ("weight", "Weight") if any(own.get(key) is not None for own in attributes)), None)
+    if spelled is not None:
+        return numbers(source, "the", spelled, [own.get(spelled) for own in attributes], named), (
+            f"The weights are the attribute `{spelled}` of the edges"
         )
     whole = sorted(str(key) for key, count in keys.items() if count == len(attributes))
     hint = f"; --weight can take {', '.join(whole)}" if whole else ""
@@ -125,16 +133,16 @@ def weights_of(
 def storage_of(
     source: str, asked: str | float | None, attributes: Sequence[Mapping[str, Any]], others: float | None, noun: str
 ) -> tuple[Array | None, str | None]:
-    """Return the storage of nodes, (n,) or None for 1 everywhere, and a sentence that says where it comes from.
+    """Return the storage of nodes, (n,) or None for 1 everywhere, and a sentence about its source.
 
-    asked: an attribute of nodes, or a number for all of them; others: the storage of nodes without one.
+    asked: an attribute of nodes, or a number for all of them; others: the storage of nodes without the attribute.
     """
     if asked is None:
         return None, None
     if (number := as_number(asked)) is not None:
         if not number > 0:
             raise refuse(f"--storage {asked}", "is not above 0", "Give a number above 0", Code.OPTION)
-        return np.full(len(attributes), number), f"Every {noun} has the storage {number:g}, as the command says"
+        return np.full(len(attributes), number), f"Every {noun} has the storage {number:g}, by the option"
     key = str(asked)
     if not any(key in own for own in attributes):
         known = ", ".join(sorted({str(key) for own in attributes for key in own})) or "none"
@@ -154,13 +162,13 @@ def storage_of(
         values[without] = others
         return values, (
             f"The storage of a {noun} is its attribute `{key}`; "
-            f"{int(without.sum())} without one have {others:g}, as the command says"
+            f"{int(without.sum())} without one have {others:g}, by the option"
         )
     return values, f"The storage of a {noun} is its attribute `{key}`"
 
 
 def as_number(value: str | float) -> float | None:
-    """Return the number that a word of the command line is, or None if it is a name."""
+    """Return a word of the command line as a number, or None if it is a name."""
     try:
         found = float(value)
     except ValueError:
@@ -174,7 +182,7 @@ def pairs(found: Sequence[tuple[int, int]]) -> Index:
 
 
 def places(found: Sequence[tuple[float, float] | None]) -> Array | None:
-    """Return the positions of nodes, (n, 2), NaN where there is none; None if no node has one."""
+    """Return the positions of nodes, (n, 2), NaN for a node without one; None if no node has one."""
     if all(place is None for place in found):
         return None
     array: NDArray[np.float64] = np.array([(np.nan, np.nan) if one is None else one for one in found], dtype=float)

@@ -1,12 +1,14 @@
-"""networkx graphs, and the files that networkx reads: GraphML, GML, GEXF, Pajek, node-link JSON."""
+"""networkx graphs, and the files that networkx reads: GraphML, GML, GEXF, Pajek, JSON."""
 
 from __future__ import annotations
 
 import io
 import json
+import re
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from xml.etree import ElementTree
 
 from hedgerow.topologies.importing.found import Found, pairs, places, refuse, storage_of, weights_of
 from hedgerow.topologies.importing.options import Options
@@ -16,28 +18,28 @@ if TYPE_CHECKING:
     import networkx as nx
 
 GROWTH = 60
-"""bytes of memory for a byte of a file: networkx holds a dictionary for each node and edge"""
+"""the memory per byte of a file: networkx holds a dictionary for each node and edge"""
 _LABELS = ("label", "Label", "name", "Name")
 _PLACES = (("x", "y"), ("Longitude", "Latitude"), ("longitude", "latitude"), ("lon", "lat"), ("lng", "lat"))
 
 
 def read(path: Path, options: Options, kind: str) -> Found:
-    """Return the graph in a file of the kind graphml, gml, gexf, pajek, node-link, or edgelist with attributes."""
+    """Return the graph in a file of the kind graphml, gml, gexf, pajek, JSON, or edgelist with attributes."""
     import networkx as nx  # noqa: PLC0415 (a third of a second)
 
     data = read_regular(path, growth=GROWTH)
     readers: dict[str, Callable[[], Any]] = {
-        "graphml": lambda: nx.read_graphml(io.BytesIO(data)),
+        "graphml": lambda: _graphml(data),
         "gml": lambda: _gml(data),
         "gexf": lambda: nx.read_gexf(io.BytesIO(data)),
         "pajek": lambda: nx.parse_pajek(data.decode()),
         "edgelist": lambda: nx.parse_edgelist(data.decode("utf-8-sig").splitlines(), data=True),
-        "node-link": lambda: _node_link(json.loads(data)),
+        "JSON": lambda: _json_graph(json.loads(data)),
     }
     try:
         graph = readers[kind]()
     except Exception as error:  # each reader of networkx raises what its parser raises
-        text = str(error).strip("\"'\n") or type(error).__name__
+        text = " ".join(str(error).strip("\"'\n").split()) or type(error).__name__
         raise refuse(path, f"is no {kind} file that networkx can read: {text[:200]}", "Check its format") from None
     return of_networkx(graph, options, str(path))
 
@@ -45,22 +47,62 @@ def read(path: Path, options: Options, kind: str) -> Found:
 def _gml(data: bytes) -> Any:
     import networkx as nx  # noqa: PLC0415
 
-    lines = data.decode("utf-8").splitlines()
-    try:
-        return nx.parse_gml(lines)
-    except nx.NetworkXError as error:
-        # Labels are the names of nodes by default, and a file may lack them or give one twice.
-        if "label" not in str(error):
-            raise
-        return nx.parse_gml(lines, label="id")
+    text, label = data.decode("utf-8"), "label"
+    for _ in range(3):
+        try:
+            return nx.parse_gml(text.splitlines(), label=label)
+        except nx.NetworkXError as error:
+            if str(error).startswith("edge #") and "multigraph" not in text:
+                # Many files have parallel edges without the key that allows them.
+                text = re.sub(r"\bgraph\s*\[", "graph [ multigraph 1", text, count=1)
+            elif "label" in str(error) and label == "label":
+                # Labels are the names of nodes by default, and a file may lack them or give one twice.
+                label = "id"
+            else:
+                raise
+    raise ValueError("it has neither ids nor labels")
 
 
-def _node_link(content: Any) -> Any:
+def _graphml(data: bytes) -> Any:
     import networkx as nx  # noqa: PLC0415
 
-    if not isinstance(content, dict) or "nodes" not in content:
-        raise ValueError("a node-link file is an object with `nodes` and `links`")
-    return nx.node_link_graph(content, edges="edges" if "edges" in content else "links")
+    # networkx makes nodes of ids that no node has, and one node of those without an id.
+    listed = [one.get("id") for one in ElementTree.fromstring(data).iter() if one.tag.rpartition("}")[2] == "node"]
+    if None in listed:
+        raise ValueError("a node has no `id`")
+    if len(set(listed)) < len(listed):
+        raise ValueError(f"two nodes have the id {_twice(listed)!r}")
+    graph = nx.read_graphml(io.BytesIO(data))
+    if len(graph) > len(listed):
+        strange = next(node for node in graph if str(node) not in listed)
+        raise ValueError(f"an edge leads to {strange!r}, which is no node")
+    return graph
+
+
+def _json_graph(content: Any) -> Any:
+    """Return the graph of node-link JSON, or of the adjacency and Cytoscape JSON that networkx writes too."""
+    import networkx as nx  # noqa: PLC0415
+
+    if isinstance(content, dict) and isinstance(content.get("elements"), dict):
+        return nx.cytoscape_graph(content)
+    if isinstance(content, dict) and "nodes" in content and "adjacency" in content:
+        return nx.adjacency_graph(content)
+    key = next((key for key in ("edges", "links") if isinstance(content, dict) and key in content), None)
+    if key is None or "nodes" not in content:
+        raise ValueError("node-link JSON is an object with `nodes`, and `edges` or `links`")
+    listed = [json.dumps(node["id"]) for node in content["nodes"] if "id" in node]
+    if len(set(listed)) < len(listed):
+        raise ValueError(f"two nodes have the id {_twice(listed)}")
+    graph = nx.node_link_graph(content, edges=key)
+    if len(graph) > len(content["nodes"]):
+        raise ValueError(f"an edge leads to {[*graph][len(content['nodes'])]!r}, which is no node")
+    return graph
+
+
+def _twice(listed: Sequence[Hashable]) -> Hashable:
+    """Return the first repeated entry of a list."""
+    seen: set[Hashable] = set()
+    return next(one for one in listed if one in seen or seen.add(one))  # type: ignore[func-returns-value]
 
 
 def of_networkx(graph: nx.Graph[Any], options: Options, source: str) -> Found:

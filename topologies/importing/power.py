@@ -1,13 +1,14 @@
 """Power grids: MATPOWER cases, .m and .mat, and pandapower networks.
 
-A node is a bus, an edge a branch that is in service. Its weight is the susceptance 1/(x tap) per unit, by which a
-difference of angles makes a flow of power.
+A node is a bus, an edge a branch that is in service. Its weight is the susceptance 1/(x tap) per unit, which turns a
+difference of angles into a flow of power.
 """
 
 from __future__ import annotations
 
 import io
 import json
+import re
 import subprocess
 import sys
 import warnings
@@ -29,13 +30,16 @@ if TYPE_CHECKING:
     import pandapower
 
 GROWTH = 60
-"""bytes of memory for a byte of a file"""
+"""the memory per byte of a file"""
 F_BUS, T_BUS, BR_X, TAP, BR_STATUS = 0, 1, 3, 8, 10
 BUS_I, BUS_TYPE, BASE_KV = 0, 1, 9
 ISOLATED = 4
 BUS_COLUMNS = ("BUS_I", "BUS_TYPE", "PD", "QD", "GS", "BS", "BUS_AREA", "VM", "VA", "BASE_KV")
 TRUSTED = {"pandapower", "pandas", "numpy", "networkx", "shapely", "geopandas"}
-"""modules whose objects a pandapower file may hold: its reader imports the modules that the file names"""
+"""modules allowed in a pandapower file: pandapower's reader imports every module that the file names"""
+
+
+_CHANGE = re.compile(rb"^[ \t]*(?:[^%\n]*[;,])?[ \t]*(mpc\.(bus|branch)[ \t]*\([^\n%]*\)[ \t]*=)", re.MULTILINE)
 
 
 def read_m(path: Path, options: Options) -> Found:
@@ -43,6 +47,14 @@ def read_m(path: Path, options: Options) -> Found:
     text = read_regular(path, growth=GROWTH)
     if b"mpc" not in text:
         raise refuse(path, "is no MATPOWER case: it sets no field of `mpc`", "Name a case file")
+    # The reader uses the tables as they are written: a statement that changes one would be ignored silently.
+    if (change := _CHANGE.search(text)) is not None:
+        line = text.count(b"\n", 0, change.start(1)) + 1
+        raise refuse(
+            f"{path}:{line}",
+            f"a statement changes mpc.{change[2].decode()}, and this reader runs none",
+            f"Save the case that MATPOWER or Octave loads: savecase('{path.stem}.mat', loadcase('{path.stem}'))",
+        )
     try:
         from matpowercaseframes import CaseFrames  # noqa: PLC0415
     except ImportError:
@@ -51,7 +63,7 @@ def read_m(path: Path, options: Options) -> Found:
         case = CaseFrames(str(path.resolve()))
         bus, branch = case.bus, case.branch
         names = getattr(case, "bus_name", None)
-    except Exception as error:  # the reader raises what its expressions and pandas raise
+    except Exception as error:  # the reader passes on all errors of its expressions and of pandas
         raise refuse(path, f"is no MATPOWER case that can be read: {str(error)[:200]}", "Check its format") from None
     labels = None if names is None else [str(name).strip() or None for name in names]
     return of_case(path, np.asarray(bus, dtype=float), np.asarray(branch, dtype=float), options, labels)
@@ -70,6 +82,8 @@ else:
     arrays = {}
     for name, value in content.items():
         if not name.startswith("__") and getattr(value, "ndim", 0) == 2 and value.shape[0] == value.shape[1] > 1:
+            if value.dtype.kind == "c":
+                sys.exit(f"`{name}` holds complex numbers")
             coo = scipy.sparse.coo_array(value)
             arrays[name] = np.stack([*coo.coords, coo.data], axis=1).astype(float)
             arrays["n " + name] = np.array(value.shape[0])
@@ -96,6 +110,8 @@ def read_mat(path: Path, options: Options) -> Found:
         raise refuse(path, f"was not read within {DEADLINE_S:g} s", "Save it with -v7") from None
     if done.returncode:
         lines = done.stderr.decode(errors="replace").strip().splitlines() or ["it is damaged"]
+        if "complex" in lines[-1]:
+            raise refuse(path, lines[-1][:200], "Save the moduli, or the real parts")
         raise refuse(path, f"is no MATLAB file that SciPy can read: {lines[-1][:200]}", "Save it with -v7")
     with np.load(io.BytesIO(done.stdout)) as archive:
         arrays = dict(archive)
@@ -111,6 +127,9 @@ def of_case(
     if bus.ndim != 2 or branch.ndim != 2 or bus.shape[1] <= BASE_KV or branch.shape[1] <= TAP:
         raise refuse(path, "has no tables `bus` and `branch` of a MATPOWER case", "Name a case file")
     place = {int(number): k for k, number in enumerate(bus[:, BUS_I])}
+    if len(place) < len(bus):
+        numbers, count = np.unique(bus[:, BUS_I], return_counts=True)
+        raise refuse(path, f"bus {numbers[count.argmax()]:.0f} is twice in `bus`", "Give each bus its own number")
     ends = [(int(i), int(j)) for i, j in branch[:, [F_BUS, T_BUS]]]
     for i, j in ends:
         if i not in place or j not in place:
@@ -127,7 +146,7 @@ def of_case(
     if options.weight is not None:
         if (number := as_number(options.weight)) is None:
             raise refuse(f"--weight {options.weight}", "a branch has its susceptance", "Give a number", Code.OPTION)
-        weights, fact = np.full(len(branch), number), f"Every branch has the weight {number:g}, as the command says"
+        weights, fact = np.full(len(branch), number), f"Every branch has the weight {number:g}, by the option"
     attributes = [dict(zip(BUS_COLUMNS, row, strict=False)) for row in bus.tolist()]
     storage, of_storage = storage_of(str(path), options.storage, attributes, options.junction_storage, "bus")
     found = Found(
@@ -151,7 +170,7 @@ def of_case(
 
 
 def _sign(weight: float) -> str:
-    """Return what a branch is whose weight is not above 0."""
+    """Return the meaning of a branch with a weight that is not above 0."""
     if np.isinf(weight):
         return "a branch without reactance: a bus tie or a switch"
     return "a series capacitor, or the star point of a three-winding transformer" if weight < 0 else "no reactance"
@@ -172,7 +191,8 @@ def read_pandapower(path: Path, options: Options) -> Found:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             net = pandapower.from_json_string(content.decode())
-            case = to_ppc(net, init="flat", calculate_voltage_angles=True, mode="pf")
+            # Without the check of connectivity, parts without a supply remain: they are a network too.
+            case = to_ppc(net, init="flat", calculate_voltage_angles=True, mode="pf", check_connectivity=False)
     except Exception as error:  # the conversion raises what its parts raise
         raise refuse(
             path, f"pandapower cannot read it: {str(error)[:200]}", "Open and save it with pandapower"
@@ -182,13 +202,24 @@ def read_pandapower(path: Path, options: Options) -> Found:
     first = {int(number): k for k, number in enumerate(bus[:, BUS_I])}
     members: dict[int, list[Any]] = {}
     for index in net.bus.index:
-        members.setdefault(first[int(lookup[index])], []).append(index)
+        # Buses out of service have no place in the case.
+        if (at := first.get(int(lookup[index]))) is not None:
+            members.setdefault(at, []).append(index)
     labels = [_label(net, members.get(k, []), k) for k in range(len(bus))]
     found = of_case(path, bus, branch, options, None)
-    kept = [first[int(str(name))] for name in found.names]
-    found.labels = [labels[k] for k in kept]
-    found.names = [members[k][0] if members.get(k) else f"aux_{k}" for k in kept]
-    found.positions = places([_place(net, members.get(k, [])) for k in kept])
+    firsts = [first[int(str(name))] for name in found.names]
+    found.labels = [labels[k] for k in firsts]
+    found.names = [members[k][0] if members.get(k) else f"aux_{k}" for k in firsts]
+    found.positions = places([_place(net, members.get(k, [])) for k in firsts])
+    if out := len(net.bus) - sum(map(len, members.values())):
+        found.changes.append(
+            f"{out} bus{'es' if out > 1 else ''} dropped: out of service, or without a branch in service"
+        )
+    if auxiliary := sum(str(name).startswith("aux_") for name in found.names):
+        found.assumptions.append(
+            f"{auxiliary} node{'s' if auxiliary > 1 else ''} aux_… made by pandapower: star points of transformers, "
+            "and open ends of lines"
+        )
     fused = sum(len(own) - 1 for own in members.values())
     if fused:
         found.changes.append(f"{fused} bus{'es' if fused > 1 else ''} fused with others: closed switches join them")
@@ -197,7 +228,7 @@ def read_pandapower(path: Path, options: Options) -> Found:
 
 def _label(net: pandapower.pandapowerNet, buses: Sequence[Any], k: int) -> str | None:
     if not buses:
-        return f"star point {k}"
+        return f"auxiliary node {k}"
     name = net.bus.at[buses[0], "name"]
     return str(name) if name is not None and name == name and str(name).strip() else None  # noqa: PLR0124
 
@@ -214,7 +245,7 @@ def _place(net: pandapower.pandapowerNet, buses: Sequence[Any]) -> tuple[float, 
 
 
 def _check_modules(path: Path, content: bytes) -> None:
-    """Raise UserError for a file that names modules other than those of its own tools: its reader imports them all."""
+    """Raise UserError for a file that names other modules than those of its tools: pandapower would import them all."""
     try:
         waiting = [json.loads(content)]
     except (ValueError, RecursionError):
@@ -238,7 +269,7 @@ def _check_modules(path: Path, content: bytes) -> None:
 
 
 def missing(package: str, extra: str) -> UserError:
-    """Return the error for a reader that is not installed, for the caller to raise."""
+    """Return the error for a missing reader, for the caller to raise."""
     return UserError(
         f"{package}: is not installed, and reads this file. Install it: pip install 'hedgerow[{extra}]'.",
         code=Code.OPTION,

@@ -1,4 +1,4 @@
-"""From a graph of a source to an undirected one without loops and repeated edges; each change is counted."""
+"""The conversion of a source's graph to an undirected one without loops and repeated edges; each change is counted."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ from hedgerow.topologies.importing.options import Options
 
 
 def simple(found: Found, options: Options) -> Found:
-    """Return the graph with every edge once, and the changes that this took; raise UserError for a weight that is not
-    above 0, and for a source without nodes.
+    """Return the graph with every edge once, and the changes made.
+
+    Raise UserError for a weight that is not above 0, and for a source without nodes.
     """
     if not len(found.names):
         raise refuse(found.source, "has no nodes", "Name a file that holds a network")
@@ -23,10 +24,12 @@ def simple(found: Found, options: Options) -> Found:
     low, high = edges.min(axis=1, initial=2**62), edges.max(axis=1, initial=-1)
     if loops := int((low == high).sum()):
         changes.append(f"{_count(loops, 'loop')} dropped: an edge joins two nodes")
-        kept = low != high
-        edges, low, high = edges[kept], low[kept], high[kept]
-        weights = None if weights is None else weights[kept]
-    edges, weights, parallel, both = _merged(len(found.names), edges, low, high, weights, found.directed)
+        left = low != high
+        edges, low, high = edges[left], low[left], high[left]
+        weights = None if weights is None else weights[left]
+    edges, weights, parallel, both = _merged(
+        len(found.names), edges, low, high, weights, found.directed or options.directed
+    )
     if parallel:
         changes.append(f"{_count(parallel, 'parallel edge')} merged: their weights are added")
     if both:
@@ -52,7 +55,7 @@ def _check_weights(found: Found) -> None:
         what = found.sign(float(weights[k]))
         more = f", and {len(bad) - 1} more like it" if len(bad) > 1 else ""
         raise refuse(
-            f"{found.source}: {found.edge_name(k)}",
+            found.place(k),
             f"the weight {weights[k]:g} is not above 0{f', {what}' if what else ''}{more}",
             "Remove the edge, or choose weights with --weight",
         )
@@ -61,7 +64,9 @@ def _check_weights(found: Found) -> None:
 def _merged(
     n: int, edges: Index, low: Index, high: Index, weights: Array | None, directed: bool
 ) -> tuple[Index, Array | None, int, int]:
-    """Return each edge once in the order of its first mention, its weight, and how many were merged by either rule."""
+    """Return each edge once in the order of its first mention, its weight, and the number of merged edges by either
+    rule.
+    """
     if not len(edges):
         return edges, weights, 0, 0
     key, first, inverse, count = np.unique(low * n + high, return_index=True, return_inverse=True, return_counts=True)
@@ -82,19 +87,19 @@ def _merged(
 
 
 def _of_degree(n: int, edges: Index, weights: Array | None, most: int) -> tuple[Index, Array | None, int]:
-    """Return the edges that are among the `most` of largest weight of both ends, and how many others there are."""
+    """Return the edges that are among the `most` of largest weight at both ends, and the number of the others."""
     ranked = np.arange(len(edges)) if weights is None else (-weights).argsort(kind="stable")
     ends = edges[ranked].ravel()
     order = ends.argsort(kind="stable")
     first = np.searchsorted(ends[order], np.arange(n))
     rank = np.empty_like(ends)
     rank[order] = np.arange(len(ends)) - first[ends[order]]
-    kept = np.sort(ranked[(rank < most).reshape(-1, 2).all(axis=1)])
-    return edges[kept], None if weights is None else weights[kept], len(edges) - len(kept)
+    left = np.sort(ranked[(rank < most).reshape(-1, 2).all(axis=1)])
+    return edges[left], None if weights is None else weights[left], len(edges) - len(left)
 
 
 def _component(found: Found, largest: bool) -> Found:
-    """Return the network, or its largest connected piece, and report how many pieces there are."""
+    """Return the network, or its largest connected piece, and report the number of pieces."""
     from scipy.sparse import coo_array  # noqa: PLC0415 (half a second to load)
     from scipy.sparse.csgraph import connected_components  # noqa: PLC0415
 
@@ -119,10 +124,10 @@ def _component(found: Found, largest: bool) -> Found:
 
 
 def only(found: Found, nodes: Index) -> Found:
-    """Return the network of some nodes, given by ascending positions, and of the edges between them."""
+    """Return the subnetwork of some nodes, given by ascending positions, with the edges between them."""
     place = np.full(len(found.names), -1)
     place[nodes] = np.arange(len(nodes))
-    kept = (place[found.edges] >= 0).all(axis=1)
+    left = (place[found.edges] >= 0).all(axis=1)
 
     def some(array: Array | None) -> Array | None:
         return None if array is None else array[nodes]
@@ -130,13 +135,13 @@ def only(found: Found, nodes: Index) -> Found:
     return replace(
         found,
         names=[found.names[k] for k in nodes],
-        edges=place[found.edges[kept]],
+        edges=place[found.edges[left]],
         labels=None if found.labels is None else [found.labels[k] for k in nodes],
         positions=some(found.positions),
         storage=some(found.storage),
         samples=some(found.samples),
-        weights=None if found.weights is None else found.weights[kept],
-        edge_names=None if found.edge_names is None else [found.edge_names[k] for k in np.flatnonzero(kept).tolist()],
+        weights=None if found.weights is None else found.weights[left],
+        edge_names=None if found.edge_names is None else [found.edge_names[k] for k in np.flatnonzero(left).tolist()],
     )
 
 

@@ -1,13 +1,14 @@
-"""Water networks: EPANET files, .inp, which wntr reads and simulates at their start.
+"""Water networks: EPANET files, .inp, which wntr reads; it also computes their initial hydraulic state.
 
-The state of a node is x_i = sqrt(c_i) h_i, of the head h_i [m] above the operating point and the storage c_i [m^2], the
-area of its water. Of the balance c_i dh_i/dt = -leak c_i h_i + sum_j k_ij (u_i - u_j) - (demand above the operating
-point), a step of dt seconds makes (1) with b_i = 1/sqrt(c_i), weights k_ij dt [m^2] and a = exp(-leak dt).
+The state of a node is x_i = sqrt(c_i) h_i, with the head h_i [m] above the operating point and the storage c_i [m^2],
+the area of its water. The balance is c_i dh_i/dt = -leak c_i h_i + sum_j k_ij (u_i - u_j) - (demand above the operating
+point). A step of dt seconds makes (1) from it, with b_i = 1/sqrt(c_i), weights k_ij dt [m^2] and a = exp(-leak dt).
 """
 
 from __future__ import annotations
 
 import math
+import tempfile
 import warnings
 from collections.abc import Hashable
 from pathlib import Path
@@ -27,17 +28,17 @@ if TYPE_CHECKING:
     import wntr
 
 GROWTH = 60
-"""bytes of memory for a byte of a file"""
+"""the memory per byte of a file"""
 JUNCTION_STORAGE = 100.0
 """c_i of a junction [m^2]: a file has none"""
 SLOWEST = 0.01
-"""least velocity [m/s] at which a pipe is linearised: its conductance has no bound where nothing flows"""
+"""minimum velocity [m/s] for the linearisation of a pipe: without flow, its conductance would be unbounded"""
 STIFF = 100
-"""nodes are one if the link between them conducts this many times the median"""
+"""two nodes are merged if the link between them conducts this many times the median"""
 SHARE = 0.5
-"""of the bound 8 dt d_i/c_i < 1, that the default time step takes at most"""
+"""the maximum of 8 dt d_i/c_i with the default time step; condition (3) needs less than 1"""
 MOST_STEPS = 2000
-"""a default run is no longer than this"""
+"""the maximum number of steps of a default run"""
 
 
 def read(path: Path, options: Options) -> Found:
@@ -54,20 +55,34 @@ def read(path: Path, options: Options) -> Found:
             warnings.simplefilter("ignore")
             model = wntr.network.WaterNetworkModel(str(path))
     except Exception as error:  # wntr raises what its parser raises
-        raise refuse(path, f"wntr cannot read it: {str(error)[:200]}", "Check it in EPANET") from None
+        text = " ".join(str(error).split())[:200]
+        raise refuse(path, f"wntr cannot read it: {text}", "Check it in EPANET") from None
+    if not model.num_junctions + model.num_tanks:
+        raise refuse(path, "has no junctions and no tanks", "Name a file that holds a network")
     demand = _demand(model)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             model.options.time.duration = 0
-            results = wntr.sim.WNTRSimulator(model).run_sim()
+            results = _simulated(model)
     except Exception as error:  # the simulation does not converge, or the model has no source
         raise refuse(path, f"wntr cannot simulate its start: {str(error)[:200]}", "Check it in EPANET") from None
     return _Reading(path, model, results, demand, options).found()
 
 
+def _simulated(model: wntr.network.WaterNetworkModel) -> Any:
+    """Return the hydraulic state at the start, by wntr, or by its EPANET for what wntr cannot simulate."""
+    import wntr  # noqa: PLC0415
+
+    try:
+        return wntr.sim.WNTRSimulator(model).run_sim()
+    except NotImplementedError:  # Darcy-Weisbach head losses, and general-purpose valves
+        with tempfile.TemporaryDirectory(prefix="hedgerow-") as folder:
+            return wntr.sim.EpanetSimulator(model).run_sim(file_prefix=f"{folder}/start")
+
+
 def _demand(model: wntr.network.WaterNetworkModel) -> tuple[Array, Any]:
-    """Return the times [s] and the demands [m^3/s] of all junctions by the patterns of the file, a column each."""
+    """Return the times [s] and the demands [m^3/s] of all junctions by the patterns of the file, one column each."""
     import wntr  # noqa: PLC0415
 
     with warnings.catch_warnings():
@@ -77,7 +92,7 @@ def _demand(model: wntr.network.WaterNetworkModel) -> tuple[Array, Any]:
 
 
 class _Reading:
-    """The numbers of one file."""
+    """The numbers of one EPANET file."""
 
     def __init__(self, path: Path, model: Any, results: Any, demand: tuple[Array, Any], options: Options) -> None:
         self._path, self._model, self._options = path, model, options
@@ -104,13 +119,13 @@ class _Reading:
         place = {name: k for k, name in enumerate(names)}
         edges = pairs([(place[i], place[j]) for i, j in ends])
         storage, demand = self._storage(names), self._demands(names)
-        home, kept = self._joined(names, edges, conductance)
-        # The storage of a junction is assumed: beside a tank, the area of the tank is all there is.
+        home, left = self._joined(names, edges, conductance)
+        # The storage of a junction is assumed. Beside a tank, the area of the tank is the only known storage.
         tank = np.array([self._model.get_node(str(name)).node_type == "Tank" for name in names])
-        tanks = weighted_sums(home, np.where(tank, storage, 0.0), len(kept))
-        storage = np.where(tanks > 0, tanks, weighted_sums(home, storage, len(kept)))
-        names = [names[k] for k in kept]
-        demand = np.stack([weighted_sums(home, row, len(kept)) for row in demand])
+        tanks = weighted_sums(home, np.where(tank, storage, 0.0), len(left))
+        storage = np.where(tanks > 0, tanks, weighted_sums(home, storage, len(left)))
+        names = [names[k] for k in left]
+        demand = np.stack([weighted_sums(home, row, len(left)) for row in demand])
         apart = np.flatnonzero(home[edges[:, 0]] != home[edges[:, 1]])
         edges, conductance, links = home[edges[apart]], conductance[apart], [links[k] for k in apart]
         load = np.bincount(edges.ravel(), np.repeat(conductance, 2), len(names)) / storage
@@ -141,7 +156,7 @@ class _Reading:
         return None if found is None else (float(found[0]), float(found[1]))
 
     def _storage(self, names: list[Hashable]) -> Array:
-        """Return c_i [m^2]: the area of a tank, and what a junction is given."""
+        """Return c_i [m^2]: the area of a tank, and the given storage of a junction."""
         options, model = self._options, self._model
         junction = options.junction_storage or JUNCTION_STORAGE
         storage = np.full(len(names), junction)
@@ -207,7 +222,7 @@ class _Reading:
         return q / drop if link.link_type == "Pump" else q / (2 * drop)
 
     def _time_step(self, names: list[Hashable], load: Array) -> float:
-        """Return dt [s]; raise UserError with the one that would do if no a satisfies (3) at a node with the given one.
+        """Return dt [s]; raise UserError with a suitable value if, with the given one, no a satisfies (3) at a node.
 
         load: d_i/c_i [1/s], (n,).
         """
@@ -259,7 +274,7 @@ class _Reading:
         return a
 
     def _demands(self, names: list[Hashable]) -> Array:
-        """Return the demands of all nodes [m^3/s], a row per time of the patterns."""
+        """Return the demands of all nodes [m^3/s], one row per time of the patterns."""
         demand = np.zeros((len(self._times), len(names)))
         for k, name in enumerate(names):
             if name in self._demand:
@@ -267,9 +282,9 @@ class _Reading:
         return demand
 
     def _joined(self, names: list[Hashable], edges: Index, conductance: Array) -> tuple[Index, Index]:
-        """Return the node that each node becomes, (n,), and the nodes that give those their names.
+        """Return the new node of each node, (n,), and the nodes that give the new nodes their names.
 
-        Two nodes become one if a link between them conducts so much more than others that they have one head.
+        Two nodes are merged if the link between them conducts so well that both have one head.
         """
         from scipy.sparse import coo_array  # noqa: PLC0415 (half a second to load)
         from scipy.sparse.csgraph import connected_components  # noqa: PLC0415
@@ -279,19 +294,19 @@ class _Reading:
         stiff = edges[conductance > bound]
         matrix = coo_array((np.ones(len(stiff), np.int8), (stiff[:, 0], stiff[:, 1])), shape=(n, n))
         _, piece = connected_components(matrix, directed=False)
-        # A tank names what it becomes part of; else the first node does. Keep the order of the file.
+        # A tank gives its name to its merged node; otherwise the first node does. Keep the order of the file.
         rank = np.lexsort((np.arange(n), [self._model.get_node(str(name)).node_type != "Tank" for name in names]))
         _, first = np.unique(piece[rank], return_index=True)
-        kept = np.sort(rank[first])
-        number = np.empty(len(kept), dtype=np.int64)
-        number[piece[kept]] = np.arange(len(kept))
-        if joined := n - len(kept):
+        left = np.sort(rank[first])
+        number = np.empty(len(left), dtype=np.int64)
+        number[piece[left]] = np.arange(len(left))
+        if joined := n - len(left):
             self._changes.append(
                 f"{joined} node{'s' if joined > 1 else ''} joined with a neighbour, the storage of junctions and the "
                 f"demands added: the link between them conducts more than {STIFF} times the median, {bound:.3g} m²/s, "
                 "so that both have one head"
             )
-        return number[piece], kept
+        return number[piece], left
 
     def _samples(self, demand: Array, storage: Array, step: float, steps: int) -> Array | None:
         """Return w_i(t) = -(demand above that of the operating point) dt/sqrt(c_i), (n, T); None if it is always 0."""
@@ -309,7 +324,7 @@ class _Reading:
 
 
 def _head_loss(pipe: Any, q: float, power: float) -> float:
-    """Return the head loss [m] of a pipe at a flow [m^3/s], by Hazen-Williams, else a friction factor of 0.02."""
+    """Return the head loss [m] of a pipe at a flow [m^3/s], by Hazen-Williams, or by a friction factor of 0.02."""
     if power == 1.852:
         return float(10.667 * pipe.length * pipe.roughness**-1.852 * pipe.diameter**-4.871 * q**1.852)
     return float(0.02 * pipe.length / pipe.diameter * (q / (math.pi * pipe.diameter**2 / 4)) ** 2 / (2 * 9.81))

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from hedgerow.orchestrator.experiments.compare import words
+from hedgerow.orchestrator.experiments.compare import tables
 from hedgerow.orchestrator.experiments.compare.plan import Comparison
 from hedgerow.orchestrator.experiments.compare.runs import METRICS, answer
 from hedgerow.orchestrator.experiments.compare.statistics import Cell, Paired, cells, paired
@@ -30,9 +30,11 @@ class Compared:
     """A finished comparison; `print` shows its tables and its findings."""
 
     plan: Comparison
+    """the laws, disturbances and seeds"""
     rows: Sequence[Sequence[Row]]
     """the runs of each setting of the plan, by seed"""
     folder: Path
+    """the folder of the results"""
 
     @cached_property
     def cells(self) -> list[Cell]:
@@ -47,18 +49,21 @@ class Compared:
     @property
     def method(self) -> str:
         """Return how the numbers were made, in one line."""
-        return words.method(len(self.plan.seeds), len(self.tests))
+        return tables.method(len(self.plan.seeds), len(self.tests))
 
     @property
     def markdown(self) -> str:
         """Return tables and findings in Markdown."""
-        return f"# {self.plan.name}\n\n{self.method}.\n\n{words.markdown(self.cells, self.tests)}"
+        return f"# {self.plan.name}\n\n{self.method}.\n\n{tables.markdown(self.cells, self.tests)}"
 
     def __str__(self) -> str:
-        return "\n\n".join([words.text(self.cells), words.words(self.cells, self.tests), self.method])
+        return "\n\n".join([tables.text(self.cells), tables.conclusions(self.cells, self.tests), self.method])
 
     def mean(self, law: str, metric: str, disturbance: str = "") -> float:
-        """Return a mean over seeds; `disturbance` may be left out if there is one. KeyError if there is no such."""
+        """Return a mean over seeds; `disturbance` may be omitted if there is one.
+
+        Raises KeyError for an unknown name.
+        """
         where = disturbance or self.plan.disturbances[0]
         found = [one for one in self.cells if (one.disturbance, one.law, one.metric) == (where, law, metric)]
         if not found:
@@ -73,10 +78,10 @@ class Compared:
 
 
 def compare(plan: Comparison, out: Path | None = None, jobs: int | None = None, quiet: bool = False) -> Compared | None:
-    """Make the runs that lack, then table, findings and figure; None if it was stopped, which keeps what is there.
+    """Make the missing runs, then table, findings and figure; None if it was stopped, with the finished runs saved.
 
-    `jobs` is the number of processes, all cores by default; with 1, the runs are made in this process.
-    Raises UserError for a mistake, and HedgerowError if a run cannot be made.
+    `jobs` is the number of processes, all cores by default; with 1, the runs are made in this process. Raise UserError
+    for a mistake, and HedgerowError if a run cannot be made.
     """
     with SweepFolder(plan, out or plan.default_out, METRICS) as folder:
         there = folder.there
@@ -84,34 +89,34 @@ def compare(plan: Comparison, out: Path | None = None, jobs: int | None = None, 
             count = f"{len(plan.laws)} laws, {len(plan.disturbances)} disturbances, {len(plan.seeds)} seeds"
             echo(f"{plan.name}: {count}, into {folder.path}" + (f"; {there} of {plan.runs} were there" * (there > 0)))
         if there < plan.runs and (stopped := _run(plan, folder, jobs or cores(), quiet)):
-            echo(f"stopped: {stopped}: {folder.there} of {plan.runs} runs are there; the same command goes on")
+            echo(f"stopped: {stopped}: {folder.there} of {plan.runs} runs are done; the same command continues")
             return None
         found = Compared(plan, [folder.asked(k) for k in range(len(plan.settings))], folder.path)
         try:
             _write(found)
         except OSError as error:
             raise UserError(
-                f"{folder.path}: {error.strerror}; make room, then the same command goes on", code=Code.OUTPUT
+                f"{folder.path}: {error.strerror}; free space, then the same command continues", code=Code.OUTPUT
             ) from None
         return found
 
 
 def _run(plan: Comparison, folder: SweepFolder, jobs: int, quiet: bool) -> str:
-    """Make the runs that lack; return the signal that stopped it, or nothing."""
+    """Make the missing runs; return the signal that stopped it, or an empty text."""
     chunks = plan.chunks(frozenset(folder.rows))
     answers: Generator[Answer | None, None, None]
     answers = over_processes(plan, chunks, jobs, answer) if jobs > 1 else (answer(plan, chunk) for chunk in chunks)
-    with contextlib.ExitStack() as stack:
-        interrupts = stack.enter_context(Interrupts())
-        shown = None if quiet else stack.enter_context(contextlib.closing(progress(folder.there, plan.runs)))
-        stack.enter_context(contextlib.closing(answers))
+    with (
+        Interrupts() as interrupts,
+        contextlib.closing(progress(folder.there, plan.runs, quiet)) as shown,
+        contextlib.closing(answers),
+    ):
         for rows in answers:
             if isinstance(rows, Failure):
                 raise rows.error()
             if rows:
                 folder.append(rows)
-                if shown is not None:
-                    shown.advance(len(rows))
+                shown.advance(len(rows))
             if interrupts.count:
                 return interrupts.name
     return ""

@@ -1,4 +1,4 @@
-"""A viewer that somebody else started may be of another version than we are, which seems to work and need not."""
+"""The check of a separate viewer's version: another version seems to work, but may fail."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from collections.abc import Callable
 from hedgerow.orchestrator.views.rerun.viewer import Viewer
 
 VERSION_DEADLINE_S = 2.0
-"""how long an answer is worth waiting for: a frozen viewer never gives one"""
+"""the time to wait for an answer [s]: a frozen viewer never answers"""
 
 
 def compare(viewer: Viewer, say: Callable[[str], None]) -> threading.Thread:
-    """Ask a viewer that listens for its version, on a thread, and say what to do if it is not ours."""
+    """Ask a listening viewer for its version, on a thread, and report a difference with its fix."""
 
     def ask() -> None:
         if viewer.process is not None:
@@ -26,14 +26,14 @@ def compare(viewer: Viewer, say: Callable[[str], None]) -> threading.Thread:
         except (RuntimeError, OSError) as error:
             if "Unimplemented" in str(error):
                 say(
-                    f"the viewer at {viewer.url} does not say its version: it is old, or only passes on what it is"
-                    f" sent; if nothing is shown, install rerun-sdk=={ours} there"
+                    f"the viewer at {viewer.url} does not report its version: it is old, or a relay. If it shows"
+                    f" nothing, install rerun-sdk=={ours} there"
                 )
             return
         if theirs != ours:
             say(
-                f"the viewer at {viewer.url} is Rerun {theirs}, and this is {ours}: what it shows may be wrong;"
-                f" install rerun-sdk=={ours} there"
+                f"the viewer at {viewer.url} is Rerun {theirs}, and this is {ours}: its display may be wrong."
+                f" Install rerun-sdk=={ours} there"
             )
 
     asking = threading.Thread(target=ask, name="version", daemon=True)

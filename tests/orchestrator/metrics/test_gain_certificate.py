@@ -75,7 +75,7 @@ COVERED = (
 
 
 def certified(topology: Topology, ran: Trajectory, batch: int = 7, known: Guarantee | None = None) -> GainCertificate:
-    """Return the certificate of a run whose bounds are known from the first step."""
+    """Return the certificate of a run with bounds known from the first step."""
     observer = Observer(topology)
     observer.adaptive = GainCertificate(plant_of(topology.network), observer.x0)
     observer.adaptive.known = guarantee(plant_of(topology.network)) if known is None else known
@@ -152,7 +152,7 @@ def test_a_lost_row_ends_every_premise() -> None:
 
 
 def constant_run(plant: Plant, reported: Array, steps: int, scale: float) -> Worst:
-    """Return the check of a run under hinf whose plant adds `scale` times the w that it reports, from x(0) = 0."""
+    """Return the check of a run under hinf; the plant adds `scale` times the w that it reports, from x(0) = 0."""
     certificate = GainCertificate(plant, np.zeros(plant.n))
     certificate.known = Guarantee(1.0, {Premise.ESTIMATES: bound(plant, Premise.ESTIMATES)})
     incidence = np.zeros((plant.n, len(plant.edges)))
@@ -170,8 +170,8 @@ def constant_run(plant: Plant, reported: Array, steps: int, scale: float) -> Wor
     return certificate.tracks[Premise.ESTIMATES].check
 
 
-def test_a_plant_whose_w_is_one_per_cent_larger_than_reported_violates_it() -> None:
-    """The worst constant disturbance of the oracle leaves it nothing to hide in."""
+def test_a_plant_with_one_per_cent_more_w_than_reported_violates_it() -> None:
+    """The worst constant disturbance of the oracle leaves no slack."""
     plant = UNEQUAL
     incidence = np.array([[1.0, 0.0], [-1.0, 1.0], [0.0, -1.0]]) * plant.root_weights
     B = plant.b[:, None] * incidence
@@ -219,7 +219,7 @@ def test_a_recorded_run_has_the_bound_and_the_slack_of_every_step(tmp_path: Path
         run.certificate_slack("hope")
 
 
-def test_a_network_too_large_for_a_bound_in_time_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_network_too_large_for_a_bound_in_time_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(recording, "CERTIFIED", 2)
     content = folder_run(read(TEXT), tmp_path / "run")
     assert content["verdict"] == VALID
@@ -237,7 +237,7 @@ def test_a_network_past_the_solver_is_certified_by_the_closed_forms(tmp_path: Pa
 
 
 def test_a_violation_is_invalid() -> None:
-    """Telemetry whose w is smaller than what the plant added; the check of the dynamics is silenced."""
+    """The w in telemetry is smaller than that of the plant; the check of the dynamics is disabled."""
     topology = read(TEXT, "law=hinf", "defaults.x0=0", "defaults.disturbance={kind: constant, value: 1}", "steps=400")
     ran = simulate(topology)
     observer = Observer(topology)

@@ -1,4 +1,6 @@
-"""docs/testing.md, run as a reader would: its programs are tests that pass, and what fails says what is shown."""
+"""docs/testing.md, run as a reader would: its programs are passing tests, and its failures show the text of the
+page.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from hedgerow.orchestrator import testing
-from hedgerow.orchestrator.launch.live import FaultVerbs
+from hedgerow.orchestrator.launch.fault_verbs import FaultVerbs
 from tests.test_docs import ROOT, Scratch, blocks, commands, same_output, table
 
 PAGE = ROOT / "docs" / "testing.md"
@@ -40,8 +42,8 @@ def test_the_examples_are_tests_and_pass(tmp_path: Path) -> None:
 
 
 def test_every_method_is_in_a_table() -> None:
-    """What the tables of the page name is there, and what is there they name."""
-    rows = [table("testing.md", "Everything there is", k) for k in range(3)]
+    """The tables of the page name exactly the existing methods."""
+    rows = [table("testing.md", "Reference", k) for k in range(3)]
     named = [set(re.findall(r"\b[a-z_]\w*", " ".join(next(iter(row.values())) for row in some))) for some in rows]
     assert named[1] <= {*dir(testing.Run), *testing.Run.__dataclass_fields__, "t", "i", "j", "node", "other"}
     for cls, words in zip((testing.Scenario, testing.Running), (named[0], named[2]), strict=True):
@@ -57,4 +59,4 @@ _INSIDE = {
     testing.Scenario: {"text", "name", "folder", "new_folder", "on_result", "settings", "faults", "topology"},
     testing.Running: {"topology", "folder"},
 }
-"""What a test has no need of."""
+"""Methods that a test does not need."""
