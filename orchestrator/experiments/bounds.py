@@ -1,4 +1,4 @@
-"""The upper bounds of a network and, if `worst` has found one, its lower bound."""
+"""The bounds of a network from above and, where `worst` has found one, from below."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hedgerow.topologies.schema import Topology
 def bound(network: Named, method: Method | None = None) -> Guarantee:
     """Return gamma* of a network, and upper bounds on the gain of the adaptive law; docs/guarantee.md.
 
-    network: as in `topologies.named.text_of`. method: the program; None chooses one that takes about a second.
+    network: as of `topologies.named.text_of`. method: the program; None chooses one that takes about a second.
     """
     # The text of a large network is a table beside it, which only a file has.
     topology = network if isinstance(network, Topology) else resolved(network)

@@ -1,7 +1,7 @@
 """Upper bounds on the gain of the adaptive law: semidefinite programs by clarabel, each answer proved by a Cholesky.
 
-Notation: alpha_i = 1/(1 - lowest candidate), beta_i = 1/(1 - highest), z_i = x_i/(1 - ahat_i), B = diag(b) incidence
-diag(sqrt k), edge inputs phi. Find p, tau, nu, s >= 0 and the smallest g such that, for all (x, z, w, phi, v),
+With alpha_i = 1/(1 - lowest candidate), beta_i = 1/(1 - highest), z_i = x_i/(1 - ahat_i), B = diag(b) incidence
+diag(sqrt k) and edge inputs phi, find p, tau, nu, s >= 0 and the least g such that for all (x, z, w, phi, v)
 
     sum p_i (x_i+)^2 - sum p_i x_i^2 + |x|^2 + |phi|^2 - g |w|^2 + sum tau_i (z_i - alpha_i x_i)(beta_i x_i - z_i)
         + sum nu_e phi_e ((B'z)_e - phi_e) + sum s_i (v_i - lowest_i x_i)(highest_i x_i - v_i) <= 0.
@@ -29,7 +29,7 @@ LARGE = 100
 WHOLE_LARGEST = 150
 """Size of the matrix up to which `whole` is chosen; it takes a second."""
 ATTEMPTS = 4
-"""The maximum number of tries, each with a larger margin, until an answer is proved."""
+"""An answer that is not proved is sought again with a larger margin, so many times in all."""
 FULL_LARGEST = 30
 """Number of nodes up to which a full P is sought."""
 HUB = 40
@@ -76,9 +76,7 @@ class Bound:
     margin: float
     """the form is at most -margin |(x, z, w, phi, v)|^2"""
     magnitude: float
-    """the magnitude of the largest coefficients of the form: a relative error r of its numbers changes it by at most r
-    times this
-    """
+    """of the largest coefficients of the form: a relative error r of its numbers changes it by r times this at most"""
     seconds: float
 
     @property
@@ -156,7 +154,7 @@ def _bound(plant: Plant, premise: Premise, method: Method, until: float) -> Boun
         program, p = _whole(plant, premise, full=method == Method.FULL)
     for _ in range(ATTEMPTS):
         y = program.solve(margin, until - time.monotonic())
-        # The solver needs half of the margin, and the other half is proved.
+        # Half the margin is left to the solver, and half is proved.
         if (magnitude_ := program.proof(y, margin / 2)) is not None:
             storage = y[p]
             if method == Method.FULL:

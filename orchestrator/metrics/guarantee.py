@@ -26,7 +26,7 @@ SAYS = {
 LEARNING = "the law (7) itself with what it learns, every edge open, every message on time, no a jumps"
 TIME_LIMIT_S = 600.0
 RUN_LIMIT_S = 30.0
-"""the time limit of the bounds that certify a run, all together [s]: the end of the run waits for them"""
+"""of the bounds that certify a run, all three together: the end of the run waits for them"""
 SOLVED = 300
 """Number of nodes of a run up to which the solver is used."""
 REMEMBERED = 64
@@ -34,14 +34,12 @@ REMEMBERED = 64
 
 @dataclass(frozen=True)
 class Guarantee:
-    """Bounds by premise, and the reason for each missing one."""
+    """Bounds by premise, and why there is none of the others."""
 
     gamma_star: float
     """the optimal gain if every a is known and every edge is open; NaN if it is not known"""
     bounds: Mapping[Premise, Bound] = field(default_factory=dict)
-    """the upper bound on the gain under each premise"""
     not_computed: Mapping[Premise, str] = field(default_factory=dict)
-    """the reason why there is no bound under a premise"""
     at_least: float | None = None
     """the gain of the worst disturbance that `orchestrator worst` found"""
     learning: Learning | str | None = None
@@ -96,7 +94,7 @@ class Guarantee:
 
 
 def plant_of(network: Network) -> Plant:
-    """Return the numbers of a network that affect its bounds; the lists are those of the file, under any law."""
+    """Return the numbers of a network that its bounds depend on; the lists are the file's, whatever the law is."""
     return Plant.of(
         network.a,
         network.b,

@@ -1,7 +1,7 @@
 """The worst disturbance of a network under its law: a lower bound on the gain, beside the upper bounds.
 
-`worst` searches for a given time and writes three files: worst.yaml, a network that repeats the gain; worst.json, the
-result; and worst.npz, the state to continue the search.
+`worst` searches under a budget and writes three files: worst.yaml, a network whose run repeats the gain; worst.json,
+the result; and worst.npz, from which the same search goes on.
 """
 
 from __future__ import annotations
@@ -39,19 +39,16 @@ class Found:
     """The result of a search."""
 
     topology: Topology
-    """a network with this gain in a run"""
+    """a network whose run has the gain"""
     attack: Attack
-    """the disturbance and the faults with the largest gain"""
     guarantee: Guarantee
-    """the upper bounds on the gain"""
     law: str
-    """the law that was attacked, as in a file"""
     faults: dict[str, float]
     """by single fault: the best gain with it; empty unless faults were searched"""
     faults_of: int
     """number of single faults that there are; the search may have tried fewer"""
     seconds: float
-    """the search time, including that before an interruption [s]"""
+    """of search, those before an interruption included"""
 
     @property
     def gain(self) -> float:
@@ -60,7 +57,7 @@ class Found:
 
     @property
     def limit(self) -> float:
-        """Return the gain that longer runs approach if the disturbance holds its last value; otherwise `gain`."""
+        """Return the gain that longer runs come near, if the disturbance holds its last value; else `gain`."""
         return self.attack.limit
 
     @property
@@ -100,7 +97,7 @@ class Found:
         return "\n".join(lines)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the result as in worst.json."""
+        """Return the result as worst.json holds it."""
         return {
             "network": fingerprint(plant_of(self.topology.network)),
             "law": self.law,
@@ -127,10 +124,10 @@ def worst(
     say: Callable[[str], None] = lambda _: None,
     quit_now: Callable[[], bool] = lambda: False,
 ) -> Found:
-    """Search for the worst disturbance of a network for `budget_s` seconds, and write it if `out` names a file.
+    """Search the worst disturbance of a network for `budget_s` seconds, and write it if `out` names a file.
 
-    `faults` searches cuts and drops too. `steps` is the length of the run of a disturbance that holds its last value. A
-    stopped search continues with the files of `out`. Raises UserError for a network that is too large.
+    `faults` searches cuts and drops too. `steps` is the length of the run of a disturbance that holds its last value.
+    A search that was stopped goes on where `out` was written. Raises UserError for a network that is too large.
     """
     hunt = Hunt(topology, seed, faults, steps)
     kept = None if out is None else out.with_suffix(".npz")
@@ -178,7 +175,7 @@ def _written(hunt: Hunt, topology: Topology, out: Path | None, kept: Path | None
         hunt.faults_of,
         hunt.state.seconds,
     )
-    if out is not None and state_file is not None:
+    if out is not None and kept is not None:
         try:
             hunt.save(kept)
             save(network, out)
@@ -205,29 +202,9 @@ def guarantee_of(topology: Topology, method: Method | None = None) -> Guarantee:
 def at_least(plant: Plant, folder: Path) -> float | None:
     """Return the gain that `worst` found for minimax on a network without faults, by a worst.json; None if none."""
     try:
-        if not os.access(out.parent, os.W_OK | os.X_OK) or not out.parent.is_dir():
-            raise UserError(f"--out {out}: {out.parent} is no folder to write in. Choose another.", code=Code.OUTPUT)
-        is_ours = state_file.exists()  # else `Hunt.resume` refuses it
-        if result.exists():
-            content = read_json(result)
-            is_ours = isinstance(content, dict) and content.keys() >= {"network", "law", "gain", "guarantee"}
-            if not is_ours:
-                raise UserError(
-                    f"{result}: exists and is no result of `worst`. Choose another --out.", code=Code.OUTPUT
-                )
-        if out.exists() and not is_ours:
-            raise UserError(f"{out}: exists and is no result of `worst`. Choose another --out.", code=Code.OUTPUT)
-    except OSError as error:
-        raise UserError(f"--out {out}: {error.strerror}. Choose another.", code=Code.OUTPUT) from None
-    return state_file
-
-
-def at_least(plant: Plant, folder: Path) -> float | None:
-    """Return the gain in a worst.json, found for minimax on a network without faults; None if there is none."""
-    try:
-        earlier = read_json((folder / NAME).with_suffix(".json"))
-        if earlier["network"] == fingerprint(plant) and earlier["law"] == "minimax" and not earlier["faulty"]:
-            return float(earlier["limit"])
+        told = read_json((folder / NAME).with_suffix(".json"))
+        if told["network"] == fingerprint(plant) and told["law"] == "minimax" and not told["faulty"]:
+            return float(told["limit"])
     except (UserError, OSError, ValueError, KeyError, TypeError):
         pass
     return None

@@ -1,10 +1,11 @@
-"""The search for the worst disturbance of a network within a time budget, and the run that repeats it."""
+"""The search for the worst disturbance of a network under a budget of time, and the run that repeats it."""
 
 from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import zipfile
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -16,10 +17,10 @@ from hedgerow.orchestrator.experiments.sweep.runs import run_here
 from hedgerow.orchestrator.experiments.worst.loop import NONE, Breaks, Played, Scene, play
 from hedgerow.orchestrator.experiments.worst.search import Island, Kind
 from hedgerow.orchestrator.metrics.guarantee import fingerprint, plant_of
-from hedgerow.topologies import archive
 from hedgerow.topologies.errors import Code, HedgerowError, UserError
 from hedgerow.topologies.graph import Array
 from hedgerow.topologies.load import parse
+from hedgerow.topologies.regular_file import open_regular
 from hedgerow.topologies.resolve import resolve, to_yaml
 from hedgerow.topologies.schema import Topology
 
@@ -28,17 +29,17 @@ KINDS = (Kind(1, True), Kind(6, False), Kind(4, True), Kind(8, False), Kind(12, 
 SIZE, SMALLEST, ROWS = 48, 8, 20_000
 """Members of a population, and at least; fewer in large networks, so that they have about so many nodes together."""
 SLICE_S = 0.25
-"""The time slice of an island [s]."""
+"""An island evolves for so long at a time."""
 STALE = 120
 """An island whose best gain has not grown for so many generations makes room for a new one."""
 STEPS, LEAST_STEPS, FEW = 10_000, 4_000, 100
 """Steps of the run of a disturbance that holds its last value; the second for more than so many nodes."""
 LARGEST = 2_000
-"""The maximum number of nodes for a search."""
+"""Number of nodes up to which a disturbance is sought."""
 SAME = 1e-9
-"""The relative difference below which two gains are equal."""
+"""Relative difference of two gains that are the same."""
 BROKEN_SHARE = 0.5
-"""The share of the budget for faults, if they are requested."""
+"""Share of the budget for faults, where they are asked for."""
 MOST_FAULTS = 3
 LEAST_GENERATIONS = 3
 NUDGE, NUDGED, STEADY = 1e-8, 2, 1e-5
@@ -48,7 +49,7 @@ SCALES = np.array([1.0, 0.3, 0.1, 0.03, 0.01, 0.003, 0.001, 0.0])
 TRIED = 600
 """Steps of the runs that choose the size of the impulses."""
 SETTLED = 1e-6
-"""The change of 1/(1 - ahat) in the second half of a run that counts as settled."""
+"""Change of 1/(1 - ahat) in the second half of a run that has settled."""
 
 Say = Callable[[str], None]
 Quit = Callable[[], bool]
@@ -61,12 +62,12 @@ class Attack:
     w: Array
     """(T, n)"""
     holds: bool
-    """True if the disturbance keeps its last value"""
+    """True if the last value stays"""
     breaks: Breaks
     gain: float
-    """the gain of a run of `steps` steps"""
+    """of a run of `steps` steps"""
     limit: float
-    """the limit for longer runs if the disturbance holds its settled value; otherwise the gain"""
+    """of a disturbance that holds the settled gain, which longer runs come near; else the gain"""
     steps: int
     within: bool = True
     """True if the law acts within the lists at every step, as the upper bounds need"""
@@ -74,7 +75,7 @@ class Attack:
 
 @dataclass
 class State:
-    """The data that a search needs to continue."""
+    """All that a search needs to go on."""
 
     islands: list[Island]
     champions: dict[tuple[Kind, Breaks], tuple[Array, float, int]]
@@ -84,10 +85,10 @@ class State:
 
 
 class Hunt:
-    """A search that can be stopped and continued later."""
+    """A search that can be stopped and goes on later."""
 
     def __init__(self, topology: Topology, seed: int = 0, faults: bool = False, steps: int | None = None) -> None:
-        """`steps` is the length of the run of a disturbance that holds its last value; None chooses one."""
+        """Take `steps` as the length of the run of a disturbance that holds its last value; None chooses one."""
         if len(topology.ids) > LARGEST:
             raise UserError(
                 f"{topology.name}: has {len(topology.ids)} nodes; a disturbance is sought for {LARGEST}",
@@ -128,7 +129,7 @@ class Hunt:
         return max((found[1] for found in self.state.champions.values()), default=0.0)
 
     def _turns(self) -> Iterator[int]:
-        """Yield the number of the next island: each in turn, and every second time the best."""
+        """Yield the number of the island whose turn it is: each in turn, and every second time the best."""
         islands = self.state.islands
         if not islands:
             islands += [Island.new(self.scene, kind, self.size, self.rng) for kind in KINDS]
@@ -162,28 +163,28 @@ class Hunt:
 
     def _break(self, until: float, say: Say, quit_now: Quit) -> None:
         """Try every cut and drop alone, then add faults to the best, one at a time."""
-        graph, breaking = self.scene.graph, NONE
+        graph, kept = self.scene.graph, NONE
         best = max((found[1] for key, found in self.state.champions.items() if key[1] == NONE), default=0.0)
         singles = [Breaks(cuts=((e, first),)) for e in range(len(graph.edges)) for first in (0,)]
         singles += [Breaks(drops=((k, first),)) for k in range(len(graph.node)) for first in (0, 2, 4)]
         self.faults_of = len(singles)
         while len(kept) < MOST_FAULTS:
             order = self.rng.permutation(len(singles))
-            share = (until - time.monotonic()) / (MOST_FAULTS - len(breaking))
+            share = (until - time.monotonic()) / (MOST_FAULTS - len(kept))
             deadline, each = time.monotonic() + share, share / max(1, len(singles))
-            found: tuple[float, Breaks] = (best, breaking)
+            found: tuple[float, Breaks] = (best, kept)
             for number in order.tolist():
                 if time.monotonic() >= deadline or quit_now():
                     break
-                breaks = breaking + singles[number]
+                breaks = kept + singles[number]
                 score = self._under(breaks, time.monotonic() + each)
                 if not len(kept) and score > 0:
                     self.fault_gains[breaks] = score**0.5
                 found = max(found, (score, breaks), key=lambda one: one[0])
-            if found[1] == breaking or time.monotonic() >= until or quit_now():
+            if found[1] == kept or time.monotonic() >= until or quit_now():
                 return
-            best, breaking = found
-            say(f"gain {best**0.5:.4f} with {self.named(breaking)}")
+            best, kept = found
+            say(f"gain {best**0.5:.4f} with {self.named(kept)}")
 
     def _under(self, breaks: Breaks, until: float) -> float:
         """Return the best gain squared under some faults, from the best disturbances without them."""
@@ -230,7 +231,7 @@ class Hunt:
         return np.where(settled & played.sound[-1], np.sqrt(played.cost[-1] / energy), 0.0)
 
     def proved(self) -> tuple[Attack, Topology]:
-        """Return the best attack with a run that repeats its gain, and the topology of that run."""
+        """Return the best attack whose run repeats its gain, and the topology of that run."""
         for attack in self.attacks():
             is_steady, within = self.steady(attack)
             if not is_steady:
@@ -284,7 +285,7 @@ class Hunt:
         return resolve(parse(text.encode(), "worst.yaml", Path()))
 
     def save(self, file: Path) -> None:
-        """Write all data that a later search needs to continue."""
+        """Write all that is needed to go on."""
         arrays: dict[str, Any] = {}
         listed = []
         for number, ((kind, breaks), (w, score, steps)) in enumerate(self.state.champions.items()):
@@ -301,64 +302,42 @@ class Hunt:
             "rng": self.rng.bit_generator.state,
         }
         part = file.with_name(file.name + ".part")
-        archive.write(part, {"worst": head}, arrays)
+        with part.open("wb") as to:
+            np.savez(to, head=np.array(json.dumps(head)), **arrays)
         part.rename(file)
 
     def resume(self, file: Path) -> bool:
-        """Go on where a search of the same network, law and seed was stopped; return False if it was another search.
-
-        Raises UserError for a file that `save` did not write.
-        """
-        settings, arrays = archive.read(file)
-        with archive.reading(file):
-            if not isinstance(settings.get("worst"), dict):
-                raise UserError(
-                    f"{file}: exists and is no state of `worst`. Choose another --out.", code=Code.FILE_FORMAT
-                )
-            head = settings["worst"]
-            if head["key"] != self._key:
-                return False
-            self.state = self._state(head, arrays)
-            self.rng.bit_generator.state = head["rng"]
+        """Go on where a search of the same network, law and seed was stopped; return False if there is none."""
+        try:
+            with open_regular(file) as opened, np.load(opened, allow_pickle=False) as kept:
+                head = json.loads(str(kept["head"]))
+                if head["key"] != self._key:
+                    return False
+                for number, (length, holds, cuts, drops, score, steps) in enumerate(head["champions"]):
+                    breaks = Breaks(*(tuple((int(k), int(first)) for k, first in one) for one in (cuts, drops)))
+                    self.state.champions[Kind(int(length), bool(holds)), breaks] = (
+                        kept[f"w{number}"],
+                        float(score),
+                        int(steps),
+                    )
+                for number, (_, holds, generation) in enumerate(head["islands"]):
+                    members, score, steps = (kept[f"{name}{number}"] for name in "mst")
+                    self.state.islands.append(Island(bool(holds), members, NONE, score, steps, int(generation)))
+                self.state.stale, self.state.seconds = list(head["stale"]), float(head["seconds"])
+                self.rng.bit_generator.state = head["rng"]
+        except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
+            self.state = State([], {})
+            return False
         return True
-
-    def _state(self, head: Mapping[str, Any], arrays: Mapping[str, Array]) -> State:
-        """Return the state that a file holds. Raises ValueError if it does not fit this network."""
-        nodes, state = len(self.topology.ids), State([], {})
-        for number, (length, holds, cuts, drops, score, steps) in enumerate(head["champions"]):
-            breaks = Breaks(*(tuple((int(k), int(first)) for k, first in one) for one in (cuts, drops)))
-            w = _numbers(arrays[f"w{number}"], (None, nodes))
-            state.champions[Kind(int(length), bool(holds)), breaks] = w, float(score), int(steps)
-        for number, (_, holds, generation) in enumerate(head["islands"]):
-            members = _numbers(arrays[f"m{number}"], (SIZE, None, nodes))
-            score, taken = arrays[f"s{number}"], arrays[f"t{number}"]
-            shapes = {score.shape, taken.shape}
-            if shapes not in ({(SIZE,)}, {(0,)}) or not {score.dtype.kind, taken.dtype.kind} <= {"i", "f"}:
-                raise ValueError("it has other arrays")
-            state.islands.append(Island(bool(holds), members, NONE, score, taken, int(generation)))
-        state.stale, state.seconds = [int(one) for one in head["stale"]], float(head["seconds"])
-        if len(state.stale) != len(state.islands) or not 0 <= state.seconds < np.inf:
-            raise ValueError("it has other numbers")
-        return state
-
-
-def _numbers(array: Array, shape: Sequence[int | None]) -> Array:
-    """Return an array of finite numbers of a shape, of which None is any length from 1. Raises ValueError."""
-    fits = array.ndim == len(shape) and all(
-        have == want or (want is None and have > 0) for have, want in zip(array.shape, shape, strict=True)
-    )
-    if not fits or array.dtype != np.float64 or not np.isfinite(array).all():
-        raise ValueError("it has other arrays")
-    return array
 
 
 def _stretched(w: Array, kind: Kind) -> Array:
-    """Return a disturbance with the number of values of a kind: repeat the last one, or omit some."""
+    """Return a disturbance with the number of values of a kind: the last is repeated, or some are left out."""
     return np.concatenate([w, np.repeat(w[-1:], kind.length, axis=0)])[: kind.length]
 
 
 def _impulses(value: Array) -> list[dict[str, Any]]:
-    """Return the excess of a node's first values over its last one, as impulses."""
+    """Return what a node's first values are more than its last one."""
     more = value[:-1] - value[-1]
     return [{"kind": "impulse", "at": t, "value": float(v)} for t, v in enumerate(more) if v]
 
