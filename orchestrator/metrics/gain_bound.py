@@ -29,7 +29,7 @@ LARGE = 100
 WHOLE_LARGEST = 150
 """Size of the matrix up to which `whole` is chosen; it takes a second."""
 ATTEMPTS = 4
-"""An answer that is not proved is sought again with a larger margin, so many times in all."""
+"""The maximum number of tries, each with a larger margin, until an answer is proved."""
 FULL_LARGEST = 30
 """Number of nodes up to which a full P is sought."""
 HUB = 40
@@ -154,7 +154,7 @@ def _bound(plant: Plant, premise: Premise, method: Method, until: float) -> Boun
         program, p = _whole(plant, premise, full=method == Method.FULL)
     for _ in range(ATTEMPTS):
         y = program.solve(margin, until - time.monotonic())
-        # Half the margin is left to the solver, and half is proved.
+        # The solver needs half of the margin, and the other half is proved.
         if (magnitude_ := program.proof(y, margin / 2)) is not None:
             storage = y[p]
             if method == Method.FULL:

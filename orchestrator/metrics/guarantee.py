@@ -26,7 +26,7 @@ SAYS = {
 LEARNING = "the law (7) itself with what it learns, every edge open, every message on time, no a jumps"
 TIME_LIMIT_S = 600.0
 RUN_LIMIT_S = 30.0
-"""of the bounds that certify a run, all three together: the end of the run waits for them"""
+"""the time limit of the bounds that certify a run, all together [s]: the end of the run waits for them"""
 SOLVED = 300
 """Number of nodes of a run up to which the solver is used."""
 REMEMBERED = 64
@@ -34,7 +34,7 @@ REMEMBERED = 64
 
 @dataclass(frozen=True)
 class Guarantee:
-    """Bounds by premise, and why there is none of the others."""
+    """Bounds by premise, and the reason for each missing one."""
 
     gamma_star: float
     """the optimal gain if every a is known and every edge is open; NaN if it is not known"""
@@ -60,8 +60,13 @@ class Guarantee:
             elif premise in self.not_computed:
                 listed[premise] = {"not_computed": self.not_computed[premise]}
         if isinstance(self.learning, Learning):
-            told = self.learning
-            listed["learning"] = {"gain": told.gain, "g": told.g, "theta": told.theta, "models": told.models}
+            counted = self.learning
+            listed["learning"] = {
+                "gain": counted.gain,
+                "g": counted.g,
+                "theta": counted.theta,
+                "models": counted.models,
+            }
         elif self.learning is not None:
             listed["learning"] = {"not_computed": self.learning}
         gamma_star = self.gamma_star if math.isfinite(self.gamma_star) else None
@@ -74,7 +79,9 @@ class Guarantee:
             " of the adaptive law"
         ]
         if self.at_least is not None:
-            lines.append(f"at least    {rounded_down(self.at_least):>8}  reached by what `orchestrator worst` found")
+            lines.append(
+                f"at least    {rounded_down(self.at_least):>8}  reached by a disturbance of `orchestrator worst`"
+            )
         if isinstance(self.learning, Learning):
             lines.append(f"at most     {rounded_up(self.learning.gain):>8}  under {LEARNING}")
         elif self.learning is not None:
@@ -86,15 +93,15 @@ class Guarantee:
             elif premise in self.not_computed:
                 lines.append(f"not computed          under {SAYS[premise]}: {self.not_computed[premise]}")
         lines.append(
-            "Gains are of sum |x|^2 + sum k_e (u_i - u_j)^2 against sum |w|^2 from x(0) = 0. An upper bound holds for"
-            " every disturbance and every number of steps, if each u acts within the lists. Except in the bound of"
-            " (7) it ignores learning, so the true gain may be less."
+            "The gain squared is sum |x|^2 + sum k_e (u_i - u_j)^2 over sum |w|^2, from x(0) = 0. An upper bound holds"
+            " for every disturbance and every number of steps, if each u acts within the lists. Except in the bound of"
+            " (7) it ignores learning, so the true gain may be smaller."
         )
         return "\n".join(lines)
 
 
 def plant_of(network: Network) -> Plant:
-    """Return the numbers of a network that its bounds depend on; the lists are the file's, whatever the law is."""
+    """Return the numbers of a network that affect its bounds; the lists are those of the file, under any law."""
     return Plant.of(
         network.a,
         network.b,

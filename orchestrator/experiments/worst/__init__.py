@@ -130,40 +130,40 @@ def worst(
     A search that was stopped goes on where `out` was written. Raises UserError for a network that is too large.
     """
     hunt = Hunt(topology, seed, faults, steps)
-    kept = None if out is None else out.with_suffix(".npz")
-    with contextlib.nullcontext() if kept is None else _held(kept):
-        if kept is not None and hunt.resume(kept):
-            say(f"goes on after {hunt.state.seconds:.0f} s, with gain {hunt.best_score() ** 0.5:.4f}")
+    state_file = None if out is None else out.with_suffix(".npz")
+    with contextlib.nullcontext() if state_file is None else _held(state_file):
+        if state_file is not None and hunt.resume(state_file):
+            say(f"continues after {hunt.state.seconds:.0f} s, with gain {hunt.best_score() ** 0.5:.4f}")
         hunt.run(budget_s, say, quit_now)
-        return _written(hunt, topology, out, kept)
+        return _written(hunt, topology, out, state_file)
 
 
 @contextlib.contextmanager
-def _held(kept: Path) -> Iterator[None]:
+def _held(state_file: Path) -> Iterator[None]:
     """Let no other search write the same files while the block runs; raises UserError."""
-    if kept.exists() and not kept.is_file():
-        raise UserError(f"{kept}: is no regular file. Choose another --out.", code=Code.OUTPUT)
+    if state_file.exists() and not state_file.is_file():
+        raise UserError(f"{state_file}: is no regular file. Choose another --out.", code=Code.OUTPUT)
     try:
-        file = kept.open("ab")
+        file = state_file.open("ab")
     except OSError as error:
         raise UserError(
-            f"{kept}: cannot be written: {error.strerror}. Choose another --out.", code=Code.OUTPUT
+            f"{state_file}: cannot be written: {error.strerror}. Choose another --out.", code=Code.OUTPUT
         ) from None
     with file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
             raise UserError(
-                f"{kept}: another search writes it. Wait for it, or choose another --out.", code=Code.OUTPUT
+                f"{state_file}: another search writes it. Wait for it, or choose another --out.", code=Code.OUTPUT
             ) from None
         try:
             yield
         finally:
-            if not kept.stat().st_size:  # nothing was found
-                kept.unlink()
+            if not state_file.stat().st_size:  # nothing was found
+                state_file.unlink()
 
 
-def _written(hunt: Hunt, topology: Topology, out: Path | None, kept: Path | None) -> Found:
+def _written(hunt: Hunt, topology: Topology, out: Path | None, state_file: Path | None) -> Found:
     """Return the result of a search, and write it if `out` names a file."""
     attack, network = hunt.proved()
     found = Found(
@@ -175,9 +175,9 @@ def _written(hunt: Hunt, topology: Topology, out: Path | None, kept: Path | None
         hunt.faults_of,
         hunt.state.seconds,
     )
-    if out is not None and kept is not None:
+    if out is not None and state_file is not None:
         try:
-            hunt.save(kept)
+            hunt.save(state_file)
             save(network, out)
             out.with_suffix(".json").write_text(json.dumps(found.to_dict(), indent=1) + "\n", encoding="utf-8")
         except OSError as error:
