@@ -29,7 +29,7 @@ class Local:
     """
 
     ids: Ids
-    """of the shard's nodes, (k,)"""
+    """the ids of the shard's nodes, (k,)"""
     b: float | Array
     """the gain b of (1), or a gain per node, (k,)"""
     candidates: Array

@@ -65,8 +65,19 @@ class HedgerowError(Exception):
     default_code: ClassVar[Code] = Code.UNKNOWN
 
     def __init__(self, *args: object, code: Code | None = None) -> None:
-        super().__init__(*args)
+        super().__init__(*(bounded(one) if isinstance(one, str) else one for one in args))
         self.code = code or self.default_code
+
+
+MOST_CHARACTERS = 12_000
+"""of a message: 20 lines, of which each may quote a long name"""
+
+
+def bounded(text: str) -> str:
+    """Return a text of at most `MOST_CHARACTERS`: of a longer one the beginning and, with the fix, the end."""
+    if len(text) <= MOST_CHARACTERS:
+        return text
+    return f"{text[: MOST_CHARACTERS - 2000]} … {text[3 - 2000 :]}"
 
 
 class UserError(HedgerowError):
@@ -123,7 +134,7 @@ class Problem:
     cure: str = ""
     code: Code = Code.TOPOLOGY
     column: int = 0
-    """from 1; 0 if unknown"""
+    """the column, from 1; 0 if unknown"""
     origin: str = ""
     """the option that the value comes from, such as `--set b=-1`; empty for a value of the file"""
 

@@ -86,7 +86,7 @@ def part(config: Config, read: Callable[[dict[str, Any]], Any]) -> Any:
     """Return the process's part of the network, as `read` builds it from the config; raise UserError if it cannot."""
     try:
         return read(config.part)
-    except (KeyError, TypeError, ValueError) as error:
+    except (LookupError, TypeError, ValueError, ArithmeticError, AttributeError) as error:
         problem = f"{type(error).__name__}: {error}"
         raise UserError(
             f"config of {config.process}: {problem}; use the complete file that `orchestrator bundle` wrote",

@@ -31,7 +31,7 @@ from hedgerow.orchestrator.cli import runs as cli_runs
 from hedgerow.orchestrator.cli import soak as cli_soak
 from hedgerow.orchestrator.cli import sweep as cli_sweep
 from hedgerow.orchestrator.cli import watch as cli_watch
-from hedgerow.orchestrator.cli.exit_code import code_of_run, leave, run_to_exit_code
+from hedgerow.orchestrator.cli.exit_code import code_of_run, run_to_exit_code
 from hedgerow.orchestrator.cli.names import EXPERIMENT, INSPECT, RUN, WATCH, Commands
 from hedgerow.orchestrator.cli.options import (
     AsJson,
@@ -53,7 +53,6 @@ from hedgerow.topologies.escape import command, echo
 from hedgerow.topologies.paths import user_path
 from hedgerow.wire.child import escape_warnings
 from hedgerow.wire.runtime import let_numbers_overflow
-from hedgerow.wire.stderr_relay import StderrRelay
 
 # Loading the topology modules takes most of a second: each command imports what it needs.
 if TYPE_CHECKING:
@@ -102,15 +101,13 @@ def _whole(
     """Run networks of independent controllers, each its own process, over Zenoh."""
 
 
-def run_command(began: float, fork_client: ForkClient | None) -> None:
-    """Run the command line, and exit with its code. `began` is the start of the process by time.monotonic()."""
+def run_command(began: float, fork_client: ForkClient | None) -> int:
+    """Run the command line, and return its exit code. `began` is the start of the process by time.monotonic()."""
     global _BEGAN, _FORK_CLIENT
     _BEGAN, _FORK_CLIENT = began, fork_client
     let_numbers_overflow()
     escape_warnings()
-    with StderrRelay():
-        code = run_to_exit_code(lambda: app(standalone_mode=False) or 0)
-    leave(code)
+    return run_to_exit_code(lambda: app(standalone_mode=False) or 0)
 
 
 @app.command(rich_help_panel=RUN)
@@ -316,13 +313,14 @@ def simulate(
     from hedgerow.orchestrator.views.screen import screen  # noqa: PLC0415
 
     topology = importable(read(file, sets, steps=steps, seed=seed, law=law), file, kept_law)
-    folder = folders.create(topology, run_dir)
     viewer = _viewer(viewer)
+    folder = folders.create(topology, run_dir)
     with contextlib.closing(screen(topology, as_json, plain, quiet, watched=viewer != "none")) as display:
         for line in filter(None, [folder.note, *notes(topology)]):
             display.say(line)
         watching = Watching(record, viewer, split_recording)
-        return code_of_run(simulate_into(topology, folder, layout(topology, 1), watching, display), display)
+        begin = functools.partial(simulate_into, topology, folder, layout(topology, 1), watching, display)
+        return code_of_run(folders.begun_or_withdrawn(folder, begin), display)
 
 
 @app.command(rich_help_panel=RUN)

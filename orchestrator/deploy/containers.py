@@ -192,8 +192,8 @@ def containers(
     law = source_of(topology.law)
     if (size := sum(map(len, law.files.values()))) > MOST_SECRET_BYTES:
         raise UserError(
-            f"law {topology.law}: its source has {size} bytes, and a container takes at most {MOST_SECRET_BYTES}. Use"
-            " `orchestrator bundle`, whose files can be of any size.",
+            f"law {topology.law}: its source has {size} bytes, and a container accepts at most {MOST_SECRET_BYTES}. Use"
+            " `orchestrator bundle`, with files of any size.",
             code=Code.LAW,
         )
     services = dict(zip(homes, (one.process for one in processes), strict=True))

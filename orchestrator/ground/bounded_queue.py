@@ -20,11 +20,13 @@ class BoundedQueue(Generic[Item]):
         self.bytes = 0
         """the total size of the queued items [bytes]"""
 
-    def put(self, item: Item, size: int = 0) -> None:
-        """Append an item, and wait for room before."""
+    def put(self, item: Item, size: int = 0, timeout_s: float | None = None) -> bool:
+        """Wait for room and append an item; return False if there is no room in time."""
         with self._changed:
-            self._changed.wait_for(lambda: not self._items or self._has_room(size))
+            if not self._changed.wait_for(lambda: not self._items or self._has_room(size), timeout_s):
+                return False
             self._append(item, size)
+            return True
 
     def put_or_drop(self, item: Item, size: int) -> int:
         """Append an item without waiting; drop the oldest items beyond the bounds, and return how many."""

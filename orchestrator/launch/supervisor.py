@@ -24,6 +24,9 @@ from hedgerow.topologies.regular_file import last_text
 from hedgerow.wire import keys
 from hedgerow.wire.child import ERROR_PREFIX, USER_ERROR
 
+SMALL = 64
+"""the most nodes of a shard with its local view in a JSON file"""
+
 
 @dataclass(frozen=True)
 class Dead:
@@ -54,6 +57,8 @@ class _Agent:
     """One agent process over all its lives."""
 
     shard: int
+    file: Path
+    """its local view"""
     life: int = 0
     alive: bool = True
     starting: bool = False
@@ -91,10 +96,12 @@ class Processes:
     def start_agent(self, view: View) -> None:
         """Launch one shard with its local view alone."""
         name = process_name(view)
-        self._agents[name] = _Agent(view.shard)
         self.deaths[view.shard] = 0
-        view.write(self._folder.processes / f"{name}.npz")
-        self._start(name, "agents", self._connect)
+        # A process takes 8 ms and 2 MB to read its first .npz file, and 0.1 ms to read JSON.
+        file = self._folder.processes / f"{name}.{'json' if view.k <= SMALL else 'npz'}"
+        view.write(file)
+        self._agents[name] = _Agent(view.shard, file)
+        self._start(name, "agents", file, self._connect)
         self._names.append(name)
 
     def start_plant(self, truth: Truth, rate: float, deadline_s: float, external: External | None = None) -> None:
@@ -104,12 +111,12 @@ class Processes:
             options += ["--network", external.network, "--start", str(external.wait_s + OWN_START_S)]
         listen = external.listen if external and external.listen else self._connection.endpoint
         options += ["--listen", listen] if self._connection.listens else self._connect
-        truth.write(self._folder.processes / f"{keys.PLANT}.npz")
-        self._start(keys.PLANT, "plant", options)
+        file = self._folder.processes / f"{keys.PLANT}.npz"
+        truth.write(file)
+        self._start(keys.PLANT, "plant", file, options)
         self._names.append(keys.PLANT)
 
-    def _start(self, name: str, module: str, options: Sequence[str]) -> None:
-        file = self._folder.processes / f"{name}.npz"
+    def _start(self, name: str, module: str, file: Path, options: Sequence[str]) -> None:
         arguments = [str(file), "--namespace", self._connection.namespace, *options]
         if module == "agents" and (path := kept_path()) is not None:
             arguments += ["--law-path", str(path)]  # the fork server began before the path of modules changed
@@ -166,7 +173,7 @@ class Processes:
                 agent.alive = agent.starting = True
                 agent.killed = agent.reported = agent.again = False
                 self.restarts += 1
-                self._start(name, "agents", [*self._connect, "--life", str(agent.life)])
+                self._start(name, "agents", agent.file, [*self._connect, "--life", str(agent.life)])
         return happened
 
     @staticmethod

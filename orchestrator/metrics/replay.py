@@ -319,8 +319,9 @@ class _Part:
         """Return the inputs of the part, with recorded ones for nodes that are only neighbours."""
         if self.whole:
             return u
-        shard.u = np.where(self.own, u, self.of_nodes(row.u))
-        return shard.u
+        mixed = np.where(self.own, u, self.of_nodes(row.u))
+        shard.replace_inputs(mixed)
+        return mixed
 
     def of(self, faults: Faults) -> Faults:
         """Return the faults of the network as those of the part."""

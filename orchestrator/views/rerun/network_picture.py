@@ -59,7 +59,7 @@ class Frames:
     rings: Packed
     """(R, n)"""
     edges: Packed
-    """of each half, in the order of incidences, (R, 2E)"""
+    """the colour of each half edge, in the order of incidences, (R, 2E)"""
     widths: NDArray[np.float32]
     """(R, 2E)"""
     broken: NDArray[np.float32]
@@ -126,7 +126,7 @@ class Picture:
         self._width = 1.2 if self._large else 2.5
         """the width of an edge with the maximum flow [points]"""
         self._thickness = thickness(self._graph.weights, len(self._graph.edges))[self._graph.edge]
-        """of each half edge; an edge with a lower weight is thinner"""
+        """the thickness of each half edge; an edge with a lower weight is thinner"""
         self._x_peak = self._flow_peak = 0.0
         self._starts, self._middles = self._halves()
         self._nowhere = np.repeat(self.places[:1, None], 2, axis=1).astype(np.float32)
