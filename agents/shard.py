@@ -395,7 +395,7 @@ class Shard:
         return LawError(where + said, method=method, node=nodes[0] if self.k == 1 else None)
 
     def _raised(self, method: str, error: Exception) -> LawError:
-        return self._failed(method, f"raised {crash.told(error)}", place_of(error, type(self._law)))
+        return self._failed(method, f"raised {crash.summary(error)}", place_of(error, type(self._law)))
 
     # Outgoing messages.
 

@@ -65,7 +65,7 @@ class _Agent:
     """it was restarted, and its process id is unknown yet"""
     killed: bool = False
     """we ended this life, or are about to do so"""
-    told: bool = False
+    reported: bool = False
     """the plant knows that this life ended"""
     again: bool = False
     """another life will follow"""
@@ -158,20 +158,20 @@ class Processes:
                 happened.append({"kind": "restarted", "process": name, "pid": pid, "life": agent.life})
             code = self._fork_client.codes.get(name)
             if agent.alive and code not in (None, 0, USER_ERROR):
-                agent.alive, agent.told = False, False
+                agent.alive, agent.reported = False, False
                 self.deaths[agent.shard] += 1
                 if not agent.killed:
                     agent.dead, agent.undecided = Dead(name, code, self._last_error(name), self._log(name)), True
                     happened.append({"kind": "died", "process": name, "how": str(agent.dead), "code": code})
-            if not agent.alive and not agent.told and (reached := tell_died(agent.shard, agent.life)) is not None:
-                agent.told = True
+            if not agent.alive and not agent.reported and (reached := tell_died(agent.shard, agent.life)) is not None:
+                agent.reported = True
                 if agent.undecided and agent.dead is not None and not self._restarts(agent, reached):
                     self.down.append(agent.dead)
                     happened.append({"kind": "down", "process": name, "how": str(agent.dead)})
-            if agent.told and agent.again and time.monotonic() >= agent.due:
+            if agent.reported and agent.again and time.monotonic() >= agent.due:
                 agent.life += 1
                 agent.alive = agent.starting = True
-                agent.killed = agent.told = agent.again = False
+                agent.killed = agent.reported = agent.again = False
                 self.restarts += 1
                 self._start(name, "agents", agent.file, [*self._connect, "--life", str(agent.life)])
         return happened
@@ -192,7 +192,7 @@ class Processes:
     @property
     def next_due(self) -> float | None:
         """Return the latest time of the next call of `tend`, by time.monotonic(); None if there is none."""
-        return min((agent.due for agent in self._agents.values() if agent.told and agent.again), default=None)
+        return min((agent.due for agent in self._agents.values() if agent.reported and agent.again), default=None)
 
     def dead(self) -> list[Dead]:
         """Return the processes with an abnormal end that ends the run: the plant, or an agent after a mistake of the
