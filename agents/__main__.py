@@ -1,3 +1,3 @@
-from hedgerow.agents.process import main
+from hedgerow.agents.command import main
 
 main()

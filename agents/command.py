@@ -10,6 +10,7 @@ from hedgerow.wire import start
 def main() -> NoReturn:
     """Run the command `hedgerow-agent`; Ctrl-C during loading ends it without a traceback."""
     start.begin()
-    from hedgerow.agents.standalone import main as run  # noqa: PLC0415
+    with start.needs("hedgerow-agent"):
+        from hedgerow.agents.standalone import main as run  # noqa: PLC0415
 
     run()

@@ -1,8 +1,8 @@
 """The contract test of a law: a trial of a few milliseconds before every run.
 
-A small network of its own, with missing flows and a missing reading, gives the law a list of calls. The test compares
-the law with itself: called twice, in another layout, restored from its memory, and restored for one node alone. A law
-that fails would make a run that depends on the layout, or that back-filling and restarts make wrong.
+A separate small network, with missing flows and a missing reading, gives the law a list of calls. The test compares the
+law with itself: with two calls in a row, in another layout, restored from its memory, and restored for one node alone.
+With a law that fails, a run would depend on the layout, or back-filling and restarts would make it wrong.
 """
 
 from __future__ import annotations
@@ -108,8 +108,8 @@ def check_law(
 ) -> None:
     """Raise LawError with the line, the method, the node and a cure if a law breaks the contract.
 
-    `trial` is the network of the test, by default one of five nodes. `parameters` are those of the law. `name` stands
-    for the law in messages. `on_call` is called before every call of the law.
+    `trial` is the network of the test, by default one of five nodes. `parameters` are those of the law. `name` is the
+    name of the law in messages. `on_call` is called before every call of the law.
     """
     known = name or f"{law.__module__}:{law.__qualname__}"
     test = _Test(law, trial or Trial.default(), parameters or {}, known, seed, on_call)
@@ -193,7 +193,7 @@ class _Test:
                 method,
                 None,
                 f"memory has {said}",
-                f"Make it an array of numbers whose last axis is the {k} nodes, (…, {k}).",
+                f"Make it an array of numbers with a last axis of the {k} nodes, (…, {k}).",
             )
         return memory.copy()
 
@@ -235,7 +235,7 @@ class _Test:
             self._broken(
                 "learn",
                 node,
-                "changes the memory of a node whose flow is missing (NaN)",
+                "changes the memory of a node without a flow (NaN)",
                 "Leave that column as it is, for example with np.where(np.isfinite(flow), new, self.memory).",
             )
         self._calls.append(call)
@@ -316,7 +316,7 @@ class _Test:
         """Restore the memory of the middle of the trial, then that of one node alone from the beginning."""
         begin = next(k for k, call in enumerate(self._calls) if call.t == _RESTORED and call.method == "act")
         self._assign(law, self._after[begin].memory.copy())
-        what = "a law whose memory was restored"
+        what = "a law with a restored memory"
         self._compare(law, self._calls[begin:], self._all, what, _HIDDEN, begin)
         last, node = self._after[-1].memory, 1
         partly = self._memory(law, NODES)
@@ -366,7 +366,7 @@ _LOST = {4: (1,), 6: (3, 4), 8: tuple(range(NODES))}
 
 
 def _lost(t: int, row: Index) -> NDArray[np.bool_]:
-    """Return the incidences whose message of step t - 1 is lost."""
+    """Return the incidences that lose their message of step t - 1."""
     return np.isin(row, _LOST.get(t, ()))
 
 
@@ -379,7 +379,7 @@ def _read(x: Array, t: int) -> Array:
 
 
 def _differ(one: NDArray[Any], other: NDArray[Any], nodes: Index) -> int | None:
-    """Return the first of the nodes whose columns differ, None if there is none; NaN equals NaN."""
+    """Return the first node with different columns, None if there is none; NaN equals NaN."""
     if one.shape != other.shape:
         return int(nodes[0]) if len(nodes) else None
     if one.dtype == other.dtype and one.tobytes() == other.tobytes():

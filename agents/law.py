@@ -110,7 +110,7 @@ class Minimax:
         return control(self.b, x, self.ahat)
 
     def learn(self, x: Array, flow: Array, x_next: Array) -> None:
-        """Update J by one sample, equation (7); a node whose flow is unknown (NaN) skips the sample."""
+        """Update J by one sample, equation (7); skip nodes with an unknown flow (NaN)."""
         whole = all_finite(flow)
         if whole and (kernels := _kernels_for(self.b, len(flow))) is not None:
             kernels.learn(self.J, self.candidates, self.b, x, flow, x_next, self.ahat, self.margin)

@@ -1,8 +1,8 @@
 """A shard connected to Zenoh: it receives state and link messages and sends input and link messages.
 
-The work is done where messages arrive, on the network thread; the main thread only watches the clock, so
-that a step costs no change of threads. A step begins with the state message of t and needs the link messages of
-t - 1 from every peer whose link was up; the last of these to arrive starts the step.
+The work is done where messages arrive, on the network thread; the main thread only watches the clock, so that a step
+costs no change of threads. A step begins with the state message of t. It needs the link messages of t - 1 from every
+peer with a link that was up. The last of these messages starts the step.
 
 A large send blocks until it is read, so large messages are sent on the main thread. Otherwise two processes that
 send each other large messages would both block, and neither would read.
@@ -85,19 +85,19 @@ class Joined(NamedTuple):
     """A shard's place in a run."""
 
     life: int
-    """how often it was taken before; -1 while it is not ours"""
+    """the number of earlier lives; -1 if the place is not ours"""
     plant: int = -1
-    """the number of the plant that gave it; -1 if none was asked"""
+    """the number of the plant that gave it; -1 if no plant was asked"""
 
 
 @dataclass(frozen=True)
 class Begin:
-    """How a shard begins."""
+    """The start of a shard."""
 
     join: Callable[[zenoh.Session], Joined]
-    """takes its place; to ask twice is to take it once"""
+    """takes the place; a second call takes the same place"""
     wait_s: float | None = None
-    """how long it waits for the router and for the others, if not as long as among processes that `up` starts"""
+    """the time to wait for the router and the other processes [s]; None for the default of `up`"""
 
 
 class Agent:
@@ -326,7 +326,7 @@ def _say(messages: Sequence[tuple[Sender, bytes]]) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
-    """`python -m hedgerow.agents VIEW --namespace RUN --connect ENDPOINT`: run one shard until the plant says END."""
+    """`python -m hedgerow.agents VIEW --namespace RUN --connect ENDPOINT`: run one shard until the plant sends END."""
     parser = argparse.ArgumentParser(prog="python -m hedgerow.agents", description=main.__doc__)
     parser.add_argument("view", type=user_path, help="the local view, a .npz file")
     parser.add_argument("--namespace", required=True, help="the Zenoh namespace of the run")

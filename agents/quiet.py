@@ -72,7 +72,7 @@ class QuietLaw:
         """Return the quiet law of a view; None if its nodes are too many, or its law is of another class."""
         if type(law) is not Minimax or view.k > FEW_NODES or len(view.row) > MOST_INCIDENCES:
             return None
-        # Python raises an error where numpy divides by zero. Padding may stand only behind the models of a list.
+        # Python raises an error where numpy divides by zero. Only the end of a candidate list may have padding.
         listed = ~np.isnan(view.candidates)
         if (view.candidates == 1).any() or (listed[1:] & ~listed[:-1]).any() or not listed[0].all():
             return None

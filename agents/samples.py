@@ -100,7 +100,7 @@ class Samples:
             self._learn(x, flow, x_next)
 
     def append_learned(self, x: Sequence[float], u: Sequence[float]) -> None:
-        """Keep the row of a step whose sample is learned already, and that lacks nothing: x (k,) and u (width,)."""
+        """Store the row of a step with a sample that is complete and learned: x (k,) and u (width,)."""
         self._history.append(x, u, self._all)
         self._read = None
 
@@ -168,14 +168,13 @@ class Samples:
         self._behind.update(incidences[wanted].tolist())
 
     def said(self, start: int, stop: int) -> tuple[Array, Array]:
-        """Return the states and inputs of our own nodes at steps start .
-
-        Stop - 1, as far as they are kept, (S, k) each.
+        """Return the states and inputs of our own nodes at steps start to stop - 1, as far as they are stored, (S, k)
+        each.
         """
         return self._history.x(start, stop)[:, : self.k], self._history.u(start, stop)[:, : self.k]
 
     def _completed(self, late_rows: Sequence[LateRows]) -> dict[int, int]:
-        """Write late rows into the history; return, by node, the first step whose sample waited for one of them."""
+        """Write late rows into the history; return, by node, the first step that waited for one of them."""
         history, since = self._history, dict[int, int]()
         for c, first, stop, inputs, states in late_rows:
             bits = history.bits(first, stop)[:, c]

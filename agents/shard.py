@@ -1,6 +1,6 @@
 """The shard of one agent process: k >= 1 nodes, their law and the messages received.
 
-A shard of one is no special case.
+A shard of one node is not a special case.
 """
 
 from __future__ import annotations
@@ -133,7 +133,7 @@ class Shard:
         return state.t == self.t + 1 or (self._record is not None and self._record.t == state.t)
 
     def awaits(self, state: State) -> list[int]:
-        """Return the peers whose link message of t - 1 crosses, by the plant's flags, and has not arrived yet."""
+        """Return the peers that owe a link message of t - 1: the plant's flags deliver it, and it has not arrived."""
         past, flags = state.t - 1, state.flags
         late = [p for p in self._everybody if past not in self._mail[p]] if state.t else []
         if late and flags:
@@ -199,7 +199,8 @@ class Shard:
             self.x, self.u = np.full(self.k, np.nan), np.full(self.k, np.nan)
         self._samples.restore(record, anew)
         self.x, self.u = self.x.copy(), self.u.copy()
-        lost = np.ones(self.m, dtype=bool) if anew else back[self._row]  # a new process has heard of no neighbour yet
+        # A new process has received nothing from its neighbours yet.
+        lost = np.ones(self.m, dtype=bool) if anew else back[self._row]
         self._now = self._now._replace(
             x=np.where(lost, np.nan, self._now.x),
             u=np.where(lost, np.nan, self._now.u),
@@ -211,7 +212,7 @@ class Shard:
             self.x[back] = self.u[back] = np.nan
 
     def _close(self, state: State, back: Mask | None) -> None:
-        """Learn earlier samples whose inputs have now arrived, then the sample of t - 1."""
+        """Learn earlier samples that are now complete, then the sample of t - 1."""
         past = state.t - 1
         links = [mail.pop(past, None) for mail in self._mail]
         if not state.flags and not state.spans and self._samples.complete and back is None:
@@ -279,7 +280,7 @@ class Shard:
         self._now = self._now._replace(x=x, u=u, step=step)
 
     def _came(self, c: int, links: Sequence[Link | None], start: int, stop: int) -> LateRows:
-        """Return the rows of steps start .. stop - 1 that arrived over an incidence."""
+        """Return the rows of steps start to stop - 1 that arrived over an incidence."""
         if (p := self._peer_of.get(c)) is None or (link := links[p]) is None:
             return LateRows(c, start, stop)
         start, place = max(start, link.first), self._view.column[c] - self._columns[p].start
@@ -362,7 +363,7 @@ class Shard:
         ]
 
     def _rows(self, peer: int, first: int, last: int) -> Link:
-        """A link message with the rows of steps first .. last, as far as they are kept."""
+        """Return a link message with the rows of steps first to last, as far as they are stored."""
         nodes = self._say[peer]
         x, u = (self.x, self.u) if nodes is None else (self.x[nodes], self.u[nodes])
         if first == last == self.t:

@@ -1,4 +1,4 @@
-"""`hedgerow-agent`, the command: an agent on a machine of its own, which joins a run that is prepared elsewhere."""
+"""The command `hedgerow-agent`: an agent on its own machine, which joins a run that was prepared elsewhere."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ from hedgerow.wire.session import WireError
 
 MOST_ANSWER_BYTES = 2**16
 TRIES = 2
-"""How often a plant whose token is there may leave us without an answer: one that leaves does so once."""
+"""The number of times that a plant may be present without an answer; a plant that leaves does so once."""
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
-    """Run one agent of a network where it is started, until the plant says END."""
+    """Run one agent of a network here, until the plant sends END."""
     parser = standalone.options("hedgerow-agent", main.__doc__ or "")
-    parser.add_argument("--name", help="the node's id; its config is then agent-NAME.toml, if --config says nothing")
+    parser.add_argument("--name", help="the node's id; without --config, the config is agent-NAME.toml")
     known = parser.parse_args(arguments)
 
     def find() -> Config:
@@ -54,7 +54,10 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
 
 
 def take_part(config: Config, endpoint: str, wait_s: float, credentials: Credentials | Path | None = None) -> None:
-    """Be one agent until the plant says END, and wait at most so long for the others; HedgerowError if in vain."""
+    """Run one agent until the plant sends END; wait up to `wait_s` for the other processes.
+
+    Raise HedgerowError if they do not come.
+    """
     view = standalone.told(config, View.from_dict)
     place = PlaceRequest(config, view.shard, wait_s)
     LOG.info("%s of %s: looking for %s", config.process, config.namespace, endpoint)
@@ -68,17 +71,17 @@ def _process(name: str) -> str:
 
 
 class PlaceRequest:
-    """What asks the plant for a process's place in a run, again and again, until it has it."""
+    """The repeated request of a process for its place in a run."""
 
     def __init__(self, config: Config, shard: int, within_s: float) -> None:
         self._config, self._shard, self._within_s = config, shard, within_s
         self._number = secrets.randbelow(2**31)
-        """which process we are, of those that may want it"""
+        """the number of this process, among those that may ask for the place"""
 
     def take(self, session: zenoh.Session) -> Joined:
-        """Ask until we have it.
+        """Ask until the plant grants the place.
 
-        UserError if the plant refuses us, DeadlineError if there is none, or if somebody else keeps the place.
+        Raise UserError if the plant refuses, DeadlineError if there is no plant or another process holds the place.
         """
         who, by, unanswered = self._config.process, time.monotonic() + self._within_s, 0
         while True:
@@ -107,7 +110,7 @@ class PlaceRequest:
         request = {"process": self._config.process, "number": self._number, **introduction(self._config.network)}
         for reply in session.get(keys.join(self._shard), payload=json.dumps(request), timeout=standalone.ASK_S):
             if reply.ok is not None:
-                with contextlib.suppress(ValueError):  # no plant answers so: ask again
+                with contextlib.suppress(ValueError):  # a plant does not answer like this: ask again
                     answer = bounded_json.decode(reply.ok.payload.to_bytes(), MOST_ANSWER_BYTES)
                     if isinstance(answer, dict):
                         return answer

@@ -44,7 +44,7 @@ class View:
     law: str
     """the text of a LawChoice; hinf and nominal are minimax with one candidate"""
     ids: Ids
-    """of its own nodes, (k,)"""
+    """ids of our own nodes, (k,)"""
     candidates: Array
     """the models of each node in list order, padded with NaN, (M, k)"""
     row: Index

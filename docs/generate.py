@@ -37,14 +37,14 @@ WRITTEN = {
     "nodes": "list of node ids, or mapping from node ids to [what they override](#a-node)",
     "defaults": "mapping, [as of a node](#a-node)",
     "edges": "list of pairs of node ids, or of [`{ends: …, weight: …}`](#gains-and-weights)",
-    "lots": "mapping of a `seed` and, under `nodes`, of [lots by field](#left-to-chance)",
+    "lots": "mapping of a `seed` and, under `nodes`, of [lots by field](#random-numbers)",
     "graph": "[a rule](#graphs-by-a-rule)",
     "table": "[a file](#tables)",
     "processes": "whole number (at least 1), `auto` or `per-node`",
     "law": "[a name](zoo.md) or `package.module:Class`, alone or in a mapping",
     "disturbance": "[`worst_case`](#worst_case)",
     "faults": "list of [faults](#faults)",
-    "record": "[mapping](#what-is-written-down)",
+    "record": "[mapping](#recorded-rows)",
 }
 """What the types of the whole file cannot say in plain words."""
 OF_RECORD = {"nodes": "list of node ids, whole number (at least 0) or `all`"}
@@ -128,7 +128,7 @@ def words(hint: Any, where: Sequence[Any] = ()) -> str:
         member = words(inside[0])
         said = f"list of {member}" + ("" if member.startswith("[") else "s")
     elif isinstance(hint, type) and issubclass(hint, Model):
-        said = "[`{random: …}`](#left-to-chance)" if "random" in hint.model_fields else "[disturbance](#disturbances)"
+        said = "[`{random: …}`](#random-numbers)" if "random" in hint.model_fields else "[disturbance](#disturbances)"
     else:
         names = [getattr(one.func, "__name__", "") for one in where if isinstance(one, AfterValidator)]
         said = next((VALIDATED[name] for name in names if name in VALIDATED), "")

@@ -93,8 +93,8 @@ NEEDED = frozenset(
 def missing(needed_by: str, package: str | None) -> str:
     """Return the message for a computer that has only the packages of an agent."""
     return (
-        f"{needed_by} needs {package}, which is not installed: this computer has the packages of an agent."
-        " Install the others with: pip install hedgerow"
+        f"{needed_by} needs {package}, which is not installed. Install it with `pip install hedgerow`, or in a clone"
+        " with `pip install .`; an agent or a plant needs only numpy and eclipse-zenoh."
     )
 
 

@@ -1,4 +1,4 @@
-"""`orchestrator`, the command."""
+"""The command `orchestrator`."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def main() -> None:
         from hedgerow.orchestrator.cli.main import run_command  # noqa: PLC0415
 
         run_command(BEGAN, fork_client)
-    except KeyboardInterrupt:  # before there was a run to end
+    except KeyboardInterrupt:  # no run has begun that must end properly
         os._exit(start.INTERRUPTED)
     except BaseException as error:
         if isinstance(error, ModuleNotFoundError) and (error.name or "").partition(".")[0] in hedgerow.NEEDED:
@@ -36,14 +36,14 @@ def main() -> None:
 
 
 def _settle_environment() -> None:
-    """Set what our libraries read from the environment; child processes inherit it."""
-    # Threads of linear algebra would take from the network the cores that they share; and one is always the same sum.
+    """Set the environment variables that our libraries read; child processes inherit them."""
+    # Threads of linear algebra would compete with the network for its cores, and the order of a sum would vary.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    # A notebook sets a backend that only its own interpreter has; we draw to files.
+    # A notebook sets a backend that exists only in its interpreter; we draw to files.
     os.environ["MPLBACKEND"] = "Agg"
     for name in ("COLUMNS", "LINES"):
         if not _is_size(os.environ.get(name, "1")):
-            del os.environ[name]  # a terminal of no size: its own size is asked for
+            del os.environ[name]  # a terminal of size zero: let libraries ask the terminal
 
 
 def _is_size(text: str) -> bool:
@@ -51,7 +51,7 @@ def _is_size(text: str) -> bool:
 
 
 def _failed(error: BaseException) -> int:
-    """Say in one line what ended us before the command line could; the exit code."""
+    """Print one line about an error before the command line existed; return the exit code."""
     from hedgerow.topologies.errors import Exit  # noqa: PLC0415
     from hedgerow.wire import crash  # noqa: PLC0415
     from hedgerow.wire.limits import limit_reached  # noqa: PLC0415

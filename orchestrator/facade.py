@@ -126,7 +126,7 @@ def start(
 
 def sweep(
     network: Named,
-    *,
+    *settings: str,
     seeds: range,
     out: str | Path | None = None,
     jobs: int | None = None,
@@ -136,9 +136,10 @@ def sweep(
     """Run a network under every seed and every combination of values, and return one row per run.
 
     `network` is that of `load`; give the file rather than a Topology if each seed is to draw its own numbers. Each
-    keyword is a top-level key with a value or a list of values: `law=["minimax", "nominal"]`. `seeds` is a range with
-    stride 1. Runs that `out` already holds are not repeated; the default is a folder in sweeps/. `jobs` is the number
-    of runs at a time. Raises UserError for a mistake, and HedgerowError if the sweep was interrupted.
+    setting is `path=values`, as for `--set` on the command line: `"nodes.2.x0=1,2"`. Each keyword is a top-level key
+    with a value or a list of values: `law=["minimax", "nominal"]`. `seeds` is a range with stride 1. Runs that `out`
+    already holds are not repeated; the default is a folder in sweeps/. `jobs` is the number of runs at a time.
+    Raises UserError for a mistake, and HedgerowError if the sweep was interrupted.
     """
     import pyarrow.parquet as pq  # noqa: PLC0415 (Arrow takes a while to load)
 
@@ -148,7 +149,7 @@ def sweep(
 
     if seeds.step != 1:
         raise UserError(f"seeds={seeds}: has a stride; use a range without one", code=Code.OPTION)
-    sets = [f"{key}={','.join(map(_text, _listed(value)))}" for key, value in values.items()]
+    sets = [*settings, *(f"{key}={','.join(map(_text, _listed(value)))}" for key, value in values.items())]
     with tempfile.TemporaryDirectory(prefix="hedgerow-") as scratch:
         file = str(network)
         if not isinstance(network, Path | str) or "\n" in file or file.lstrip().startswith("{"):
@@ -156,11 +157,10 @@ def sweep(
             Path(file).write_text(to_yaml(load(network)), encoding="utf-8")
         planned = plan(file, f"{seeds.start}:{seeds.stop}", sets, engine)
         folder = default_out(planned) if out is None else user_path(str(out))
-        with contextlib.redirect_stdout(io.StringIO()) as output:
-            sweep_into(planned, folder, jobs)
+        done = sweep_into(planned, folder, jobs, quiet=True)
     table = folder / "sweep.parquet"
     if not table.exists():
-        raise HedgerowError(output.getvalue().strip().splitlines()[-1])
+        raise HedgerowError(done.line)
     return pq.ParquetFile(io.BytesIO(read_regular(table))).read()
 
 
@@ -203,18 +203,18 @@ def _options(rate: float, record: bool, viewer: str) -> list[str]:
     return ["--rate", str(rate), "--viewer", viewer, "--record" if record else "--no-record"]
 
 
-def bound(network: Named, *, full: bool = False, **overrides: object) -> Guarantee:
+def bound(network: Named, *settings: str, full: bool = False, **overrides: object) -> Guarantee:
     """Return gamma* of a network, and upper bounds on the gain of the adaptive law.
 
-    `network` and `overrides` are those of `load`. `full` seeks a full storage matrix, for up to 30 nodes. A bound that
-    cannot be computed is in `not_computed`, with the reason.
+    `network`, `settings` and `overrides` are those of `load`. `full` seeks a full storage matrix, for up to 30 nodes. A
+    bound that cannot be computed is in `not_computed`, with the reason.
     """
-    return bounds.bound(load(network, **overrides), full=full)
+    return bounds.bound(load(network, *settings, **overrides), full=full)
 
 
 def worst(
     network: Named,
-    *,
+    *settings: str,
     budget: float = 60.0,
     faults: bool = False,
     seed: int = 0,
@@ -223,11 +223,11 @@ def worst(
 ) -> Found:
     """Search for `budget` seconds the disturbance with the largest gain, and return it with a network that repeats it.
 
-    `network` and `overrides` are those of `load`; `law="hinf"` attacks another law. `faults` searches cuts and drops
-    too. `out` is the file of the network, beside which the search keeps its state, to go on later; by default nothing
-    is written. Raises HedgerowError if no disturbance was found.
+    `network`, `settings` and `overrides` are those of `load`; `law="hinf"` attacks another law. `faults` searches cuts
+    and drops too. `out` is the file of the network. The search keeps its state beside it, and a later call continues
+    the search; by default nothing is written. Raises HedgerowError if no disturbance was found.
     """
-    topology = checked(load(network, **overrides))
+    topology = checked(load(network, *settings, **overrides))
     return search(topology, budget, faults, seed, out=None if out is None else user_path(str(out)))
 
 
@@ -237,6 +237,7 @@ def compare(
     disturbances: Sequence[str | Mapping[str, object]] = ("file",),
     seeds: range = range(50),
     *,
+    settings: Sequence[str] = (),
     out: str | Path | None = None,
     jobs: int = 1,
     **overrides: object,
@@ -244,11 +245,12 @@ def compare(
     """Run every law under every disturbance and seed, hinf and nominal too; return their means, tests and findings.
 
     `laws` are as in a file: `["minimax", "forgetting(decay=0.98)"]`. A disturbance is `file`, the name of a preset
-    (`sinusoid`, `white`, `ar1`, `constant`, `confuse`, `none`), names joined by `+`, or a mapping as in a file. `out`
-    is the folder of the results, which the same call finds again. With `jobs` above 1, processes share the runs; a
-    script then needs `if __name__ == "__main__":`. Raises UserError for a mistake.
+    (`sinusoid`, `white`, `ar1`, `constant`, `confuse`, `none`), names joined by `+`, or a mapping as in a file.
+    `settings` and `overrides` are those of `load`. `out` is the folder of the results, which the same call finds again.
+    With `jobs` above 1, processes share the runs; a script then needs `if __name__ == "__main__":`. Raises UserError
+    for a mistake.
     """
-    plan = comparison(network, laws, disturbances, seeds, _settings(overrides))
+    plan = comparison(network, laws, disturbances, seeds, [*settings, *_settings(overrides)])
     found = run_comparison(plan, None if out is None else user_path(str(out)), jobs, quiet=True)
     if found is None:
         raise KeyboardInterrupt

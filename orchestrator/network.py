@@ -41,7 +41,8 @@ class Network(Mapping[str, Any]):
         net.save("three.yaml")
         run = hg.simulate(net)
 
-    It is a mapping of these keys, and stands wherever a file or its name may. Raises TopologyError with all mistakes.
+    It is a mapping of these keys, and can replace a file or its name as an argument. Raises TopologyError with all
+    mistakes.
     """
 
     def __init__(self, name: str, **keys: Any) -> None:
@@ -55,7 +56,7 @@ class Network(Mapping[str, Any]):
         text, name, folder = text_of(network)
         content = yaml.load(text, Loader=yaml.CSafeLoader)
         if not isinstance(content, dict) or "table" in content or _files(content):
-            # What lies in files beside the topology is drawn, so that the network needs none of them.
+            # Draw the values in files beside the topology, so the network needs none of these files.
             return cls._of_resolved(resolved(network))
         del name, folder
         return cls._of(content, {})
@@ -90,13 +91,13 @@ class Network(Mapping[str, Any]):
         """the columns of a network of more than 1000 nodes, as a table of docs/topology.md has them"""
         self._imported: Imported | None = None
         self.folder: Path | None = None
-        """where the table of a large network lies, until this object is gone"""
+        """the folder of a large network's table, until this object is deleted"""
         if self.arrays:
             self.folder = Path(tempfile.mkdtemp(prefix="hedgerow-"))
             weakref.finalize(self, shutil.rmtree, self.folder, ignore_errors=True)
             archive.write(self.folder / TABLE, {}, self.arrays)
             self._content |= {"table": TABLE, "table_nodes": "positions"}
-        _ = self.topology  # which says what is wrong
+        _ = self.topology  # a read that reports all mistakes
 
     def __getitem__(self, key: str) -> Any:
         return self._content[key]
@@ -117,17 +118,17 @@ class Network(Mapping[str, Any]):
 
     @cached_property
     def topology(self) -> Topology:
-        """The network with all numbers drawn."""
+        """Return the network with all numbers drawn."""
         return resolved(self)
 
     @property
     def notes(self) -> Sequence[str]:
-        """Sentences on an imported network: what its numbers are, what was assumed, and what was changed."""
+        """Return sentences about an imported network: the meaning of its numbers, the assumptions, and the changes."""
         found = self._imported
         return () if found is None else (*found.facts, *found.assumptions, *found.changes)
 
     def check(self) -> str:
-        """Return what `orchestrator check` prints of it: gains, degrees, intervals and candidates of the nodes."""
+        """Return the output of `orchestrator check`: gains, degrees, intervals and candidates of the nodes."""
         from hedgerow.orchestrator.metrics.summary import table  # noqa: PLC0415
 
         return table(self.topology)
@@ -138,12 +139,12 @@ class Network(Mapping[str, Any]):
         return self._of({key: value for key, value in content.items() if value is not None}, self.arrays)
 
     def with_node(self, node: NodeId, **settings: Any) -> Self:
-        """Return a copy with one more node, or with other settings of a node that is there."""
+        """Return a copy with one more node, or with other settings of an existing node."""
         nodes = self._nodes()
         return self.replace(nodes={**nodes, node: {**nodes.get(node, {}), **settings}})
 
     def without_node(self, node: NodeId) -> Self:
-        """Return a copy without a node and its edges; raise UserError if there is none."""
+        """Return a copy without a node and its edges; raise UserError if the node does not exist."""
         nodes = self._nodes()
         if node not in nodes:
             raise UserError(f"node {node!r}: does not exist. The nodes are {_some(nodes)}.", code=Code.TOPOLOGY)
@@ -151,12 +152,12 @@ class Network(Mapping[str, Any]):
         return self.replace(nodes={key: own for key, own in nodes.items() if key != node}, edges=edges)
 
     def with_edge(self, i: NodeId, j: NodeId, weight: float | None = None) -> Self:
-        """Return a copy with one more edge, or with another weight of an edge that is there."""
+        """Return a copy with one more edge, or with another weight of an existing edge."""
         edges = [edge for edge in self._edges() if {*_ends(edge)} != {i, j}]
         return self.replace(edges=[*edges, [i, j] if weight is None else {"ends": [i, j], "weight": weight}])
 
     def without_edge(self, i: NodeId, j: NodeId) -> Self:
-        """Return a copy without an edge; raise UserError if there is none."""
+        """Return a copy without an edge; raise UserError if the edge does not exist."""
         edges = [edge for edge in self._edges() if {*_ends(edge)} != {i, j}]
         if len(edges) == len(self._edges()):
             raise UserError(f"edge [{i}, {j}]: does not exist. Name an edge of the network.", code=Code.TOPOLOGY)
@@ -170,7 +171,7 @@ class Network(Mapping[str, Any]):
         step: float | None = None,
         resample: Literal["hold", "linear", "mean"] | None = None,
     ) -> Self:
-        """Return a copy whose disturbances are samples: a data frame with a column per node, or the path of a file.
+        """Return a copy with samples as disturbances: a data frame with a column per node, or the path of a file.
 
         time: the column of times; step: the time of one step, in its unit (seconds if it holds dates);
         resample: `hold` (default), `linear` or `mean`. A node without a column keeps its disturbance.
@@ -189,7 +190,7 @@ class Network(Mapping[str, Any]):
     def save(self, path: str | Path, force: bool = False) -> Path:
         """Write the topology file, and the table of a large network beside it; return its path.
 
-        Raises UserError if a file exists, without `force`.
+        Raise UserError if a file exists, without `force`.
         """
         target = user_path(str(path))
         found = self._imported
@@ -202,7 +203,7 @@ class Network(Mapping[str, Any]):
 
     @cached_property
     def graph(self) -> nx.Graph[NodeId]:
-        """The network as a networkx graph: nodes with `label`, `pos`, `b`, `a` and `x0`, edges with `weight`."""
+        """Return the network as a networkx graph: nodes with `label`, `pos`, `b`, `a` and `x0`, edges with `weight`."""
         import networkx as nx  # noqa: PLC0415 (a third of a second)
 
         network = self.topology.network
@@ -222,7 +223,7 @@ class Network(Mapping[str, Any]):
     def plot(self, ax: Axes | None = None, labels: bool | None = None) -> Axes:
         """Draw the network with matplotlib, and return the axes: wide edges have large weights.
 
-        labels: write the ids, which is done for up to 60 nodes if it is None.
+        labels: write the ids; by default for up to 60 nodes.
         """
         from hedgerow.orchestrator.views.drawing import draw  # noqa: PLC0415
 
@@ -246,7 +247,7 @@ def from_networkx(graph: nx.Graph[Any], **options: Any) -> Network:
     """Return the network of a networkx graph of any class: labels, positions and weights are its attributes.
 
     options: those of `orchestrator import`, such as `weight="capacity"`, `b=0.1`, `largest_component=True`; and keys of
-    a topology file, such as `law="hinf"`. Raises UserError for what cannot be imported.
+    a topology file, such as `law="hinf"`. Raise UserError if the graph cannot be imported.
     """
     own, keys = _split(options)
     own.setdefault("name", str(graph.name) or "graph")
@@ -322,7 +323,7 @@ def _some(nodes: Iterable[Any]) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Return a value with the types of a file only: numbers of NumPy, tuples and models become theirs."""
+    """Return a value with the types of a file; convert numbers of NumPy, tuples and models."""
     if isinstance(value, np.generic | np.ndarray):
         return value.tolist()
     if hasattr(value, "model_dump"):

@@ -1,4 +1,4 @@
-"""The world: dynamics (1), disturbances, the lockstep clock, and the process around them.
+"""The world: dynamics (1), disturbances, the lockstep clock, and the process that runs them.
 
-`world` and `disturbance` are pure; `truth` is what the plant is told; `process` puts the world on the wire.
+`world` and `disturbance` do no I/O; `truth` is the input of the plant; `process` connects the world to Zenoh.
 """

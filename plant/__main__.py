@@ -1,3 +1,3 @@
-from hedgerow.plant.process import main
+from hedgerow.plant.command import main
 
 main()

@@ -1,4 +1,4 @@
-"""When a step may begin: the rate, pause and single steps, and how long an answer has been waited for."""
+"""The clock of the steps: rate, pause and single steps, and the time that an answer takes."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ class Clock:
     def __init__(self, rate: float) -> None:
         self.began = self.sent_at = time.monotonic()
         self.held = False
-        """the next state is ready, and has not left yet"""
+        """the next state is ready and has not been sent"""
         self.paused = False
         self._allowed = 0
-        """steps that may be made although paused"""
+        """the number of steps that are permitted during a pause"""
         self._repeats = 0
         self.set_rate(rate, 0)
 
     def start(self) -> None:
-        """The first state may leave now."""
+        """Permit the first state."""
         self.began = time.monotonic()
         self.set_rate(self.rate, 0)
 
@@ -52,13 +52,13 @@ class Clock:
         return self._base + (t - self._base_t) * self._period - time.monotonic() if self._period else 0.0
 
     def sent(self) -> None:
-        """State(t) has left."""
+        """Record that state(t) was sent."""
         self.held, self.sent_at, self._repeats = False, time.monotonic(), 0
         if self.paused:
             self._allowed -= 1
 
     def waited_s(self) -> float:
-        """Return how long the answers to the last state have been awaited, in seconds."""
+        """Return the time since the last state was sent [s]."""
         return time.monotonic() - self.sent_at
 
     def repeat_is_due(self) -> bool:

@@ -1,7 +1,7 @@
-"""What a running plant can be asked: where it is, to pause and go on, and to let faults come and go.
+"""The commands that a running plant answers: report its status, pause and resume, start and end faults.
 
-Every command is a query on `control/NAME` with JSON in it and JSON in the reply; `error` there says what is wrong.
-Any process may send a request; a malformed one is refused with a message (plant.request).
+Every command is a query on `control/NAME` with JSON in it and JSON in the reply; `error` in the reply names the
+problem. Any process may send a request; a malformed one is refused with a message (plant.request).
 """
 
 from __future__ import annotations
@@ -42,13 +42,18 @@ Reply = dict[str, Any]
 FASTEST = 1e9
 """steps per second"""
 CLAIM_S = 10.0
-"""How long a place is kept for who asked for it; it asks again before it takes it."""
+"""The time for which a place is reserved for the process that asked; the process asks again before it takes the
+place.
+"""
 OBSERVER = "observer"
 """the key on which the observer asks to join"""
 MOST_CAUSES = 4
-"""Refusals of one place that the observer is told, each cause once: a stranger chooses the versions in it."""
+"""The maximum number of refusal causes per place that the observer receives, each once.
+
+The refused process chooses the versions in them.
+"""
 _VERSION = re.compile(r"[0-9A-Za-z][0-9A-Za-z.+!_-]{0,63}|")
-"""a release, or a fingerprint of a network: nothing else of a stranger's reaches the screen"""
+"""a release, or a fingerprint of a network; no other text of a refused process reaches the screen"""
 
 
 class Control:
@@ -59,7 +64,7 @@ class Control:
         self._allowances: dict[str, Allowance] = {}
         """by key"""
         self._refused: dict[str, set[str]] = {}
-        """the causes that the observer was told, by place"""
+        """the causes that the observer has received, by place"""
         commands: dict[str, Callable[[Request], Reply]] = {
             "status": self._status,
             "stop": self._stop,
@@ -75,12 +80,13 @@ class Control:
         self._declared = [self._declare(session, name, command) for name, command in commands.items()]
 
     def _declare(self, session: zenoh.Session, name: str, command: Callable[[Request], Reply]) -> object:
-        # Each asks to join on a key of its own: the router of a secure run lets nobody ask for the place of another.
+        # Each process asks to join on its own key. So the router of a secure run can refuse a process that asks for
+        # another's place.
         key = keys.join("*") if name == "join" else keys.control(name)
 
         def answer(query: zenoh.Query) -> None:
             asked = str(query.key_expr)
-            if "*" in asked:  # who looks around, as `**` does, wants nothing done
+            if "*" in asked:  # a wildcard query such as `**` only looks around and changes nothing
                 with contextlib.suppress(zenoh.ZError):
                     query.reply_err(f"{name}: asked by {requests.shortened(asked)}; a command is asked by its own key")
                 return
@@ -96,13 +102,13 @@ class Control:
                 reply = {"error": f"{name}: asked too often; ask again a second later", "wait": True}
             except (UserError, MessageError) as error:
                 reply = {"error": f"{name}: {error}"}
-            with contextlib.suppress(zenoh.ZError):  # the sender has left, or this process is leaving
+            with contextlib.suppress(zenoh.ZError):  # the sender or this process is leaving
                 query.reply(asked if name == "join" else key, json.dumps(reply))
 
         return session.declare_queryable(key, direct(answer))
 
     def _allowance(self, name: str, asked: str) -> Allowance:
-        """Return the allowance of a command, or of one place: a place that is asked for too often delays no other."""
+        """Return the allowance of a command, or of one place: too many requests for one place delay no other place."""
         if name != "join":
             return self._allowances.setdefault(name, Allowance(COMMANDS_PER_S, COMMANDS_AT_ONCE))
         place = asked.rpartition("/")[2]
@@ -112,12 +118,12 @@ class Control:
 
     @property
     def _next(self) -> int:
-        """The first step that is not yet decided."""
+        """Return the first step that is not decided yet."""
         return self._plant.world.t + self._plant.running
 
     @property
     def _held(self) -> int:
-        """The first step whose states have not been sent."""
+        """Return the first step of which no state was sent."""
         return self._plant.world.t + (self._plant.running and not self._plant.clock.held)
 
     def _status(self, _: Request) -> Reply:
@@ -158,7 +164,9 @@ class Control:
         return {"step": self._plant.world.t}
 
     def _fault(self, request: Request) -> Reply:
-        """A fault as a file spells it and what it means, both with steps counted from the first that can be had."""
+        """Add a fault, which the request gives as a file entry and as effects, both with steps relative to the first
+        possible step.
+        """
         plant, start = self._plant, self._next
         if plant.over:
             return {"error": "the run is over"}
@@ -173,7 +181,7 @@ class Control:
         return {"fault": number + 1, "step": start, "entry": entry}
 
     def _heal(self, request: Request) -> Reply:
-        """End a fault, by its number from 1, or all that are at work; a crashed agent needs one step to be told."""
+        """End a fault, by its number from 1, or all active faults. A crashed agent needs one step to learn of it."""
         plant, at = self._plant, self._next
         wanted = None if request.get("fault") is None else requests.integer(request, "fault", 1, FOREVER)
         if wanted is not None and wanted > plant.world.fault_count:
@@ -196,19 +204,19 @@ class Control:
         plant = self._plant
         p = requests.integer(request, "shard", 0, len(plant.shards.all) - 1)
         shard = plant.shards.all[p]
-        # A life may end before it was ever seen, but none that comes after that.
+        # A restarted process may end before its token was seen, but then no later one can exist yet.
         life = requests.integer(request, "life", 0, max(shard.life, shard.died) + 1)
         plant.died(p, life)
         return {} if shard.seen >= life else {"unreached": True}
 
     def _join(self, request: Request) -> Reply:
-        """Give a process that runs elsewhere its place: return the number of its life, or why it cannot have one.
+        """Give a separate process its place: return the number of its life, or the reason for a refusal.
 
-        Its name is that of the key on which it asks: a secure router lets no other process ask there.
+        The key of the query names the process: a secure router lets no other process ask on that key.
         """
         plant, place = self._plant, request["who"]
         p = None if place == OBSERVER else requests.shard(place, len(plant.shards.all))
-        requests.text(request, "process")  # it must be a name, but nothing that a process calls itself is believed
+        requests.text(request, "process")  # it must be a name, but the plant trusts only the key
         theirs = {key: _version(request, key) for key in ("hedgerow", "network")}
         why = mismatch(plant.network, {**theirs, "codec": requests.integer(request, "codec", 0, FOREVER)})
         if why is not None:
@@ -226,7 +234,7 @@ class Control:
         return {"life": shard.life + 1, "plant": plant.number}
 
     def _tell_refused(self, who: str, cause: str) -> None:
-        """Log a refusal and tell the observer, each cause once: a process that is refused asks again and again."""
+        """Log a refusal and report it to the observer, once per cause: a refused process asks again and again."""
         told = self._refused.setdefault(who, set())
         if cause not in told and len(told) < MOST_CAUSES:
             told.add(cause)
@@ -239,7 +247,7 @@ class _TooOftenError(Exception):
 
 
 def _version(request: Request, key: str) -> str | None:
-    """Return the release or the fingerprint in a request; UserError for what can be neither."""
+    """Return the release or the fingerprint in a request; raise UserError if it cannot be one."""
     value = requests.text(request, key)
     if value is not None and not _VERSION.fullmatch(value):
         raise UserError(f"{key}: {requests.shortened(value)} is no version", code=Code.MESSAGE)
@@ -252,7 +260,7 @@ def _shifted(effect: Effect, by: int) -> Effect:
 
 
 def shift_entry(entry: Mapping[str, Any], by: int) -> dict[str, Any]:
-    """A fault as a file spells it, so many steps later; one without `steps` begins there and never ends."""
+    """Return a fault entry with its steps moved by `by`; one without `steps` starts there and never ends."""
     moved = dict(entry)
     if "steps" in entry:
         moved["steps"] = [min(step + by, FOREVER) for step in entry["steps"]]

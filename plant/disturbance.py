@@ -1,6 +1,6 @@
-"""Disturbances w(t) of all nodes at once: a function of (specification, seed, t), never of what ran before.
+"""Disturbances w(t) of all nodes at once: a function of (specification, seed, t), never of earlier calls.
 
-One kind, `confuse`, is a function of the state x(t) and the true a of its step as well.
+One kind, `confuse`, also depends on the state x(t) and the true a of its step.
 """
 
 from __future__ import annotations
@@ -17,34 +17,34 @@ from hedgerow.topologies.graph import Array, Index
 from hedgerow.topologies.network import Group
 
 BLOCK = 2**14
-"""nodes whose values stay in the cache while they are computed"""
+"""the number of nodes per block, which fits the cache"""
 AHEAD = 64
-"""steps of white noise that are drawn at once, where the nodes are few"""
+"""The number of steps of white noise in one draw, if the network is small."""
 
 Component = Callable[[int, Array | None, Array | None], Array]
-"""The values at step t, for x(t) and a of all nodes, of the nodes that have this component."""
+"""The values at step t of the nodes with this component, from x(t) and a of all nodes."""
 
 
 class Disturbance:
-    """The sum of all groups, over n nodes; they are ordered, so that a node's are added in the order of its list."""
+    """The sum of all groups over n nodes, in the order of each node's list."""
 
     def __init__(
         self, groups: Iterable[Group], ids: Sequence[int | str] | NDArray[Any], seed: int | lots.Words
     ) -> None:
-        """`seed` is one, or one per node, (n,)."""
+        """Prepare the groups; `seed` is one number, or one per node, (n,)."""
         self._n, self._ids = len(ids), ids
         self._groups: list[tuple[Index, Component]] = []
         self.sees_state = False
-        """w(t) depends on x(t) and on a: `at` needs both"""
+        """True if w(t) depends on x(t) and a: `at` then needs both"""
         for group in groups:
             self._groups.append((group.nodes, self._component(group, seed)))
             self.sees_state |= group.kind == "confuse"
 
     def at(self, t: int, x: Array | None = None, a: Array | None = None) -> Array:
-        """w(t), (n,); x(t) and the true a, (n,), are for a disturbance that sees the state."""
+        """Return w(t), (n,); x(t) and the true a, (n,), are needed if `sees_state`."""
         w = None
         for nodes, component in self._groups:
-            if len(nodes) == self._n:  # in order, so that they are all of them
+            if len(nodes) == self._n:  # the nodes are in order, so these are all of them
                 w = component(t, x, a) + (0.0 if w is None else w)
             else:
                 w = np.zeros(self._n) if w is None else w
@@ -77,7 +77,7 @@ class Disturbance:
 
 
 def _sinusoid(amplitude: Array, omega: Array, phase: Array, t: int) -> Array:
-    """A sinusoid at step t, amplitude * sin(omega * t + phase), in place and while it is in the cache."""
+    """Return amplitude * sin(omega * t + phase), computed in place block by block within the cache."""
     w = np.empty_like(omega)
     for start in range(0, len(w), BLOCK):
         some = slice(start, start + BLOCK)
@@ -109,7 +109,7 @@ def noise_keys(kind: str, seed: int | lots.Words, number: int, words: lots.Words
 
 
 class _White:
-    """White noise of k nodes: a block of steps is drawn at once, so that few nodes cost few calls a step."""
+    """White noise of k nodes. One draw covers a block of steps, so a small network needs few calls per step."""
 
     def __init__(self, keys: lots.Words, std: Array) -> None:
         self._keys, self._std = keys, std
@@ -129,8 +129,8 @@ class _White:
 class _Coloured:
     """Noise of k nodes with w(t) = phi w(t - 1) + sqrt(1 - phi^2) std e(t), e(t) standard white noise, w(0) = std e(0).
 
-    Every w(t) comes from all steps before it, in their order: a step asked for again begins at 0 again, and has the
-    same bits.
+    Every w(t) comes from all earlier steps in order. If an earlier step is requested, the sequence restarts at 0 and
+    has the same bits.
     """
 
     def __init__(self, keys: lots.Words, phi: Array, std: Array) -> None:

@@ -1,4 +1,4 @@
-"""Which faults strike at a step: a function of (effects, seed, step), whatever came before."""
+"""The faults that strike at a step: a function of (effects, seed, step), independent of earlier calls."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from hedgerow.topologies.effects import Effect
 from hedgerow.topologies.graph import Graph, Index, Mask
 
 BLOCK = 64
-"""steps whose lots are drawn at once"""
+"""The number of steps of random numbers in one draw."""
 
 
 class Lots:
-    """The lots of faults: which of an effect's targets it strikes at a step.
+    """The random draws of faults: they decide which targets an effect strikes at a step.
 
-    A lot is a function of (seed, kind of fault, turn, ids of the target, step). The turn of an effect at a target is
-    how many effects of its kind stand before it in the list and strike the same target by chance: so two of them
-    strike it independently, and a fault elsewhere changes nothing.
+    A draw is a function of (seed, kind of fault, turn, ids of the target, step). The turn of an effect at a target is
+    the number of effects of the same kind before it in the list that strike the same target by chance. So two of them
+    strike independently, and a fault elsewhere changes nothing.
     """
 
     def __init__(self, graph: Graph, ids: Sequence[int | str] | NDArray[Any], seed: int) -> None:
@@ -32,7 +32,7 @@ class Lots:
         self._keys: dict[tuple[int, str, Sequence[int]], lots.Words] = {}
 
     def take(self, effects: Iterable[Effect]) -> None:
-        """Give these effects their turns, behind all that were given before."""
+        """Give these effects their turns, after all earlier effects."""
         for effect in effects:
             if not _drawn(effect):
                 continue
@@ -48,7 +48,7 @@ class Lots:
 
     def _words(self, kind: str, targets: Index) -> lots.Words:
         graph = self._graph
-        if kind in ("drop", "delay"):  # from the neighbour, which sends, to the node
+        if kind in ("drop", "delay"):  # from the sending neighbour to the node
             ends = graph.neighbour[targets], graph.node[targets]
             return lots.pairs_of(*(self._nodes(end) for end in ends))
         if kind == "cut":
@@ -61,7 +61,9 @@ class Lots:
         return lots.words_of([self._ids[k] for k in nodes.tolist()])
 
     def strikes(self, effect: Effect, steps: Index) -> Mask:
-        """Which of its targets an effect strikes at each of some steps, (S, targets); a chance one was taken before."""
+        """Return the targets that an effect strikes at each of the steps, (S, targets); call `take` first if it has a
+        probability.
+        """
         within = (effect.start <= steps) & (steps < effect.stop)
         if effect.probability >= 1:
             return np.repeat(within[:, None], len(effect.targets), axis=1)
@@ -74,7 +76,7 @@ def _drawn(effect: Effect) -> bool:
 
 
 def _name(effect: Effect) -> tuple[int, str, Sequence[int]]:
-    """What an effect keeps when its window ends early."""
+    """Return the identity of an effect, which stays the same when its window ends early."""
     return effect.fault, effect.kind, tuple(effect.targets)
 
 
@@ -89,9 +91,9 @@ class ActiveFaults:
     cut: Mask | None = None
     """edges, (E,)"""
     blind: Mask | None = None
-    """nodes whose reading is lost, (n,)"""
+    """nodes without a reading, (n,)"""
     mute: Mask | None = None
-    """nodes whose input is lost, (n,)"""
+    """nodes without an input, (n,)"""
 
 
 NOTHING = ActiveFaults()
@@ -99,7 +101,7 @@ _FIELD = {"drop": "lost", "cut": "cut", "sensor": "blind", "actuator": "mute"}
 
 
 class Faults:
-    """The faults of a run, which may be added to and ended while it goes on."""
+    """The faults of a run; faults may be added and ended during the run."""
 
     def __init__(
         self, effects: Iterable[Effect], graph: Graph, ids: Sequence[int | str] | NDArray[Any], seed: int
@@ -116,20 +118,20 @@ class Faults:
         self._lots: dict[int, tuple[int, Mask]] = {}
 
     def add(self, effects: Sequence[Effect]) -> None:
-        """More of them, from now on."""
+        """Add effects that are valid from now on."""
         self.effects += effects
         self._chance.take(effects)
         self._changed()
 
     def end(self, fault: int, t: int) -> None:
-        """All effects of a fault stop at step t, if they have not yet."""
+        """Stop all effects of a fault at step t, unless they stopped earlier."""
         self.effects = [
             replace(one, stop=max(one.start, min(one.stop, t))) if one.fault == fault else one for one in self.effects
         ]
         self._changed()
 
     def _look(self, t: int) -> list[Effect]:
-        """The effects whose window holds t; they are looked for again only where a window begins or ends."""
+        """Return the effects with a window that contains t; search again only at the ends of windows."""
         if not self._from <= t < self._until:
             self._active = [one for one in self.effects if one.start <= t < one.stop]
             edges = [step for one in self.effects for step in (one.start, one.stop)]
@@ -172,7 +174,7 @@ class Faults:
         return np.asarray(targets[lots[t - first]])
 
     def absent(self, t: int) -> Mask | None:
-        """Return a mask of nodes whose agent is dead at step t, (n,); None if there is none."""
+        """Return a mask of the nodes that have no running agent at step t, (n,); None if there is none."""
         if not self._look(t):
             return None
         dead = [one.targets for one in self._look(t) if one.kind == "crash"]
@@ -184,5 +186,5 @@ class Faults:
         return absent
 
     def jumps(self, t: int) -> list[tuple[int, float]]:
-        """Return the nodes whose true a changes at step t, each with its new a."""
+        """Return the nodes with a new true a from step t on, each with its new a."""
         return [(one.targets[0], one.a) for one in self._look(t) if one.kind == "jump" and one.start == t]

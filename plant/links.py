@@ -1,7 +1,8 @@
-"""Which rows of link messages cross at a step, and which are still to come.
+"""The rows of link messages that are delivered at a step, and those that are still missing.
 
-A link is an incidence: node i hears neighbour j over it. In step t, one that is up brings the row of t, and before it
-all rows that did not cross while it was down. One that is late by k brings what it has up to the row of t - k.
+A link is an incidence: node i receives messages from neighbour j over it. In step t, a link that is up delivers the row
+of t, and before it all rows that were missing while it was down. A link that is late by k delivers its rows up to t -
+k.
 """
 
 from __future__ import annotations
@@ -14,7 +15,11 @@ from hedgerow.topologies.graph import Graph, Index, Mask
 
 
 class Deliveries(NamedTuple):
-    """What crosses the links at one step, (2E,) each: whether any row does, row t - late, and `back` before it."""
+    """The deliveries of the links at one step, (2E,) each: True if any row arrives, its delay, and the earlier rows
+    with it.
+
+    The newest row is that of t - late; `back` rows arrive before it.
+    """
 
     some: Mask
     late: Index
@@ -27,24 +32,24 @@ class Deliveries(NamedTuple):
 
 
 class Links:
-    """Keeps, for every link, the first row that has not crossed; at most `history` rows are kept at its ends."""
+    """The first missing row of every link; both ends store at most `history` rows."""
 
     def __init__(self, graph: Graph, history: int) -> None:
         self._graph, self._history = graph, history
         self._lacks: Index = np.full(len(graph.node), -1)
-        """the first row that has not crossed, -1 for that of the step to come"""
+        """the first missing row, -1 if it is that of the next step"""
         self.complete = True
-        """no link has rows to make up for"""
+        """True if no link has missing rows"""
         self.forgotten = 0
-        """rows that were no longer kept when their link came up again"""
+        """the number of rows that were no longer stored when their link came up again"""
         nothing: Index = np.zeros(len(graph.node), dtype=np.int64)
         self.whole = Deliveries(np.ones(len(graph.node), dtype=bool), nothing, nothing)
-        """Every link brings the row of its step."""
+        """The deliveries of a step in which every link delivers the row of that step."""
 
     def plan(self, t: int, down: Mask, late: Index | None) -> Deliveries:
         """Return the rows that cross at step t, given the links that are down and the delays of late links."""
         nothing = self.whole.late
-        if not self._history:  # nothing is made up for, and what is late comes too late
+        if not self._history:  # without a history, missing rows stay missing and late rows are dropped
             return Deliveries(~down & (late == 0) if late is not None else ~down, nothing, nothing)
         late = nothing if late is None else late
         first = np.where(self._lacks < 0, t, self._lacks)
@@ -54,7 +59,7 @@ class Links:
         return Deliveries(some, np.where(some, late, 0), back)
 
     def commit(self, t: int, deliveries: Deliveries) -> None:
-        """It has crossed."""
+        """Record the deliveries as done."""
         if not self._history or (deliveries is self.whole and self.complete):
             return
         first = np.where(self._lacks < 0, t, self._lacks)
@@ -64,7 +69,7 @@ class Links:
         self.complete = bool((self._lacks < 0).all())
 
     def forget(self, nodes: Mask) -> None:
-        """These nodes lost their memory: every row must come to them again."""
+        """Mark every row of these nodes as missing again, because their agents lost their memory."""
         if self._history:
             self._lacks[nodes[self._graph.node]] = 0
             self.complete = False

@@ -1,8 +1,8 @@
-"""The world on the wire, and its clock: send state(t), wait for every input(t) and for nothing else, advance.
+"""The plant's process and its clock: send state(t), wait for every input(t), advance.
 
-As in an agent, the work is done where messages arrive; the main thread keeps time. It releases a step that had
-to wait (for its turn, for a process that ends or begins, or for an observer that fell behind), repeats what was not
-answered, and past the deadline goes on without who is silent, by name.
+As in an agent, the work is done on the network thread as messages arrive; the main thread watches the clock. The main
+thread sends a step that had to wait: for its time, for a process that ends or starts, or for a slow observer. It
+repeats messages without an answer. After the deadline it continues without the silent agents, and names them.
 """
 
 from __future__ import annotations
@@ -65,13 +65,16 @@ START_DEADLINE_S = 60.0
 OBSERVER_DEADLINE_S = 60.0
 END_DEADLINE_S = 5.0
 WORD_BYTES, WORD_BYTES_PER_INCIDENCE = 2**16, 256
-"""of the last word of a shard, at most: it names two keys for each peer, and has no more peers than incidences"""
+"""The maximum size of the final report of a shard.
+
+It names two keys per peer, and a shard has at most as many peers as incidences.
+"""
 WORD_DEADLINE_S = 2.0
-"""How long a shard that is there has to say what it heard, once it is told of the end."""
+"""The time that a running shard has for its final report, after END [s]."""
 
 
 class Plant:
-    """The plant's process, from the first state to the end."""
+    """The process of the plant, from the first state to the end."""
 
     def __init__(
         self,
@@ -82,22 +85,25 @@ class Plant:
         start_s: float = START_DEADLINE_S,
         network: str = "",
     ) -> None:
-        """`start_s` is how long everybody has to come, `network` the fingerprint that who joins must have, too."""
+        """Connect the plant.
+
+        `start_s` is the time that all processes have to join [s]; `network` is the fingerprint that each must have.
+        """
         n, e = len(truth.ids), len(truth.edges)
         if telemetry_bytes(n, e) > LONG_BYTES:
             keep_memory()
         self.truth, self.network = truth, network
         self.number = secrets.randbelow(2**31)
-        """which plant this is: every one draws its own, for its token and for those to whom it gives a place"""
+        """The number of this plant, drawn at random, in its token and for the agents that it gives a place."""
         self._start_s = start_s
         self.world = World(truth)
         self.clock = Clock(rate)
         self._deadline_s = deadline_s
         self._ahead = rows_ahead(n, e)
         self._since = time.monotonic()
-        """when state(t) was made ready"""
+        """the time when state(t) became ready"""
         self._left_behind: set[str] = set()
-        """agents of a run before that are still there"""
+        """agents of an earlier run that are still there"""
         self.running = False
         self.over = False
         self.stopping = False
@@ -114,13 +120,13 @@ class Plant:
         self.shards = Shards(truth, self.world, session, self.tell)
         self._token_allowances = [Allowance(TOKENS_PER_S, TOKENS_AT_ONCE) for _ in self.shards.all]
         self._late_tokens: dict[int, tuple[int, bool]] = {}
-        """by shard: the newest change of its tokens that came above the rate, and is seen later"""
+        """by shard: the newest change of its tokens above the rate limit, which is processed later"""
         nothing = (np.full(len(one.nodes), np.nan).tobytes() for one in self.shards.all)
         self._silence = [
             Input(-1, nan, nan, nan, bytes(one.incidences)) for one, nan in zip(self.shards.all, nothing, strict=True)
         ]
         self._inputs = list(self._silence)
-        """Per shard: what it says at this step."""
+        """Per shard: its input message of this step."""
         self._receivers = [
             *(
                 Receiver(session, keys.input_(p), functools.partial(self._take_input, p))
@@ -129,12 +135,12 @@ class Plant:
             Receiver(session, keys.SEEN, self._take_seen),
         ]
         self._control = Control(self, session)
-        # Before we look who is there: who is left of another run leaves now.
+        # Declare the token before the look at the agents: agents of an earlier run then leave.
         self._token = session.liveliness().declare_token(keys.alive(keys.PLANT, self.number))
         self._alive = session.liveliness().declare_subscriber(keys.ALIVE, direct(self._take_alive), history=True)
 
     def run(self) -> None:
-        """Keep time until the last step, a stop or a failure; raise DeadlineError past a deadline."""
+        """Watch the clock until the last step, a stop or a failure; raise DeadlineError after a deadline."""
         try:
             with self.changed:
                 self._wait_for_agents()
@@ -151,13 +157,13 @@ class Plant:
                     self.changed.wait(self._keep_time())
         finally:
             with self.changed:
-                self.running = False  # whatever came between: nothing is told after the end
+                self.running = False  # in every case: the plant reports nothing after the end
             self._end()
         if self._failure is not None:
             raise self._failure
 
     def stop(self) -> None:
-        """Begin no further step: the run ends as it does after its last."""
+        """Start no further step; the run ends as it does after its last step."""
         with self.changed:
             self.stopping = True
             self.changed.notify_all()
@@ -187,7 +193,7 @@ class Plant:
             raise DeadlineError(f"{', '.join(late[:8])} not ready after {self._start_s:g} s; see their logs")
 
     def _prepare(self) -> None:
-        """Make state(t) ready, and let it go if it may; end when t is the last."""
+        """Make state(t) ready, and send it if it may leave; end if t is the last step."""
         world = self.world
         if self.stopping or world.t == self.truth.steps:
             self.running = False
@@ -203,7 +209,7 @@ class Plant:
         self.clock.held = True
         self._release()
         if self.clock.held:
-            self.changed.notify_all()  # the main thread is to wait for this turn
+            self.changed.notify_all()  # the main thread must wait for its time
 
     def _release(self) -> None:
         if self.clock.held and not self.shards.held_for and self._wait_s() <= 0:
@@ -212,11 +218,11 @@ class Plant:
                 shard.send()
 
     def _wait_s(self) -> float:
-        """How long state(t) must still be held: until its turn, or until the observer has caught up."""
+        """Return the time until state(t) may leave [s]: until its turn, or until the observer has caught up."""
         return RESEND_AFTER_S if len(self._outbox) > self._ahead else self.clock.wait_s(self.world.t)
 
     def _keep_time(self) -> float:
-        """What the main thread has to do now; return in how many seconds to look again."""
+        """Do the work of the main thread; return the time until the next call [s]."""
         if self.stopping:
             self.running = False
             return 0.0
@@ -229,7 +235,7 @@ class Plant:
             self._release()
         if self.clock.held:
             self._check_hold()
-            # Who is dying or coming back wakes us.
+            # A process that ends or returns wakes up this thread.
             return RESEND_AFTER_S if self.shards.held_for else min(max(self._wait_s(), 0.0), RESEND_AFTER_S)
         if self.shards.missing and self.clock.waited_s() > self._deadline_s:
             self._go_on_without(sorted(self.shards.missing))
@@ -241,18 +247,18 @@ class Plant:
         return 0.0 if self.clock.held else min(RESEND_AFTER_S, max(0.01, self._deadline_s - self.clock.waited_s()))
 
     def _look_for_anybody(self) -> float:
-        """Go on at t once one of the lost is back; DeadlineError past the deadline."""
+        """Continue at t once a lost shard is back; raise DeadlineError after the deadline."""
         if any(shard.found for shard in self.shards.all):
             self._prepare()
             self._go_on()
             return 0.0
         if time.monotonic() - self._since > START_DEADLINE_S:
             names = ", ".join(shard.name for shard in self.shards.all)
-            raise DeadlineError(f"step {self.world.t}: {names}: nobody is back after {START_DEADLINE_S:g} s")
+            raise DeadlineError(f"step {self.world.t}: {names}: no agent is back after {START_DEADLINE_S:g} s")
         return RESEND_AFTER_S
 
     def _check_hold(self) -> None:
-        """Whether state(t) is held for something that should have come long ago; DeadlineError if so."""
+        """Raise DeadlineError if state(t) waits too long for the observer or for a process."""
         t, now = self.world.t, time.monotonic()
         if len(self._outbox) > self._ahead and now - self._outbox.progress_at > OBSERVER_DEADLINE_S:
             raise DeadlineError(f"step {t}: the observer has taken in nothing for {OBSERVER_DEADLINE_S:g} s")
@@ -265,7 +271,7 @@ class Plant:
         silent = [self.shards.all[p] for p in late]
         alive = [f"{shard.name} (alive: {'yes' if shard.alive else 'no'})" for shard in silent]
         if len(late) == sum(shard.fault is None and bool(shard.messages) for shard in self.shards.all):
-            # Nobody at all answers: it is we who are cut off, or there is no network any more.
+            # No agent answers: the plant is cut off, or the network is gone.
             raise DeadlineError(
                 f"step {self.world.t}: no input from {', '.join(alive)} for {waited:.1f} s; see its log"
             )
@@ -274,7 +280,10 @@ class Plant:
             self.shards.lose(p, f"no input from {who} for {waited:.1f} s")
 
     def _go_on(self) -> None:
-        """Make all steps that can be made; a failure must reach the main thread, not Zenoh's log."""
+        """Make all steps that are possible.
+
+        Pass a failure to the main thread; otherwise it would end in Zenoh's log.
+        """
         try:
             while self.running and not (self.clock.held or self.shards.missing or self.shards.deserted):
                 self._advance()
@@ -283,13 +292,13 @@ class Plant:
             self.changed.notify_all()
 
     def _advance(self) -> None:
-        """Every input(t) is here: act, start t + 1, and only then take the rest of the messages in and tell of t."""
+        """Act on the complete inputs of t, start t + 1, and only then read the rest of the messages and report t."""
         inputs = self._inputs
         self.world.advance(gather([one.u for one in inputs]))
         self._elapsed_s = time.monotonic() - self.clock.began
         tell = self._stopwatch.end_step()
         self._prepare()
-        # The states of t + 1 have left, and the agents work on them.
+        # The states of t + 1 are on their way, and the agents compute meanwhile.
         report = gather([*[one.ahat for one in inputs], *[one.margin for one in inputs]]).reshape(REPORT_ROWS, -1)
         row = self.world.account(report, [one.took for one in inputs])
         if self.running:
@@ -299,7 +308,7 @@ class Plant:
             self._tell_trips()
 
     def tell(self, event: str, **details: Any) -> None:
-        """Tell the observer of something that happens at this step."""
+        """Report an event of this step to the observer."""
         self._outbox.send(encode_event(self.world.t, {"event": event, **details}))
 
     def _tell_trips(self) -> None:
@@ -307,7 +316,7 @@ class Plant:
             self._outbox.send(encode_trips(trips))
 
     def _end(self) -> None:
-        """Say that it is over, and wait until the observer knows all of it, and who heard what."""
+        """Send END, and wait until the observer has all telemetry and the message counts."""
         end = End(self.world.t, self.world.x, self._elapsed_s, self.world.links.forgotten)
         with self.changed:
             self.over = True
@@ -319,7 +328,7 @@ class Plant:
                 lambda: all(shard.word or not shard.ready for shard in self.shards.all), WORD_DEADLINE_S
             )
             counted = counts([shard.state for shard in self.shards.all], self._receivers)
-            counted["said"][keys.TELEMETRY] = self._outbox.said + 1  # with this event
+            counted["said"][keys.TELEMETRY] = self._outbox.said + 1  # this event included
             self.tell(
                 "heard",
                 plant=counted,
@@ -335,11 +344,11 @@ class Plant:
 
     @property
     def missing(self) -> list[str]:
-        """Whose input(t) has not come for a while."""
+        """Return the names of the shards that have sent no input(t) for some time."""
         late = not self.clock.held and self.clock.waited_s() > RESEND_AFTER_S
         return [self.shards.all[p].name for p in sorted(self.shards.missing)] if late else []
 
-    # What arrives: each method below takes the lock.
+    # Incoming messages: each method below takes the lock.
 
     def _take_input(self, p: int, message: bytes) -> None:
         with self.changed:
@@ -376,7 +385,7 @@ class Plant:
             return
         there = sample.kind == zenoh.SampleKind.PUT
         if said[3] is not None and int(said[3]) != self.number:
-            # Of a run before: it leaves when it sees us, and until then would answer our states.
+            # An agent of an earlier run: it leaves when it sees our token, and until then would answer our states.
             with self.changed:
                 (self._left_behind.add if there else self._left_behind.discard)(f"shard-{said[1]}/{said[2]}-{said[3]}")
                 self.changed.notify_all()
@@ -390,19 +399,19 @@ class Plant:
             self._see(p, life, there)
 
     def _see_late_tokens(self) -> None:
-        """Take in the tokens that came above the rate, as far as it allows them now."""
+        """Process the tokens above the rate limit, as far as the limit permits now."""
         for p in [p for p in self._late_tokens if self._token_allowances[p].take()]:
             self._see(p, *self._late_tokens.pop(p))
 
     def _see(self, p: int, life: int, there: bool) -> None:
-        """Take in that the token of a life came or went; the lock is held."""
-        if life > max(0, self.shards.all[p].life):  # nobody else may have seen the end of a process far away
+        """Record that the token of a life appeared or vanished; the lock is held."""
+        if life > max(0, self.shards.all[p].life):  # the plant may be the only witness of the end of a separate process
             self.died(p, life - 1)
         self.shards.see(p, life, there)
         self.changed.notify_all()
 
     def died(self, p: int, life: int) -> None:
-        """The process of a shard is gone, says who started it."""
+        """Record the end of a shard's process, reported by the program that started it."""
         self.shards.end(p, life, self.running)
         self._go_on()
         self.changed.notify_all()
@@ -418,13 +427,13 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     where.add_argument("--connect", help="the router, a Zenoh endpoint")
     parser.add_argument("--rate", type=float, default=0.0, help="steps per second; 0 for as fast as possible")
     parser.add_argument("--deadline", type=float, default=10.0, help="seconds to wait for an input before going on")
-    parser.add_argument("--start", type=float, default=START_DEADLINE_S, help="seconds that everybody has to come")
-    parser.add_argument("--network", default="", help="its fingerprint, which who joins must have, too")
+    parser.add_argument("--start", type=float, default=START_DEADLINE_S, help="time for all processes to join [s]")
+    parser.add_argument("--network", default="", help="the fingerprint that each joining process must have")
     parser.add_argument("--credentials", type=user_path, help="the folder with its certificate")
     known = parser.parse_args(arguments)
 
     def body() -> None:
-        # First of all: the others wait for it.
+        # Open the router first: the other processes wait for it.
         if known.listen:
             session = open_router(known.listen, known.namespace, known.credentials)
         else:

@@ -1,6 +1,7 @@
-"""What a query asks of the plant, read with suspicion: who asks may be anybody, and what is wrong with it is said.
+"""The checks of a query to the plant: any process may ask, so every field is checked, and the reply names what is
+wrong.
 
-Every function here raises UserError, in words that are the answer.
+Every function here raises UserError with a text that is the reply.
 """
 
 from __future__ import annotations
@@ -16,16 +17,16 @@ from hedgerow.wire import bounded_json
 Request = Mapping[str, Any]
 
 LEAST_BYTES, BYTES_PER_INCIDENCE = 2**20, 64
-"""A fault may strike every link of the network, and name each."""
+"""A fault may strike every link of the network and name each of them."""
 TEXT = 200
-"""characters of a name; what is refused is not said back at greater length either"""
+"""The maximum length of a name; a refused value is quoted up to this length."""
 EFFECTS = 2
-"""of one fault: a partition that cuts has two"""
+"""the maximum number of effects of one fault: a partition that cuts has two"""
 MOST_LATE = 10**6
 
 
 def read(payload: bytes, graph: Graph) -> Request:
-    """The JSON object in a query."""
+    """Return the JSON object in a query."""
     most = LEAST_BYTES + BYTES_PER_INCIDENCE * len(graph.node)
     try:
         request = bounded_json.decode(payload, most)
@@ -37,13 +38,13 @@ def read(payload: bytes, graph: Graph) -> Request:
 
 
 def shortened(what: object) -> str:
-    """What was asked, as it can be said back: in one line that is not long."""
+    """Return a refused value as one short line."""
     said = ascii(what) if not isinstance(what, Exception) else ascii(str(what))[1:-1]
     return said if len(said) <= TEXT else f"{said[:TEXT]}…"
 
 
 def integer(request: Request, key: str, low: int, high: int) -> int:
-    """An integer of low, …, high."""
+    """Return an integer from low to high."""
     value = request.get(key)
     if type(value) is not int or not low <= value <= high:
         raise UserError(f"{key}: {shortened(value)} is no integer from {low} to {high}", code=Code.OPTION)
@@ -51,7 +52,7 @@ def integer(request: Request, key: str, low: int, high: int) -> int:
 
 
 def number(request: Request, key: str, low: float, high: float) -> float:
-    """A number from low to high."""
+    """Return a number from low to high."""
     value = request.get(key)
     if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
         raise UserError(f"{key}: {shortened(value)} is no number from {low:g} to {high:g}", code=Code.OPTION)
@@ -59,7 +60,7 @@ def number(request: Request, key: str, low: float, high: float) -> float:
 
 
 def text(request: Request, key: str) -> str | None:
-    """A name that can be printed, or none."""
+    """Return a printable name, or None."""
     value = request.get(key)
     if value is None or (isinstance(value, str) and len(value) <= TEXT and value.isprintable()):
         return value
@@ -67,7 +68,7 @@ def text(request: Request, key: str) -> str | None:
 
 
 def effects(request: Request, graph: Graph, fault: int) -> list[Effect]:
-    """What a fault does, as the fault of this number."""
+    """Return the effects of a fault, with the number `fault`."""
     written = request.get("effects")
     if not isinstance(written, list) or len(written) > EFFECTS or not all(isinstance(one, dict) for one in written):
         raise UserError(f"effects: {shortened(written)} is no list of {EFFECTS} effects at most", code=Code.FAULT)
@@ -119,7 +120,7 @@ def _step(key: str) -> int:
 
 
 def entry(request: Request) -> Mapping[str, Any]:
-    """A fault as a file spells it: an object whose steps can be counted on from."""
+    """Return a fault entry as in a file: an object with steps that can be moved."""
     value = request.get("entry")
     if not isinstance(value, dict) or text(value, "kind") is None:
         raise UserError(f"entry: {shortened(value)} is no fault as a file spells it", code=Code.FAULT)
@@ -137,7 +138,7 @@ def entry(request: Request) -> Mapping[str, Any]:
 
 
 def shard(who: str, shards: int) -> int:
-    """Which of so many shards asks, by the last chunk of its key."""
+    """Return the number of the asking shard, from the last chunk of its key."""
     if not who.isascii() or not who.isdecimal() or len(who) > 9 or int(who) >= shards:
         raise UserError(f"{shortened(who)} is none of the {shards} agent processes", code=Code.OPTION)
     return int(who)

@@ -1,7 +1,7 @@
-"""How long shards take to answer: from when state(t) leaves to when input(t) is here, by the plant's own clock.
+"""The answer times of the shards, from state(t) to input(t), by the plant's clock.
 
-No clock of another machine has a part in it. An answer waits for the neighbours' messages of t - 1 too, so that a slow
-link between two agents shows at both. What is repeated counts from its first time.
+The clock of another machine has no influence. An answer waits for the neighbours' messages of t - 1 too, so that a slow
+link between two agents shows at both. A repeated message counts from its first time.
 """
 
 from __future__ import annotations
@@ -17,24 +17,24 @@ TELL_EVERY_S = 0.5
 
 
 class Stopwatch:
-    """The round trips of every step; a step costs little more than a look at the clock for each shard."""
+    """The answer times of every step; a step costs little more than one clock reading per shard."""
 
     def __init__(self, shards: int) -> None:
         self._nobody = array("d", [float("nan")] * shards)
         self.now = self._nobody[:]
-        """this step's [s], NaN for who has not answered"""
+        """the answer times of this step [s], NaN for shards without an answer"""
         self._said = array("d")
-        """of the steps since the observer was told"""
+        """the answer times since the last message to the observer"""
         self._told_at = time.monotonic()
 
     def end_step(self) -> bool:
-        """The step is over; whether it is time to tell the observer."""
+        """End the step; return True if it is time to send the answer times to the observer."""
         self._said += self.now
         self.now = self._nobody[:]
         return time.monotonic() - self._told_at > TELL_EVERY_S
 
     def take_out(self, t: int) -> Trips | None:
-        """The round trips since the last time, the last of them of step t; None if there were no steps."""
+        """Return the answer times since the last call, the last of them of step t; None if there were no steps."""
         said, self._said, self._told_at = self._said, array("d"), time.monotonic()
         seconds = np.frombuffer(said).reshape(-1, len(self._nobody))
         return Trips(t + 1 - len(seconds), seconds) if said else None

@@ -1,7 +1,8 @@
-"""Who takes part in a run: which shards are there, which are lost, and how one comes back.
+"""The shards of a run: which are present, which are lost, and the return of a lost one.
 
-A shard is lost when its process dies or does not answer, and no fault of the file says so. To the world that is a crash
-of its nodes, one fault more, which ends once the shard is heard of again. Every method runs with the plant's lock held.
+A shard is lost if its process dies or does not answer, and no fault of the file causes it. In the world this is one
+additional crash fault of its nodes, which ends once the shard sends a message again. Every method runs with the plant's
+lock held.
 """
 
 from __future__ import annotations
@@ -28,58 +29,58 @@ class Shard:
     """One agent process as the plant sees it."""
 
     name: str
-    """what messages call it"""
+    """its name in messages"""
     nodes: Sequence[int]
     incidences: int
     state: Sender
     messages: list[bytes] = field(default_factory=list)
-    """what it is told at this step"""
+    """its messages of this step"""
     life: int = -1
-    """how often it was started again; -1 before it was ever seen"""
+    """the number of its restarts; -1 before its token was seen"""
     alive: bool = False
     """True while its token is present"""
     seen: int = -1
-    """the last life whose token came: it had reached the router"""
+    """the last life with a token: that process had reached the router"""
     died: int = -1
-    """the last life that is over"""
+    """the last life that ended"""
     gone: bool = False
-    """that life was needed, and the step after its end has not begun"""
+    """True if that life was needed, and the step after its end has not begun"""
     fault: int | None = None
-    """since it was lost: the number of the crash which that is, in the list of faults"""
+    """if lost: the number of its crash in the list of faults"""
     back: bool = False
-    """it was heard of since then"""
+    """True if it has sent a message since then"""
     returning: bool = False
-    """it was lost, and has not acted since it was taken back"""
+    """True if it was lost and has not acted since its return"""
     word: dict[str, Any] | None = None
-    """its last: what it said and heard, by key"""
+    """its final report: the messages sent and received, by key"""
     external: bool = False
     """True if another program restarts the process, and not `up`."""
     claim: int = -1
-    """the number of the process that asked for this place last, and was given it"""
+    """the number of the process that last received this place"""
     claimed_until: float = 0.0
-    """how long it is kept for that process, which is not there yet"""
+    """the end of the reservation for that process, which is not there yet"""
 
     @property
     def ready(self) -> bool:
-        """Return True if a state can be sent to it."""
+        """Return True if the shard can receive a state."""
         return self.alive and self.life > self.died
 
     @property
     def found(self) -> bool:
-        """Whether it was lost, and is there again: an input of who has died since may come late."""
+        """Return True if it was lost and is present again; a late input of an earlier life does not count."""
         return self.fault is not None and self.back and self.life > self.died
 
     def send(self) -> None:
-        """Send it what it is told at this step."""
+        """Send its messages of this step."""
         for message in self.messages:
             self.state.put(message)
 
 
 class Shards:
-    """All shards of a run, and what the step at hand waits for."""
+    """All shards of a run, and what the current step waits for."""
 
     def __init__(self, truth: Truth, world: World, session: zenoh.Session, tell: Callable[..., None]) -> None:
-        """`tell(event, **details)` lets the observer know."""
+        """Prepare the shards; `tell(event, **details)` reports to the observer."""
         self._world, self._tell = world, tell
         degree = world.graph.degree
         self.all = [
@@ -88,17 +89,19 @@ class Shards:
         ]
         self._sizes = [len(shard.nodes) for shard in self.all]
         self.missing: set[int] = set()
-        """those whose input(t) has not come"""
+        """the shards without an input(t)"""
         self.deserted = False
-        """every shard that should be there is lost: t waits for one of them"""
+        """True if every shard that should be present is lost: t waits for one of them"""
         self._until: list[tuple[Shard, Callable[[], bool]]] = []
-        """what state(t) is held for besides its turn: shards, and what must be true of them"""
+        """the shards that state(t) waits for, each with the condition that must hold"""
         self._called_at = time.monotonic()
 
     # Between two steps.
 
     def attend(self) -> None:
-        """Before step t: who died meanwhile is lost, and of the lost who is there again is taken back."""
+        """Update the shards before step t: processes that died are lost, and lost ones that are present again
+        return.
+        """
         world = self._world
         for p, shard in enumerate(self.all):
             if shard.fault is not None:
@@ -108,14 +111,14 @@ class Shards:
                 self.lose(p, "its process died")
             shard.gone = False
         lost = any(shard.fault is not None for shard in self.all)
-        # Nobody would act at t, nor at t + 1 who is taken back, and not because the faults of the file say so.
+        # No node acts at t, nor any returning node at t + 1, although the faults of the file do not cause this.
         self.deserted = lost and not any(
             shard.fault is None and (world.wanted(p, world.t) or (shard.returning and world.wanted(p, world.t + 1)))
             for p, shard in enumerate(self.all)
         )
 
     def prepare(self) -> None:
-        """At the beginning of step t: what each is told, and who is waited for."""
+        """Prepare the messages of step t, and the set of shards to wait for."""
         self._until.clear()
         if (x := self._world.quiet_states) is not None:
             self.missing.update(range(len(self.all)))
@@ -131,29 +134,31 @@ class Shards:
                 self._await_crash(p, shard)
 
     def _await_crash(self, p: int, shard: Shard) -> None:
-        """Nobody of this shard is there at t: hold the step until its process is gone, or there again if it must."""
+        """Hold step t for a shard with no node present: until its process has ended, or is present again if it is
+        needed.
+        """
         world, life = self._world, shard.life
         dies = world.wanted(p, world.t - 1) and shard.died < life and not shard.returning
         if dies:
             self._tell("kill", shard=p, life=life, restart=world.comes_back(p))
             self._until.append((shard, lambda: shard.died >= life))
-        # A crash may end with the run: nobody is awaited for a step that never comes.
+        # A crash may last until the end of the run: do not wait for a step that never happens.
         if world.t + 1 < world.steps and world.wanted(p, world.t + 1):
             if not shard.ready:
                 self._tell("revive", shard=p)
-            # The next life may be over before the state leaves: then it is lost at t + 1.
+            # The next life may end before the state leaves: then it is lost at t + 1.
             then = life + (dies or life <= shard.died)
             self._until.append((shard, lambda: shard.ready or shard.died >= then))
 
     @property
     def held_for(self) -> list[Shard]:
-        """Those that must be gone, or there, before state(t) may leave."""
+        """Return the shards that must end or appear before state(t) may leave."""
         return [shard for shard, is_true in self._until if not is_true()]
 
-    # Lost, and back.
+    # Losses and returns.
 
     def lose(self, p: int, why: str) -> None:
-        """Go on without a shard: from t on it has crashed, as if a fault of the file had said so."""
+        """Continue without a shard: its nodes have crashed from t on, as after a crash fault of the file."""
         shard, world = self.all[p], self._world
         shard.fault, shard.back = world.fault_count, False
         world.fault_count += 1
@@ -163,14 +168,14 @@ class Shards:
         self._tell("lost", shard=p, fault=shard.fault, who=shard.name, cause=why)
 
     def _take_back(self, p: int, shard: Shard, fault: int) -> None:
-        """A lost shard that is there again hears its neighbours from t on, and acts from t + 1 on."""
+        """Let a lost shard return: it receives its neighbours' messages from t on, and acts from t + 1 on."""
         at = self._world.t + 1
         self._world.faults.end(fault, at)
         self._tell("back", shard=p, fault=fault, who=shard.name, at=at)
         shard.fault, shard.returning = None, True
 
     def call_the_lost(self) -> None:
-        """Who was lost by the deadline may be there again: it answers a state of a step that never comes."""
+        """Call the shards that were lost by the deadline: they would answer a state of a step that never happens."""
         if time.monotonic() - self._called_at < RESEND_AFTER_S:
             return
         self._called_at = time.monotonic()
@@ -179,10 +184,10 @@ class Shards:
                 nothing = np.full(len(shard.nodes), np.nan)
                 shard.state.put(encode_state(FOREVER, nothing, bytes(shard.incidences)))
 
-    # What becomes of their processes.
+    # The fate of their processes.
 
     def see(self, p: int, life: int, there: bool) -> None:
-        """The token of a life came or went."""
+        """Record that the token of a life appeared or vanished."""
         shard = self.all[p]
         if there:
             shard.seen = max(shard.seen, life)
@@ -192,7 +197,10 @@ class Shards:
             shard.life = life
 
     def end(self, p: int, life: int, running: bool) -> None:
-        """A life is over; if the run is not, who was waited for at this step is lost now, and others at the next."""
+        """Record the end of a life.
+
+        In a running network, a shard that this step waits for is lost now, any other at the next step.
+        """
         shard = self.all[p]
         if life <= shard.died:
             return
@@ -205,7 +213,7 @@ class Shards:
 
 
 def _name(p: int, truth: Truth) -> str:
-    """What messages call a shard."""
+    """Return the name of a shard in messages."""
     ids = [str(truth.ids[k]) for k in truth.shards[p]]
     if len(ids) == 1:
         return f"agent {ids[0]}"

@@ -1,4 +1,4 @@
-"""`hedgerow-plant`, the command: the world on a machine of its own."""
+"""The command `hedgerow-plant`: the plant on its own machine."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from hedgerow.wire.session import close, open_client, open_router
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
-    """Run the world of a network where it is started, to its last step, a SIGTERM or a Ctrl-C."""
+    """Run the plant of a network here, to its last step, a SIGTERM or a Ctrl-C."""
     parser = standalone.options("hedgerow-plant", main.__doc__ or "")
     parser.add_argument("--listen", metavar="ENDPOINT", help="be the router too, e.g. on tcp/0.0.0.0:7447")
     parser.add_argument(
@@ -52,7 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
                 stack.callback(close, session)
                 stack.enter_context(room(session, config.namespace, LOG.warning))
             plant = Plant(truth, session, known.rate, known.deadline, known.wait, config.network)
-            stack.enter_context(stopped_by(plant.stop))  # the others are told; they may be far away
+            stack.enter_context(stopped_by(plant.stop))  # the agents receive END; they may be far away
             plant.run()
 
     standalone.main(find, known, body)

@@ -1,4 +1,4 @@
-"""All that the plant is told: the true network, its disturbances, and which process runs which node."""
+"""The plant's knowledge: the true network, its disturbances, and the nodes of each process."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from hedgerow.topologies.network import Group
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """The true network, in plain numbers; every array is over nodes in network order unless it says otherwise."""
+    """The true network, in plain numbers; every array is over nodes in network order unless its docstring differs."""
 
     ids: NDArray[Any]
     b: Gain
@@ -31,13 +31,13 @@ class Truth:
     shards: Sequence[Index]
     """Per agent process: the positions of its nodes, ascending."""
     effects: Sequence[Mapping[str, Any]]
-    """What goes wrong: topologies.effects.Effect as its `to_dict` writes it."""
+    """The faults: topologies.effects.Effect as its `to_dict` writes it."""
     faults: int
-    """How many faults there are: that number is the next one's."""
+    """The number of faults; also the number of the next fault."""
     history: int
-    """How many past steps are kept for back-filling, 0 for none."""
+    """The number of past steps stored for back-filling, 0 for none."""
     weights: Array | None = None
-    """Of the edges, (E,); None if all are 1."""
+    """Weights of the edges, (E,); None if all are 1."""
 
     def write(self, path: Path) -> None:
         """Write the truth as the .npz file that `read` reads."""
@@ -64,7 +64,7 @@ class Truth:
 
     @classmethod
     def read(cls, path: Path) -> Truth:
-        """The truth in a file."""
+        """Return the truth in a file."""
         settings, arrays = archive.read(path)
         with archive.reading(path):
             groups = [
@@ -75,7 +75,7 @@ class Truth:
             return cls(**settings, **arrays, disturbance=groups, shards=shards)
 
     def to_dict(self) -> dict[str, Any]:
-        """The same in words, as JSON and TOML hold them."""
+        """Return the truth as a dictionary for JSON and TOML."""
         disturbance = [
             {"number": group.number, "kind": group.kind, "nodes": group.nodes.tolist()}
             | {"values": {key: value.tolist() for key, value in group.values.items()}}
@@ -99,7 +99,9 @@ class Truth:
 
     @classmethod
     def from_dict(cls, told: Mapping[str, Any]) -> Truth:
-        """The truth that `to_dict` put into words; raises KeyError, TypeError or ValueError where it did not."""
+        """Return the truth from a dictionary of `to_dict`; raise KeyError, TypeError or ValueError if it is
+        malformed.
+        """
         disturbance = [
             Group(
                 group["number"],

@@ -1,8 +1,8 @@
 """The dynamics (1): x_i(t+1) = a_i x_i(t) + b_i sum_j k_ij (u_i(t) - u_j(t)) + w_i(t), over the edges that are open.
 
-And all that goes wrong with them. A step has two halves: `begin` decides what holds at t, which `states` tells the
-shards; `step` takes their inputs and moves on. An input that is missing, for whatever cause, closes all edges of its
-node at that step, at both ends: no old value is held, and no flow is one-sided (docs/theory.md).
+It includes the faults. A step has two halves. `begin` decides what holds at t, and `states` gives the messages to the
+shards. `step` uses their inputs and advances. A missing input, for any reason, closes all edges of its node at that
+step, at both ends. So no old value is held, and no flow is one-sided (docs/theory.md).
 """
 
 from __future__ import annotations
@@ -27,10 +27,7 @@ from hedgerow.wire.history import History
 
 
 def dynamics(a: Array, b: Gain, graph: Graph, x: Array, u: Array, w: Array, edge_open: Mask | None = None) -> Array:
-    """x(t+1) from x(t), u(t), w(t) and the edges open at t (None: all); equation (1).
-
-    Shapes: (n,) and (E,); or (B, n) and (B, E) for B networks at once.
-    """
+    """Return x(t+1) from x(t), u(t), w(t) and the edges open at t (None: all); equation (1)."""
     if edge_open is None and kernels_for(graph.n) is not None:
         if x.ndim == 1:
             return _compiled_dynamics(a, b, graph, x, u, w)
@@ -40,7 +37,7 @@ def dynamics(a: Array, b: Gain, graph: Graph, x: Array, u: Array, w: Array, edge
 
 
 def _compiled_dynamics(a: Array, b: Gain, graph: Graph, x: Array, u: Array, w: Array) -> Array:
-    """The same for one large network, all of whose edges are open."""
+    """Return the same for one large network with all edges open."""
     if graph.weight is None and isinstance(b, float) and (kernels := kernels_for(graph.n)) is not None:
         return kernels.dynamics(graph.first, graph.neighbour, a, b, x, u, w)  # type: ignore[no-any-return]
     if graph.weight is not None and (kernels := unequal_kernels_for(graph.n)) is not None:
@@ -59,12 +56,12 @@ class _Part:
 
 @dataclass(slots=True)
 class _Step:
-    """What holds at one step."""
+    """The faults and messages of one step."""
 
     told: Array
-    """x(t) as the agents read it: NaN where the reading is lost or nobody is there, (n,)"""
+    """x(t) as the agents read it, (n,): NaN if the reading is lost or the node is absent"""
     read: Array
-    """the same, of those who are not there too: one that comes back is told of the meantime"""
+    """the same for absent nodes too; a returning node receives it for the time of its absence"""
     absent: Mask
     back: Mask
     """nodes that were absent at the step before"""
@@ -72,11 +69,11 @@ class _Step:
     cut: Mask | None
     mute: Mask | None
     flags: Flags | None
-    """Flag bits by incidence, (2E,); None if all are set, and there is nothing else to tell"""
+    """Flag bits by incidence, (2E,); None if all are set and there is no other message"""
 
 
 class _Made(NamedTuple):
-    """A step that was made: its telemetry as far as the plant knows it, and what else the account of it needs."""
+    """A finished step: its telemetry as far as the plant knows it, and the data that `account` needs."""
 
     t: int
     x: Array
@@ -86,11 +83,11 @@ class _Made(NamedTuple):
     deliveries: Deliveries
     gone: Mask | None
     now: _Step | None
-    """what held at it; None if nothing was missing"""
+    """the faults and messages of the step; None if nothing was missing"""
 
 
 class World:
-    """The true network in motion: its state x(t), what goes wrong, and the step to the next."""
+    """The true network in motion: its state x(t), its faults, and the advance to the next step."""
 
     def __init__(self, truth: Truth) -> None:
         self.graph = graph = Graph(len(truth.ids), truth.edges, truth.weights)
@@ -101,7 +98,7 @@ class World:
         self.steps = truth.steps
         self._disturbance = Disturbance(truth.disturbance, truth.ids, truth.seed)
         self._next_w: Array | None = None
-        """w(t), if it is known already"""
+        """w(t), if it is already computed"""
         self.fault_count = truth.faults
         """number of faults, including those added during the run"""
         self.faults = Faults((Effect.from_dict(one) for one in truth.effects), graph, truth.ids, truth.seed)
@@ -112,7 +109,7 @@ class World:
         of_node = np.empty(graph.n, dtype=np.int64)
         of_node[self.order] = np.repeat(np.arange(len(truth.shards)), [len(nodes) for nodes in truth.shards])
         self._home: Index = of_node[graph.node]
-        """Per incidence: its shard."""
+        """Per incidence: the shard of its node."""
         incidence_order = self._home.argsort(kind="stable")
         stops = np.bincount(self._home, minlength=len(truth.shards)).cumsum()
         self._parts = [
@@ -122,7 +119,7 @@ class World:
         self._place, self._incidence_place = self.order.argsort(), incidence_order.argsort()
         first = np.concatenate([[0], stops[:-1]])
         self._local: Index = self._incidence_place - first[self._home]
-        """Per incidence: which of its shard's it is."""
+        """Per incidence: its index within its shard."""
         e = len(graph.edges)
         self._nobody: Mask = np.zeros(graph.n, dtype=bool)
         self._all_open: Flags = np.ones(e, dtype=np.uint8)
@@ -131,17 +128,17 @@ class World:
         self._up_bytes = [bytes([ALL_UP]) * len(part.incidences) for part in self._parts]
         self._taken_bytes = [bytes([TAKEN]) * len(part.incidences) for part in self._parts]
         self.whole = True
-        """at the step before t all edges were open, all links up, and all was taken in"""
+        """True if, at t - 1, all edges were open, all links were up and every input was used"""
         self._open: Flags = self._all_open
         """edges that carried flow at t - 1, (E,)"""
         self._heard = self.links.whole
-        """what crossed at t - 1"""
+        """the deliveries at t - 1"""
         self._now = _Step(self.x, self.x, self._nobody, self._nobody, self.links.whole, None, None, None)
 
-    # The first half of a step: what holds at t, and who is told what.
+    # The first half of a step: what holds at t, and the messages to the shards.
 
     def begin(self) -> None:
-        """Decide what holds at t."""
+        """Decide which faults, edges and links hold at t."""
         t, faults, links, graph = self.t, self.faults, self.links, self.graph
         before = self._now.absent
         active, gone, soon = NOTHING, None, None
@@ -157,7 +154,7 @@ class World:
             return
         absent = self._nobody if gone is None else gone
         down = absent[graph.neighbour]
-        if gone is not None and soon is not None:  # who is back at t + 1 hears already what is said at t
+        if gone is not None and soon is not None:  # a node that returns at t + 1 already receives the messages of t
             down = down | (gone & soon)[graph.node]
         if active.lost is not None:
             down = down | active.lost
@@ -177,28 +174,28 @@ class World:
         return flags
 
     def present(self, p: int) -> bool:
-        """Return True if shard p has a node whose agent is present at t."""
+        """Return True if shard p has a node that is present at t."""
         return self._now.absent is self._nobody or not bool(self._now.absent[self._parts[p].nodes].all())
 
     def wanted(self, p: int, t: int) -> bool:
-        """Return True if shard p has a node whose agent should be present at step t."""
+        """Return True if shard p has a node that should be present at step t."""
         absent = self.faults.absent(t)
         return absent is None or not bool(absent[self._parts[p].nodes].all())
 
     def comes_back(self, p: int) -> bool:
-        """Return True if shard p, absent at t, will be wanted again before the last step."""
+        """Return True if shard p, absent at t, is needed again before the last step."""
         ends = [one.stop for one in self.faults.effects if one.kind == "crash"]
         return any(self.wanted(p, stop) for stop in ends if self.t < stop < self.steps)
 
     @property
     def quiet_states(self) -> Array | None:
-        """Return x(t) in the order of the shards, (n,), if there is nothing else to tell them; None if there is."""
+        """Return x(t) in the order of the shards, (n,), if that is the whole message; otherwise None."""
         if self._now.flags is not None:
             return None
         return self._now.told if self._in_order else self._now.told.take(self.order)
 
     def states(self) -> list[tuple[State | None, Record | None]]:
-        """Return, by shard, its state of t, None if the shard is absent, and the record of its nodes that come back."""
+        """Return, by shard, its state of t, None if the shard is absent, and the record of its returning nodes."""
         now, t = self._now, self.t
         x = now.told if self._in_order else now.told.take(self.order)
         told: list[tuple[State | None, Record | None]] = []
@@ -220,12 +217,12 @@ class World:
 
     @cached_property
     def _places(self) -> list[slice]:
-        """By shard: where its nodes stand in the order of the shards."""
+        """Return, by shard, the slice of its nodes in the order of the shards."""
         stops = np.cumsum([len(part.nodes) for part in self._parts]).tolist()
         return [slice(stop - len(part.nodes), stop) for stop, part in zip(stops, self._parts, strict=True)]
 
     def _spans(self) -> dict[int, list[Span]]:
-        """By shard: where other rows cross than that of the step alone."""
+        """Return, by shard, the spans of the incidences that deliver other rows than that of the step alone."""
         heard, told, reverse = self._heard, self._now.deliveries, self.graph.reverse
         numbers = np.stack([heard.late, heard.back, told.late[reverse], told.back[reverse]])
         spans: dict[int, list[Span]] = {}
@@ -244,7 +241,7 @@ class World:
         return Record(self.t, back, first, x.copy(), u.copy(), record.bits(first, self.t)[:, edges].copy())
 
     def look_ahead(self) -> None:
-        """Compute w(t) while the inputs of t are awaited: it needs none of them."""
+        """Compute w(t) while the plant waits for the inputs of t; it needs none of them."""
         self._next_w = self._w()
 
     def _w(self) -> Array:
@@ -252,13 +249,10 @@ class World:
             return self._disturbance.at(self.t, self.x, self.a)
         return self._disturbance.at(self.t)
 
-    # The second half: the inputs, and on to t + 1.
+    # The second half: the inputs, and the advance to t + 1.
 
     def step(self, u: Array, report: Array, took: Sequence[Buffer]) -> Telemetry:
-        """Advance from t to t + 1 under u(t), NaN where an input is missing; what was, as telemetry.
-
-        u (n,), report (REPORT_ROWS, n) and, by shard, the Flag bits taken in are in the order of the shards.
-        """
+        """Advance from t to t + 1 under u(t), NaN where an input is missing; return the telemetry of t."""
         self.advance(u)
         return self.account(report, took)
 
@@ -283,7 +277,7 @@ class World:
         self.t += 1
 
     def account(self, report: Array, took: Sequence[Buffer]) -> Telemetry:
-        """Return the telemetry of the step that `advance` made last, also if the next one has begun since.
+        """Return the telemetry of the step that `advance` made last, even if the next one has begun.
 
         report (REPORT_ROWS, n) and, by shard, the Flag bits taken in are in the order of the shards.
         """
@@ -297,12 +291,12 @@ class World:
         return Telemetry(t, x, u, w, report, edge_open, up, taken)
 
     def _what_acts(self, u: Array, gone: Mask | None) -> tuple[Array, Flags, Deliveries]:
-        """Inputs, open edges, and what crosses, where something is missing."""
+        """Return the inputs, the open edges and the deliveries of a step with something missing."""
         now, graph = self._now, self.graph
         edge_open, deliveries = self._all_open, now.deliveries
         missing = ~np.isfinite(u)
         absent = self._nobody if gone is None else gone
-        died = absent & ~now.absent  # since the step began
+        died = absent & ~now.absent  # ended since the step began
         if now.mute is not None:
             missing |= now.mute
         missing |= absent
@@ -321,19 +315,19 @@ class World:
     def _what_is_told(
         self, report: Array, taken: Flags, deliveries: Deliveries, gone: Mask | None, now: _Step
     ) -> tuple[Array, Flags, Flags]:
-        """Reports, what was taken in, and links up, where something is missing."""
+        """Return the reports, the used inputs and the links that are up, in a step with something missing."""
         graph, absent = self.graph, self._nobody if gone is None else gone
         if absent.any():
             report = np.where(absent, np.nan, report)
             taken = np.where(absent[graph.node], np.uint8(0), taken)
         up = self._all_up if deliveries is self.links.whole else (deliveries.fresh & ~absent[graph.node]).view(np.uint8)
-        if now.back.any():  # what was said to them before they were there is made up for, and not heard in time
+        if now.back.any():  # messages from before their return are back-filled, not received in time
             taken = np.where(now.back[graph.node], taken & np.uint8(~Flag.HEAR & 0xFF), taken)
         return report, taken, up
 
     @cached_property
     def _in_order(self) -> bool:
-        """Return True if the shards, one after the other, hold the nodes in network order."""
+        """Return True if the shards, one after another, hold the nodes in network order."""
         return bool((self.order[1:] > self.order[:-1]).all())
 
     def _taken(self, took: Sequence[Buffer]) -> Flags:

@@ -2,18 +2,29 @@
 
 from __future__ import annotations
 
+import ast
 import functools
 import importlib
 import inspect
+import itertools
 import re
 import subprocess
 import sys
+import textwrap
+from collections.abc import Iterator
+from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import hedgerow as hg
+from hedgerow.orchestrator.experiments.compare import Compared
+from hedgerow.orchestrator.experiments.worst import Found
+from hedgerow.orchestrator.launch.running import Running
+from hedgerow.orchestrator.metrics.guarantee import Guarantee
+from hedgerow.orchestrator.metrics.verdict import Verdict
 
 PAIR = {"name": "pair", "b": 0.1, "steps": 6, "seed": 3, "nodes": ["p", "q"], "edges": [["p", "q"]]}
 
@@ -83,6 +94,40 @@ def test_every_public_attribute_has_a_docstring() -> None:
             member = inspect.getattr_static(public, attribute)
             if not attribute.startswith("_") and (callable(member) or isinstance(member, property)):
                 assert inspect.getdoc(member), f"{name}.{attribute}"
+
+
+def stored(public: type) -> Iterator[tuple[str, str, str]]:
+    """Yield every public attribute that a class stores, with its annotation and the text that follows it."""
+    (tree,) = ast.parse(textwrap.dedent(inspect.getsource(public))).body
+    assert isinstance(tree, ast.ClassDef)
+    blocks = [tree.body, *(inner.body for inner in tree.body if isinstance(inner, ast.FunctionDef))]
+    for statement, after in itertools.chain.from_iterable(itertools.pairwise([*block, ast.Pass()]) for block in blocks):
+        if not isinstance(statement, ast.Assign | ast.AnnAssign):
+            continue
+        for target in statement.targets if isinstance(statement, ast.Assign) else [statement.target]:
+            own = isinstance(target, ast.Name) if statement in tree.body else ast.unparse(target).startswith("self.")
+            name = ast.unparse(target).removeprefix("self.")
+            if own and not name.startswith("_") and "." not in name:
+                text = after.value if isinstance(after, ast.Expr) else None
+                annotation = ast.unparse(statement.annotation) if isinstance(statement, ast.AnnAssign) else ""
+                yield name, annotation, str(text.value) if isinstance(text, ast.Constant) else ""
+
+
+@pytest.mark.parametrize("public", [hg.Run, hg.Network, hg.Live, Running, Verdict, Compared, Found, Guarantee])
+def test_every_stored_attribute_has_a_docstring(public: type) -> None:
+    assert not [name for name, _, text in stored(public) if not text]
+
+
+def test_every_array_of_a_run_has_its_shape() -> None:
+    for name, member in vars(hg.Run).items():
+        if isinstance(member, cached_property | property) and not name.startswith("_"):
+            read: Any = member.func if isinstance(member, cached_property) else member.fget
+            kind = str(inspect.signature(read).return_annotation)
+            if kind.startswith(("Array", "Mask", "Index", "NDArray", "Gain")):
+                assert re.search(r"\((n|E|K|L|T|2E|,|\+| |1|2|M)+\)", inspect.getdoc(member) or ""), name
+    flags = {"x", "u", "w", "edge_open", "a_ls", "cost"}
+    texts = {name: text for name, _, text in stored(hg.Run)}
+    assert flags <= {name for name, text in texts.items() if re.search(r"\(T( \+ 1)?, ?(n|E)?\)", text)}
 
 
 def test_settings_are_those_of_the_command_line(here: Path) -> None:

@@ -97,6 +97,14 @@ def test_the_message_for_a_missing_package_covers_all_that_an_agent_does_without
     assert {imported.get(name, name) for name in names} - {"numpy", "zenoh"} == hedgerow.NEEDED
 
 
+@pytest.mark.parametrize("package", ["orchestrator", "agents", "plant"])
+def test_a_clone_without_an_installation_gives_one_line(monkeypatch: pytest.MonkeyPatch, package: str) -> None:
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    done = run(sys.executable, "-S", "-m", f"hedgerow.{package}")
+    assert (done.returncode, done.stdout, len(done.stderr.splitlines())) == (2, "", 1)
+    assert done.stderr.startswith("error: ")
+
+
 def test_a_missing_package_is_named_in_python(tmp_path: Path) -> None:
     program = "import sys; sys.modules['pydantic'] = None; import hedgerow; hedgerow.load"
     done = run(sys.executable, "-c", program)

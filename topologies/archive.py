@@ -1,4 +1,4 @@
-"""Arrays and a few settings in one .npz file, which any NumPy reads; nothing in it is code."""
+"""Arrays and a few settings in one .npz file, which any NumPy reads; it contains no code."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ NodeId = int | str
 Arrays = dict[str, Any]
 _SETTINGS = "settings"
 _MIXED = "ids"
-"""among the settings: arrays of ids of which some are names, or integers beyond 64 bits"""
+"""in the settings: arrays of ids that include names, or integers beyond 64 bits"""
 
 
 def id_array(ids: Sequence[NodeId]) -> NDArray[Any]:
-    """Return node ids as an array: of int64 if all of them fit, else of objects."""
+    """Return node ids as an array: of int64 if all fit, otherwise of objects."""
     if isinstance(ids, range):
         return np.arange(ids.start, ids.stop, ids.step)
     whole = all(isinstance(node, int) and -(2**63) <= node < 2**63 for node in ids)
@@ -34,7 +34,7 @@ def id_array(ids: Sequence[NodeId]) -> NDArray[Any]:
 
 
 def write(path: Path, settings: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Write `arrays`, ids among them, and `settings`, which are what JSON can hold."""
+    """Write `arrays`, ids included, and `settings`, which JSON must be able to hold."""
     # Objects would be pickled, and a pickle is code: ids of both kinds become JSON.
     mixed = {name: array.tolist() for name, array in arrays.items() if array.dtype == object}
     plain = {name: array for name, array in arrays.items() if name not in mixed}
@@ -47,8 +47,8 @@ def write(path: Path, settings: Mapping[str, Any], arrays: Mapping[str, NDArray[
 def read(path: Path, growth: Mapping[str, int] | None = None) -> tuple[dict[str, Any], Arrays]:
     """Return the settings and the arrays that `write` wrote.
 
-    growth: bytes of memory for a byte of an array, by name, where its reader makes more of it. Raises UserError for a
-    file that cannot be read as such, or that takes more memory than is allowed.
+    growth: the memory per byte of an array, by name, if its reader needs more than the array. Raise UserError for a
+    file that is not valid, or that takes more memory than allowed.
     """
     with reading(path), open_regular(path) as opened:
         sizes = _sizes(opened)
@@ -62,7 +62,7 @@ def read(path: Path, growth: Mapping[str, int] | None = None) -> tuple[dict[str,
 
 
 def _sizes(file: BinaryIO) -> dict[str, int]:
-    """Return the uncompressed bytes of every array, by the directory of the archive."""
+    """Return the uncompressed size of every array [bytes], by the directory of the archive."""
     sizes: dict[str, int] = {}
     with zipfile.ZipFile(file) as archive:
         for member in archive.infolist():
@@ -86,7 +86,7 @@ def _array(path: Path, file: Any, name: str, size: int) -> NDArray[Any]:
         ) from None
     if not isinstance(array, np.ndarray):
         raise ValueError(f"`{name[:40]}` is no array")
-    # Elements of no bytes can be any number in a small file, and a list of them can fill the memory.
+    # A small file can declare any number of elements of size 0, and a list of them can fill the memory.
     if max(array.shape, default=0) > size:
         raise ValueError(f"`{name[:40]}` has the shape {array.shape} in {size} bytes")
     return array
@@ -94,12 +94,12 @@ def _array(path: Path, file: Any, name: str, size: int) -> NDArray[Any]:
 
 @contextlib.contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Raise UserError for whatever a damaged or strange file leads to while the block makes sense of it."""
+    """Raise UserError for any error that a damaged file causes inside the block."""
     try:
         yield
     except HedgerowError:
         raise
-    # NumPy and zipfile raise almost anything for a damaged file: AttributeError and tokenize.TokenError among others.
+    # A damaged file can cause almost any error in NumPy and zipfile, AttributeError and tokenize.TokenError among them.
     except Exception as error:
         said = str(error) or type(error).__name__
         raise UserError(

@@ -1,4 +1,4 @@
-"""What all models of a topology file are built of: a frozen model, numbers, names and node ids."""
+"""The base of all models of a topology file: a frozen model, numbers, names and node ids."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from hedgerow.topologies.graph import LARGEST
 
 
 class Model(BaseModel):
-    """Frozen, and closed to unknown keys."""
+    """A frozen model that refuses unknown keys."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 def number(value: Any) -> Any:
-    """A number is an int or a float; text and booleans are not."""
+    """Return an int or a float as it is; refuse text and booleans."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise PydanticCustomError("number", "expects a number")
     if math.inf > abs(value) > LARGEST:
@@ -68,7 +68,7 @@ Name = Annotated[
 
 
 class Uniform(Model):
-    """A number left to chance: drawn uniformly from [low, high)."""
+    """A random number: drawn uniformly from [low, high)."""
 
     random: tuple[Number, Number] = Field(description="[low, high]")
 
@@ -88,7 +88,7 @@ class Uniform(Model):
 
 
 class PositiveUniform(Uniform):
-    """A number above 0 left to chance: drawn uniformly from [low, high)."""
+    """A random number above 0: drawn uniformly from [low, high)."""
 
     random: tuple[Positive, Positive] = Field(description="[low, high]")
 
@@ -97,10 +97,10 @@ _WHOLE = re.compile(r"0|-?[1-9][0-9]{0,3999}")
 
 
 def node_id(value: Any) -> Any:
-    """Return the node id that a text names: an integer if the text is its shortest form, else the text.
+    """Return the node id in a text: an integer if the text is the shortest form of one, otherwise the text.
 
-    Keys of JSON, headers of CSV files and words of the command line are always text. Only the shortest form becomes
-    an integer, so that every id has exactly one text: `7` is the integer, and `007` stays a text of its own.
+    Keys of JSON, headers of CSV files and words of the command line are always text. Only the shortest form becomes an
+    integer, so every id has exactly one text: `7` is an integer, and `007` is a text.
     """
     return int(value) if isinstance(value, str) and _WHOLE.fullmatch(value) else value
 
@@ -117,6 +117,6 @@ TrueA = Annotated[
 
 
 def kind_of(value: Any) -> str | None:
-    """The `kind` of a member of a union, written or already read."""
+    """Return the `kind` of a member of a union, as written or as a model."""
     kind = value.get("kind") if isinstance(value, dict) else getattr(value, "kind", None)
     return kind if isinstance(kind, str) else None

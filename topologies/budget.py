@@ -1,4 +1,4 @@
-"""The memory that a file or a rule may take: estimated before it is loaded or made, and refused beyond a cap."""
+"""The memory limit of files and rules: the need is estimated before loading, and refused above a cap."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _MB = 10**6
 
 
 def cap() -> int:
-    """Return the cap in bytes; raise UserError if the environment gives one that is no number of megabytes."""
+    """Return the cap in bytes; raise UserError if the environment variable is not a number of megabytes."""
     written = os.environ.get(VARIABLE, "").strip()
     if not written:
         return DEFAULT_MB * _MB
@@ -26,7 +26,7 @@ def cap() -> int:
 
 
 def excess(estimate: int) -> str:
-    """Return why `estimate` bytes are too many and the cure, in one sentence each; empty if they are allowed."""
+    """Return why `estimate` bytes are too many, and the fix, in one sentence each; empty if they are allowed."""
     if estimate <= (allowed := cap()):
         return ""
     return f"it takes about {_shown(estimate)} of memory, and {_shown(allowed)} are allowed. {cure(estimate)}"
@@ -38,7 +38,7 @@ def cure(estimate: int) -> str:
 
 
 def require(place: object, estimate: int) -> None:
-    """Raise UserError with the estimate if what is at `place` takes more memory than is allowed."""
+    """Raise UserError with the estimate if the data at `place` takes more memory than allowed."""
     if why := excess(estimate):
         raise UserError(f"{place}: {why}", code=Code.FILE_TOO_LARGE)
 

@@ -1,6 +1,6 @@
-"""The coupling b_i^2 d_i of each node, which condition (3) limits; of a file with numbers left to chance, the largest.
+"""The coupling b_i^2 d_i of each node, which condition (3) limits; with random numbers, the largest possible one.
 
-A file is judged by the largest gains and weights that can be drawn. It is then right for every seed, or for none.
+A file is checked with the largest gains and weights that can be drawn. It is then valid for every seed, or for none.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ from hedgerow.topologies.schema import Topology
 
 @dataclass(frozen=True, eq=False)
 class Couplings:
-    """The gain b_i and the weighted degree d_i of each node, (n,), or the largest that can be drawn."""
+    """The gain b_i and the weighted degree d_i of each node, (n,), or the largest possible ones."""
 
     b: Array
     degree: Array
 
     @property
     def empty(self) -> Index:
-        """The positions of nodes for which no a satisfies condition (3): 8 b_i^2 d_i is not below 1."""
+        """Return the positions of nodes for which no a satisfies condition (3): 8 b_i^2 d_i is not below 1."""
         return np.flatnonzero(8 * self.b * self.b * self.degree >= 1)
 
     @property
     def largest_b(self) -> float:
-        """The largest b, to 4 digits, with which every node has an interval; infinite if no node has an edge."""
+        """Return the largest b, to 4 digits, for which every node has an interval; infinite if no node has an edge."""
         bound = 1 / math.sqrt(8 * float(self.degree.max())) if self.degree.max() > 0 else math.inf
         if math.isinf(bound):
             return bound
@@ -42,14 +42,14 @@ class Couplings:
 def largest_couplings(topology: Topology, made: bool) -> Couplings:
     """Return the couplings of a topology that is not resolved.
 
-    If its edges are `made`, by a rule or in columns, they are all right; of those that a file writes some may lead
-    nowhere, be loops or be repeated, which count for nothing.
+    Edges that are `made`, by a rule or in columns, are all valid. Some edges in a file may be invalid: unknown nodes,
+    loops, repetitions. These are not counted.
     """
     return Couplings(largest_gains(topology), _made_degrees(topology) if made else _written_degrees(topology))
 
 
 def largest_gains(topology: Topology) -> Array:
-    """Return the gain b_i of each node, (n,), or the largest that can be drawn."""
+    """Return the gain b_i of each node, (n,), or the largest possible one."""
     if isinstance(topology.nodes, Nodes):
         return np.full(len(topology.ids), topology.network.b)
     common = topology.b if topology.defaults.b is None else largest(topology.defaults.b)

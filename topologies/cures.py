@@ -1,4 +1,4 @@
-"""How to write a number or a text, in whose place a file has something else."""
+"""Fixes for a value that should be a number or a text."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _GROUPED = re.compile(r"[-+]?\d+(_\d+)+(\.\d+)?")
 
 
 def cure_of_number(value: Any, whole: bool = False) -> str:
-    """Return how to write the number in whose place `value` stands."""
+    """Return the fix for a value that should be a number."""
     example = "3" if whole else "0.5"
     match value:
         case [int() | float() as inside] if not isinstance(inside, bool):
@@ -38,7 +38,7 @@ def cure_of_number(value: Any, whole: bool = False) -> str:
 
 
 def cure_of_text(value: Any, text: str | None) -> str:
-    """Return how to write the text that stands in a file as something else."""
+    """Return the fix for a value that should be a text."""
     if isinstance(value, list | dict):
         return "write a single text"
     if value is None and not text:

@@ -1,4 +1,4 @@
-"""A fault in words, and the steps at which it holds."""
+"""A fault in words, and the steps when it is active."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from hedgerow.topologies.faults import Actuator, Crash, Cut, Delay, Drop, Fault,
 
 
 def describe(fault: Fault) -> str:
-    """A fault in a few words: what it is, what it strikes, and when."""
+    """Return a fault in a few words: its kind, its targets, and its steps."""
     start, stop = window(fault)
     if (start, stop) == (0, FOREVER):
         return f"{_what(fault)} at every step"
@@ -15,7 +15,7 @@ def describe(fault: Fault) -> str:
 
 
 def window(fault: Fault) -> tuple[int, int]:
-    """The first step at which a fault holds, and the first after it at which it does not."""
+    """Return the first step of a fault, and the first step after it."""
     match fault:
         case Drop(at=dict() as table) | Cut(at=dict() as table):
             return min(table), max(table) + 1

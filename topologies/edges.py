@@ -1,4 +1,4 @@
-"""Edges with weights: how a file writes them, and how weights are drawn."""
+"""Edges with weights: their form in a file, and the draw of random weights."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PositiveValue = Annotated[
 
 
 class Edge(Model):
-    """An edge with a weight k_e: its ends exchange k_e times the flow of an edge without."""
+    """An edge with a weight k_e: its flow is k_e times the flow of an edge without a weight."""
 
     ends: tuple[NodeId, NodeId] = Field(description="the two node ids")
     weight: PositiveValue = Field(1.0, description="k_e of (1), above 0; or `{random: [low, high]}`")
@@ -33,17 +33,17 @@ WrittenEdge = Annotated[
 
 
 def ends_of(edge: Ends | Edge) -> Ends:
-    """Return the two node ids of an edge, as a file writes it."""
+    """Return the two node ids of an edge in a file."""
     return edge.ends if isinstance(edge, Edge) else edge
 
 
 def weight_of(edge: Ends | Edge) -> float | PositiveUniform:
-    """Return the weight of an edge, as a file writes it; 1 if it writes none."""
+    """Return the weight of an edge in a file; 1 if it has none."""
     return edge.weight if isinstance(edge, Edge) else 1.0
 
 
 def largest(value: float | PositiveUniform) -> float:
-    """Return a number, or the largest that can be drawn in its place."""
+    """Return a number, or the largest possible value of a random one."""
     return value.high if isinstance(value, PositiveUniform) else value
 
 
@@ -53,7 +53,7 @@ def weights_of(
     ids: Sequence[int | str],
     edges: Index,
 ) -> Array | None:
-    """Return the weights of edges, (E,), those left to chance drawn; None if all of them are 1.
+    """Return the weights of edges, (E,), with random ones drawn; None if all weights are 1.
 
     `written` has one member per edge, or is the same for all of them. `edges` (E, 2) are positions in `ids`. A lot is a
     function of the seed and of the ids of the two ends, in any order.

@@ -1,4 +1,4 @@
-"""Faults in plain numbers: what the plant reads of them, with neither pydantic nor node ids in it."""
+"""Faults as plain numbers for the plant, without pydantic and without node ids."""
 
 from __future__ import annotations
 
@@ -7,41 +7,42 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 FOREVER = 2**62
-"""A step that no run reaches: where a fault without an end stops."""
+"""A step that no run reaches: the end of a fault without an end."""
 
 
 @dataclass(frozen=True)
 class Effect:
-    """What one fault of the list does, at steps `start` <= t < `stop`.
+    """The effect of one fault of the list, at steps `start` <= t < `stop`.
 
-    `kind` says what its `targets` are: incidences of `hedgerow.topologies.graph.Graph` for drop and delay (c stands for
-    the link on which node[c] hears neighbour[c]), edges for cut, positions of nodes for sensor, actuator, crash
-    and jump. A crash starts when the nodes die and stops when they are back; a jump never stops.
+    `kind` determines the meaning of `targets`. For drop and delay they are incidences of
+    `hedgerow.topologies.graph.Graph`: incidence c is the link to node[c] from neighbour[c]. For cut they are edges. For
+    sensor, actuator, crash and jump they are positions of nodes. A crash starts when the nodes fail and stops when they
+    return; a jump never stops.
     """
 
     fault: int
-    """Its position in `faults:`, from 0; a partition that cuts has two effects."""
+    """The position of the fault in `faults:`, from 0; a partition that cuts has two effects."""
     kind: str
     targets: Sequence[int]
     start: int
     stop: int
     probability: float = 1.0
-    """At each step, of each target on its own."""
+    """The probability at each step, independent for each target."""
     by: int = 0
-    """How many steps a delayed message is late."""
+    """The delay of a message, in steps."""
     a: float = 0.0
-    """The truth after a jump."""
+    """The true a after a jump."""
     table: Mapping[int, Sequence[int]] | None = None
     """Targets by step, in place of `targets` at every step."""
 
     def to_dict(self) -> dict[str, Any]:
-        """As JSON holds it."""
+        """Return the effect as a dictionary for JSON."""
         steps = None if self.table is None else {str(step): list(struck) for step, struck in self.table.items()}
         return {**asdict(self), "targets": list(self.targets), "table": steps}
 
     @classmethod
     def from_dict(cls, written: Mapping[str, Any]) -> Effect:
-        """The effect that `to_dict` wrote, from JSON or not."""
+        """Return the effect from a dictionary of `to_dict`, also after JSON."""
         steps = written["table"]
         table = None if steps is None else {int(step): tuple(struck) for step, struck in steps.items()}
         return cls(**{**written, "targets": tuple(written["targets"]), "table": table})

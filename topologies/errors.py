@@ -1,4 +1,4 @@
-"""The one exception root, the code of every kind of failure, and the exit codes."""
+"""The root of all exceptions, the code of every kind of failure, and the exit codes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Exit(IntEnum):
 
 
 class Code(StrEnum):
-    """One kind of failure; docs/errors.md lists the cause and the cure of each."""
+    """One kind of failure; docs/errors.md lists the cause and the fix of each."""
 
     # The user's mistakes: exit code 2.
     USER = "user"
@@ -56,7 +56,7 @@ class Code(StrEnum):
 
 
 class HedgerowError(Exception):
-    """The root of all errors that this project raises on purpose; the text names place, problem and cure.
+    """The root of all errors that this project raises on purpose; the text gives place, problem and fix.
 
     `code` names the kind of failure. A class has a default, and a raise can give a more exact one.
     """
@@ -72,7 +72,7 @@ class HedgerowError(Exception):
 class UserError(HedgerowError):
     """A mistake that the user can correct; the command line exits with code 2 and prints no traceback.
 
-    Without a code of its own, a message that begins with an option is of that option.
+    A message that begins with an option gets the code OPTION, unless the raise gives another code.
     """
 
     default_code = Code.USER
@@ -83,11 +83,11 @@ class UserError(HedgerowError):
 
 
 MOST = 1e9
-"""of what an option counts in seconds, or in steps a second: what is to wait for longer is refused by the system"""
+"""The maximum of an option in seconds, or in steps per second; the system refuses longer waits."""
 
 
 def check_options(**given: float | None) -> None:
-    """Raise UserError for seconds that are not above 0, or a `rate` below 0, if they are given; NaN is neither."""
+    """Raise UserError for seconds that are not above 0, or for a `rate` below 0; NaN is refused in both cases."""
     for name, value in given.items():
         least = "from 0" if name == "rate" else "above 0"
         if value is not None and (not 0 <= value <= MOST or (value == 0 and name != "rate")):
@@ -95,13 +95,13 @@ def check_options(**given: float | None) -> None:
 
 
 class DeadlineError(HedgerowError):
-    """A wait that ran past its deadline; the text names the process that it waited for."""
+    """A wait that exceeded its deadline; the text names the missing process."""
 
     default_code = Code.DEADLINE
 
 
 class FileRefusedError(ValueError):
-    """A file beside the topology that cannot be used: the problem with its place, the cure, the code."""
+    """A file beside the topology that cannot be used: the problem with its place, the fix, the code."""
 
     def __init__(self, what: str, cure: str = "", code: Code = Code.FILE_FORMAT) -> None:
         super().__init__(f"{what}; {cure}" if cure else what)
@@ -115,7 +115,7 @@ class FileRefusedError(ValueError):
 
 @dataclass(frozen=True, order=True)
 class Problem:
-    """One mistake in a topology file: the line (from 1; 0 if unknown), the place, the problem, the cure, its code."""
+    """One mistake in a topology file: the line (from 1; 0 if unknown), the place, the problem, the fix, its code."""
 
     line: int
     place: str
@@ -132,7 +132,7 @@ class Problem:
         return f"{place}{self.what}" + (f"; {self.cure}" if self.cure else "")
 
     def where(self, source: str) -> str:
-        """Return the option or file:line:column to begin the message with."""
+        """Return `option` or `file:line:column`, the start of the message."""
         if self.origin:
             return self.origin
         at = [source, *([str(self.line)] if self.line else []), *([str(self.column)] if self.column else [])]
@@ -140,7 +140,7 @@ class Problem:
 
     @cached_property
     def kind(self) -> tuple[str, str, str, str]:
-        """The key that equal mistakes share: all of them except ids, numbers and quoted values."""
+        """Return the key of equal mistakes: the whole mistake without ids, numbers and quoted values."""
         return _NAMED.sub(r"\1", self.place), _VALUES.sub("…", self.what), self.code, self.origin
 
 
@@ -167,7 +167,7 @@ class Problems:
         self._kept: dict[Problem, None] = {}
         self._counts: dict[tuple[str, str, str, str], int] = {}
         self._others = 0
-        """mistakes of kinds that are not in `_counts`, which is full"""
+        """the number of mistakes of further kinds; `_counts` is full"""
         self.extend(problems)
 
     def append(self, problem: Problem) -> None:
@@ -186,7 +186,7 @@ class Problems:
             self._kept[problem] = None
 
     def count_more(self, like: Problem) -> None:
-        """Count one more mistake of the kind of `like`, which was appended before."""
+        """Count one more mistake of the same kind as `like`, which was appended before."""
         kind = like.kind
         if kind in self._counts:
             self._counts[kind] += 1
@@ -236,7 +236,7 @@ def _in_order(problem: Problem) -> tuple[int, int, Problem]:
 
 
 def _grouped(found: Sequence[Problem], count: int) -> str:
-    """Return a line for equal mistakes: how many, what is wrong with the first one, and its line."""
+    """Return one line for equal mistakes: their number, the problem of the first one, and its line."""
     first = found[0]
     named, _, inside = first.place.partition(": ")
     noun, _, name = named.partition(" ")
@@ -259,14 +259,14 @@ class TopologyError(UserError):
         self.source = source
         self.problems = tuple(sorted(found, key=_in_order))
         self.count = len(found)
-        """how many mistakes there are, those included that `problems` leaves out"""
+        """the number of all mistakes, including those that are not in `problems`"""
         super().__init__("\n".join(found.lines(source)))
         codes = {problem.code for problem in self.problems}
         self.code = codes.pop() if len(codes) == 1 else self.default_code
 
     @property
     def summary(self) -> str:
-        """How many mistakes there are, and whether they are of the file or of the command line."""
+        """Return the number of mistakes, and their source: the file or the command line."""
         origins = {problem.origin for problem in self.problems}
         where = f"in {self.source}" if "" in origins else "on the command line"
         return f"{self.count} mistake{'s' if self.count > 1 else ''} {where}"

@@ -1,16 +1,22 @@
-"""Text for a terminal, a log or a shell: no character of it acts on the terminal, and none leaves its word."""
+"""Text for a terminal, a log or a shell: no character acts on the terminal or ends a quoted word."""
 
 from __future__ import annotations
 
+import contextlib
 import re
 import shlex
 import sys
-from collections.abc import Iterable
-from typing import TextIO
+from collections.abc import Iterable, Iterator
+from typing import Any, TextIO
 
-# The terminal obeys C0, DEL and C1. The bidirectional controls and the two separators change the order of what is read.
-# A lone surrogate is a byte that is no UTF-8, and standard output would write that byte again: 0x9B begins a command.
-_UNSAFE = re.compile("[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028\u2029\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
+# The terminal obeys C0, DEL and C1. The bidirectional controls and the two separators change the order of the visible
+# text. A lone surrogate is an invalid byte of UTF-8. Standard output would write that byte again, and 0x9B begins a
+# command. Invisible characters make two names look equal. The two joiners (U+200C, U+200D) stay, because scripts need
+# them.
+_UNSAFE = re.compile(
+    "[\x00-\x1f\x7f-\x9f\xad\u061c\u180e\u200b\u200e\u200f\u2028\u2029\u202a-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb"
+    "\ud800-\udfff\U000e0000-\U000e007f]"
+)
 LAYOUT = "\n\t"
 """The control characters that lay out our own messages."""
 
@@ -22,11 +28,19 @@ def escape(text: str, keep: str = LAYOUT) -> str:
     """
     if text.isascii() and text.isprintable():
         return text
-    return _UNSAFE.sub(lambda found: found[0] if found[0] in keep else f"\\u{ord(found[0]):04x}", text)
+    return _UNSAFE.sub(lambda found: found[0] if found[0] in keep else _written_out(found[0]), text)
+
+
+def _written_out(character: str) -> str:
+    number = ord(character)
+    if number > 0xFFFF:  # JSON writes it as two surrogates
+        high, low = divmod(number - 0x10000, 0x400)
+        return f"\\u{0xD800 + high:04x}\\u{0xDC00 + low:04x}"
+    return f"\\u{number:04x}"
 
 
 def shorten(text: str, most: int = 80) -> str:
-    """Return one line of at most `most` characters for a text of others."""
+    """Return a foreign text as one line of at most `most` characters."""
     cut = text if len(text) <= most else text[: most - 1] + "…"
     line = escape(cut, keep="")
     return line if len(line) <= most else line[: most - 1] + "…"
@@ -36,17 +50,66 @@ _MARKS = re.compile(r"[\\`*_{}\[\]<>#|~&!$]")
 
 
 def markdown(text: str) -> str:
-    """Return `text` as words of one Markdown line: no emphasis, link, HTML, or cell of a table begins or ends in it."""
+    """Return `text` as words of one Markdown line, without active emphasis, links, HTML or table cells."""
     return _MARKS.sub(r"\\\g<0>", escape(text, keep=""))
+
+
+_answers: TextIO | None = None
+
+
+def answers() -> TextIO:
+    """Return the stream of what a command answers: standard output."""
+    return _answers or sys.stdout
+
+
+@contextlib.contextmanager
+def answers_alone() -> Iterator[None]:
+    """Lead what others print to standard error while the block lasts, so that standard output has the answer alone.
+
+    A law may print. A program that reads JSON could not read those lines.
+    """
+    global _answers
+    before = _answers, sys.stdout
+    _answers, sys.stdout = answers(), sys.stderr
+    try:
+        yield
+    finally:
+        _answers, sys.stdout = before
 
 
 def echo(text: object, *, error: bool = False, end: str = "\n") -> None:
     """Print the escaped text to standard output, or to standard error if `error`, and flush it.
 
-    Raises OSError if it cannot be written.
+    Raise OSError if it cannot be written.
     """
-    stream: TextIO = sys.stderr if error else sys.stdout
+    stream = sys.stderr if error else answers()
     print(escape(str(text)), file=stream, end=end, flush=True)
+
+
+class EscapedStream:
+    """Standard output or error of a process, whose text is escaped, whatever code writes it.
+
+    A law that prints, a warning and the traceback of a thread do not pass through `echo`.
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+        self.rich_proxied_file = stream
+        """The stream without escapes, which rich looks for under this name: a live table consists of controls."""
+
+    def write(self, text: str) -> int:
+        """Write the escaped text, and return the length of `text`."""
+        self._stream.write(escape(text))
+        return len(text)
+
+    def writelines(self, lines: Iterable[str]) -> None:
+        """Write the escaped lines."""
+        for line in lines:
+            self.write(line)
+
+    def __getattr__(self, name: str) -> Any:
+        """Return an attribute of the stream."""
+        return getattr(self._stream, name)
 
 
 def command(words: Iterable[object]) -> str:
@@ -65,7 +128,7 @@ def _quoted(word: str) -> str:
 
 
 def _octal(found: re.Match[str]) -> str:
-    """Return the bytes of a character in octal, which take three digits each and so end where they should."""
+    """Return the bytes of a character in octal, three digits each, so each number has a definite end."""
     byte_of_a_path = "\udc80" <= found[0] <= "\udcff"
     data = found[0].encode(errors="surrogateescape" if byte_of_a_path else "surrogatepass")
     return "".join(f"\\{byte:03o}" for byte in data)

@@ -1,4 +1,4 @@
-"""What may go wrong, as data: one model a kind of fault, and what each does in plain numbers.
+"""The faults as data: one model per kind of fault, and its effects as plain numbers.
 
     drop        messages of a link are lost
     delay       messages of a link arrive late
@@ -37,7 +37,6 @@ from pydantic_core import PydanticCustomError
 
 from hedgerow.topologies.base import Model, NodeId, TrueA, kind_of, number
 from hedgerow.topologies.effects import FOREVER, Effect
-from hedgerow.topologies.partition import partition
 
 if TYPE_CHECKING:
     from hedgerow.topologies.graph import Index, Mask
@@ -50,12 +49,12 @@ _DIGITS = "(0|[1-9][0-9]{0,18})"
 
 
 def _step(key: Any) -> Any:
-    """Keys in JSON are text."""
+    """Return a step; JSON has text as keys."""
     return int(key) if isinstance(key, str) and re.fullmatch(_DIGITS, key) else key
 
 
 def _each_once(value: Any) -> Any:
-    """Refuse a table that has a step both as a number and as text: one of the two would be lost."""
+    """Refuse a table that has a step both as a number and as text: one of the two entries would be lost."""
     steps = Counter(map(_step, value)) if isinstance(value, Mapping) else {}
     for step, count in steps.items():
         if count > 1:
@@ -64,7 +63,7 @@ def _each_once(value: Any) -> Any:
 
 
 def _ends(value: Any) -> Any:
-    """A Python range of single steps is its two ends."""
+    """Return a Python range of single steps as its two ends."""
     if not isinstance(value, range):
         return value
     if value.step != 1:
@@ -82,18 +81,18 @@ def _disjoint(groups: tuple[tuple[int | str, ...], ...]) -> tuple[tuple[int | st
     seen: set[int | str] = set()
     for node in (node for group in groups for node in group):
         if node in seen:
-            raise PydanticCustomError("disjoint", "node {node} stands in the groups twice", {"node": node})
+            raise PydanticCustomError("disjoint", "node {node} is in the groups twice", {"node": node})
         seen.add(node)
     return groups
 
 
 Window = Annotated[
     Annotated[tuple[Step, Step], AfterValidator(_not_empty), BeforeValidator(_ends)] | None,
-    Field(description="[from, to): the steps at which it holds; all of them if absent"),
+    Field(description="[from, to): the steps when it is active; all of them if absent"),
 ]
 Probability = Annotated[
     float,
-    Field(ge=0, le=1, description="of striking: drawn for each step, and for each message, edge or node"),
+    Field(ge=0, le=1, description="its probability: drawn for each step, and for each message, edge or node"),
     BeforeValidator(number),
 ]
 Table = Annotated[
@@ -110,27 +109,27 @@ Sender = Annotated[
     Field(
         validation_alias=AliasChoices("from", "from_"),
         serialization_alias="from",
-        description="the node whose messages are struck, on their way to the node of `to`",
+        description="the sender of the affected messages; the receiver is `to`",
     ),
 ]
-Receiver = Annotated[NodeId | None, Field(description="the neighbour that they are for")]
-Struck = Annotated[NodeId, Field(description="the node that it strikes")]
+Receiver = Annotated[NodeId | None, Field(description="the neighbour that receives the messages")]
+Struck = Annotated[NodeId, Field(description="the affected node")]
 
 
 def _closed(schema: dict[str, Any], model: type[FaultModel]) -> None:
-    """`kind:`, which Python may leave out, must stand in a file, and one of the forms with it."""
+    """Require `kind:` in a file, although Python may omit it, and one of the forms."""
     schema["required"] = ["kind", *schema.get("required", ())]
     if model.FORMS:
         schema["oneOf"] = [{"required": list(form)} for form in model.FORMS]
 
 
 class FaultModel(Model):
-    """One of the things that go wrong."""
+    """The base of all fault models."""
 
     model_config = ConfigDict(json_schema_extra=cast("Any", _closed))
 
     FORMS: ClassVar[tuple[tuple[str, ...], ...]] = ()
-    """Where there is a choice, the keys that say what is struck: exactly one of these sets is given."""
+    """The alternative sets of keys for the target of the fault: exactly one of these sets is given."""
 
     @model_validator(mode="after")
     def _one_form(self) -> Self:
@@ -144,12 +143,14 @@ class FaultModel(Model):
         return self
 
     def written(self) -> dict[str, Any]:
-        """The shortest mapping that stands for it in a file."""
+        """Return the shortest mapping in a file that means this fault."""
         short = self.model_dump(by_alias=True, exclude_none=True, exclude_defaults=True)
         return {"kind": kind_of(self), **short}
 
     def effects(self, fault: int, at: Places) -> list[Effect]:
-        """What it does, `fault` being its number in the list, to the nodes, links and edges that `at` finds."""
+        """Return the effects of the fault on the nodes, links and edges that `at` finds; `fault` is its number in the
+        list.
+        """
         raise NotImplementedError
 
 
@@ -162,7 +163,9 @@ class Drop(FaultModel):
     link: Link = None
     from_: Sender = None
     to: Receiver = None
-    at: Table | None = Field(None, description="by step, the pairs [from, to] whose message is lost; the only key then")
+    at: Table | None = Field(
+        None, description="by step, the pairs [from, to] that lose their message; the only key then"
+    )
     steps: Window = None
     probability: Probability = 1.0
 
@@ -182,7 +185,7 @@ class Delay(FaultModel):
     link: Link = None
     from_: Sender = None
     to: Receiver = None
-    by: Annotated[StrictInt, Field(ge=1, le=10**6)] = Field(description="how many steps late")
+    by: Annotated[StrictInt, Field(ge=1, le=10**6)] = Field(description="the delay, in steps")
     steps: Window = None
     probability: Probability = 1.0
 
@@ -215,9 +218,9 @@ class Partition(FaultModel):
     kind: Literal["partition"] = "partition"
     groups: Annotated[
         tuple[Annotated[tuple[NodeId, ...], Field(min_length=1)], ...], Field(min_length=2), AfterValidator(_disjoint)
-    ] = Field(description="two lists of nodes or more, without a node in common; a node in none is not touched")
+    ] = Field(description="two lists of nodes or more, without a node in common; other nodes are not affected")
     steps: Window = None
-    cut: StrictBool = Field(False, description="whether the edges between them are cut too")
+    cut: StrictBool = Field(False, description="true: the edges between the groups are cut too")
 
     def effects(self, fault: int, at: Places) -> list[Effect]:
         apart = at.apart(self.groups)
@@ -258,11 +261,11 @@ class Crash(FaultModel):
     FORMS = (("node",), ("process",))
 
     kind: Literal["crash"] = "crash"
-    node: Annotated[NodeId | None, Field(description="whose agent dies, and no other of its process")] = None
-    process: Shard | None = Field(None, description="which process is killed, from 0")
+    node: Annotated[NodeId | None, Field(description="the node; only its agent crashes")] = None
+    process: Shard | None = Field(None, description="the process to kill, from 0")
     at: Step = Field(description="the first step that it misses")
     restart_after: Annotated[StrictInt, Field(ge=1, le=FOREVER)] | None = Field(
-        None, description="how many steps it misses; all of them if absent"
+        None, description="the number of steps that it misses; all of them if absent"
     )
 
     def effects(self, fault: int, at: Places) -> list[Effect]:
@@ -277,7 +280,7 @@ class Jump(FaultModel):
     kind: Literal["jump"] = "jump"
     node: Struck
     at: Step = Field(description="the first step of the new truth")
-    a: TrueA = Field(description="the new truth, one of the candidates; or `random`: one that is not the old, drawn")
+    a: TrueA = Field(description="the new truth, one of the candidates; or `random`: another candidate, drawn")
 
     def effects(self, fault: int, at: Places) -> list[Effect]:
         assert isinstance(self.a, float), "resolving draws it"
@@ -301,12 +304,12 @@ Fault = Annotated[
 
 
 def known_keys(model: type[Model]) -> list[str]:
-    """The keys of a model, as a file spells them."""
+    """Return the keys of a model, as a file spells them."""
     return [field.serialization_alias or field.alias or name for name, field in model.model_fields.items()]
 
 
 def effects(faults: Sequence[Fault], topology: Topology) -> list[Effect]:
-    """What `faults` do to a resolved topology, in their order; all must keep the rules of `hedgerow.topologies.rules`.
+    """Return the effects of `faults` on a resolved topology, in their order; all must obey `hedgerow.topologies.rules`.
 
     A partition that cuts has two effects, any other fault has one.
     """
@@ -315,20 +318,20 @@ def effects(faults: Sequence[Fault], topology: Topology) -> list[Effect]:
 
 
 class Places:
-    """Where the nodes, links and edges that faults name stand in the arrays of a run."""
+    """The positions, in the arrays of a run, of the nodes, links and edges that faults name."""
 
     def __init__(self, topology: Topology) -> None:
         self.graph = topology.graph
-        self._processes = topology.process_count
+        self._topology = topology
         self._position = topology.position
         self._incidence = self.graph.node * self.graph.n + self.graph.neighbour  # ascending, as they are ordered
 
     def nodes(self, ids: Iterable[int | str]) -> tuple[int, ...]:
-        """Positions, in the order of `ids`."""
+        """Return the positions of `ids`, in their order."""
         return tuple(self._position(node) for node in ids)
 
     def links(self, pairs: Iterable[tuple[int | str, int | str]]) -> tuple[int, ...]:
-        """Per pair (from, to) the incidence on which `to` hears `from`; each once, ascending."""
+        """Return, per pair (from, to), the incidence where `to` receives from `from`; each once, ascending."""
         keys = np.unique([self._position(to) * self.graph.n + self._position(sender) for sender, to in pairs])
         found = np.searchsorted(self._incidence, keys)
         if not (self._incidence[np.minimum(found, len(self._incidence) - 1)] == keys).all():
@@ -336,11 +339,11 @@ class Places:
         return _plain(found)
 
     def edges(self, pairs: Iterable[tuple[int | str, int | str]]) -> tuple[int, ...]:
-        """The edges between the nodes of each pair; each once, ascending."""
+        """Return the edges between the nodes of each pair; each once, ascending."""
         return _plain(np.unique(self.graph.edge[list(self.links(pairs))]))
 
     def apart(self, groups: Sequence[Sequence[int | str]]) -> Mask:
-        """Per incidence: whether its ends are in different groups."""
+        """Return a mask of the incidences with ends in different groups."""
         group = np.full(self.graph.n, -1)
         for k, members in enumerate(groups):
             group[list(self.nodes(members))] = k
@@ -349,8 +352,8 @@ class Places:
         return apart
 
     def shard(self, process: int) -> tuple[int, ...]:
-        """The nodes of a process."""
-        return _plain(partition(self.graph, self._processes)[process])
+        """Return the nodes of a process."""
+        return _plain(self._topology.parts[process])
 
 
 def _directed(

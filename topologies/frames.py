@@ -1,4 +1,4 @@
-"""Samples as tables with a column per node: data frames, Parquet and CSV files with a time column, by steps."""
+"""Samples as tables with one column per node: data frames, Parquet and CSV files with a time column."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from hedgerow.topologies.regular_file import read_regular
 
 NodeId = int | str
 GROWTH = 20
-"""bytes of memory for a byte of a Parquet file, which is compressed"""
+"""the memory per byte of a Parquet file, which is compressed"""
 
 
 def of_frame(samples: Any, ids: Sequence[NodeId], times: Times | None, steps: int) -> dict[NodeId, list[float]]:
     """Return the samples of a data frame, a mapping of columns, or a CSV or Parquet file, by node id.
 
-    times: as of `by_steps`; at most `steps` samples are returned. Raises UserError for a column that
-    names no node, for values that are no numbers, and for too few samples.
+    times: as in `by_steps`; at most `steps` samples are returned. Raise UserError for a column that names no node, for
+    values that are not numbers, and for too few samples.
     """
     name = "the samples"
     if isinstance(samples, str | Path):
@@ -55,7 +55,7 @@ def of_frame(samples: Any, ids: Sequence[NodeId], times: Times | None, steps: in
 
 
 def columns_of(frame: Any) -> dict[Any, Any]:
-    """Return the columns of a data frame of pandas, polars or pyarrow, or of a mapping; an index is left out."""
+    """Return the columns of a data frame of pandas, polars or pyarrow, or of a mapping, without an index."""
     if hasattr(frame, "to_pydict"):
         return dict(frame.to_pydict())
     if hasattr(frame, "iloc"):
@@ -68,14 +68,14 @@ def columns_of(frame: Any) -> dict[Any, Any]:
 
 
 def parquet(path: Path) -> dict[Any, Any]:
-    """Return the columns of a Parquet file; raise FileRefusedError if it is none."""
+    """Return the columns of a Parquet file; raise FileRefusedError for another file."""
     import pyarrow as pa  # noqa: PLC0415
     import pyarrow.parquet as pq  # noqa: PLC0415 (a tenth of a second)
 
     data = read_regular(path, growth=GROWTH)
     try:
         file = pq.ParquetFile(io.BytesIO(data))
-        # A few bytes of a compressed file can be many numbers.
+        # A few bytes of a compressed file can hold many numbers.
         cells = file.metadata.num_rows * file.metadata.num_columns
         if why := budget.excess(cells * 40):
             raise FileRefusedError(f"{path}: {why}", code=Code.FILE_TOO_LARGE)
@@ -104,11 +104,11 @@ def _csv(path: Path) -> dict[Any, Any]:
 def by_steps(
     name: str, columns: Mapping[Any, Any], ids: Sequence[NodeId], times: Times | None
 ) -> dict[NodeId, list[float]]:
-    """Return a sample per step of the columns that name nodes; raise FileRefusedError for other columns and values.
+    """Return one sample per step from the columns that name nodes; raise FileRefusedError for other columns and values.
 
-    times: the column of times, which ascend; t = 0 is the first one. A step is a time in its unit, seconds if it holds
-    dates. `hold` takes the last sample at or before a step, `linear` interpolates, `mean` averages the samples within a
-    step. A row is a step if it is None.
+    times: the column of times, which ascend; t = 0 is the first one. Without it, a row is a step. A step is a time in
+    the unit of the column, or in seconds if it holds dates. `hold` takes the last sample at or before a step, `linear`
+    interpolates, `mean` averages the samples within a step.
     """
     if times is not None and times.resample not in (None, "hold", "linear", "mean"):
         raise FileRefusedError(f"{name}: `resample: {times.resample}` is unknown", "write hold, linear or mean")

@@ -1,13 +1,13 @@
-"""Graphs by a rule: one model a kind, each of which makes the edges of as many nodes as wanted.
+"""Graphs by a rule: one model per kind, which makes the edges for any number of nodes.
 
-    line, ring, star    what their names say
+    line, ring, star    as their names
     grid                rows of nodes, each with up to four neighbours
-    tree                every node has as many branches as the next
-    random_tree         every node hangs on an earlier one, drawn evenly
-    random_regular      every node has as many neighbours as the next, drawn
-    small_world         a ring with neighbours further off, some edges of which lead anywhere (Watts and Strogatz)
-    scale_free          every node takes earlier neighbours by how many those have (Barabási and Albert)
-    geometric           nodes in a square, and an edge where two are near
+    tree                every node has the same number of branches
+    random_tree         every node has an edge to an earlier one, drawn uniformly
+    random_regular      every node has the same number of neighbours, drawn
+    small_world         a ring with further neighbours; some edges are rewired at random (Watts and Strogatz)
+    scale_free          every node gets earlier neighbours in proportion to their degrees (Barabási and Albert)
+    geometric           nodes in a square, with an edge between two near ones
 
 Nodes are 0 .. n-1. A few NumPy calls make the edges of 10^6 nodes, in less time and memory than igraph takes
 (`python -m benchmarks.graphs`). With a graph library, the edges of a file would depend on the release of the library.
@@ -28,7 +28,7 @@ from hedgerow.topologies.base import Model, kind_of, number
 from hedgerow.topologies.edges import PositiveValue, weights_of
 from hedgerow.topologies.graph import Array, Index
 
-# numpy counts in 64 bits, and would raise OverflowError for more.
+# Up to 10^9, because numpy counts in 64 bits and raises OverflowError for more.
 Count = Annotated[StrictInt, Field(ge=1, le=10**9)]
 Few = Annotated[StrictInt, Field(ge=1, le=1000)]
 
@@ -45,13 +45,15 @@ class Generator(Model):
     model_config = ConfigDict(json_schema_extra=cast("Callable[[dict[str, Any]], None]", _kind_required))
 
     LEAST: ClassVar[int] = 1
-    """how many nodes it needs"""
+    """the minimum number of nodes"""
 
-    nodes: Annotated[StrictInt, Field(ge=1, le=10**7)] = Field(description="how many; their ids are 0, 1, 2, …")
-    seed: Annotated[StrictInt, Field(ge=0, lt=2**63)] | None = Field(
-        None, description="what is random in it is drawn from this; from the `seed:` of the file if absent"
+    nodes: Annotated[StrictInt, Field(ge=1, le=10**7)] = Field(
+        description="the number of nodes; their ids are 0, 1, 2, …"
     )
-    max_degree: Count | None = Field(None, description="the most neighbours that a node may have")
+    seed: Annotated[StrictInt, Field(ge=0, lt=2**63)] | None = Field(
+        None, description="the seed of its draws; the `seed:` of the file if absent"
+    )
+    max_degree: Count | None = Field(None, description="the maximum number of neighbours of a node")
     weight: PositiveValue = Field(1.0, description="k_e of every edge, above 0; or `{random: [low, high]}`")
 
     @model_validator(mode="after")
@@ -71,21 +73,23 @@ class Generator(Model):
 
     @property
     def mean_degree_made(self) -> float:
-        """The neighbours of a node on average, at most, before `max_degree` takes any away."""
+        """Return an upper bound of the mean number of neighbours, before `max_degree` removes any."""
         return 2.0
 
     @property
     def memory(self) -> int:
-        """The bytes that the graph takes while it is made and used, by measurements at 10^6 nodes."""
+        """Return the memory of the graph while it is made and used [bytes], by measurements at 10^6 nodes."""
         return round(self.nodes * (BYTES_PER_NODE + BYTES_PER_EDGE * self.mean_degree_made / 2))
 
     @property
     def degree(self) -> int:
-        """The most neighbours of a node where the rule alone decides it, else 0: then `max_degree` is kept."""
+        """Return the maximum number of neighbours if the rule alone determines it; otherwise 0, and `max_degree` is
+        kept.
+        """
         return 0
 
     def edges(self, seed: int) -> Index:
-        """The edges (i, j), i < j, each once, in ascending order, (E, 2); `seed` is that of the file."""
+        """Return the edges (i, j), i < j, each once, in ascending order, (E, 2); `seed` is that of the file."""
         own = seed if self.seed is None else self.seed
         stream = np.random.default_rng([own, zlib.crc32(kind_of(self).encode())])  # type: ignore[union-attr]
         key = _keys(self._make(stream), self.nodes)
@@ -99,16 +103,16 @@ class Generator(Model):
         return edges[~loops] if loops.any() else edges
 
     def weights(self, seed: int, edges: Index) -> Array | None:
-        """The weights of the edges that `edges` returns, (E,), None if all are 1."""
+        """Return the weights of the edges from `edges`, (E,), None if all are 1."""
         own = seed if self.seed is None else self.seed
         return weights_of(self.weight, own, range(self.nodes), edges)
 
     def _make(self, stream: np.random.Generator) -> Index:
-        """Edges in any order, with either end first; of loops and repeated ones nothing is kept."""
+        """Return edges in any order, with either end first; `edges` removes loops and repeated edges."""
         raise NotImplementedError
 
     def _kept(self, pairs: Index) -> Index:
-        """Those edges that are among the first `max_degree` of both their ends."""
+        """Return the edges that are among the first `max_degree` of both their ends."""
         if self.max_degree is None:
             return pairs
         ends = pairs.ravel()
@@ -139,7 +143,7 @@ def _repeats(key: Index) -> Index:
 
 
 def _first_of_each(pairs: Index, n: int) -> Index:
-    """Without loops, and of repeated edges the first, in the order given."""
+    """Return the edges without loops, and only the first of repeated edges, in the given order."""
     kept = pairs[:, 0] != pairs[:, 1]
     kept[_repeats(_keys(pairs, n))] = False
     found: Index = pairs[kept]
@@ -161,7 +165,7 @@ class Line(Generator):
 
 
 class Ring(Generator):
-    """A line whose ends meet."""
+    """A line with its two ends joined."""
 
     LEAST = 3
     kind: Literal["ring"] = "ring"
@@ -193,11 +197,11 @@ class Grid(Generator):
     """Rows of nodes, numbered row by row; each node is joined to the next and to the one below."""
 
     kind: Literal["grid"] = "grid"
-    columns: Count | None = Field(None, description="nodes in a row; as near a square as can be if absent")
+    columns: Count | None = Field(None, description="nodes per row; nearly a square if absent")
 
     @property
     def width(self) -> int:
-        """Nodes in a row; the last row may have fewer."""
+        """Return the number of nodes in a row; the last row may have fewer."""
         return self.columns or int(np.ceil(np.sqrt(self.nodes)))
 
     @property
@@ -216,7 +220,7 @@ class Grid(Generator):
 
 
 class Tree(Generator):
-    """Node 0 on top, and below every node so many branches, filled level by level."""
+    """Node 0 at the top, and the given number of branches below every node, filled level by level."""
 
     kind: Literal["tree"] = "tree"
     branches: Count = Field(2, description="nodes below each")
@@ -231,7 +235,7 @@ class Tree(Generator):
 
 
 class RandomTree(Generator):
-    """Every node hangs on one before it, drawn evenly among those that have fewer than `max_degree` neighbours."""
+    """Every node has an edge to an earlier one, drawn uniformly among those with fewer than `max_degree` neighbours."""
 
     kind: Literal["random_tree"] = "random_tree"
 
@@ -254,16 +258,16 @@ class RandomTree(Generator):
             left[chosen] -= 1
             if left[chosen]:
                 room.append(node)
-            else:  # its place is taken by the new one, which has room for one at least
+            else:  # the new node takes its place, and has room for at least one neighbour
                 room[place] = node
         return np.stack([np.array(above, dtype=np.int64), i], axis=1)
 
 
 class RandomRegular(Generator):
-    """Every node has `degree` neighbours, by a random pairing whose loops and repetitions are drawn again."""
+    """Every node has `degree` neighbours, by a random pairing; loops and repetitions are drawn again."""
 
     kind: Literal["random_regular"] = "random_regular"
-    neighbours: Few = Field(3, alias="degree", description="of every node; nodes times degree must be even")
+    neighbours: Few = Field(3, alias="degree", description="neighbours of every node; nodes times degree must be even")
 
     @property
     def mean_degree_made(self) -> float:
@@ -283,7 +287,7 @@ class RandomRegular(Generator):
 
     def _make(self, stream: np.random.Generator) -> Index:
         n, d = self.nodes, self.neighbours
-        if 2 * d >= n:  # few pairings of a dense graph have no repetition; its complement is sparse
+        if 2 * d >= n:  # few pairings of a dense graph are free of repetitions; its complement is sparse
             rest = n - 1 - d
             others = self.model_copy(update={"neighbours": rest}).edges(int(stream.integers(2**62))) if rest else None
             apart = np.triu(np.ones((n, n), dtype=bool), 1)
@@ -292,20 +296,22 @@ class RandomRegular(Generator):
             return np.argwhere(apart)
         pairs = stream.permutation(np.repeat(np.arange(n), d)).reshape(-1, 2)
         while len(bad := self._bad(pairs)):
-            # The ends of bad edges are mixed with those of as many others, drawn.
+            # Mix the ends of bad edges with those of as many other edges, drawn at random.
             again = np.unique(np.concatenate([bad, stream.integers(len(pairs), size=len(bad))]))
             pairs[again] = stream.permutation(pairs[again].ravel()).reshape(-1, 2)
         return pairs
 
     def _bad(self, pairs: Index) -> Index:
-        """Edges that are loops, or stand there already."""
+        """Return the edges that are loops or repeat another edge."""
         bad = pairs[:, 0] == pairs[:, 1]
         bad[_repeats(_keys(pairs, self.nodes))] = True
         return np.flatnonzero(bad)
 
 
 class SmallWorld(Generator):
-    """A ring where each node is joined to its `degree` nearest; by chance the far end of an edge is drawn anew."""
+    """A ring with edges from each node to its `degree` nearest; the far end of an edge is drawn again with a
+    probability.
+    """
 
     LEAST = 3
     kind: Literal["small_world"] = "small_world"
@@ -313,7 +319,7 @@ class SmallWorld(Generator):
         4, alias="degree", description="neighbours of each node on the ring, an even number"
     )
     rewire: Annotated[float, Field(ge=0, le=1), BeforeValidator(number)] = Field(
-        0.1, description="the probability that an edge leads to a node drawn anew"
+        0.1, description="the probability that an edge leads to a random node"
     )
 
     @property
@@ -332,12 +338,12 @@ class SmallWorld(Generator):
         moved = stream.random(len(i)) < self.rewire
         anywhere = stream.integers(self.nodes, size=len(i))
         pairs = np.stack([i, np.where(moved, anywhere, far)], axis=1)
-        # The ring comes first: what is drawn may not take its place.
+        # The edges of the ring come first: a drawn edge must not replace them.
         return self._kept(_first_of_each(pairs[moved.argsort(kind="stable")], self.nodes))
 
 
 class ScaleFree(Generator):
-    """Every node takes `attach` earlier neighbours, drawn in proportion to how many each has."""
+    """Every node gets edges to `attach` earlier nodes, drawn in proportion to their numbers of neighbours."""
 
     LEAST = 2
     kind: Literal["scale_free"] = "scale_free"
@@ -350,10 +356,10 @@ class ScaleFree(Generator):
     def _make(self, stream: np.random.Generator) -> Index:
         m = self.attach
         new = np.repeat(np.arange(1, self.nodes), m)
-        # Place 2k holds the node that edge k came with, place 2k + 1 its other end, which is what stands at a place
-        # drawn among the earlier ones: so a node is drawn as often as it has edges (Batagelj and Brandes).
+        # Place 2k holds the new node of edge k, and place 2k + 1 its other end. That end is the content of an earlier
+        # place, drawn uniformly. So a node is drawn in proportion to its number of edges (Batagelj and Brandes).
         drawn = (stream.random(len(new)) * (2 * m) * (new - 1)).astype(np.int64)
-        drawn[:m] = -2  # those of node 1 have no choice
+        drawn[:m] = -2  # the edges of node 1 have no choice
         while len(open_ := np.flatnonzero(drawn % 2)):
             drawn[open_] = drawn[drawn[open_] // 2]
         other = np.where(drawn >= 0, new[drawn // 2], 0)
@@ -361,7 +367,9 @@ class ScaleFree(Generator):
 
 
 class Geometric(Generator):
-    """Nodes at random places of a square, and an edge where two are nearer than makes `mean_degree` on average."""
+    """Nodes at random places in a square, and an edge between two near ones; the distance limit gives `mean_degree` on
+    average.
+    """
 
     kind: Literal["geometric"] = "geometric"
     mean_degree: Annotated[float, Field(gt=0, le=1000), BeforeValidator(number)] = Field(
@@ -377,7 +385,8 @@ class Geometric(Generator):
 
         places = stream.random((self.nodes, 2))
         radius = float(np.sqrt(self.mean_degree / (np.pi * self.nodes)))
-        pairs = cKDTree(places).query_pairs(radius, output_type="ndarray").astype(np.int64).reshape(-1, 2)
+        found = cKDTree(places).query_pairs(radius, output_type="ndarray")
+        pairs: Index = found.astype(np.int64).reshape(-1, 2)
         if self.max_degree is None:
             return pairs
         squared = ((places[pairs[:, 0]] - places[pairs[:, 1]]) ** 2).sum(axis=1)

@@ -1,4 +1,4 @@
-"""The undirected graph of a network, and the flow that inputs make over it."""
+"""The undirected graph of a network, and the flow over its edges."""
 
 from __future__ import annotations
 
@@ -17,34 +17,36 @@ Gain = float | Array
 """b of (1): one number for all nodes, or b_i of each, (n,)."""
 
 FEW = 32
-"""so many numbers are summed faster without numpy"""
+"""up to this many numbers, a sum without numpy is faster"""
 LARGEST = 1e100
-"""of any number of a file: sums of squares of those that are no larger do not overflow"""
+"""the largest number in a file: sums of squares up to it do not overflow"""
 
 
 def all_finite(values: Array) -> bool:
-    """Whether all of them are finite; where even their sum is not, it may say no."""
+    """Return True if all values are finite; it may return False if only their sum overflows."""
     return math.isfinite(sum(values.tolist()) if values.size <= FEW else np.add.reduce(values))
 
 
 def starts(node: Index, n: int) -> Index:
-    """Where the incidences of each of n nodes begin in a list that is ordered by node, and its length, (n + 1,)."""
+    """Return the index of the first incidence of each of n nodes in a list ordered by node, and its length, (n +
+    1,).
+    """
     return np.concatenate([[0], np.cumsum(np.bincount(node, minlength=n))])
 
 
 def weighted_sums(node: Index, values: Array, n: int) -> Array:
-    """The sum of the values of the incidences of each of n nodes, in their order, (n,)."""
+    """Return the sum of values over the incidences of each of n nodes, in their order, (n,)."""
     return np.bincount(node, values, n).astype(float, copy=False)  # without incidences, bincount counts in integers
 
 
 class Graph:
     """Nodes 0 .. n-1 and undirected edges, each once.
 
-    An edge seen from one of its ends is an *incidence*; there are 2E of them, ordered by node and then by
-    neighbour. Every sum over neighbours runs in that order, so that it gives the same bits wherever it is
-    taken: in the plant, in a shard of one node or in a shard of all.
+    An edge seen from one of its ends is an *incidence*; there are 2E of them, ordered by node and then by neighbour.
+    Every sum over neighbours runs in that order. So it has the same bits in the plant, in a shard of one node and in a
+    shard of all nodes.
 
-    `weights` (E,) are k_e > 0 of the edges. None means that all are 1: no step multiplies by them then.
+    `weights` (E,) are k_e > 0 of the edges. None means that all are 1: then no step multiplies by them.
     """
 
     def __init__(self, n: int, edges: Index, weights: Array | None = None) -> None:
@@ -54,48 +56,50 @@ class Graph:
         ends = np.concatenate([edges, edges[:, ::-1]])
         order = np.lexsort((ends[:, 1], ends[:, 0]))
         self.node: Index = ends[order, 0]
-        """Per incidence: the end it is seen from."""
+        """Per incidence: the node."""
         self.neighbour: Index = ends[order, 1]
         """Per incidence: the other end."""
         self.edge: Index = np.tile(np.arange(len(edges)), 2)[order]
-        """Per incidence: which row of `edges` it belongs to."""
+        """Per incidence: its row in `edges`."""
 
     @cached_property
     def degree(self) -> Index:
-        """d_i, the number of neighbours of each node, (n,)."""
+        """Return d_i, the number of neighbours of each node, (n,)."""
         return np.bincount(self.node, minlength=self.n)
 
     @cached_property
     def weight(self) -> Array | None:
-        """Per incidence: the weight of its edge, (2E,); None if all are 1."""
+        """Return the weight of each incidence's edge, (2E,); None if all are 1."""
         return None if self.weights is None else self.weights[self.edge]
 
     @cached_property
     def weighted_degree(self) -> Index | Array:
-        """d_i, the sum of the weights of the edges of each node, (n,); the degree, in whole numbers, if all are 1."""
+        """Return d_i, the sum of the weights of the edges of each node, (n,); if all are 1, the degree in whole
+        numbers.
+        """
         return self.degree if self.weight is None else weighted_sums(self.node, self.weight, self.n)
 
     @cached_property
     def first(self) -> Index:
-        """Where the incidences of each node begin, and behind them their number, (n + 1,)."""
+        """Return the index of the first incidence of each node, and the number of all, (n + 1,)."""
         return starts(self.node, self.n)
 
     def joins(self, i: int, j: int) -> bool:
-        """Whether an edge joins two nodes."""
+        """Return True if an edge joins two nodes."""
         return bool((self.neighbour[self.first[i] : self.first[i + 1]] == j).any())
 
     @cached_property
     def reverse(self) -> Index:
-        """Per incidence: the same edge seen from its other end, (2E,)."""
+        """Return, per incidence, the same edge seen from its other end, (2E,)."""
         order = np.lexsort((self.node, self.neighbour))
         place = np.empty_like(order)
         place[np.arange(len(order))] = order
         return place
 
     def flow(self, u: Array, edge_open: Mask | None = None) -> Array:
-        """f_i = sum over neighbours j of k_ij (u_i - u_j), over the edges that are open; equation (1).
+        """Return f_i = sum over neighbours j of k_ij (u_i - u_j), over the open edges; equation (1).
 
-        u: (n,), or (B, n) for B networks at once; edge_open: (E,), or (B, E), None where all are open; f: as u.
+        u: (n,), or (B, n) for B networks at once; edge_open: (E,), or (B, E), None if all are open; f: as u.
         """
         if edge_open is None and (kernels := kernels_for(self.n)) is not None:
             if u.ndim > 1:
@@ -116,7 +120,7 @@ class Graph:
         return flows.reshape(u.shape)
 
     def edge_input(self, u: Array, edge_open: Mask | None = None) -> Array:
-        """u_e = u_j - u_i of each edge (i, j), 0 where it is closed; the paper's incidence matrix is -1 at i.
+        """Return u_e = u_j - u_i of each edge (i, j), 0 if it is closed; the paper's incidence matrix is -1 at i.
 
         Shapes as in `flow`, with E columns in place of n.
         """
@@ -124,7 +128,7 @@ class Graph:
         return difference if edge_open is None else np.where(edge_open, difference, 0.0)
 
     def edge_cost(self, u_edge: Array) -> Array:
-        """The cost sum_e k_e u_e^2 of edge inputs, which are (B, E), (B,)."""
+        """Return the cost sum_e k_e u_e^2 of edge inputs (B, E), as (B,)."""
         squares = u_edge * u_edge
         if self.weights is not None:
             squares *= self.weights

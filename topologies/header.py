@@ -1,7 +1,7 @@
 """The first row of a CSV file of samples: node ids, or the samples of step 0.
 
-A row of whole numbers can be both. The file decides if only one reading is possible; otherwise it is refused, and
-`header: ids` or `header: none` in the topology says which reading is meant.
+A row of whole numbers can be both. The file decides if only one reading is possible. Otherwise it is refused, and
+`header: ids` or `header: none` in the topology gives the reading.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ _ORDER = "write `header: ids` if that row names the nodes, or `header: none` if 
 
 
 def split(file: str, rows: Sequence[Row], ids: Sequence[NodeId], asked: Header | None) -> tuple[Sequence[NodeId], int]:
-    """Return the node of each column, and how many rows the header takes (0 or 1).
+    """Return the node of each column, and the number of rows in the header (0 or 1).
 
-    rows: at least one; asked: the reading that the topology gives, None if the file has to decide. Raises
-    FileRefusedError for a row that fits no reading (FILE_FORMAT), and for one that fits two (FILE_AMBIGUOUS).
+    rows: at least one; asked: the reading in the topology, None to decide by the content. Raise FileRefusedError for a
+    row that fits no reading (FILE_FORMAT), and for one that fits two (FILE_AMBIGUOUS).
     """
     line, first = rows[0][0], [cell.strip() for cell in rows[0][1]]
     by_name = {str(node): node for node in ids}
@@ -64,7 +64,7 @@ def split(file: str, rows: Sequence[Row], ids: Sequence[NodeId], asked: Header |
 
 
 def _check_cells(file: str, rows: Sequence[Row], first: list[str]) -> None:
-    """Raise FileRefusedError for a file whose cells are not separated by single commas."""
+    """Raise FileRefusedError if the cells of a file are not separated by single commas."""
     line = rows[0][0]
     for sign, name in _SEPARATORS.items():
         if any(sign in cell for cell in first):
@@ -89,7 +89,7 @@ def _is_number(cell: str) -> bool:
 
 
 def _all_ids(rows: Sequence[Row], by_name: Mapping[str, NodeId]) -> bool:
-    """Return True if no row differs from a header, so that the first one does not stand out."""
+    """Return True if all rows are possible headers, so the first one is not special."""
     whole = len(rows) > 1 and len(rows[0][1]) == len(by_name)
     return whole and all(_is_number(cell) and cell.strip() in by_name for _, row in rows for cell in row)
 
@@ -105,7 +105,7 @@ def _may_be_ids(first: Sequence[str], by_name: Mapping[str, NodeId]) -> bool:
 
 
 def _misnamed(file: str, line: int, first: list[str], by_name: Mapping[str, NodeId]) -> FileRefusedError:
-    """Return what is wrong with a header: the columns that name no node, or the same node twice."""
+    """Return the problem of a header: the columns that name no node, or the same node twice."""
     strange = [cell for cell in first if cell not in by_name]
     if not strange:
         twice = next(cell for cell in first if first.count(cell) > 1)
@@ -143,7 +143,7 @@ def _counts(rows: Sequence[Row]) -> bool:
 
 
 def _pace(rows: Sequence[Row], column: int) -> float | None:
-    """Return the step from each value of a column to the next if it is the same and above 0 everywhere, else None."""
+    """Return the step from each value of a column to the next if it is constant and above 0, otherwise None."""
     pace = before = None
     for _, row in rows:
         if len(row) <= column or not _is_number(row[column]):

@@ -1,9 +1,10 @@
-"""The H-infinity facts of a network whose a is known: condition (3), Q, gamma*, and the contraction rho.
+"""The H-infinity facts of a network with known a: condition (3), Q, gamma*, and the contraction rho.
 
 With S = I - A, the gains b_i and the weighted graph Laplacian L, Q = S^2 + diag(b) L diag(b). If all gains are b and
-all weights 1, that is the paper's S^2 + b^2 L. See docs/theory.md for what each number promises.
+all weights 1, Q is the paper's S^2 + b^2 L. See docs/theory.md for the meaning of each number.
 
-In all functions `b` is one gain or that of each node, (n,), and a degree is d_i, the sum of the node's edge weights.
+In all functions `b` is one gain or the gain of each node, (n,). A degree is d_i, the sum of the weights of a node's
+edges.
 """
 
 from __future__ import annotations
@@ -22,19 +23,24 @@ if TYPE_CHECKING:
     import scipy.sparse
 
 _DENSE = 400
-"""Up to this many nodes dense linear algebra is quicker than loading the sparse one."""
+"""Up to this number of nodes, dense linear algebra is faster than loading the sparse one."""
 FACTORED = 5_000
-"""Up to this many nodes Q is factored, which is exact; beyond, its factors may not fit into memory."""
+"""Up to this number of nodes, Q is factored, which is exact; the factors of a larger Q may exceed the memory."""
 EIGENVALUE_RTOL = 1e-3
-"""Beyond: how near the residual says that lambda_min(Q) is at least, relative to it; gamma* is twice as near."""
+"""For a larger Q: the maximum relative error of lambda_min(Q), guaranteed by the residual; that of gamma* is half of
+it.
+"""
 SUPPLY_RTOL = 1e-6
-"""Beyond: how near w'Q^(-1)w is known, relative to it."""
+"""For a larger Q: the maximum relative error of w'Q^(-1)w."""
 SUPPLY_PRODUCTS = 1_000
-"""Beyond: products with Q at most for that; if they are not enough, it is known less well, and how well is known."""
+"""For a larger Q: the maximum number of products with Q for one value.
+
+If they do not suffice, the reported error is larger.
+"""
 
 
 def allowed_interval(b: float, degree: float) -> tuple[float, float] | None:
-    """The open interval of a that satisfies condition (3), a^2 + 2 b_i^2 d_i < a; None when there is none."""
+    """Return the open interval of a that satisfies condition (3), a^2 + 2 b_i^2 d_i < a; None if it is empty."""
     discriminant = 1 - 8 * b * b * degree
     if discriminant <= 0:
         return None
@@ -43,12 +49,12 @@ def allowed_interval(b: float, degree: float) -> tuple[float, float] | None:
 
 
 def satisfies_condition(a: float, b: float, degree: float) -> bool:
-    """Condition (3) itself: a^2 + 2 b_i^2 d_i < a."""
+    """Return True if condition (3) holds: a^2 + 2 b_i^2 d_i < a."""
     return 0 < a < 1 and a * a + 2 * b * b * degree < a
 
 
 def allowed_intervals(b: Gain, degree: Index | Array) -> tuple[Array, Array]:
-    """The same of many nodes, low and high ends; NaN where there is none."""
+    """Return the low and high ends of the intervals of many nodes; NaN where an interval is empty."""
     with np.errstate(invalid="ignore"):
         s = np.sqrt(1 - 8 * b * b * degree)
     s[s <= 0] = np.nan
@@ -56,14 +62,14 @@ def allowed_intervals(b: Gain, degree: Index | Array) -> tuple[Array, Array]:
 
 
 def condition_holds(a: Array, b: Gain, degree: Index | Array) -> Mask:
-    """Condition (3) of many nodes; a: (n,) or (M, n)."""
+    """Return True for each node with condition (3) satisfied; a: (n,) or (M, n)."""
     return np.asarray((a > 0) & (a < 1) & (a * a + 2 * b * b * degree < a))
 
 
 def contraction(a: Array, candidates: Array) -> float:
-    """The rho = max_j max(a_j, max_m a_jm - a_j) of |x(t+1)| <= rho |x(t)| + |w(t)|, whatever is estimated.
+    """Return the rho = max_j max(a_j, max_m a_jm - a_j) of |x(t+1)| <= rho |x(t)| + |w(t)|, for any estimates.
 
-    The norm is |x| = sum |x_i| / b_i. a: (n,); candidates: (M, n), NaN where a list has fewer.
+    The norm is |x| = sum |x_i| / b_i. a: (n,); candidates: (M, n), padded with NaN.
     """
     return float(np.maximum(a, np.nanmax(candidates, axis=0) - a).max())
 
@@ -85,18 +91,20 @@ def _q_dense(a: Array, b: Gain, graph: Graph) -> Array:
 
 
 def _beside(b: Gain, graph: Graph) -> Gain:
-    """Q_ij = -b_i k_ij b_j of each incidence, (2E,), or the one number that all are."""
+    """Return Q_ij = -b_i k_ij b_j of each incidence, (2E,), or one number if all are equal."""
     beside = -b[graph.node] * b[graph.neighbour] if isinstance(b, np.ndarray) else -b * b
     return beside if graph.weight is None else beside * graph.weight
 
 
 def smallest_eigenpair(a: Array, b: Gain, graph: Graph) -> tuple[float, Array]:
-    """lambda_min(Q) and its unit eigenvector, signed so that its sum is not negative."""
+    """Return lambda_min(Q) and its unit eigenvector, with the sign that makes its sum nonnegative."""
     if graph.n <= _DENSE:
         try:
             values, vectors = np.linalg.eigh(_q_dense(a, b, graph))
-        except np.linalg.LinAlgError as error:  # of numbers that no file of ours holds
-            raise HedgerowError(f"gamma*: Q has no eigenvalues that can be computed ({error}); mend a and b") from None
+        except np.linalg.LinAlgError as error:  # numbers outside the range of a topology file
+            raise HedgerowError(
+                f"gamma*: Q has no eigenvalues that can be computed ({error}); correct a and b"
+            ) from None
         value, vector = float(values[0]), vectors[:, 0]
     elif graph.n > FACTORED:
         value, vector = _lobpcg(a, b, graph)
@@ -109,7 +117,9 @@ def smallest_eigenpair(a: Array, b: Gain, graph: Graph) -> tuple[float, Array]:
 
 
 def _lobpcg(a: Array, b: Gain, graph: Graph) -> tuple[float, Array]:
-    """By products with Q alone, from a positive vector: of a matrix like Q, the one that is sought has one sign."""
+    """Return the smallest eigenpair by products with Q alone, from a positive start vector: this eigenvector has one
+    sign.
+    """
     from scipy.sparse.linalg import LinearOperator, lobpcg  # noqa: PLC0415
 
     q = _q(a, b, graph).tocsr()
@@ -118,7 +128,8 @@ def _lobpcg(a: Array, b: Gain, graph: Graph) -> tuple[float, Array]:
     # Q - (1 - a)^2 is positive semidefinite: no eigenvalue is below this one.
     residual = EIGENVALUE_RTOL * float(((1 - a) ** 2).min())
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # that it did not come so near, which is looked at below
+        # The warning that it did not converge; the residual is checked below.
+        warnings.simplefilter("ignore", UserWarning)
         values, vectors = lobpcg(q, (1 / diagonal)[:, None], M=divided, tol=residual, maxiter=2000, largest=False)
     value, vector = float(values[0]), vectors[:, 0] / np.linalg.norm(vectors[:, 0])
     if (found := float(np.linalg.norm(q @ vector - value * vector))) > 10 * residual:
@@ -127,12 +138,14 @@ def _lobpcg(a: Array, b: Gain, graph: Graph) -> tuple[float, Array]:
 
 
 def gamma_star(a: Array, b: Gain, graph: Graph) -> float:
-    """gamma* = lambda_min(Q)^(-1/2), the optimal gain for the edge cost and known a; never the adaptive law's."""
+    """Return gamma* = lambda_min(Q)^(-1/2), the optimal gain for the edge cost and known a; not that of the adaptive
+    law.
+    """
     return 1 / math.sqrt(smallest_eigenpair(a, b, graph)[0])
 
 
 def q_solver(a: Array, b: Gain, graph: Graph) -> Callable[[Array], Array]:
-    """A function w -> Q^(-1) w, for w of shape (n,) or (n, k), by the factors of Q."""
+    """Return a function w -> Q^(-1) w, for w of shape (n,) or (n, k), by the factors of Q."""
     if graph.n <= _DENSE:
         inverse = np.linalg.inv(_q_dense(a, b, graph))
         return lambda w: inverse @ w
@@ -142,9 +155,10 @@ def q_solver(a: Array, b: Gain, graph: Graph) -> Callable[[Array], Array]:
 
 
 def supply_rate(a: Array, b: Gain, graph: Graph) -> Callable[[Array], tuple[float, float]]:
-    """A function w -> w'Q^(-1)w, (n,), as two numbers: not less than the first, nor than that by more than the second.
+    """Return a function w -> (lower, error) with lower <= w'Q^(-1)w <= lower + error, for w of shape (n,).
 
-    Of up to FACTORED nodes the second is 0; of more it is SUPPLY_RTOL of the first, proved, not estimated.
+    Up to FACTORED nodes, the error is 0. For more nodes it is SUPPLY_RTOL of the lower bound, and it is proved, not
+    estimated.
     """
     if graph.n > FACTORED:
         return _Supply(a, b, graph)
@@ -153,10 +167,12 @@ def supply_rate(a: Array, b: Gain, graph: Graph) -> Callable[[Array], tuple[floa
 
 
 class _Supply:
-    """By conjugate gradients, preconditioned by Q's diagonal D, from the best multiple of the last solution.
+    """The supply rate by conjugate gradients, with Q's diagonal D as preconditioner, from the best multiple of the last
+    solution.
 
-    For every y, w'Q^(-1)w = 2 y'w - y'Qy + r'Q^(-1)r with r = w - Qy; and since Q - (1 - a)^2 is positive semidefinite,
-    0 <= r'Q^(-1)r <= sum (r_i / (1 - a_i))^2 <= max_i (D_i / (1 - a_i)^2) r'D^(-1)r, which the method knows anyway.
+    For every y, w'Q^(-1)w = 2 y'w - y'Qy + r'Q^(-1)r with r = w - Qy. Because Q - (1 - a)^2 is positive semidefinite, 0
+    <= r'Q^(-1)r <= sum (r_i / (1 - a_i))^2. This is at most max_i (D_i / (1 - a_i)^2) r'D^(-1)r, which the method
+    computes anyway.
     """
 
     def __init__(self, a: Array, b: Gain, graph: Graph) -> None:
@@ -192,5 +208,5 @@ class _Supply:
 
 
 def _dot(one: Array, other: Array) -> float:
-    """Not BLAS's, whose bits depend on how many threads it has."""
+    """Return the inner product without BLAS, because the bits of BLAS depend on its number of threads."""
     return float((one * other).sum())

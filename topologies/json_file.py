@@ -1,4 +1,4 @@
-"""JSON files that others may have written: regular, bounded in memory and depth, and refused in words."""
+"""JSON files that may come from others: regular, bounded in memory and depth, and refused with a clear message."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from hedgerow.topologies.regular_file import read_regular
 def read_json(path: Path, inside: Path | None = None) -> Any:
     """Return the value in a JSON file; OSError passes.
 
-    inside: the folder that a symbolic link must not lead out of. Raises UserError for a file that is not regular, is no
-    JSON, or takes more memory than is allowed.
+    inside: the folder that a symbolic link must not lead out of. Raise UserError for a file that is not regular, is not
+    JSON, or takes more memory than allowed.
     """
     return loads(path, read_regular(path, inside))
 
 
 def loads(place: object, text: bytes) -> Any:
-    """Return the value in a JSON text; raise UserError, which begins with `place`, if it is none or takes too much."""
+    """Return the value in a JSON text; raise UserError, which begins with `place`, if it is invalid or too large."""
     budget.require(place, memory(text))
     try:
         return json.loads(text)
@@ -33,7 +33,7 @@ def loads(place: object, text: bytes) -> Any:
 
 
 def memory(text: bytes) -> int:
-    """Return an upper bound of the bytes that a JSON text becomes, by counting what begins a value."""
+    """Return an upper bound of the memory of a parsed JSON text [bytes], by counting the start characters of values."""
     # An empty list takes 2 characters and 64 bytes, an object with one key 232 bytes, a text 49 bytes and its letters.
     values = 60 * text.count(b",") + 100 * text.count(b"[") + 300 * text.count(b"{") + 40 * text.count(b'"')
     return values + len(text) * (1 if text.isascii() else 4)

@@ -1,7 +1,7 @@
-"""The arithmetic of a step as compiled loops over the nodes, for large networks; `hedgerow.topologies.fast` says when.
+"""The arithmetic of a step as compiled loops over the nodes; `hedgerow.topologies.fast` chooses when to use them.
 
-Each gives, bit for bit, what the numpy expression in its docstring gives: the same operations on the same numbers, in
-the same order. What they save is passes over memory, each of which costs as much as the arithmetic of several.
+Each returns, bit for bit, the value of the numpy expression in its docstring: the same operations on the same numbers,
+in the same order. They need fewer passes over memory. Each pass costs as much as several operations.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from numba import float64, int64, njit, types, void
 from hedgerow.topologies.graph import Array, Index
 
 READ = types.Array(float64, 1, "C", readonly=True)
-"""what arrives in a message may not be written to"""
+"""arrays from a message are read-only"""
 READ_ROWS = types.Array(float64, 2, "C", readonly=True)
 INDEX = types.Array(int64, 1, "C", readonly=True)
 WRITE, WRITE_ROWS = float64[::1], float64[:, ::1]
@@ -20,7 +20,7 @@ WRITE, WRITE_ROWS = float64[::1], float64[:, ::1]
 
 @njit(WRITE(INDEX, INDEX, READ), cache=True)
 def flow(first: Index, other: Index, u: Array) -> Array:
-    """The flow: bincount(node, u[node] - u[other]), where the incidences of node i are first[i] .. first[i + 1] - 1."""
+    """Return the flow: bincount(node, u[node] - u[other]); node i has the incidences first[i] to first[i + 1] - 1."""
     flows = np.empty(len(first) - 1)
     for i in range(len(flows)):
         total = 0.0
@@ -32,7 +32,7 @@ def flow(first: Index, other: Index, u: Array) -> Array:
 
 @njit(WRITE(INDEX, INDEX, READ, float64, READ, READ, READ), cache=True)
 def dynamics(first: Index, other: Index, a: Array, b: float, x: Array, u: Array, w: Array) -> Array:
-    """The state after x: a * x + b * flow(u) + w; equation (1)."""
+    """Return the state after x: a * x + b * flow(u) + w; equation (1)."""
     x_next = np.empty(len(x))
     for i in range(len(x)):
         total = 0.0
@@ -44,7 +44,7 @@ def dynamics(first: Index, other: Index, a: Array, b: float, x: Array, u: Array,
 
 @njit(WRITE(float64, READ, READ), cache=True, error_model="numpy")
 def control(b: float, x: Array, ahat: Array) -> Array:
-    """The inputs b * x / (ahat - 1); equation (6)."""
+    """Return the inputs b * x / (ahat - 1); equation (6)."""
     u = np.empty(len(x))
     for i in range(len(x)):
         u[i] = b * x[i] / (ahat[i] - 1.0)
@@ -55,9 +55,10 @@ def control(b: float, x: Array, ahat: Array) -> Array:
 def learn(
     J: Array, candidates: Array, b: float, x: Array, flow: Array, x_next: Array, ahat: Array, margin: Array
 ) -> None:
-    """Add (candidates * x - (x_next - b * flow)) ** 2, of which nothing is NaN, to J, equation (7), and choose anew.
+    """Add (candidates * x - (x_next - b * flow)) ** 2, which has no NaN, to J, equation (7), and choose the estimate
+    again.
 
-    Fills ahat, the first candidate that minimises J, and the margin J_(2) - J_(1).
+    Fill ahat, the first candidate that minimises J, and the margin J_(2) - J_(1).
     """
     M, k = J.shape
     for i in range(k):
@@ -69,7 +70,7 @@ def learn(
             residual = candidate * x[i] - y
             total = J[m, i] + residual * residual
             J[m, i] = total
-            # Without a branch: it goes either way, and would be guessed wrong.
+            # Avoid a branch: the processor would often predict it wrong.
             estimate = candidate if total < least else estimate
             second = min(second, max(total, least))
             least = min(least, total)

@@ -4,7 +4,7 @@
     mylaws:RLS                       a class, as package.module:Class
     forgetting(decay=0.98)           with parameters, written as in a call
 
-A choice is text wherever it is carried: in the file, in a view, in the verdict. Equal choices are equal text.
+A choice is a text in the file, in a view and in the verdict. Equal choices are equal text.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ LISTED: tuple[str, ...] = (
     "centred",
 )
 LISTED += ("notch", "either")
-"""those that act by equation (6) on an estimate from the node's list, at every step"""
+"""the laws that act by equation (6) on an estimate from the node's list, at every step"""
 MOST_PARAMETERS = 64
 LONGEST = 4096
 """characters of a choice"""
@@ -50,7 +50,7 @@ class LawChoice:
 
     @classmethod
     def parse(cls, text: str) -> LawChoice:
-        """Return the choice that a text means; ValueError with the problem if it means none."""
+        """Return the choice in a text; raise ValueError with the problem."""
         if len(text) > LONGEST:
             raise ValueError(f"is longer than {LONGEST} characters")
         name, bracket, rest = text.strip().partition("(")
@@ -70,7 +70,7 @@ class LawChoice:
 
     @classmethod
     def of(cls, name: str, parameters: Mapping[str, Any]) -> LawChoice:
-        """Return a checked choice; ValueError with the problem."""
+        """Return a checked choice; raise ValueError with the problem."""
         if not _NAME.fullmatch(name):
             raise ValueError("is neither the name of a law nor package.module:Class")
         if len(parameters) > MOST_PARAMETERS:
@@ -89,7 +89,7 @@ class LawChoice:
 
 
 def is_listed(text: str) -> bool:
-    """Return True if a law acts by equation (6) on an estimate from the node's list, whatever it learns."""
+    """Return True if a law acts by equation (6) on an estimate from the node's list."""
     return text.partition("(")[0].strip() in LISTED
 
 

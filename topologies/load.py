@@ -1,4 +1,4 @@
-"""From a file, or the name of a bundled one, to a checked topology; every mistake of it at once."""
+"""The way from a file, or the name of a bundled one, to a checked topology; all mistakes are reported together."""
 
 from __future__ import annotations
 
@@ -44,13 +44,13 @@ _UNSPACED = re.compile(r"[A-Za-z_]\w*:[^\s:/]")
 
 
 def bundled() -> list[str]:
-    """Names of the topologies that ship with the package."""
+    """Return the names of the topologies in the package."""
     files = resources.files("hedgerow.topologies").iterdir()
     return sorted(file.name.removesuffix(".yaml") for file in files if file.name.endswith(".yaml"))
 
 
 def find(name: str) -> FilePath:
-    """The file that `name` means: a path, the folder of a finished run, or a bundled name."""
+    """Return the file that `name` means: a path, the folder of a finished run, or a bundled name."""
     path = user_path(name)
     try:
         is_run = (path / "topology.yaml").is_file()
@@ -86,14 +86,14 @@ def _bundled_file(name: str) -> FilePath:
 def load(name: str, overrides: Sequence[str] = ()) -> Topology:
     """Read, validate and check a topology; `overrides` are `path=value` strings that replace values of the file.
 
-    Raises TopologyError with every mistake found, or UserError when there is no such file.
+    Raise TopologyError with every mistake found, or UserError if there is no such file.
     """
     path = find(name)
     return parse(content(path), str(path), path.parent, overrides)
 
 
 def content(path: FilePath) -> bytes:
-    """Return the bytes of a topology file; raise UserError if it is too large, not regular, or cannot be read."""
+    """Return the bytes of a topology file; raise UserError if it is too large, not regular, or unreadable."""
     try:
         if (size := check_regular(path).st_size) > MAX_BYTES:
             raise UserError(
@@ -111,9 +111,9 @@ def content(path: FilePath) -> bytes:
 def parse(
     text: bytes, name: str, folder: FilePath, overrides: Sequence[str] = (), named: Collection[str] = ()
 ) -> Topology:
-    """A topology from YAML text; `name` stands in messages, `folder` is where its CSV files lie.
+    """Return the topology in YAML text; messages use `name`, and `folder` holds its CSV files.
 
-    named: files of samples that may lie elsewhere, because the user named them and not the text.
+    named: files of samples that may be elsewhere, because the user named them and not the text.
     """
     source = read_source(name, text)
     source.named.update(named)
@@ -121,7 +121,7 @@ def parse(
     if isinstance(found, Topology):
         return found
     if overrides and not all(problem.origin for problem in found) and _is_good(name, text, folder):
-        # The file is right by itself: then the options make it wrong, wherever the mistake shows.
+        # The file is valid without the options, so the options cause the mistake, wherever it shows.
         blamed = " ".join(map(origin_of, overrides))
         found = Problems(problem if problem.origin else replace(problem, origin=blamed) for problem in found)
     raise TopologyError(name, found)
@@ -169,7 +169,7 @@ def _read(source: Source, name: str, folder: FilePath, overrides: Sequence[str])
 
 
 def _refuse_many_faults(source: Source) -> None:
-    """Raise TopologyError for more faults than memory is allowed for: the models of a fault are made after this."""
+    """Raise TopologyError if the faults would exceed the memory limit: their models are made after this."""
     faults = source.value.get("faults")
     if isinstance(faults, list) and (why := budget.excess(len(faults) * BYTES_PER_FAULT)):
         problem = source.problem(("faults",), f"{len(faults):,} faults: {why}", code=Code.FILE_TOO_LARGE)
@@ -177,7 +177,7 @@ def _refuse_many_faults(source: Source) -> None:
 
 
 def _with_table(topology: Topology, file: str, folder: FilePath) -> Topology:
-    """The topology with what its table holds; if that is all of it, nothing is left to be drawn."""
+    """Return the topology with the content of its table; a complete table leaves nothing to draw."""
     found = table.read(file, folder, topology.table_nodes)
     whole = found.network(topology.b) if not topology.nodes and topology.disturbance is None else None
     topology = topology.with_table(found)
@@ -195,10 +195,10 @@ def _origin_of_law(source: Source) -> str:
 
 
 def _law_as_mapping(source: Source) -> None:
-    """Give `law:` the form that has a place for each parameter, for an override of one of them."""
+    """Give `law:` the form with a place for each parameter, for an override of one of them."""
     text = source.value.get("law", "minimax")
     if isinstance(text, str):
-        with contextlib.suppress(ValueError):  # the schema reports what is wrong with it
+        with contextlib.suppress(ValueError):  # the schema reports the mistake
             choice = LawChoice.parse(text)
             source.value["law"] = {"class" if ":" in choice.name else "name": choice.name, **choice.parameters}
 
@@ -218,7 +218,7 @@ def _override(source: Source, override: str) -> None:
         found = [replace(problem, line=0, column=0, origin=origin) for problem in error.problems]
         raise TopologyError(source.name, found) from None
     source.problems.extend(replace(problem, line=0, column=0, origin=origin) for problem in given.problems)
-    # What an option names lies where the user is, not where the topology is.
+    # A path in an option is relative to the user's folder, not to the topology's.
     value = _with_named(given.value, source.named)
     if isinstance(value, str) and steps_of(where)[-1].text == "file":
         value = _named(value, source.named)
@@ -239,7 +239,7 @@ def _override(source: Source, override: str) -> None:
         else:
             raise UserError(f"--set {override}: there is no {'.'.join(map(str, keys[: depth + 1]))} in {source.name}")
         at = at[key]
-    # What the command line says stands on no line of the file.
+    # A value from the command line has no line in the file.
     path = tuple(keys)
     for known in (source.marks, source.odd):
         for inside in [inside for inside in known if inside[: len(path)] == path]:
@@ -251,7 +251,7 @@ def _override(source: Source, override: str) -> None:
 
 
 def _with_named(value: Any, named: set[str]) -> Any:
-    """Return a value whose files of samples have whole paths, which are added to `named`."""
+    """Return a value with whole paths for its files of samples, and add these to `named`."""
     if isinstance(value, list):
         return [_with_named(one, named) for one in value]
     if not isinstance(value, dict):
@@ -266,13 +266,13 @@ def _named(file: str, named: set[str]) -> str:
     path = user_path(file)
     whole = str(FilePath.cwd() / path)
     if not path.is_absolute() and not FilePath(whole).exists():
-        return file  # it may lie beside the topology
+        return file  # it may be beside the topology
     named.add(whole)
     return whole
 
 
 def _nodes_as_mapping(source: Source) -> None:
-    """Give `nodes:` its one form, keyed by ids; the lines move along, and what can be no id is said and left out."""
+    """Give `nodes:` its one form, keyed by ids, and move the lines along; report and remove invalid ids."""
     nodes = source.value.get("nodes")
     if not isinstance(nodes, dict | list):
         return
@@ -292,7 +292,7 @@ def _nodes_as_mapping(source: Source) -> None:
             what, cure, code = no_id(node, text, _shown(node))
             source.problems.append(source.problem(at, what, cure, code, "nodes"))
         elif node in mapping:
-            what = f"{node!r} stands here twice (first on line {marks['nodes', node].line})"
+            what = f"{node!r} occurs twice (first on line {marks['nodes', node].line})"
             source.problems.append(source.problem(at, what, "keep one of the two", place="nodes"))
         else:
             mapping[node] = {} if listed else nodes[written]
@@ -309,13 +309,13 @@ def _nodes_as_mapping(source: Source) -> None:
 
 
 _MANY = 2000
-"""mistakes of a schema; of more, those that are alike are only counted, and the rules are left for later"""
+"""the maximum number of mistakes of a schema; above it, equal ones are only counted, and the rules are skipped"""
 _EACH = 100
-"""mistakes of one kind that are put in words"""
+"""the maximum number of mistakes of one kind that get a sentence"""
 
 
 def _sampled(source: Source, found: Iterable[ErrorDetails]) -> Problems:
-    """Return very many mistakes of the schema: the first of each kind in words, the others counted."""
+    """Return very many mistakes of the schema: a sentence for the first of each kind, a count for the others."""
     problems, seen = Problems(), Counter[Any]()
     last: dict[Any, Problem] = {}
     for details in found:
@@ -330,11 +330,11 @@ def _sampled(source: Source, found: Iterable[ErrorDetails]) -> Problems:
 
 
 def _like(details: ErrorDetails) -> tuple[Any, ...]:
-    """Return what mistakes share that differ only in an index, a node or an unknown key."""
+    """Return the common part of mistakes that differ only in an index, a node or an unknown key."""
     loc: list[Any] = ["" if isinstance(step, int) else step for step in details["loc"]]
     if details["type"] == "extra_forbidden":
         loc[-1] = ""
-    if "nodes" in loc[:2]:  # `nodes:` and `lots: nodes:` have ids as keys
+    if "nodes" in loc[:2]:  # the keys of `nodes:` and `lots: nodes:` are ids
         loc[loc.index("nodes") + 1 : loc.index("nodes") + 2] = [""]
     return details["type"], *loc
 
@@ -344,7 +344,9 @@ def _in_words(source: Source, details: ErrorDetails) -> Problem:
 
 
 def _validate(source: Source) -> tuple[Topology | None, Iterable[Problem]]:
-    """The topology and what the schema finds wrong; what is wrong is left out so that the rules can see the rest."""
+    """Return the topology and the mistakes that the schema finds; wrong values are left out, and the rules check the
+    rest.
+    """
     in_pieces = errors(Topology, source.value)
     if len(first := [*islice(in_pieces, _MANY + 1)]) > _MANY:
         return None, _sampled(source, chain(first, in_pieces))
@@ -357,7 +359,7 @@ def _validate(source: Source) -> tuple[Topology | None, Iterable[Problem]]:
     ]
     if len(found) > _MANY:
         return None, _sampled(source, found)
-    if any(problem.place == "nodes" for problem in source.problems):  # those that were left out are not missing
+    if any(problem.place == "nodes" for problem in source.problems):  # the nodes that were left out are not missing
         found = [one for one in found if (one["loc"], one["type"]) != (("nodes",), "too_short")]
     problems = [_in_words(source, details) for details in found]
     if not isinstance(source.value.get("nodes", {}), dict) or any(
@@ -371,10 +373,10 @@ def _validate(source: Source) -> tuple[Topology | None, Iterable[Problem]]:
 
 
 _STAND_INS = {"name": "unnamed", "b": 1e-9, "steps": 1}
-"""For required keys that are wrong: values that break no rule which the right ones would keep."""
+"""Replacements for required keys with wrong values; they break no rule that right values would obey."""
 
 _NO_FAULT = {"kind": "crash", "process": 0, "at": 0}
-"""In place of a fault that is wrong, for the others to keep theirs: it breaks no rule."""
+"""A replacement for a wrong fault, to preserve the numbers of the others; it breaks no rule."""
 
 
 def _without(value: dict[str, Any], found: Iterable[ErrorDetails]) -> dict[str, Any]:
@@ -474,7 +476,7 @@ def _cure_of_gain(shown: str) -> str:
 
 
 def _no_fault(source: Source, details: ErrorDetails) -> Problem:
-    """Something that no `kind` makes a fault."""
+    """Return the problem of an entry in `faults:` without a valid `kind`."""
     path, written, _ = trace(source.value, details["loc"])
     kinds = f"kinds are {', '.join(KINDS)}"
     if not isinstance(written, dict):
@@ -491,13 +493,13 @@ def _no_fault(source: Source, details: ErrorDetails) -> Problem:
 
 
 def _near(source: Source, path: Path) -> str:
-    """What the unknown key at the end of `path` may have been meant to be."""
+    """Return the likely correction of the unknown key at the end of `path`."""
     known = _known_keys(source, path[:-1])
     listed = f"known keys are {', '.join(known)}" if known else "remove it"
     if path[0] != "faults":
         near = difflib.get_close_matches(str(path[-1]), known, 1, 0.5)
         return f"did you mean `{near[0]}`?" if near else listed
-    # The keys of a fault are few and alike: one that stands there already is not meant.
+    # The keys of a fault are few and alike: a key that is already there is not the intended one.
     others = [key for key in known if key not in source.value["faults"][path[1]]]
     near = difflib.get_close_matches(str(path[-1]), others, 1, 0.5)
     return f"did you mean `{near[0]}`? {listed}" if near else listed
@@ -527,7 +529,7 @@ def _known_keys(source: Source, path: Path) -> list[str]:
 
 
 def _shown(value: Any, text: str | None = None) -> str:
-    """Return a value as the user wrote it: `text` if that is known, else as JSON, which YAML reads."""
+    """Return a value as the user wrote it: `text` if that is known, otherwise as JSON, which YAML reads."""
     if text is not None:
         return (text if len(text) <= _SHOWN else text[: _SHOWN - 1] + "…") or "an empty value"
     if isinstance(value, dict | list) and len(value) > 8:
@@ -535,6 +537,6 @@ def _shown(value: Any, text: str | None = None) -> str:
         return f"a {kind} of {len(value)}"
     try:
         text = json.dumps(value, ensure_ascii=False, default=str)
-    except ValueError:  # a whole number of more digits than Python prints
+    except ValueError:  # a whole number with more digits than Python prints
         return "a huge number"
     return text if len(text) <= _SHOWN else text[: _SHOWN - 1] + "…"

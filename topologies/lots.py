@@ -1,16 +1,16 @@
-"""Lots: random numbers that are a function of (seed, field, id, step), and of nothing else.
+"""Lots: random numbers that are a function of (seed, field, id, step) alone.
 
-A lot is a counter-based hash, so that no lot depends on another: neither the order of nodes in a file, nor an added
-node, nor the steps that were drawn before, nor the number of seeds drawn at once changes it. With `mix` the finalizer
-of SplitMix64 and ^ the exclusive or of 64-bit words,
+A lot is a counter-based hash, so it does not depend on any other lot. The order of nodes in a file, an added node,
+earlier steps, and the number of seeds in one call do not change it. With `mix` the finalizer of SplitMix64 and ^ the
+exclusive or of 64-bit words,
 
     key = mix(mix(mix(seed) ^ field) ^ id),    lot(t) = mix(key ^ mix(t)).
 
 Every function takes arrays of words and broadcasts them: seeds of shape (S, 1) and ids of shape (n,) give (S, n).
 
-Only integer operations and + - * / sqrt of IEEE 754 make the numbers, each by a NumPy call of its own. These round
-alike on every machine. NumPy's `log` and `cos` do not: their last bits differ between SIMD instruction sets. For that
-reason `normals` has a logarithm of its own.
+The numbers come from integer operations and the + - * / sqrt of IEEE 754, each as a separate NumPy call. These round
+equally on every machine. NumPy's `log` and `cos` do not: their last bits differ between SIMD instruction sets. So
+`normals` computes the logarithm itself.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from hedgerow.topologies.graph import Array
 Words = NDArray[np.uint64]
 
 BLOCK = 2**14
-"""numbers that stay in the cache while they are computed"""
+"""the number of values that fit the cache"""
 
 _GAMMA, _FIRST, _SECOND = (np.uint64(word) for word in (0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB))
 _TEXT = np.uint64(0x746578742D696473)
-"""where the hash of a text starts, so that no text starts as a whole number does"""
+"""the start value of the hash of a text, different from that of a whole number"""
 _WHOLE = re.compile("0|-?[1-9][0-9]{0,18}")
 
 
@@ -104,7 +104,7 @@ def edges_of(one: Words, other: Words) -> Words:
 
 
 def keys(seed: int | Words, field: str, ids: Words) -> Words:
-    """Return what a lot is drawn from at every step; `seed` is one, or an array that broadcasts with `ids`."""
+    """Return the key of a lot for all steps; `seed` is one number, or an array that broadcasts with `ids`."""
     seeds = np.array([seed], dtype=np.uint64) if isinstance(seed, int) else seed
     return mix(mix(mix(seeds) ^ _field(field)) ^ ids)
 
@@ -115,15 +115,15 @@ def at(keys: Words, steps: Words | NDArray[np.int64]) -> Words:
 
 
 def uniforms(words: Words) -> Array:
-    """Return the numbers in [0, 1) that lots stand for: multiples of 2^-53."""
+    """Return lots as numbers in [0, 1): multiples of 2^-53."""
     return np.asarray((words >> np.uint64(11)) * 2.0**-53)
 
 
 def normals(words: Words) -> Array:
-    """Return the standard normal numbers that lots stand for, of any shape; the largest is 8.21.
+    """Return lots as standard normal numbers, of any shape; the largest is 8.21.
 
-    The quantile function at an odd multiple of 2^-53, by Wichura's rational functions (AS 241, PPND16), which are
-    exact to about 1e-15.
+    This is the quantile function at an odd multiple of 2^-53, by Wichura's rational functions (AS 241, PPND16), which
+    are exact to about 1e-15.
     """
     flat = words.ravel()
     found = np.empty(len(flat))
@@ -151,7 +151,9 @@ def _quantiles(words: Words) -> Array:
 
 
 def _log(p: Array) -> Array:
-    """Return the natural logarithm of positive numbers, to about 1e-16 of it: 2 artanh((m - 1)/(m + 1)) + e log 2."""
+    """Return the natural logarithm of positive numbers, to a relative error of 1e-16: 2 artanh((m - 1)/(m + 1)) + e log
+    2.
+    """
     m, e = np.frexp(p)
     low = m < _ROOT
     m[low] *= 2.0

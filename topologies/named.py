@@ -1,4 +1,4 @@
-"""A network as Python code names it: a bundled name, a path, a text, a dictionary, or a Topology."""
+"""A network as an argument in Python: a bundled name, a path, a text, a dictionary, or a Topology."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hedgerow.topologies.resolve import resolve, to_yaml
 from hedgerow.topologies.schema import Topology
 
 Named = str | Path | Mapping[str, Any] | Topology
-"""A network as Python code names it: see `text_of`."""
+"""A network as an argument in Python; see `text_of`."""
 
 
 def text_of(network: Named) -> tuple[bytes, str, Path]:
@@ -33,7 +33,7 @@ def text_of(network: Named) -> tuple[bytes, str, Path]:
 
 
 def resolved(network: Named, overrides: Sequence[str] = ()) -> Topology:
-    """Return a network with all numbers drawn; arguments and errors are those of `text_of` and `load.load`."""
+    """Return a network with all numbers drawn; arguments and errors as in `text_of` and `load.load`."""
     text, name, folder = text_of(network)
     # A dictionary is the user's own, and so are the paths in it.
     named = set(_files(network)) if isinstance(network, Mapping) else ()

@@ -1,4 +1,4 @@
-"""A resolved network as columns: what 10^6 nodes are, without an object for each of them."""
+"""A resolved network as columns, so that 10^6 nodes need no objects."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from hedgerow.topologies import hinf
 from hedgerow.topologies.graph import Array, Gain, Graph, Index
 
 QUICK = 10_000
-"""Of so many nodes gamma* takes 0.1 s."""
+"""Up to this number of nodes, gamma* takes at most 0.1 s."""
 PARAMETERS: dict[str, tuple[str, ...]] = {
     "sinusoid": ("amplitude", "omega", "phase"),
     "constant": ("value",),
@@ -26,12 +26,12 @@ PARAMETERS: dict[str, tuple[str, ...]] = {
     "impulse": ("at", "value"),
     "samples": ("values",),
 }
-"""By kind of disturbance: its numbers, as a file names them."""
+"""By kind of disturbance: the names of its numbers in a file."""
 
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Disturbances of one kind, each of which stands at the same place of its node's list."""
+    """Disturbances of one kind, all at the same place of their node's list."""
 
     number: int
     """that place, from 0"""
@@ -44,44 +44,44 @@ class Group:
 
 @dataclass(frozen=True, eq=False)
 class Network:
-    """n nodes, each array over them in network order."""
+    """A network of n nodes; each array is over the nodes in network order."""
 
     ids: Sequence[int | str]
     graph: Graph
     b: Gain
-    """one number if the gains of all nodes are the same"""
+    """one number if all nodes have the same gain"""
     a: Array
     """the truth at t = 0, (n,)"""
     x0: Array
     nominal: Array
     candidates: Array
-    """a column a node, NaN behind the end of a list that is shorter than the longest, (M, n)"""
+    """one column per node, with NaN after the end of a shorter list, (M, n)"""
     disturbance: Sequence[Group]
-    """ordered by place and then by kind, the order in which they are added up"""
+    """ordered by place and then by kind, which is the order of the sum"""
     parts: Index
-    """how many disturbances each node lists, those of the kind `none` among them, (n,)"""
+    """the number of disturbances of each node, those of the kind `none` included, (n,)"""
     labels: Sequence[str] | None = None
-    """a text for each node, empty where it has none; None if no node has one"""
+    """a text for each node, empty if it has none; None if no node has one"""
     positions: Array | None = None
-    """where pictures draw each node, (n, 2), NaN where the file does not say; None if no node has one"""
+    """the place of each node in pictures, (n, 2), NaN if the file gives none; None if no node has one"""
 
     def name(self, k: int) -> str:
-        """The name of node k in pictures: its label, or its id if it has none."""
+        """Return the name of node k in pictures: its label, or its id if it has none."""
         return self.labels[k] if self.labels is not None and self.labels[k] else str(self.ids[k])
 
     def title(self, k: int) -> str:
-        """The name of node k in tables: its id, by which commands know it, and its label if it has one."""
+        """Return the name of node k in tables: its id, which commands use, and its label if it has one."""
         label = self.labels[k] if self.labels is not None else ""
         return f"{self.ids[k]} {label}".rstrip()
 
     @cached_property
     def gamma_star(self) -> float:
-        """gamma* of the truth at t = 0; 10^6 nodes take ten seconds: found when it is asked for."""
+        """Return gamma* of the truth at t = 0. It is computed on request, because 10^6 nodes take ten seconds."""
         return hinf.gamma_star(self.a, self.b, self.graph)
 
     @property
     def gamma_star_now(self) -> float:
-        """The same for who shows a run that goes on; NaN where it takes so long that nobody can wait for it."""
+        """Return gamma* for a display during the run; NaN for a large network, because it takes too long."""
         return self.gamma_star if len(self.a) <= QUICK else math.nan
 
 
@@ -94,7 +94,7 @@ def span(values: Gain) -> str:
 
 
 def gains(values: Sequence[float] | Array) -> Gain:
-    """Return b of each node, (n,), as one number if all of them are the same."""
+    """Return b of each node, (n,), as one number if all are equal."""
     b = np.array(values, dtype=np.float64)
     return float(b[0]) if (b == b[0]).all() else b
 
@@ -105,14 +105,14 @@ def labels(given: Sequence[str | None]) -> Sequence[str] | None:
 
 
 def positions(given: Sequence[tuple[float, float] | None]) -> Array | None:
-    """Return the positions of all nodes, (n, 2), NaN where a node has none; None if no node has one."""
+    """Return the positions of all nodes, (n, 2), NaN for a node without one; None if no node has one."""
     if all(place is None for place in given):
         return None
     return np.array([(np.nan, np.nan) if place is None else place for place in given], dtype=np.float64)
 
 
 def padded(lists: Sequence[Sequence[float]]) -> Array:
-    """Lists of candidates as an array, a column a list, NaN behind the end of the shorter ones, (M, k)."""
+    """Return lists of candidates as an array (M, k), one column per list, with NaN after the end of shorter ones."""
     lengths = np.fromiter(map(len, lists), dtype=np.int64, count=len(lists))
     columns = np.full((len(lists), int(lengths.max())), np.nan)
     columns[np.arange(columns.shape[1]) < lengths[:, None]] = [value for listed in lists for value in listed]
@@ -120,9 +120,10 @@ def padded(lists: Sequence[Sequence[float]]) -> Array:
 
 
 def groups_of(components: Iterable[Sequence[Mapping[str, Any]]], steps: int) -> list[Group]:
-    """Disturbances by kind and place; `components` are those of each node, as a topology file spells them.
+    """Return disturbances by kind and place; `components` has the disturbances of each node, as a topology file spells
+    them.
 
-    Of samples the first `steps` are taken.
+    Only the first `steps` samples are used.
     """
     members: dict[tuple[int, str], list[tuple[int, Mapping[str, Any]]]] = defaultdict(list)
     for node, parts in enumerate(components):

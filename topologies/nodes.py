@@ -1,4 +1,4 @@
-"""The nodes and edges of a network in columns, looked at one by one as if a file had spelled them out."""
+"""The nodes and edges of a network in columns, with the same interface as the mappings of a file."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from hedgerow.topologies.network import Group, Network
 from hedgerow.topologies.schema import COMPONENTS, Component, Node, Nothing
 
 SPELLED_OUT = 1_000
-"""Up to this many nodes a resolved file spells out each of them; the numbers of more stand in a table beside it."""
+"""Up to this number of nodes, a resolved file lists each of them; more nodes are in a table beside it."""
 
 NodeId = int | str
 
 
 class Nodes(Mapping[NodeId, Node]):
-    """From ids to settings; each node is made when it is asked for."""
+    """The mapping from ids to settings; a node is made on request."""
 
     def __init__(self, network: Network) -> None:
         self._network = network

@@ -1,4 +1,4 @@
-"""Numbers that can be read in two ways: 007 and 012, which are text, decimal or octal, and 1e3 as a node id."""
+"""Numbers with two readings: 007 and 012, which are text, decimal or octal, and 1e3 as a node id."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _NAMING = frozenset(("link", "from", "to", "edge", "node", "groups"))
 
 
 def odd_numbers(source: Source) -> Iterator[Problem]:
-    """Report every whole number whose text has a second reading."""
+    """Report every whole number with a second reading."""
     for path, text in source.odd.items():
         if not _at(source, path):
             continue
@@ -39,7 +39,7 @@ def odd_numbers(source: Source) -> Iterator[Problem]:
 
 
 def no_id(node: Any, text: str | None, shown: str) -> tuple[str, str, Code]:
-    """Return what is wrong with something that can be no node id: the problem, the cure, the code."""
+    """Return the problem of an invalid node id: the problem, the fix, the code."""
     if isinstance(node, dict):
         return f"{shown} is no node id", "write `ID: {…}`", Code.TOPOLOGY
     if isinstance(node, list):
@@ -71,7 +71,7 @@ def _value(value: Any, path: Path) -> Any:
 
 
 def _at(source: Source, path: Path) -> bool:
-    """Return True if the file still has the number there: a mistake or an option can have removed it."""
+    """Return True if the file still has the number there: a mistake or an option may have removed it."""
     try:
         _value(source.value, path)
     except (LookupError, TypeError):

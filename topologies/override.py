@@ -1,4 +1,4 @@
-"""A value of the command line that replaces one of the file, and the option that gave it."""
+"""A value on the command line that replaces a value of the file, and its option."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Override(str):
 
     @classmethod
     def of_option(cls, name: str, value: object) -> Self:
-        """Return the setting of an option of its own, such as `--steps 3`."""
+        """Return the setting of a named option, such as `--steps 3`."""
         made = cls(f"{name}={json.dumps(value)}")
         made.origin = f"--{name}" if value is True else f"--{name} {value}"
         return made
@@ -38,7 +38,10 @@ _QUOTED = re.compile(r"""(?:"([^"]*)"|'([^']*)')(?=[.=]|$)""")
 
 
 def split_setting(setting: str) -> tuple[str, str]:
-    """Return path and value of `path=value`; the path is empty if `setting` is none. Quotes may hold a `=`."""
+    """Return path and value of `path=value`; the path is empty if `setting` has another form.
+
+    Quotes may contain a `=`.
+    """
     at = 0
     while at < len(setting) and setting[at] != "=":
         starts = at == 0 or setting[at - 1] == "."
@@ -63,10 +66,10 @@ def steps_of(path: str) -> list[Step]:
 
 
 def next_key(at: object, steps: list[Step]) -> tuple[Any, list[Step]]:
-    """Return the key that a path goes on with from `at`, and the steps behind it.
+    """Return the next key of a path from `at`, and the steps after it.
 
-    A key of the file can have points. The longest one that exists is meant: of nodes `J` and `J.1`, `J.1.x0` is of the
-    second. Quotes end a key where they end.
+    A key of the file can contain points. The longest existing key is taken: with nodes `J` and `J.1`, `J.1.x0` is a
+    setting of the second. Quotes mark the end of a key.
     """
     if isinstance(at, dict) and not steps[0].quoted:
         plain = list(itertools.takewhile(lambda step: not step.quoted, steps))

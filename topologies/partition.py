@@ -1,7 +1,8 @@
-"""Which process has which nodes: parts of one size, between which few edges cross."""
+"""The assignment of nodes to processes: parts of equal size with few edges between them."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache, partial
 from typing import Any
 
@@ -10,22 +11,43 @@ import numpy as np
 from hedgerow.topologies.graph import Graph, Index, Mask
 
 IN_ORDER = 64
-"""Networks of up to so many nodes, which people write, are cut in the order of the file."""
+"""Networks up to this number of nodes, which people write by hand, are cut in the order of the file."""
+
+
+def parts_of(graph: Graph, processes: int, layout: Sequence[int] | None) -> tuple[Index, ...]:
+    """Return the positions of nodes by process, ascending: those of a layout for so many processes, else a partition.
+
+    layout: the process of each node, from 0, (n,), as a resolved file records it; None if nothing is recorded.
+    """
+    if layout is None or max(layout) + 1 != processes:
+        return partition(graph, processes)
+    home = np.asarray(layout, dtype=np.int64)
+    order = home.argsort(kind="stable")
+    return tuple(np.split(order, np.cumsum(np.bincount(home, minlength=processes))[:-1]))
+
+
+def layout_of(graph: Graph, processes: int) -> tuple[int, ...] | None:
+    """Return the process of each node, (n,), where METIS may decide it; None where the order of the nodes does."""
+    if graph.n <= IN_ORDER or processes in (1, graph.n):
+        return None
+    home = np.empty(graph.n, dtype=np.int64)
+    for process, nodes in enumerate(partition(graph, processes)):
+        home[nodes] = process
+    return tuple(home.tolist())
 
 
 @lru_cache(maxsize=8)
 def partition(graph: Graph, processes: int) -> tuple[Index, ...]:
-    """Positions of nodes by process, ascending; a function of the graph alone.
+    """Return the positions of the nodes of each process, ascending; a function of the graph alone.
 
-    The parts, among four, that the fewest edges cross. Three are blocks of an order: the file's own; reverse
-    Cuthill-McKee, which cuts a band across; and depth first, in which all that hangs below a node of a tree stands
-    together. The fourth are those of METIS, on machines for which it is built: on random graphs, half as many edges
-    cross.
+    The result is the best of four cuts, the one with the fewest crossing edges. Three cuts divide an order into blocks:
+    the order of the file; reverse Cuthill-McKee, which cuts a band across; and depth first, which puts a branch of a
+    tree together. The fourth cut is that of METIS, if it is installed: on random graphs, half as many edges cross.
     """
     in_order = _blocks(np.arange(graph.n), processes)
     if graph.n <= IN_ORDER or processes in (1, graph.n) or not cut(graph, in_order):
         return in_order
-    # Half a second to load, and only large networks need it.
+    # Load it here: it takes half a second, and only large networks need it.
     from scipy.sparse.csgraph import depth_first_order, reverse_cuthill_mckee  # noqa: PLC0415
 
     banded = reverse_cuthill_mckee(_beside(graph), symmetric_mode=True)
@@ -35,13 +57,15 @@ def partition(graph: Graph, processes: int) -> tuple[Index, ...]:
 
 
 def _by_metis(graph: Graph, processes: int) -> list[tuple[Index, ...]]:
-    """Return the parts of METIS, made equal, the one with the first node first; none if it is not installed."""
+    """Return the parts of METIS, made equal, the one with the first node first; an empty list if it is not
+    installed.
+    """
     try:
         import pymetis  # noqa: PLC0415
     except ImportError:
         return []
     adjacency = pymetis.CSRAdjacency(graph.first.astype(np.int32), graph.neighbour.astype(np.int32))
-    # METIS draws: with a seed, its parts are a function of the graph.
+    # METIS uses random numbers: a fixed seed makes its parts a function of the graph.
     found = pymetis.part_graph(processes, adjacency, options=pymetis.Options(seed=0))
     home = _levelled(graph, np.array(found.vertex_part, dtype=np.int64), processes)
     nodes = home.argsort(kind="stable")
@@ -52,12 +76,13 @@ def _by_metis(graph: Graph, processes: int) -> list[tuple[Index, ...]]:
 def _levelled(graph: Graph, home: Index, processes: int) -> Index:
     """Return the part of each node, (n,), moved so that no two parts differ by more than one node.
 
-    METIS allows itself some per cent. Of a part that is too large, those nodes move whose edges suffer least.
+    METIS permits itself a few per cent. From a part that is too large, move the nodes with the least loss of edges
+    inside the part.
     """
     home = home.copy()
     size = np.bincount(home, minlength=processes)
     least, more = divmod(graph.n, processes)
-    # The largest parts have the one node more.
+    # The largest parts get the remainder, one node each.
     room = np.full(processes, least)
     room[np.argsort(-size, kind="stable")[:more]] += 1
     for p in np.flatnonzero(size > room).tolist():
@@ -80,7 +105,7 @@ def _levelled(graph: Graph, home: Index, processes: int) -> Index:
 
 
 def pieces(graph: Graph) -> Index:
-    """A node of each connected piece of the graph."""
+    """Return one node of each connected piece of the graph."""
     from scipy.sparse.csgraph import connected_components  # noqa: PLC0415
 
     _, piece = connected_components(_beside(graph), directed=False)
@@ -89,7 +114,7 @@ def pieces(graph: Graph) -> Index:
 
 
 def _beside(graph: Graph, roots: Index | None = None) -> Any:
-    """The adjacency matrix; with `roots`, of one node more, behind all others, which leads to those."""
+    """Return the adjacency matrix; with `roots`, add a last node with edges to the roots."""
     import scipy.sparse  # noqa: PLC0415
 
     to, first = graph.neighbour, graph.first
@@ -104,12 +129,12 @@ def _blocks(order: Index, processes: int) -> tuple[Index, ...]:
 
 
 def cut(graph: Graph, parts: tuple[Index, ...]) -> int:
-    """How many edges cross from one part to another: a message costs the same, whatever the edge weighs."""
+    """Return the number of edges between different parts. Weights do not matter: each message has the same cost."""
     return int(_crossing(graph, parts).sum())
 
 
 def cut_weight(graph: Graph, parts: tuple[Index, ...]) -> float:
-    """The sum of the weights of the edges that cross from one part to another."""
+    """Return the sum of the weights of the edges between different parts."""
     crossing = _crossing(graph, parts)
     return float(crossing.sum() if graph.weights is None else graph.weights[crossing].sum())
 

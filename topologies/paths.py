@@ -10,5 +10,5 @@ def user_path(text: str) -> Path:
     path = Path(text)
     try:
         return path.expanduser()
-    except RuntimeError:  # no home folder is known: the text is all there is
+    except RuntimeError:  # the home folder is unknown: keep the text
         return path

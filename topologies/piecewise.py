@@ -1,4 +1,4 @@
-"""Validate a large value in pieces: the mistakes of one piece are in memory at once, never those of all of it.
+"""Validate a large value in pieces: memory holds only the mistakes of one piece at a time.
 
 pydantic needs about 2 kB for each mistake, and a file of 1 MB can have 500,000.
 """
@@ -19,7 +19,7 @@ PIECE = 5000
 LENGTHS = frozenset(("too_short", "too_long"))
 """types of pydantic's mistakes of a length"""
 _BESIDE, _SAMPLE, _LEVELS = 64, 8, 4
-"""keys that a piece keeps of a mapping around it; members and levels of what stands under such a key"""
+"""keys that a piece copies from the mapping around it; members and levels of the value of such a key"""
 
 
 def errors(model: type[BaseModel], value: Any, piece: int = PIECE) -> Iterator[ErrorDetails]:
@@ -60,7 +60,7 @@ class _Part:
             if isinstance(self.around[depth], list):
                 key = self.path[depth] if depth < len(self.path) else self.members[own[depth]]
                 own[depth] = whole[at] = key
-            if own[depth : depth + 1] != [*self.path[depth : depth + 1]]:  # it leads to what stands beside
+            if own[depth : depth + 1] != [*self.path[depth : depth + 1]]:  # the location leads to a neighbouring key
                 break
         return tuple(whole), tuple(own)
 
@@ -98,9 +98,9 @@ def _errors(model: type[BaseModel], part: _Part) -> Iterator[ErrorDetails]:
 
 
 def trace(value: Any, location: Sequence[int | str]) -> tuple[tuple[Any, ...], Any, list[int]]:
-    """Return the path in a file that pydantic's location leads to, what stands there, and the steps of the path.
+    """Return the path in a file that pydantic's location leads to, its value, and the steps of the path.
 
-    pydantic puts other steps in between: names of members of unions.
+    pydantic adds other steps: names of members of unions.
     """
     path: list[Any] = []
     steps: list[int] = []
@@ -128,7 +128,7 @@ def _key(value: Any, step: int | str) -> Any:
 
 
 def is_length(details: ErrorDetails, collection: Any) -> bool:
-    """Return True if a mistake of a length is none: pydantic does not count the members that are wrong."""
+    """Return True if a mistake of a length is a consequence: pydantic does not count the wrong members."""
     if details["type"] not in LENGTHS or not isinstance(collection, list | dict):
         return False
     bounds = details.get("ctx", {})

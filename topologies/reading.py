@@ -1,4 +1,4 @@
-"""How a file of samples is read: all that decides on its content."""
+"""The settings that determine how a file of samples is read."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from hedgerow.topologies.header import Header
 
 
 class Times(NamedTuple):
-    """The column of times of a file of samples, and how its rows become steps."""
+    """The column of times of a file of samples, and the rule from rows to steps."""
 
     column: str
     step: float | None = None

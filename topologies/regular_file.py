@@ -1,4 +1,4 @@
-"""Files that others may have made: only regular files are opened, and none of them can make the reader wait."""
+"""Files that may come from others: only regular files are opened, because others could block the reader."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hedgerow.topologies.errors import Code, UserError
 
 
 def check_regular(path: Path, inside: Path | None = None) -> os.stat_result:
-    """Return the status of a regular file; raise UserError for anything else, and OSError if there is nothing.
+    """Return the status of a regular file; raise UserError for other files, and OSError if the path does not exist.
 
     inside: the folder that a symbolic link must not lead out of.
     """
@@ -24,9 +24,9 @@ def check_regular(path: Path, inside: Path | None = None) -> os.stat_result:
 
 
 def open_regular(path: Path, inside: Path | None = None) -> BufferedReader:
-    """Open a regular file to read, in bytes; errors as of `check_regular`."""
+    """Open a regular file to read, in bytes; errors as in `check_regular`."""
     check_regular(path, inside)
-    # Between the check and here the file can change. Without O_NONBLOCK, opening a FIFO would wait for a writer.
+    # The file can change between the check and the opening. Without O_NONBLOCK, opening a FIFO would wait for a writer.
     file = open(os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK), "rb")  # noqa: SIM115
     try:
         _refuse_others(path, os.fstat(file.fileno()))
@@ -37,9 +37,9 @@ def open_regular(path: Path, inside: Path | None = None) -> BufferedReader:
 
 
 def read_regular(path: Path, inside: Path | None = None, growth: int = 1, start: int = 0) -> bytes:
-    """Return the content of a regular file from byte `start`; raise UserError if it takes more memory than is allowed.
+    """Return the content of a regular file from byte `start`; raise UserError if it takes more memory than allowed.
 
-    growth: bytes of memory for a byte of the file, once it is parsed.
+    growth: the memory per byte of the file, after parsing.
     """
     with open_regular(path, inside) as file:
         size = max(os.fstat(file.fileno()).st_size - start, 0)
@@ -66,7 +66,7 @@ _KINDS = (
 
 
 def last_text(path: Path, most: int = 2**16) -> str:
-    """Return the last `most` bytes of a regular file as text, for people; OSError passes."""
+    """Return the last `most` bytes of a regular file as text for display; OSError passes."""
     with open_regular(path) as file:
         file.seek(max(os.fstat(file.fileno()).st_size - most, 0))
         return file.read(most).decode(errors="replace")

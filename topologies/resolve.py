@@ -1,7 +1,7 @@
-"""Drawing: what a file leaves to chance becomes numbers, and the resolved topology holds them all.
+"""The draw of random values: the resolved topology has a number for each of them.
 
-Each number is drawn by a lot of its own, a function of (seed, node id, field): `topologies.lots`. Neither
-another order of the nodes nor one node more changes another node's numbers.
+Each number has a separate lot, a function of (seed, node id, field): `topologies.lots`. Another order of the nodes, or
+an added node, does not change the numbers of other nodes.
 """
 
 from __future__ import annotations
@@ -20,11 +20,12 @@ from hedgerow.topologies import lots, table
 from hedgerow.topologies.base import Uniform
 from hedgerow.topologies.edges import Edge
 from hedgerow.topologies.errors import Code, HedgerowError, TopologyError
-from hedgerow.topologies.faults import Fault, Jump
+from hedgerow.topologies.faults import Crash, Fault, Jump
 from hedgerow.topologies.graph import Array, Index
 from hedgerow.topologies.hinf import allowed_intervals, smallest_eigenpair
 from hedgerow.topologies.network import PARAMETERS, Group, Network, gains, labels
 from hedgerow.topologies.nodes import SPELLED_OUT, Edges, Nodes
+from hedgerow.topologies.partition import layout_of
 from hedgerow.topologies.reading import Reading
 from hedgerow.topologies.rules import broken_faults
 from hedgerow.topologies.samples import columns
@@ -46,9 +47,9 @@ from hedgerow.topologies.table import Table
 
 
 class _Draws:
-    """Uniform numbers in [0, 1), one or more for each node, by the field that they are drawn for.
+    """Uniform numbers in [0, 1), one or more for each node, by field.
 
-    With S seeds there are S copies of the n nodes, one after the other, each drawn from its own seed.
+    With S seeds there are S copies of the n nodes, one after another, each drawn from its own seed.
     """
 
     def __init__(self, topology: Topology, seeds: Sequence[int]) -> None:
@@ -64,7 +65,7 @@ class _Draws:
         self._drawn: dict[tuple[str, int], Array] = {}
 
     def of(self, field: str, nodes: Index, width: int = 1) -> Array:
-        """For these nodes, (k, width)."""
+        """Return the numbers of these nodes, (k, width)."""
         if (field, width) not in self._drawn:
             keys = lots.keys(self._seeds, field, self._words).ravel()
             drawn = np.empty((len(keys), width))
@@ -79,22 +80,22 @@ class _Draws:
         return self._drawn[field, width][nodes]
 
     def at(self, field: str, node: int, step: int) -> float:
-        """For the node at this position, at a step."""
+        """Return the number of the node at this position, at a step."""
         keys = lots.keys(self._seeds[0], field, self._words[node : node + 1])
         return float(lots.uniforms(lots.at(keys, np.array([step])))[0])
 
     def value(self, value: float | Uniform, field: str, nodes: Index) -> Array:
-        """A number that may be left to chance, for these nodes, (k,)."""
+        """Return a fixed or random value for these nodes, (k,)."""
         if not isinstance(value, Uniform):
             return np.full(len(nodes), value, dtype=float)
         return value.low + (value.high - value.low) * self.of(field, nodes)[:, 0]
 
 
 def resolve(topology: Topology, folder: Path = Path()) -> Topology:
-    """The same network with every number drawn and every node spelled out; resolving it again changes nothing.
+    """Return the same network with every number drawn and every node listed; a second call changes nothing.
 
-    `folder` is where the CSV files of `samples` lie. The topology must have passed `topologies.rules`.
-    Raises TopologyError for a fault that breaks them; that of a jump may show only now, with the candidates drawn.
+    `folder` holds the CSV files of `samples`. The topology must have passed `topologies.rules`. Raise TopologyError for
+    a fault that breaks them; a jump is checked here, with the candidates drawn.
     """
     draws = _Draws(topology, [topology.seed])
     network = topology.network if isinstance(topology.nodes, Nodes) else _Drawing(topology, draws, folder).network()
@@ -111,6 +112,9 @@ def resolve(topology: Topology, folder: Path = Path()) -> Topology:
         whole["processes"] = topology.process_count
     if topology.record.nodes is None and len(network.ids) > WHOLE:
         whole["record"] = topology.record.model_copy(update={"nodes": SAMPLED})
+    if topology.layout is None and any(isinstance(one, Crash) and one.process is not None for one in topology.faults):
+        # A machine without METIS cuts a large network otherwise, and the fault would strike other nodes there.
+        whole["layout"] = layout_of(network.graph, topology.process_count)
     drawn = topology.model_copy(update=whole).of_network(network)
     if problems := broken_faults(drawn):
         raise TopologyError(topology.name, problems)
@@ -122,14 +126,14 @@ def resolve(topology: Topology, folder: Path = Path()) -> Topology:
 def copies(topology: Topology, seeds: Sequence[int], folder: Path = Path()) -> Network:
     """Return S copies of a network as one network of S n nodes, each copy as `resolve` draws it from its seed.
 
-    The copies lie one after the other, and `graph` is the graph of one of them. The topology must have a graph, gains
-    and weights that do not depend on the seed.
+    The copies follow one another, and `graph` is the graph of one of them. The topology must have a graph, gains and
+    weights that do not depend on the seed.
     """
     return _Drawing(topology, _Draws(topology, seeds), folder, len(seeds)).network()
 
 
 class _Drawing:
-    """The columns of a network, or of several copies of it, filled for all nodes of equal settings at once."""
+    """The columns of a network, or of several copies of it; nodes with equal settings are filled together."""
 
     def __init__(self, topology: Topology, draws: _Draws, folder: Path, copies: int = 1) -> None:
         self._topology, self._draws, self._folder, self._copies = topology, draws, folder, copies
@@ -143,7 +147,7 @@ class _Drawing:
         self._files: dict[Reading, dict[int | str, list[float]]] = {}
 
     def network(self) -> Network:
-        """All of it."""
+        """Return the filled network."""
         topology, table = self._topology, self._topology.given
         written = [(node, own) for node, own in topology.nodes.items() if own != Node()]
         own_nodes = np.array([topology.position(node) for node, _ in written], dtype=np.int64)
@@ -191,10 +195,10 @@ class _Drawing:
         return None if np.isnan(found).all() else found
 
     def _fill(self, own: Node, nodes: Index, table: Table | None) -> None:
-        """For nodes with these settings of their own; the table comes behind those, and then the defaults."""
+        """Fill the columns of nodes with these own settings; gaps come from the table, and then from the defaults."""
         if not len(nodes):
             return
-        settings: Any = self._topology.behind(own)  # of which the built-in ones leave nothing open
+        settings: Any = self._topology.behind(own)  # the built-in defaults leave no gap
 
         def column(key: str) -> Array | None:
             found: Array | None = getattr(table, key) if table is not None and getattr(own, key) is None else None
@@ -212,7 +216,7 @@ class _Drawing:
             self._parts[nodes] = table.parts[nodes % self._n]
             steps = self._topology.steps
             for group in table.disturbance:
-                # Positions of `nodes` whose node is in the group, and the rows of the group that they have.
+                # Positions of `nodes` with a node in the group, and their rows in the group.
                 row = np.searchsorted(group.nodes, nodes % self._n).clip(max=len(group.nodes) - 1)
                 here = group.nodes[row] == nodes % self._n if len(group.nodes) else np.zeros(len(nodes), dtype=bool)
                 values = {
@@ -224,7 +228,7 @@ class _Drawing:
             self._disturb(nodes, settings.disturbance)
 
     def _model(self, nodes: Index, asked: Drawn | Sequence[float], listed: Array | None, a: Array | None) -> None:
-        """The candidates and the truth; a truth that is given takes the place of one of the drawn candidates."""
+        """Fill the candidates and the truth; a given truth replaces one of the drawn candidates."""
         k = np.arange(len(nodes))
         pick = self._draws.of("a", nodes)[:, 0]
         if listed is not None:
@@ -262,7 +266,8 @@ class _Drawing:
                 self._add(number, part.kind, nodes, values)
 
     def _wrong(self, nodes: Index, field: str) -> Array:
-        """Return a candidate of each node that is not its truth, each as likely; the truth if there is no other.
+        """Return a candidate of each node that is not its truth, with equal probabilities; the truth if it is the only
+        one.
 
         Call it after `_model` of the same nodes.
         """
@@ -293,7 +298,7 @@ class _Drawing:
 
 
 def _joined(groups: Sequence[Group]) -> Group:
-    """One group of several of a kind."""
+    """Return one group from several of the same kind."""
     if len(groups) == 1:
         return groups[0]
     nodes = np.concatenate([group.nodes for group in groups])
@@ -303,7 +308,7 @@ def _joined(groups: Sequence[Group]) -> Group:
 
 
 def _jumps(topology: Topology, draws: _Draws) -> tuple[Fault, ...]:
-    """The faults, with jumps that lead away from the truth until then, where there is another candidate."""
+    """Return the faults, with jumps to another candidate than the truth before the jump, if there is one."""
     faults = list(topology.faults)
     now: dict[int | str, Any] = {}
     for at, k in sorted((fault.at, k) for k, fault in enumerate(faults) if isinstance(fault, Jump)):
@@ -327,22 +332,25 @@ def _worst_case(network: Network, energy: float) -> Network:
 
 
 def truth(topology: Topology) -> Array:
-    """The true a of a resolved topology, (n,)."""
+    """Return the true a of a resolved topology, (n,)."""
     return topology.network.a
 
 
 def to_yaml(topology: Topology) -> str:
-    """A topology as YAML text that `hedgerow.topologies.load` reads back to the same bits.
+    """Return a topology as YAML text that `hedgerow.topologies.load` reads back to the same bits.
 
-    That of many nodes refers to the table that `save` writes beside it.
+    The text of a large network refers to the table that `save` writes beside it.
     """
     written = topology.model_dump(mode="json", exclude_none=True, exclude_defaults=True, exclude={"nodes", "edges"})
     if isinstance(topology.nodes, Nodes):
         written["table"] = table.NAME
+        written.pop("layout", None)
     else:
         nodes = {node: own.model_dump(mode="json", exclude_none=True) for node, own in topology.nodes.items()}
         edges = [Line(edge.model_dump()) if isinstance(edge, Edge) else list(edge) for edge in topology.edges]
         written |= {"nodes": nodes, "edges": edges}
+    if "layout" in written:
+        written["layout"] = Line(written["layout"])
     whole = {key: written[key] for key in type(topology).model_fields if key in written}
     if topology.faults:
         whole["faults"] = [_lines(fault.written()) for fault in topology.faults]
@@ -350,28 +358,28 @@ def to_yaml(topology: Topology) -> str:
 
 
 def save(topology: Topology, path: Path) -> None:
-    """Write a resolved topology to the file `path`, and where it has many nodes the table beside it."""
+    """Write a resolved topology to the file `path`; for a large network, write the table beside it."""
     if isinstance(topology.nodes, Nodes):
-        table.write(topology.network, path.with_name(table.NAME))
+        table.write(topology.network, path.with_name(table.NAME), topology.layout)
     path.write_text(to_yaml(topology), encoding="utf-8")
 
 
 @dataclass(frozen=True)
 class Line:
-    """What stands on one line of the file, whatever is in it."""
+    """A value on one line of the file."""
 
     value: Any
 
 
 def _lines(fault: dict[str, Any]) -> Line | dict[str, Any]:
-    """A line for a fault, or one for each step of its table."""
+    """Return a line for a fault, or one for each step of its table."""
     if isinstance(table := fault.get("at"), dict):
         return {**fault, "at": {step: Line(struck) for step, struck in table.items()}}
     return Line(fault)
 
 
 class Dumper(yaml.CSafeDumper):
-    """Without aliases, and with floats that YAML 1.1 readers take for floats too."""
+    """A dumper without aliases that writes floats in the form of YAML 1.1."""
 
     def ignore_aliases(self, data: object) -> bool:  # noqa: ARG002
         return True
@@ -392,5 +400,5 @@ def _line(dumper: yaml.CSafeDumper, line: Line) -> yaml.Node:
 
 Dumper.add_representer(float, _float)
 Dumper.add_representer(Line, _line)
-# YAML 1.1 reads `1e5` and `08` as text and leaves them bare; to our reader they are numbers.
+# YAML 1.1 reads `1e5` and `08` as text and writes them without quotes; our reader takes them as numbers.
 Dumper.add_implicit_resolver("tag:yaml.org,2002:float", FLOAT, list("-+.0123456789"))

@@ -1,4 +1,4 @@
-"""The rules that a schema cannot say: the graph is a graph, condition (3) holds, and faults strike what there is."""
+"""The rules beyond the schema: the graph is valid, condition (3) holds, and the targets of faults exist."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ from hedgerow.topologies.table import broken
 
 
 def broken_rules(topology: Topology, source: Source, folder: FilePath) -> Iterator[Problem]:
-    """Find every rule that `topology` breaks, each where the file says it."""
+    """Find every rule that `topology` breaks, with its place in the file."""
     if not topology.ids:
-        if "nodes" not in source.value:  # otherwise the schema reports what is wrong with them
+        if "nodes" not in source.value:  # otherwise the schema reports the problem
             yield Problem(0, "", "`nodes:` is missing", "add `nodes: …`, or `graph: {kind: …, nodes: …}`")
         return
     yield from _sources(topology, source)
@@ -41,10 +41,10 @@ def broken_rules(topology: Topology, source: Source, folder: FilePath) -> Iterat
 
 
 def _sources(topology: Topology, source: Source) -> Iterator[Problem]:
-    """Whether the file says once where edges come from, and overrides nodes that there are."""
+    """Check that the file gives the edges only once, and that overridden nodes exist."""
     written = [key for key in ("graph", "table", "edges") if key in source.value]
     for key in written[1:] if len(written) > 1 else ():
-        what = f"stands beside `{written[0]}:`, which gives all edges"
+        what = f"conflicts with `{written[0]}:`, which gives all edges"
         yield source.problem((key,), what, "keep one of the two")
     if topology.table_nodes is not None and "table" not in source.value:
         yield source.problem(("table_nodes",), "is about a `table:`, which is missing", "remove it, or add the table")
@@ -52,7 +52,7 @@ def _sources(topology: Topology, source: Source) -> Iterator[Problem]:
         for what, cure in broken(topology.given, largest_gains(topology), topology.steps):
             yield source.problem(("table",), what, cure)
         if topology.disturbance is not None and topology.given.disturbance:
-            what = "stands beside the disturbances of `table:`, which it replaces"
+            what = "conflicts with the disturbances of `table:`, which it replaces"
             yield source.problem(("disturbance",), what, "remove one of the two")
     for node in topology.nodes if isinstance(topology.ids, range) and written[:1] != ["edges"] else ():
         if not topology.has(node):
@@ -64,7 +64,7 @@ def _edges(topology: Topology, source: Source) -> Iterator[Problem]:
     if _made(topology):
         return
     seen: dict[frozenset[int | str], int] = {}
-    # Edges that the schema refused are not in the topology: find the others' lines by their ends.
+    # The topology lacks edges that the schema refused: find the lines of the remaining ones by their ends.
     rows = _rows(topology, source) if topology.edges else []
     for (i, j), k in zip(topology.pairs, rows, strict=True):
         at = ("edges", k)
@@ -75,15 +75,15 @@ def _edges(topology: Topology, source: Source) -> Iterator[Problem]:
         if i == j:
             yield source.problem(at, f"[{i}, {j}] is a self-loop", "remove it")
         elif (first := seen.setdefault(frozenset((i, j)), k)) != k:
-            what = f"[{i}, {j}] stands already on line {source.line(('edges', first))}"
+            what = f"[{i}, {j}] is already on line {source.line(('edges', first))}"
             yield source.problem(at, what, "edges are undirected: keep one")
 
 
 def _cure_of_end(end: int | str, topology: Topology) -> str:
-    """Return what to do about an id that is no node: 7 and 007 differ, and are easily taken for one another."""
+    """Return the fix for an id of an edge that does not exist; 7 and 007 differ, and are easily confused."""
     if isinstance(end, str) and end.isdecimal() and topology.has(int(end)):
         return f"write {int(end)}, the node, or add a node {end!r}"
-    return "add the node or mend the id"
+    return "add the node or correct the id"
 
 
 def _rows(topology: Topology, source: Source) -> list[int]:
@@ -95,13 +95,13 @@ def _rows(topology: Topology, source: Source) -> list[int]:
 
 
 def _made(topology: Topology) -> bool:
-    """Whether the edges were made by a rule, or come in columns: they are right then."""
+    """Return True if a rule made the edges, or they come in columns: they are valid then."""
     return topology.generator is not None or topology.given is not None or isinstance(topology.edges, Edges)
 
 
 @dataclass(frozen=True)
 class _Named:
-    """A node of the file, to say what is wrong with one of its settings, where the file gives it."""
+    """A node of the file, for messages about its settings at their place in the file."""
 
     id: int | str
     topology: Topology
@@ -116,7 +116,7 @@ class _Named:
 
 def _nodes(topology: Topology, source: Source) -> Iterator[Problem]:
     if isinstance(topology.nodes, Nodes):
-        return  # complete in columns: topologies.table has looked at them
+        return  # complete in columns: topologies.table has checked them
     couplings = largest_couplings(topology, made=_made(topology))
     if len(empty := couplings.empty):
         yield _no_interval(topology, source, couplings, empty)
@@ -127,7 +127,7 @@ def _nodes(topology: Topology, source: Source) -> Iterator[Problem]:
 
 
 def _judged(topology: Topology, couplings: Couplings) -> Iterator[int | str]:
-    """All nodes but those that are right if others are: condition (3) is hardest on the largest b_i^2 d_i."""
+    """Return the nodes to check. The others hold if these do: condition (3) is hardest for the largest b_i^2 d_i."""
     if not _made(topology):
         yield from topology.ids
         return
@@ -140,7 +140,7 @@ def _judged(topology: Topology, couplings: Couplings) -> Iterator[int | str]:
 
 
 def _no_interval(topology: Topology, source: Source, couplings: Couplings, empty: Index) -> Problem:
-    """Name the nodes for which no a satisfies condition (3), and the b that would do for all."""
+    """Name the nodes for which no a satisfies condition (3), and the largest b that suits all nodes."""
     coupling = couplings.b * couplings.b * couplings.degree
     order = (-coupling[empty]).argsort(kind="stable")
     worst = int(empty[order[0]])
@@ -166,7 +166,7 @@ def _condition_3(node: _Named, b: float, degree: float) -> Iterator[Problem]:
     listed = settings.candidates if isinstance(settings.candidates, tuple) else ()
     values: list[tuple[str, Any, tuple[int, ...]]] = [("candidates", value, (m,)) for m, value in enumerate(listed)]
     values.append(("nominal", settings.nominal, ()))
-    if not listed:  # a truth that must be among the candidates is judged with them
+    if not listed:  # a truth that must be a candidate is checked with the candidates
         values.append(("a", settings.a, ()))
     why = f"({interval[0]:.6g}, {interval[1]:.6g}), the interval of condition (3) for b = {b:g} and degree {degree:.6g}"
     for key, value, inside in values:
@@ -194,7 +194,7 @@ def _disturbances(topology: Topology, source: Source, folder: FilePath) -> Itera
     ]
     if topology.disturbance is not None:
         for node, _ in own:
-            what = "stands beside the network's own `disturbance:`, which replaces every node's"
+            what = "conflicts with the network's `disturbance:`, which replaces that of every node"
             yield source.problem(("nodes", node, "disturbance"), what, "remove one of the two")
     places: list[tuple[Path, Any, list[int | str]]] = [(("nodes", node), given, [node]) for node, given in own]
     if topology.defaults.disturbance is not None:
@@ -248,6 +248,19 @@ def _processes(topology: Topology, source: Source) -> Iterator[Problem]:
     if (n := len(topology.ids)) < topology.process_count:
         what = f"{topology.processes} are too many for {n} nodes"
         yield source.problem(("processes",), what, f"give at most {n}")
+    elif topology.layout is not None and (wrong := _no_layout(topology.layout, n, topology.process_count)):
+        yield source.problem(("layout",), wrong, "remove `layout:`, which a partition of the graph replaces")
+
+
+def _no_layout(layout: Sequence[int], n: int, processes: int) -> str:
+    """Return what is wrong with a layout of n nodes over processes, or nothing."""
+    if len(layout) != n:
+        return f"has {len(layout)} entries for {n} nodes"
+    used = set(layout)
+    if max(used) >= processes:
+        return f"names process {max(used)}, and they are 0 to {processes - 1}"
+    empty = next((process for process in range(processes) if process not in used), None)
+    return "" if empty is None else f"leaves process {empty} without a node"
 
 
 def _recorded(topology: Topology, source: Source) -> Iterator[Problem]:
@@ -260,12 +273,13 @@ def _recorded(topology: Topology, source: Source) -> Iterator[Problem]:
 
 
 def broken_faults(topology: Topology, source: Source | None = None) -> list[Problem]:
-    """Every rule that the faults of `topology` break; without `source`, on no line."""
+    """Return every rule that the faults of `topology` break; without `source`, with no line."""
     if not topology.faults:
         return []
     struck = _Struck(topology)
     written = source.value.get("edges") or [] if source is not None and not _made(topology) else topology.edges
-    if not isinstance(written, Sequence) or len(written) != len(topology.edges):  # some were refused, or all
+    # The schema refused some of them, or all.
+    if not isinstance(written, Sequence) or len(written) != len(topology.edges):
         struck.certain = False
     return [
         source.problem(path, what, cure) if source else Problem(0, place_of(path), what, cure)
@@ -276,16 +290,16 @@ def broken_faults(topology: Topology, source: Source | None = None) -> list[Prob
 
 
 class _Struck:
-    """What there is to be struck by a fault."""
+    """The possible targets of a fault."""
 
     def __init__(self, topology: Topology) -> None:
         self.topology = topology
         self.certain = True
-        """False where the schema refused some edges: nobody knows what they were to be."""
+        """False if the schema refused some edges: their intended ends are unknown."""
 
     @cached_property
     def _written(self) -> dict[int | str, dict[int | str, None]]:
-        """The neighbours of each node, in the order of the edges."""
+        """Return the neighbours of each node, in the order of the edges."""
         beside: dict[int | str, dict[int | str, None]] = defaultdict(dict)
         for i, j in self.topology.pairs:
             beside[i][j] = None
@@ -293,7 +307,7 @@ class _Struck:
         return beside
 
     def neighbours(self, node: int | str) -> list[int | str]:
-        """Those of one node."""
+        """Return the neighbours of one node."""
         if not _made(self.topology):
             return [*self._written[node]]
         graph, k = self.topology.graph, self.topology.position(node)
@@ -301,7 +315,7 @@ class _Struck:
         return [self.topology.ids[j] for j in graph.neighbour[first:stop].tolist()]
 
     def missing(self, fault: Fault) -> Iterator[tuple[Path, str, str]]:
-        """What the fault strikes that is not there: where it says so, what is wrong, and the cure."""
+        """Yield each target of the fault that does not exist: its place, the problem, and the fix."""
         has = self.topology.has
         for path, node in _named_nodes(fault):
             if not has(node):
@@ -325,7 +339,7 @@ class _Struck:
 
 
 def _named_nodes(fault: Fault) -> Iterator[tuple[Path, int | str]]:
-    """Every node that a fault names, and where."""
+    """Yield every node that a fault names, with its place."""
     if isinstance(fault, Partition):
         yield from ((("groups", g, m), node) for g, group in enumerate(fault.groups) for m, node in enumerate(group))
     elif isinstance(fault, Drop | Delay | Cut):
@@ -337,7 +351,7 @@ def _named_nodes(fault: Fault) -> Iterator[tuple[Path, int | str]]:
 
 
 def _named_pairs(fault: Fault) -> Iterator[tuple[Path, tuple[int | str, int | str]]]:
-    """Every link or edge that a fault names, and where."""
+    """Yield every link or edge that a fault names, with its place."""
     if isinstance(fault, Drop | Delay) and fault.link is not None:
         yield ("link",), fault.link
     if isinstance(fault, Drop | Delay) and fault.from_ is not None and fault.to is not None:

@@ -1,4 +1,4 @@
-"""Disturbance samples from a CSV or Parquet file: one column a node."""
+"""Disturbance samples from a CSV or Parquet file: one column per node."""
 
 from __future__ import annotations
 
@@ -19,7 +19,9 @@ MAX_BYTES = 512 * 2**20
 
 
 def beside(folder: Path, file: str) -> Path:
-    """A file in `folder` or below it; ValueError, in words for the user, for one that lies elsewhere."""
+    """Return the path of a file in `folder` or below it; raise ValueError, with a text for the user, for a file
+    elsewhere.
+    """
     path = folder / file
     if not path.resolve().is_relative_to(folder.resolve()):
         raise ValueError(f"{file} lies outside the topology's own folder")
@@ -29,11 +31,11 @@ def beside(folder: Path, file: str) -> Path:
 
 
 BYTES_PER_CELL, BYTES_PER_LINE = 130, 200
-"""of memory; each cell is text first and then a number"""
+"""the memory per cell and per line [bytes]; each cell is a text first and then a number"""
 
 
 def _memory(path: Path) -> int:
-    """Return the bytes of memory that the samples in a file take, by its commas and lines."""
+    """Return the memory for the samples of a file [bytes], by its commas and lines."""
     cells = lines = 0
     with open_regular(path) as file:
         while part := file.read(2**20):
@@ -50,11 +52,13 @@ def columns(
     times: Times | None = None,
     named: Collection[str] = (),
 ) -> dict[int | str, list[float]]:
-    """Return the columns of `file` by node id; a header names them, without one they are in the order of `ids`.
+    """Return the columns of `file` by node id.
 
-    header: `ids` if the first row names the nodes, `none` if it holds samples, None if the file has to decide. times:
-    the column of times, None if a row is a step. named: paths that may lie outside `folder`. Raises ValueError for a
-    file that lies outside `folder` or is no such table, FileRefusedError if it has two readings.
+    A header names the columns; without a header they are in the order of `ids`.
+
+    header: `ids` if the first row names the nodes, `none` if it holds samples, None to decide by the content. times:
+    the column of times, None if a row is a step. named: paths that may be outside `folder`. Raise ValueError for a file
+    outside `folder` or another kind of file, FileRefusedError if it has two readings.
     """
     try:
         path = Path(file) if file in named else beside(folder, file)

@@ -1,8 +1,8 @@
-"""What may stand in a topology file.
+"""The models of a topology file.
 
-One set of models serves the file as written (numbers may be left to chance, nodes to the defaults) and the
-resolved file (every number drawn, every node spelled out); `hedgerow.topologies.resolve` leads from one to the other.
-All models are frozen and refuse unknown keys. The JSON Schema and docs/topology.md are made from them.
+One set of models serves the file as written, which may have random numbers and defaults, and the resolved file, which
+has every number and every node. `hedgerow.topologies.resolve` makes the second from the first. All models are frozen
+and refuse unknown keys. The JSON Schema and docs/topology.md are generated from them.
 """
 
 from __future__ import annotations
@@ -46,10 +46,11 @@ from hedgerow.topologies.edges import Edge, Ends, PositiveValue, WrittenEdge, en
 from hedgerow.topologies.effects import FOREVER
 from hedgerow.topologies.faults import Fault
 from hedgerow.topologies.generators import GraphRule
-from hedgerow.topologies.graph import Gain, Graph
+from hedgerow.topologies.graph import Gain, Graph, Index
 from hedgerow.topologies.header import Header
 from hedgerow.topologies.law_choice import NAMES, LawChoice
 from hedgerow.topologies.network import Network, gains, groups_of, labels, padded, positions
+from hedgerow.topologies.partition import parts_of
 from hedgerow.topologies.reading import Reading, Times
 from hedgerow.topologies.table import NodesBy, Table
 
@@ -89,15 +90,15 @@ Seed = Annotated[StrictInt, Field(ge=0, lt=2**63)]
 
 
 class NonNegativeUniform(Uniform):
-    """A number of at least 0 left to chance: drawn uniformly from [low, high)."""
+    """A random number of at least 0: drawn uniformly from [low, high)."""
 
     random: tuple[NonNegative, NonNegative] = Field(description="[low, high]")
 
 
 class Drawn(Model):
-    """Candidates left to chance: this many, drawn uniformly from the interval that condition (3) allows."""
+    """Random candidates: this many, drawn uniformly from the interval that condition (3) allows."""
 
-    random: Annotated[StrictInt, Field(ge=1, le=1000)] = Field(description="how many candidates, the paper's M")
+    random: Annotated[StrictInt, Field(ge=1, le=1000)] = Field(description="the number of candidates, the paper's M")
 
 
 def _mapping_or(other: str) -> Discriminator:
@@ -148,7 +149,7 @@ class AR1(Model):
 
     kind: Literal["ar1"] = "ar1"
     phi: Annotated[float, Field(gt=-1, lt=1), BeforeValidator(number)] = Field(
-        description="correlation of two steps that follow each other"
+        description="correlation of two successive steps"
     )
     std: Annotated[
         Annotated[NonNegative, Tag("number")] | Annotated[NonNegativeUniform, Tag("random")],
@@ -159,7 +160,8 @@ class AR1(Model):
 class Confuse(Model):
     """w_i(t) = (candidate - a_i) x_i(t): the node moves exactly as if `candidate` were its true a.
 
-    It sees the state, so every law meets its own w. From x(0) = 0 it is 0 forever, unless another disturbance moves x.
+    It depends on the state, so w differs from law to law. From x(0) = 0 it is 0 forever, unless another disturbance
+    moves x.
     """
 
     kind: Literal["confuse"] = "confuse"
@@ -167,14 +169,14 @@ class Confuse(Model):
         Annotated[float, Field(gt=0, lt=1), BeforeValidator(number), Tag("number")]
         | Annotated[Literal["random"], Tag("word")],
         Discriminator(lambda value: "word" if isinstance(value, str) else "number"),
-    ] = Field(description="the a that looks true; or `random`: a wrong candidate of the node, drawn")
+    ] = Field(description="the a that appears true; or `random`: a wrong candidate of the node, drawn")
 
 
 class Impulse(Model):
     """w(at) = value, and 0 at every other step."""
 
     kind: Literal["impulse"] = "impulse"
-    at: Annotated[StrictInt, Field(ge=0, le=FOREVER)] = Field(description="the step that it strikes")
+    at: Annotated[StrictInt, Field(ge=0, le=FOREVER)] = Field(description="the step of the impulse")
     value: Value = Field(description="the disturbance at that step")
 
 
@@ -182,14 +184,14 @@ class Samples(Model):
     """w(t) = values[t], inline or a column of a CSV file."""
 
     kind: Literal["samples"] = "samples"
-    values: tuple[Number, ...] | None = Field(None, description="one value a step")
+    values: tuple[Number, ...] | None = Field(None, description="one value per step")
     file: str | None = Field(
         None,
-        description="a CSV or Parquet file beside the topology, a column a node: named by node ids, or in CSV in their"
+        description="a CSV or Parquet file beside the topology, one column per node: by node ids, or in CSV in their"
         " order",
     )
     header: Header | None = Field(
-        None, description="the first row of `file`: `ids`, or `none` if it holds samples; for files that leave it open"
+        None, description="the first row of `file`: `ids`, or `none` if it holds samples; for ambiguous files"
     )
     time: str | None = Field(None, description="the column of `file` that holds times, numbers or dates, which ascend")
     step: Positive | None = Field(
@@ -197,12 +199,12 @@ class Samples(Model):
         description="the time of one step, in the unit of `time`, seconds for dates; the first difference if absent",
     )
     resample: Literal["hold", "linear", "mean"] | None = Field(
-        None, description="how steps between two times are filled: `hold` (default), `linear` or `mean`"
+        None, description="the rule for steps between two times: `hold` (default), `linear` or `mean`"
     )
 
     @property
     def reading(self) -> Reading:
-        """What decides on the content of the file."""
+        """Return the settings that determine how the file is read."""
         times = None if self.time is None else Times(self.time, self.step, self.resample)
         return Reading(self.file or "", self.header, times)
 
@@ -226,7 +228,7 @@ class Nothing(Model):
 
 
 def _bare_kind(value: Any) -> Any:
-    """`none` and `worst_case` may stand without their braces."""
+    """Return `none` and `worst_case` with the braces that a file may omit."""
     return {"kind": value} if isinstance(value, str) else value
 
 
@@ -269,14 +271,14 @@ Disturbance = Annotated[
 
 
 class WorstCase(Model):
-    """The constant disturbance along Q's smallest eigenvector, which costs the optimal controller most."""
+    """The constant disturbance along Q's smallest eigenvector, with the highest cost for the optimal controller."""
 
     kind: Literal["worst_case"] = "worst_case"
     energy: NonNegative = Field(1.0, description="|w(t)|^2, summed over the nodes, at every step")
 
 
 class Settings(Model):
-    """The numbers of a node."""
+    """The settings of a node."""
 
     b: PositiveValue | None = Field(
         None, description="the gain b_i of (1), the network's `b` if absent; or `{random: [low, high]}`"
@@ -295,14 +297,14 @@ class Settings(Model):
 
 
 class Node(Settings):
-    """What one node overrides of the defaults; in a resolved file, all of it."""
+    """The settings of one node that override the defaults; in a resolved file, all of its settings."""
 
-    label: Label | None = Field(None, description="a text for people, shown beside the id")
-    position: tuple[Number, Number] | None = Field(None, description="[x, y]: where pictures draw the node")
+    label: Label | None = Field(None, description="a text that is shown beside the id")
+    position: tuple[Number, Number] | None = Field(None, description="[x, y]: the place of the node in pictures")
 
 
 class Defaults(Settings):
-    """What holds for every node that does not say otherwise."""
+    """The settings of every node without its own value."""
 
     FALLBACK: ClassVar[Settings] = Settings(
         a="random", candidates=Drawn(random=5), x0=0.0, nominal=0.5, disturbance=Nothing()
@@ -310,7 +312,7 @@ class Defaults(Settings):
 
 
 def _nodes(value: Any) -> Any:
-    """A list of ids is a mapping that overrides nothing; `2:` alone is `2: {}`."""
+    """Return a list of ids as a mapping without settings; `2:` alone is `2: {}`."""
     if isinstance(value, list | tuple):
         return {node: {} for node in value if isinstance(node, int | str)}
     if isinstance(value, dict):
@@ -328,7 +330,7 @@ def _process_count(value: Any) -> Any:
 
 PROCESSES = ("auto", "per-node")
 PER_NODE = 64
-"""Up to so many nodes each has a process of its own, unless the file says otherwise."""
+"""Up to this number of nodes, each node has its own process by default."""
 Processes = Annotated[
     Annotated[Annotated[StrictInt, Field(ge=1, lt=2**31)], Tag("number")]
     | Annotated[Literal["auto", "per-node"], Tag("word")],
@@ -337,9 +339,9 @@ Processes = Annotated[
 ]
 EVERY_NODE = "all"
 WHOLE = 10_000
-"""Up to so many nodes all have rows, unless the file says otherwise."""
+"""Up to this number of nodes, all nodes have rows by default."""
 SAMPLED = 1_000
-"""Of more nodes, so many have."""
+"""The number of nodes with rows in a larger network."""
 
 
 def _all_nodes(value: Any) -> Any:
@@ -349,7 +351,7 @@ def _all_nodes(value: Any) -> Any:
 
 
 class Record(Model):
-    """What of a run is written down; metrics, checks and the verdict are of all nodes and steps in any case."""
+    """The nodes with rows in telemetry; metrics, checks and the verdict always cover all nodes and steps."""
 
     every: Steps = Field(1, description="N: nodes and edges have rows at every Nth step, and at the last")
     nodes: (
@@ -367,10 +369,10 @@ class Record(Model):
         | None
     ) = Field(
         None,
-        description="which nodes have rows, and with them their edges: a list of ids; so many, evenly spread over the"
-        " order of the file; or `all`. If absent, all of up to 10,000 nodes, and 1000 of more",
+        description="the nodes that have rows, with their edges: a list of ids; a number, evenly spread over the order"
+        " of the file; or `all`. If absent, all of up to 10,000 nodes, and 1000 of more",
     )
-    summary: StrictBool = Field(True, description="one row a step of what is true of the whole network")
+    summary: StrictBool = Field(True, description="one row per step with the facts of the whole network")
 
 
 _FIELD = r"a|b|x0|candidates|disturbance\.[0-9]{1,3}\.[a-z]+"
@@ -382,9 +384,9 @@ def _one_lot(value: Any) -> Any:
 
 
 class GivenLots(Model):
-    """Lots that stand in the file, in place of those that a seed draws; other seeds draw all of theirs."""
+    """Lots in the file, which replace the draws of one seed; other seeds draw all of theirs."""
 
-    seed: Seed = Field(description="the seed in whose draws they hold")
+    seed: Seed = Field(description="the seed of the draws that they replace")
     nodes: dict[
         NodeId,
         dict[
@@ -394,22 +396,20 @@ class GivenLots(Model):
     ] = Field(description="by node and field: a number in [0, 1), of `candidates` a list of them")
 
 
-_ASIDE = {"name", "law", "faults", "backfill", "history", "processes", "secure", "record"}
-"""What of a topology its columns do not depend on."""
+_ASIDE = {"name", "law", "faults", "backfill", "history", "processes", "layout", "secure", "record"}
+"""The keys of a topology that do not affect its columns."""
 
 
 class Topology(Model):
-    """A network: its nodes, edges, law and disturbances, and how long it runs."""
+    """A network: its nodes, edges, law and disturbances, and the number of steps."""
 
     model_config = ConfigDict(json_schema_extra={"anyOf": [{"required": [key]} for key in ("nodes", "graph", "table")]})
 
-    name: Name = Field(description="names the run")
-    b: Positive = Field(description="the gain b of (1), of every node that has no `b` of its own")
+    name: Name = Field(description="the name of the run")
+    b: Positive = Field(description="the gain b of (1), of every node without its own `b`")
     steps: Steps = Field(description="T: inputs act at t = 0 .. T-1, states are recorded at t = 0 .. T")
-    seed: Seed = Field(0, description="all that is random is drawn from it")
-    lots: GivenLots | None = Field(
-        None, description="lots that were drawn before, which keep a network as it was when draws change"
-    )
+    seed: Seed = Field(0, description="the seed of all random values")
+    lots: GivenLots | None = Field(None, description="earlier lots, which preserve a network when the draws change")
     law: Annotated[
         str,
         BeforeValidator(_law),
@@ -432,13 +432,13 @@ class Topology(Model):
         " package.module:Class; with parameters as"
         " `{name: …, key: value}` or `{class: …, key: value}`",
     )
-    defaults: Defaults = Field(Defaults(), description="what holds for every node that does not say otherwise")
+    defaults: Defaults = Field(Defaults(), description="the settings of every node without its own value")
     nodes: Annotated[
         dict[NodeId, Node],
         Field(min_length=1),
-        # Keys in JSON are text, also those that are whole numbers.
+        # JSON has text as keys, also for whole numbers.
         BeforeValidator(_nodes, json_schema_input_type=list[NodeId] | dict[str, Node | None]),
-    ] = Field({}, description="ids, or a mapping from ids to what they override")
+    ] = Field({}, description="ids, or a mapping from ids to their own settings")
     edges: tuple[WrittenEdge, ...] = Field(
         (), description="undirected pairs of node ids, each once; or `{ends: [1, 2], weight: 0.5}`"
     )
@@ -452,47 +452,55 @@ class Topology(Model):
         None, description="a .npz file beside the topology with edges and more, in place of `edges:`"
     )
     table_nodes: NodesBy | None = Field(
-        None, description="how the table names nodes: `positions` or `ids`; for tables that leave it open"
+        None, description="the way the table names nodes: `positions` or `ids`; for ambiguous tables"
     )
     disturbance: (
         Annotated[WorstCase, BeforeValidator(_bare_kind, json_schema_input_type=WorstCase | Literal["worst_case"])]
         | None
     ) = Field(
         None,
-        description="`worst_case`: one disturbance for the whole network, in place of the nodes' own",
+        description="`worst_case`: one disturbance for the whole network, in place of those of the nodes",
     )
-    faults: tuple[Fault, ...] = Field((), description="what goes wrong, and when")
-    backfill: StrictBool = Field(True, description="missing neighbour inputs are fetched when the link is up again")
-    history: Steps = Field(100_000, description="how many past steps are kept for back-filling")
+    faults: tuple[Fault, ...] = Field((), description="the faults, and their steps")
+    backfill: StrictBool = Field(True, description="fetch missing neighbour inputs when the link is up again")
+    history: Steps = Field(100_000, description="the number of past steps stored for back-filling")
     secure: StrictBool = Field(
-        False, description="over Zenoh, every process shows a certificate, and may say and hear what is its own alone"
+        False,
+        description="over Zenoh, every process shows a certificate, and can exchange only its own messages",
     )
     processes: Processes | None = Field(
         None,
-        description="agent processes that share the nodes; or `per-node`; or `auto`, one a core. "
+        description="agent processes that share the nodes; or `per-node`; or `auto`, one per core. "
         "If absent, `per-node` up to 64 nodes and `auto` beyond",
     )
-    record: Record = Field(Record(), description="what of a run is written down, where all of it would be too much")
+    layout: tuple[Annotated[StrictInt, Field(ge=0, lt=2**31)], ...] | None = Field(
+        None,
+        description="the process of each node, from 0, in the order of `nodes:`; a resolved file has it if a fault"
+        " names a process",
+    )
+    record: Record = Field(Record(), description="the part of a large run that is recorded")
     _table: Table | None = PrivateAttr(None)
-    """what stands in the file of `table:`"""
+    """the content of the file of `table:`"""
     _named: frozenset[str] = PrivateAttr(frozenset())
-    """files of samples that may lie outside the topology's folder"""
+    """files of samples that may be outside the topology's folder"""
 
     @cached_property
     def origin_of_law(self) -> str:
-        """Return the place of the law, as the start of a message: `topo.yaml:7: `; empty if it is written nowhere."""
+        """Return the place of the law, as the start of a message: `topo.yaml:7: `; empty if it has none."""
         return ""
 
     @cached_property
     def ids(self) -> Sequence[int | str]:
-        """Node ids in the order of the file, which is the order of every array."""
+        """Return node ids in the order of the file, which is the order of every array."""
         if self.generator is not None:
             return range(self.generator.nodes)
         return tuple(self.nodes) if self._table is None else self._table.ids
 
     @cached_property
     def graph(self) -> Graph:
-        """The graph over positions in `ids`; an edge that leads nowhere raises KeyError (checked on loading)."""
+        """Return the graph over positions in `ids`; raise KeyError for an edge to an unknown node (checked on
+        loading).
+        """
         if self.generator is not None:
             edges = self.generator.edges(self.seed)
             return Graph(self.generator.nodes, edges, self.generator.weights(self.seed, edges))
@@ -505,9 +513,9 @@ class Topology(Model):
 
     @property
     def pairs(self) -> Sequence[Ends]:
-        """The ends of every edge that the file writes, in its order."""
+        """Return the ends of every edge of the file, in its order."""
         if not isinstance(self.edges, tuple):
-            return cast("Sequence[Ends]", self.edges.pairs)  # topologies.nodes.Edges, of a network in columns
+            return cast("Sequence[Ends]", self.edges.pairs)  # topologies.nodes.Edges, for a network in columns
         return [ends_of(edge) for edge in self.edges] if self._weighted else cast("Sequence[Ends]", self.edges)
 
     @property
@@ -519,7 +527,7 @@ class Topology(Model):
         return {node: k for k, node in enumerate(self.ids)}
 
     def position(self, node: int | str) -> int:
-        """Where a node stands in `ids`; KeyError where there is none."""
+        """Return the position of a node in `ids`; raise KeyError if it does not exist."""
         if not isinstance(self.ids, range):
             return self._places[node]
         if not isinstance(node, int) or node not in self.ids:
@@ -527,14 +535,14 @@ class Topology(Model):
         return self.ids.index(node)
 
     def has(self, node: object) -> bool:
-        """Whether there is such a node."""
+        """Return True if the node exists."""
         if isinstance(self.ids, range):
             return isinstance(node, int) and node in self.ids
         return node in self._places
 
     @property
     def process_count(self) -> int:
-        """How many agent processes there are."""
+        """Return the number of agent processes."""
         n = len(self.ids)
         if isinstance(self.processes, int):
             return self.processes
@@ -543,13 +551,18 @@ class Topology(Model):
         return min(n, os.cpu_count() or 1)
 
     @property
+    def parts(self) -> tuple[Index, ...]:
+        """The positions of nodes by process, ascending: the recorded layout, or a partition of the graph."""
+        return parts_of(self.graph, self.process_count, self.layout)
+
+    @property
     def is_drawn(self) -> bool:
         """Return True if all numbers of the network are drawn."""
         return "network" in self.__dict__
 
     @cached_property
     def network(self) -> Network:
-        """The same in columns; of a resolved topology."""
+        """Return a resolved topology in columns."""
         own = self.nodes.values()
         a, x0, nominal = np.array([(node.a, node.x0, node.nominal) for node in own], dtype=float).T.copy()
         return Network(
@@ -568,12 +581,12 @@ class Topology(Model):
 
     @property
     def _gain(self) -> Gain:
-        """The gains of a resolved topology."""
+        """Return the gains of a resolved topology."""
         given = [cast("float | None", node.b) for node in self.nodes.values()]
         return self.b if all(b is None for b in given) else gains([self.b if b is None else b for b in given])
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
-        """A copy with other values, which are not validated; what was computed of the old ones is forgotten."""
+        """Return a copy with other values, without validation; cached results of the old values are dropped."""
         copy = super().model_copy(update=update, deep=deep)
         if not set(update or ()) <= _ASIDE:
             for name in ("ids", "graph", "network", "_places"):
@@ -582,45 +595,45 @@ class Topology(Model):
 
     @property
     def given(self) -> Table | None:
-        """What stands in the file of `table:`."""
+        """Return the content of the file of `table:`, None if there is none."""
         return self._table
 
     @property
     def named_files(self) -> frozenset[str]:
-        """Paths of files of samples that an option or Python names: they may lie outside the topology's folder."""
+        """Return the files of samples that an option or Python names: they may be outside the topology's folder."""
         return self._named
 
     def naming(self, files: Iterable[str]) -> Self:
-        """The same, whose samples may lie in these files wherever they are."""
+        """Return a copy that may read these files of samples anywhere."""
         copy = self.model_copy()
         copy._named = frozenset(files)
         return copy
 
     def with_table(self, table: Table) -> Self:
-        """The same with what the file of `table:` holds."""
-        copy = self.model_copy(update={"table": self.table})
+        """Return a copy with the content of the file of `table:`."""
+        copy = self.model_copy(update={"table": self.table, "layout": self.layout or table.layout})
         copy._table = table
         return copy
 
     def with_origin_of_law(self, origin: str) -> Self:
-        """Return the same with the place where its law is written."""
+        """Return a copy with the place of its law."""
         self.__dict__["origin_of_law"] = origin  # not a private attribute: equal files in two places are equal
         return self
 
     def of_network(self, network: Network) -> Self:
-        """The same, which is known to be this network."""
-        # Gains that are alike are the network's: a file that is written of it says so once.
+        """Return a copy that is resolved to this network."""
+        # Equal gains are stored in the network: its file lists them once.
         copy = self.model_copy(update={"b": network.b} if isinstance(network.b, float) else None)
         copy._table = None
         copy.__dict__.update(ids=network.ids, graph=network.graph, network=network)
         return copy
 
     def settings(self, node: int | str) -> Node:
-        """What holds for `node` by the file itself: its own settings, else the defaults, else the built-in ones."""
+        """Return the settings of `node` in the file: its own, then the defaults, then the built-in ones."""
         return self.behind(self.nodes.get(node, Node()))
 
     def behind(self, own: Node) -> Node:
-        """These settings, and behind them the defaults."""
+        """Return these settings, with gaps filled by the defaults."""
         layers = (own, self.defaults, Defaults.FALLBACK)
         merged = {
             key: next((value for layer in layers if (value := getattr(layer, key)) is not None), None)
@@ -632,6 +645,6 @@ class Topology(Model):
 
 
 def _components(disturbance: Disturbance | None) -> list[dict[str, Any]]:
-    """The disturbances of a node that are summed, as a file spells them."""
+    """Return the disturbances of a node that are summed, as a file spells them."""
     parts = disturbance if isinstance(disturbance, tuple) else (disturbance,)
     return [part.model_dump() for part in parts if part is not None]

@@ -1,8 +1,8 @@
 """YAML text as plain Python values, with the line, the column and the written text of every one of them.
 
-PyYAML parses (libyaml's events, so that depth costs no stack); the values follow the YAML 1.2 core schema,
-where `no` is a name and `1e-05` a number. Files are data from strangers: size, depth and what aliases
-expand to are bounded before anything is built.
+PyYAML parses (libyaml's events, so that depth costs no stack); the values follow the YAML 1.2 core schema, where `no`
+is a name and `1e-05` a number. Files may come from strangers. So size, depth and the expansion of aliases are bounded
+before any value is built.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from hedgerow.topologies.errors import Code, Problem, Problems, TopologyError
 MAX_BYTES = 32 * 2**20
 MAX_DEPTH = 32
 BYTES_PER_VALUE, BYTES_PER_FAULT = 400, 10_000
-"""of memory: of a value with its mark and path, and of a fault with its values and what it means"""
+"""the memory of a value with its mark and path, and of a fault with its values and effects [bytes]"""
 
 Path = tuple[Any, ...]
 
@@ -43,7 +43,7 @@ _MAX_DIGITS = 4000
 
 
 class Mark(NamedTuple):
-    """The place of a value, and its text if that differs from what the value looks like in Python."""
+    """The place of a value, and its text if Python would show it differently."""
 
     line: int
     """from 1; 0 for a value of the command line"""
@@ -52,10 +52,10 @@ class Mark(NamedTuple):
     text: str | None = None
     """a plain scalar as the file has it, such as 12e4"""
     key: str | None = None
-    """likewise, of the key that leads to the value"""
+    """the same for the key of the value"""
     key_column: int = 0
     origin: str = ""
-    """the option of the command line that gave the value, in place of the file"""
+    """the option of the command line that gave the value"""
 
 
 _NOWHERE = Mark(0)
@@ -72,20 +72,20 @@ class Source:
     odd: dict[Path, str] = field(default_factory=dict)
     """whole numbers, values or keys, that are not in their shortest form, such as 007 and 1e3"""
     named: set[str] = field(default_factory=set)
-    """paths of files that an option or Python names: they may lie outside the topology's folder"""
+    """paths of files that an option or Python names: they may be outside the topology's folder"""
 
     def mark(self, path: Path) -> Mark:
-        """Return the mark of `path`, or of the nearest thing above it that has one."""
+        """Return the mark of `path`, or of its nearest ancestor that has one."""
         while path and path not in self.marks:
             path = path[:-1]
         return self.marks.get(path, _NOWHERE)
 
     def line(self, path: Path) -> int:
-        """Return the line of `path`, or of the nearest thing above it that has one; 0 when nothing has."""
+        """Return the line of `path`, or of its nearest ancestor that has one; 0 if none has."""
         return self.mark(path).line
 
     def written(self, path: Path) -> str | None:
-        """Return the text of the value at `path` if it is a plain scalar that Python shows in another form."""
+        """Return the text of the value at `path` if it is a plain scalar that Python shows differently."""
         mark = self.marks.get(path)
         return None if mark is None else mark.text
 
@@ -95,13 +95,13 @@ class Source:
         """Return a mistake at `path`; `place` names it in words, if `place_of` does not."""
         mark = self.mark(path)
         place = place_of(path) if place is None else place
-        # A mistake that is placed above its path is one of the key, not of the value.
+        # A mistake placed above its path is a mistake of the key, not of the value.
         of_key = mark.key_column and path and place == place_of(path[:-1])
         return Problem(mark.line, place, what, cure, code, mark.key_column if of_key else mark.column, mark.origin)
 
 
 def read_source(name: str, text: bytes) -> Source:
-    """Parse YAML; raise TopologyError when it is no YAML at all, keep lesser mistakes in `problems`."""
+    """Parse YAML; raise TopologyError if it is not YAML; collect smaller mistakes in `problems`."""
     source = Source(name)
     try:
         builder = _Builder(source)
@@ -117,7 +117,7 @@ def read_source(name: str, text: bytes) -> Source:
         line = error.problem_mark.line + 1 if error.problem_mark else 0
         column = error.problem_mark.column + 1 if error.problem_mark else 0
         what = " ".join(part for part in (error.context, error.problem) if part)
-        # A parser with a bound of its own stops a little earlier or later than ours: the mistake is the same one.
+        # A parser may have another limit of the depth, a little earlier or later than ours: the mistake is the same.
         if _DEEPER.search(error.problem or "") or _DEEPER.search(error.context or ""):
             _refuse(source, line, *_TOO_DEEP, column)
         _refuse(source, line, f"not YAML: {what}", _layout(text, line), column)
@@ -133,7 +133,7 @@ _COLON = re.compile(rb"\s*(?:- )?[{]?\s*\w+:[^\s:/]")
 
 
 def _layout(text: bytes, line: int) -> str:
-    """Return the likely cure for what a parser could not read."""
+    """Return the likely fix for a text that the parser could not read."""
     near = text.splitlines()[max(line - 2, 0) : line]
     if near and b"\t" in near[-1][: len(near[-1]) - len(near[-1].lstrip())]:
         return "indent with spaces, not tabs"
@@ -143,14 +143,14 @@ def _layout(text: bytes, line: int) -> str:
 
 
 def _refuse(source: Source, line: int, what: str, cure: str, column: int = 0, code: Code = Code.FILE_FORMAT) -> None:
-    # A caller can tell by the code that memory was the reason, whatever else is wrong with the file.
+    # The code shows a caller that memory was the reason, whatever other mistakes the file has.
     others: Iterable[Problem] = [] if code == Code.FILE_TOO_LARGE else source.problems
     raise TopologyError(source.name, [*others, Problem(line, "", what, cure, code, column)]) from None
 
 
 @dataclass
 class _Open:
-    """A collection that is being read: where it is, what it holds, the key that waits for its value."""
+    """A collection that is being read: its place, its content, and the key that waits for its value."""
 
     path: Path
     items: dict[Any, Any] | list[Any]
@@ -171,14 +171,14 @@ class _Open:
 
 
 class _Builder:
-    """Builds the values of a source from YAML events, one after the other; depth lives in `stack`, not on Python's."""
+    """The builder of a source's values from YAML events; its depth is in `stack`, not on Python's stack."""
 
     def __init__(self, source: Source) -> None:
         self.source = source
         self.stack: list[_Open] = []
         self.anchors: dict[str, tuple[Any, int]] = {}
         self.total = 0
-        """values so far, those of aliases counted each time"""
+        """the number of values so far, with those of aliases counted each time"""
         self.most = budget.cap() // BYTES_PER_VALUE
         self.most_faults = budget.cap() // BYTES_PER_FAULT
         self.documents = 0
@@ -205,14 +205,14 @@ class _Builder:
                     self._place(text, 1, Mark(line, column), event.anchor)
                     return
                 value = _scalar(text)
-                # The texts of a large file take memory: keep those that Python would show in another form.
+                # The texts of a large file take memory: store only those that Python would show differently.
                 differs = not isinstance(value, str) and repr(value) != text
                 self._place(value, 1, Mark(line, column, text if differs else None), event.anchor, plain=True)
             case yaml.MappingStartEvent() | yaml.SequenceStartEvent():
                 self._open({} if isinstance(event, yaml.MappingStartEvent) else [], event.anchor, Mark(line, column))
             case yaml.MappingEndEvent() | yaml.SequenceEndEvent():
                 done = self.stack.pop()
-                self.total -= done.size - 1  # its members are counted again with it, once
+                self.total -= done.size - 1  # its members are counted again with the collection, once
                 self._place(done.items, done.size, Mark(line, column), done.anchor)
 
     def _open(self, items: dict[Any, Any] | list[Any], anchor: str | None, mark: Mark) -> None:
@@ -230,7 +230,7 @@ class _Builder:
         self.stack.append(_Open(path, items, anchor))
 
     def _place(self, value: Any, size: int, mark: Mark, anchor: str | None = None, plain: bool = False) -> None:
-        """Put a finished value where it belongs: into the collection that is open, as a key of it, or at the top."""
+        """Put a finished value in its place: into the open collection, as its key, or at the top."""
         self.total += size
         if self.total > self.most:
             what = f"the file expands to more than {self.most:,} values"
@@ -280,7 +280,7 @@ class _Builder:
             _refuse(self.source, mark.line, what, "use a name or a whole number", mark.column)
         path = (*top.path, key)
         if key in top.items:
-            what = f"{key!r} stands here twice (first on line {self.source.marks[path].line})"
+            what = f"{key!r} occurs twice (first on line {self.source.marks[path].line})"
             place, cure = place_of(top.path), "keep one of the two"
             self.source.problems.append(Problem(mark.line, place, what, cure, column=mark.column))
         self.source.marks[path] = Mark(mark.line, mark.column, None, mark.text, mark.column)
@@ -289,7 +289,9 @@ class _Builder:
         top.bare = plain and isinstance(key, str) and bool(_NO_SPACE.match(key))
 
     def _split_key(self, top: _Open) -> None:
-        """Report a key without a space after its colon, and read it as if it had one, so that only this is wrong."""
+        """Report a key without a space after its colon, and read it as if it had one, so that only this mistake is
+        reported.
+        """
         key, _, rest = top.key.partition(":")
         mark = self.source.marks.pop((*top.path, top.key))
         what, cure = f"`{top.key}` has no space after the colon", f"write `{key}: {rest}`"
@@ -303,7 +305,7 @@ _NO_SPACE = re.compile(r"[A-Za-z_]\w*:[^:/]")
 
 
 def _plainly(tag: str) -> str:
-    """Return the cure for a tag."""
+    """Return the fix for a tag."""
     if "numpy" in tag:
         return "write plain numbers and lists (float(x), array.tolist()), with yaml.safe_dump"
     return "write the file with yaml.safe_dump, not yaml.dump" if "python" in tag else "write the plain value"
@@ -325,7 +327,7 @@ def _is_nan(value: Any) -> bool:
 
 
 def place_of(path: Path) -> str:
-    """A path as a person says it: `node 3: disturbance: amplitude`, `edge 2`, `fault 1: steps`."""
+    """Return a path in words: `node 3: disturbance: amplitude`, `edge 2`, `fault 1: steps`."""
     words = [str(step) for step in path]
     if len(path) >= 2 and path[0] == "nodes":
         words[:2] = [f"node {path[1]}"]

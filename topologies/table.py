@@ -1,4 +1,4 @@
-"""Columns of a network in a .npz file: what a resolved file of many nodes leaves to it, or what users bring.
+"""Columns of a network in a .npz file: the numbers of a large resolved file, or of a user.
 
     edges        (E, 2) pairs of positions of nodes, from 0: the only one that must be there
     ids          (n,) whole numbers or texts; 0 .. n-1 if absent
@@ -6,6 +6,7 @@
     a, x0, nominal, b    (n,)
     labels       (n,) texts, empty where a node has none
     positions    (n, 2), NaN where a node has none
+    layout       (n,) the process of each node, from 0
     candidates   (n, M), NaN behind the end of a shorter list
     w PLACE KIND PARAMETER    of a disturbance, for the nodes at the positions in `w PLACE KIND nodes`, or for all of
                               them if that is absent: (k,), the values of samples (k, T)
@@ -13,7 +14,8 @@
 Beside whole-number `ids`, a pair such as [1, 2] can also name ids. If both readings are possible, the table is refused.
 `table_nodes: positions` or `table_nodes: ids` in the topology gives the reading, for `w … nodes` too.
 
-What it has holds for every node that `nodes:` does not change; what it lacks is drawn, or taken from `defaults:`.
+Columns in the table hold for every node that `nodes:` does not change; missing columns are drawn, or taken from
+`defaults:`.
 """
 
 from __future__ import annotations
@@ -35,18 +37,18 @@ from hedgerow.topologies.network import PARAMETERS, Group, Network, gains
 from hedgerow.topologies.samples import beside
 
 NAME = "network.npz"
-"""how a run's folder calls it"""
+"""its name in the folder of a run"""
 NodesBy = Literal["positions", "ids"]
 _NUMBERS = ("a", "x0", "nominal")
-"""columns that a table must have to say all of a network"""
+"""columns that a complete table must have"""
 _GROWTH = {"edges": 12, "ids": 8, "weights": 4, "labels": 2}
-"""bytes of memory for a byte of an array: a graph lists every edge from both ends, and ids become Python objects"""
+"""the memory per byte of an array: a graph lists every edge from both ends, and ids become Python objects"""
 _GROUP = re.compile(r"w ([0-9]{1,3}) (\w+) (\w+)")
 
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """What a table says; None where it says nothing."""
+    """The content of a table; None for missing columns."""
 
     ids: Sequence[int | str]
     edges: Index
@@ -63,9 +65,13 @@ class Table:
     labels: Sequence[str] | None = None
     positions: Array | None = None
     """(n, 2)"""
+    layout: tuple[int, ...] | None = None
+    """the process of each node, (n,)"""
 
     def network(self, b: float) -> Network | None:
-        """The network, if the table says all of it; `b` is that of the file, for a table without gains."""
+        """Return the network if the table is complete, otherwise None; `b` is the gain in the file, for a table without
+        gains.
+        """
         if self.a is None or self.x0 is None or self.nominal is None or self.candidates is None:
             return None
         if self.disturbance is None or self.parts is None:
@@ -85,8 +91,11 @@ class Table:
         )
 
 
-def write(network: Network, path: Path) -> None:
-    """Write all of a network, for `read` to read back to the same bits."""
+def write(network: Network, path: Path, layout: Sequence[int] | None = None) -> None:
+    """Write a complete network, which `read` reads back to the same bits.
+
+    layout: the process of each node, (n,), if it is recorded.
+    """
     arrays: dict[str, Any] = {} if isinstance(network.ids, range) else {"ids": archive.id_array(network.ids)}
     arrays |= {name: getattr(network, name) for name in _NUMBERS}
     arrays |= {"edges": network.graph.edges, "candidates": network.candidates.T, "parts": network.parts}
@@ -98,6 +107,8 @@ def write(network: Network, path: Path) -> None:
         arrays["labels"] = np.array(network.labels, dtype=np.str_)
     if network.positions is not None:
         arrays["positions"] = network.positions
+    if layout is not None:
+        arrays["layout"] = np.array(layout, dtype=np.int32)
     for group in network.disturbance:
         name = f"w {group.number} {group.kind}"
         arrays |= {f"{name} nodes": group.nodes} | {f"{name} {key}": column for key, column in group.values.items()}
@@ -105,7 +116,7 @@ def write(network: Network, path: Path) -> None:
 
 
 def read(file: str, folder: Path, named_by: NodesBy | None = None) -> Table:
-    """Return the table in a file; raise ValueError for what is none, FileRefusedError for one that has two readings."""
+    """Return the table in a file; raise ValueError if it is invalid, FileRefusedError if it has two readings."""
     path = beside(folder, file)
     try:
         _, arrays = archive.read(path, _GROWTH)
@@ -129,6 +140,7 @@ def _table(arrays: archive.Arrays, named_by: NodesBy | None) -> Table:
     labels = _labels(arrays.pop("labels"), n) if "labels" in arrays else None
     positions = _positions(arrays.pop("positions"), n) if "positions" in arrays else None
     candidates = _candidates(arrays.pop("candidates"), n) if "candidates" in arrays else None
+    layout = _whole("layout", arrays.pop("layout"), (n,)) if "layout" in arrays else None
     parts = arrays.pop("parts", None)
     groups = list(_groups(arrays, n))
     if parts is None and groups:
@@ -152,6 +164,7 @@ def _table(arrays: archive.Arrays, named_by: NodesBy | None) -> Table:
         weights=None if weights is None or (weights == 1).all() else weights,
         labels=labels,
         positions=positions,
+        layout=None if layout is None else tuple(layout.tolist()),
     )
 
 
@@ -186,10 +199,10 @@ def _ids(found: NDArray[Any] | None, n: int) -> Sequence[int | str]:
 
 
 def _by_position(arrays: archive.Arrays, ids: Sequence[int | str], named_by: NodesBy | None) -> None:
-    """Turn node ids in `edges` and `w … nodes` into positions, where `table_nodes: ids` says that they are ids.
+    """Turn node ids in `edges` and `w … nodes` into positions, if `table_nodes: ids` marks them as ids.
 
-    Raises FileRefusedError if nothing says so, and both readings are possible. A complete table is one that a
-    run has written, by positions.
+    Raise FileRefusedError without that key if both readings are possible. A complete table was written by a run, with
+    positions.
     """
     complete = all(name in arrays for name in (*_NUMBERS, "candidates", "parts"))
     if isinstance(ids, range) or (named_by is None and complete) or named_by == "positions":
@@ -290,7 +303,7 @@ def _candidates(found: NDArray[Any], n: int) -> Array:
     numbers = np.ascontiguousarray(found.T, dtype=np.float64)
     none = np.isnan(numbers)
     if (np.abs(numbers) > LARGEST).any() or none[0].any() or (none[:-1] & ~none[1:]).any():
-        raise ValueError("`candidates` has a list that is empty, too large, or goes on behind a NaN")
+        raise ValueError("`candidates` has a list that is empty, too large, or continues after a NaN")
     return numbers
 
 
@@ -319,9 +332,9 @@ def _value(name: str, key: str, found: NDArray[Any], k: int) -> NDArray[Any]:
 
 
 def broken(table: Table, b: Gain, steps: int) -> Iterator[tuple[str, str]]:
-    """What of a table breaks condition (3) or another rule: what is wrong, and the cure.
+    """Yield each rule that a table breaks, condition (3) or another one, as the problem and the fix.
 
-    `b` is that of the file, or (n,), the largest of each node if `nodes:` give some their own.
+    `b` is the gain in the file; or (n,), the largest of each node, if `nodes:` give some their own.
     """
     degree = Graph(len(table.ids), table.edges, table.weights).weighted_degree
     for name in ("a", "nominal", "candidates"):

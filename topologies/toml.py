@@ -1,4 +1,4 @@
-"""Settings as TOML, which people can read and every Python can: the form in which a process is told things far away."""
+"""Settings as TOML, which people and every Python can read: the format of the configs of remote processes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _BARE = re.compile(r"[A-Za-z0-9_-]+")
 
 
 def dumps(settings: Mapping[str, Any]) -> str:
-    """`settings` as TOML; numbers come back bit for bit, and what is None is left out.
+    """Return `settings` as TOML; numbers return bit for bit, and None is left out.
 
     Single values come first; a mapping becomes a table, and a list of mappings an array of tables, one level deep.
     """
@@ -34,11 +34,11 @@ def dumps(settings: Mapping[str, Any]) -> str:
 
 
 def loads(text: str, source: str) -> dict[str, Any]:
-    """The settings in a text; UserError, which names its `source`, where it is not TOML."""
+    """Return the settings in a text; raise UserError, which names its `source`, if it is not TOML."""
     budget.require(source, memory(text.encode(errors="replace")) + _parsed(text))
     try:
         return tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # ValueError alone for a whole number of too many digits
+    except (ValueError, RecursionError) as error:  # ValueError alone if a whole number has too many digits
         why = "it is nested too deep" if isinstance(error, RecursionError) else error
         raise UserError(
             f"{source}: is not TOML: {why}; take the file that `orchestrator bundle` wrote", code=Code.FILE_FORMAT
@@ -46,9 +46,9 @@ def loads(text: str, source: str) -> dict[str, Any]:
 
 
 def _parsed(text: str) -> int:
-    """Return the bytes that keys and tables of a text take while it is parsed, at most.
+    """Return an upper bound of the memory for the keys and tables of a text during parsing [bytes].
 
-    A key can be the only one of its table. The parser keeps three collections for each table and each part of a dotted
+    A key can be the only one of its table. The parser has three collections for each table and each part of a dotted
     key, and a tuple of all parts before it.
     """
     dots: list[int] = [head.count(".") for head in _HEAD.findall(text)]
@@ -74,5 +74,5 @@ def _value(value: Any) -> str:
     if _is_list(value):
         return "[" + ", ".join(map(_value, value)) + "]"
     if isinstance(value, float):
-        return repr(value)  # nan and inf are TOML, too
+        return repr(value)  # nan and inf are valid TOML too
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

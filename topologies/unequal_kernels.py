@@ -1,7 +1,8 @@
 """The compiled loops of `hedgerow.topologies.kernels` for gains and edge weights that differ.
 
-They are modules apart, so that a network of equal ones compiles and loads none of these. Each gives, bit for bit, what
-the numpy expression in its docstring gives. `b` is (k,) and `weight` has one number per incidence.
+They are separate modules. So a network with equal gains and weights neither compiles nor loads these loops. Each
+returns, bit for bit, the value of the numpy expression in its docstring. `b` is (k,) and `weight` has one number per
+incidence.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from hedgerow.topologies.kernels import INDEX, READ, READ_ROWS, WRITE, WRITE_ROW
 
 @njit(WRITE(INDEX, INDEX, READ, READ), cache=True)
 def flow(first: Index, other: Index, weight: Array, u: Array) -> Array:
-    """The flow: bincount(node, weight * (u[node] - u[other])); node i has the incidences from first[i] on."""
+    """Return the flow: bincount(node, weight * (u[node] - u[other])); node i has the incidences from first[i] on."""
     flows = np.empty(len(first) - 1)
     for i in range(len(flows)):
         total = 0.0
@@ -27,7 +28,7 @@ def flow(first: Index, other: Index, weight: Array, u: Array) -> Array:
 
 @njit(WRITE(INDEX, INDEX, READ, READ, READ, READ, READ, READ), cache=True)
 def dynamics(first: Index, other: Index, weight: Array, a: Array, b: Array, x: Array, u: Array, w: Array) -> Array:
-    """The state after x: a * x + b * flow(u) + w; equation (1)."""
+    """Return the state after x: a * x + b * flow(u) + w; equation (1)."""
     x_next = np.empty(len(x))
     for i in range(len(x)):
         total = 0.0
@@ -39,7 +40,7 @@ def dynamics(first: Index, other: Index, weight: Array, a: Array, b: Array, x: A
 
 @njit(WRITE(READ, READ, READ), cache=True, error_model="numpy")
 def control(b: Array, x: Array, ahat: Array) -> Array:
-    """The inputs b * x / (ahat - 1); equation (6)."""
+    """Return the inputs b * x / (ahat - 1); equation (6)."""
     u = np.empty(len(x))
     for i in range(len(x)):
         u[i] = b[i] * x[i] / (ahat[i] - 1.0)
@@ -50,7 +51,7 @@ def control(b: Array, x: Array, ahat: Array) -> Array:
 def learn(
     J: Array, candidates: Array, b: Array, x: Array, flow: Array, x_next: Array, ahat: Array, margin: Array
 ) -> None:
-    """Update J and choose anew, as `kernels.learn` does."""
+    """Update J and choose the estimate again, as `kernels.learn` does."""
     M, k = J.shape
     for i in range(k):
         y = x_next[i] - b[i] * flow[i]
@@ -61,7 +62,7 @@ def learn(
             residual = candidate * x[i] - y
             total = J[m, i] + residual * residual
             J[m, i] = total
-            # Without a branch: it goes either way, and would be guessed wrong.
+            # Avoid a branch: the processor would often predict it wrong.
             estimate = candidate if total < least else estimate
             second = min(second, max(total, least))
             least = min(least, total)

@@ -1,1 +1,1 @@
-"""How processes talk: key expressions, the message codec, Zenoh sessions, and how a process begins and ends."""
+"""The communication of the processes: key expressions, the message codec, Zenoh sessions, and process start and end."""

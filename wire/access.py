@@ -1,6 +1,8 @@
-"""Who may say and hear what, and how much: the information structure of the paper, as rules that a router keeps.
+"""The access rules of a secure router: which process may send and receive which messages, and how many.
 
-Everything that is not allowed here is refused (docs/security.md).
+They are the information structure of the paper.
+
+The router refuses everything that these rules do not allow (docs/security.md).
 """
 
 from __future__ import annotations
@@ -14,21 +16,21 @@ OBSERVER, OPERATOR, ROUTER = "observer", "operator", "router"
 
 
 class Place(NamedTuple):
-    """A shard among the others."""
+    """The place of one shard in the network."""
 
     name: str
-    """of its process, and in its certificate"""
+    """the name of its process, which its certificate contains"""
     shard: int
     peers: Sequence[int]
     """the shards with neighbours of its nodes"""
     largest: int = 0
-    """bytes of the largest message that it ever says"""
+    """the size of the largest message that it ever sends [bytes]"""
     incidences: int = 0
     """ends of edges at its nodes"""
 
 
 class Rights(NamedTuple):
-    """What one process may do, by keys of the run."""
+    """The rights of one process, as keys of the run."""
 
     says: Sequence[str] = ()
     hears: Sequence[str] = ()
@@ -41,7 +43,7 @@ class Rights(NamedTuple):
 
 
 def rights(places: Sequence[Place]) -> dict[str, Rights]:
-    """What each process may do, by its name; nobody else may do anything."""
+    """Return the rights of each process, by its name; no other process has any right."""
     shards = [place.shard for place in places]
     agents = {
         name: Rights(
@@ -80,24 +82,30 @@ _MESSAGES: Mapping[str, Mapping[str, Sequence[str]]] = {
     "shows": {IN: ["liveliness_token"]},
     "watches": {IN: ["declare_liveliness_subscriber", "liveliness_query"], OUT: ["liveliness_token"]},
 }
-"""What each right lets into the router from that process, and out to it.
+"""The directions that each right opens in the router: in from that process, and out to it.
 
-Who says something is told that somebody listens, or it would never begin.
+A process that may publish is also informed of its subscribers. Without this, it would wait for a subscriber forever.
 """
 
 
 MOST_PER_S = 20_000.0
-"""Messages that an agent may say on a key in a second. It says one a step, and none before all of the step before are
-there: a loop that were as fast would still be let through."""
+"""The maximum rate of an agent's messages on one key [1/s].
+
+An agent sends one message per step, and only after all messages of the step before arrived. So this limit admits the
+fastest possible loop.
+"""
 MOST_JOINS_PER_S, JOIN_BYTES = 10.0, 4096
-"""How often an agent may ask for its place, which it does twice a second, and at what length: the plant's lock is held,
-and a refusal is told to everybody."""
+"""The maximum rate [1/s] and size [bytes] of an agent's requests to join; an agent asks twice per second.
+
+The plant holds its lock for each request, and every observer receives a refusal. So requests must be few and short.
+"""
 
 
 def rules(places: Sequence[Place], namespace: str, plant_is_client: bool, request_bytes: int = 0) -> dict[str, Any]:
-    """What the router of a secure run is to keep, by its settings: who may say what, how often, and how much at once.
+    """Return the access rules and rate limits of the router of a secure run, as settings of Zenoh.
 
-    Where the plant is the router, nobody comes in by its name; and a command to it has at most `request_bytes`.
+    If the plant is the router, no process may connect under the plant's name, and a command to the plant has at most
+    `request_bytes`.
     """
     granted = rights(places)
     said = [(place, [f"{namespace}/{key}" for key in granted[place.name].says]) for place in places]
@@ -115,7 +123,7 @@ def rules(places: Sequence[Place], namespace: str, plant_is_client: bool, reques
             _large("joins", "query", joins, JOIN_BYTES),
         ],
     }
-    if not plant_is_client:  # or its records and telemetry would come in, too
+    if not plant_is_client:  # otherwise an agent could send records and telemetry too
         settings["transport/link/rx/max_message_size"] = 2 * max(request_bytes, *(place.largest for place in places))
     return settings
 
@@ -130,7 +138,7 @@ def _large(name: str, message: str, said_on: Sequence[str], most_bytes: int) -> 
 
 
 def access_control(granted: Mapping[str, Rights], namespace: str) -> dict[str, Any]:
-    """The same as the `access_control` of a Zenoh router's configuration: by the name in a certificate, else denied."""
+    """Return the same rights as the `access_control` of a Zenoh router, by the name in a certificate; deny the rest."""
     rules = {name: [*_rules(name, some, namespace)] for name, some in granted.items()}
     return {
         "enabled": True,

@@ -11,17 +11,20 @@ from hedgerow.topologies.json_file import memory
 
 MOST_BYTES = 2**28
 MOST_VALUES = 5_000_000
-"""An upper bound of what a text holds, from its commas and brackets, before it is parsed."""
+"""An upper bound of the number of values in a text, from its commas and brackets, before it is parsed."""
 _COPIES = 2
 """the parsed value, and the one that is rebuilt from it"""
 MOST_DEPTH = 8
-"""Ours have at most 5 levels. A deeper text could be parsed here, and overflow the stack where it is written again."""
+"""Our own messages have at most 5 levels.
+
+A deeper text could be parsed here and overflow the stack when it is written again.
+"""
 
 
 def decode(text: bytes, most_bytes: int = MOST_BYTES) -> Any:
     """Return the value in a JSON text; raise ValueError for a text that is broken or beyond a bound.
 
-    Lone surrogates, NaN and infinite numbers are refused: what comes back can be written as JSON and as UTF-8.
+    Lone surrogates, NaN and infinite numbers are refused, so the result can be written as JSON and as UTF-8.
     """
     if len(text) > most_bytes:
         raise ValueError(f"{len(text)} bytes, and at most {most_bytes} are read")

@@ -1,4 +1,4 @@
-"""How a process of a run begins and ends: tied to its parent, with a log, and an error in one line."""
+"""The frame of a process of a run: its tie to the parent, its log, its exit code, and an error in one line."""
 
 from __future__ import annotations
 
@@ -16,13 +16,14 @@ from hedgerow.topologies.escape import echo, escape
 from hedgerow.wire import crash, start
 from hedgerow.wire.limits import limit_reached
 from hedgerow.wire.runtime import let_numbers_overflow
+from hedgerow.wire.stderr_relay import StderrRelay
 
 USER_ERROR = Exit.USER_MISTAKE
-"""The exit code of a process that failed by its user's mistake: to start it again would not help."""
+"""The exit code after a mistake of the user. A restart would not help."""
 ERROR_PREFIX = "error: "
-"""The last line of the log of a process that failed starts so."""
+"""The last line of the log of a failed process starts with this."""
 LINE, TIME = "%(asctime)s.%(msecs)03d %(name)s: %(message)s", "%H:%M:%S"
-"""What a line of a log looks like."""
+"""The format of a line of a log."""
 
 
 class Line(logging.Formatter):
@@ -42,7 +43,7 @@ class Line(logging.Formatter):
 
 _ENDS = (signal.SIGTERM, signal.SIGINT)
 _stop: Callable[[], None] | None = None
-"""what the first of them does, if it is not to end us"""
+"""the action of the first signal, if it must not end this process"""
 
 
 def escape_warnings() -> None:
@@ -52,12 +53,12 @@ def escape_warnings() -> None:
 
 
 def run_child(body: Callable[[], None]) -> NoReturn:
-    """Run `body` as the whole of this process, as `run_alone` does, for as long as its parent lives.
+    """Run `body` as the whole of this process, as `run_alone` does, until its parent ends.
 
     Standard error is the log of this process in the run's folder, so a traceback goes there.
 
-    Standard input is the lifeline: the parent holds its other end open for as long as the process is to live, and
-    even SIGKILL of the parent ends it.
+    Standard input is the lifeline. The parent holds the other end open for as long as the process should run. So even
+    SIGKILL of the parent ends this process.
     """
 
     def whole() -> None:
@@ -70,21 +71,32 @@ def run_child(body: Callable[[], None]) -> NoReturn:
 def run_alone(body: Callable[[], None], logged: bool = False) -> NoReturn:
     """Run `body` as the whole of this process and exit with a code of `Exit`; 70 means a defect of this project.
 
-    `logged` says that standard error is a log: a traceback is written there, and else to a file that the last line
-    names.
+    If `logged`, standard error is a log and receives a traceback; otherwise the traceback goes to a file that the last
+    line names.
 
-    Who is alone, far from `up`, lives until the plant says END, a SIGTERM or a Ctrl-C.
+    A process without a parent runs until the plant sends END, or until a SIGTERM or a Ctrl-C.
     """
     start.begin()
     let_numbers_overflow()
+    # Block these signals in every thread that starts from here on; one thread waits for them. A Python handler would
+    # need the main thread, which may be about to wait and would then miss the signal. Leave an ignored signal out: the
+    # kernel would still deliver it while it is blocked.
+    ends = set(_ENDS) - start.ignored(_ENDS)
+    signal.pthread_sigmask(signal.SIG_BLOCK, ends)
+    with StderrRelay():
+        code = _run(body, logged, ends)
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError, ValueError):  # nobody reads it
+            stream.flush()
+    # Not sys.exit: Zenoh's threads may outlive a session that was not closed, and must not hold the process.
+    os._exit(code)
+
+
+def _run(body: Callable[[], None], logged: bool, ends: Collection[signal.Signals]) -> int:
+    """Run `body` with a log, and return the exit code."""
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(Line())
     logging.basicConfig(handlers=[handler], level=logging.INFO)
-    # Every thread that is made from here on leaves these to the one that waits for them: a handler of Python's would
-    # have to wait for the main thread, and one that is just about to wait itself would not hear of it. A signal that is
-    # ignored is left out: while it is blocked, the kernel would deliver it all the same.
-    ends = set(_ENDS) - start.ignored(_ENDS)
-    signal.pthread_sigmask(signal.SIG_BLOCK, ends)
     code = Exit.VALID
     try:
         if ends:
@@ -92,11 +104,11 @@ def run_alone(body: Callable[[], None], logged: bool = False) -> NoReturn:
         body()
     except HedgerowError as error:
         code = Exit.USER_MISTAKE if isinstance(error, UserError) else Exit.UNKNOWN
-        if logged and error.__cause__ is not None:  # a law raised it: its user needs all of its lines
+        if logged and error.__cause__ is not None:  # a law raised it: its author needs all lines of the traceback
             with contextlib.suppress(Exception):
                 logging.error("the traceback of the error below", exc_info=error.__cause__)
         _say(str(error))
-    except BaseException as error:  # a panic of a Rust library is no Exception
+    except BaseException as error:  # a panic of a Rust library is not an Exception
         if (reached := limit_reached(error)) is not None:
             code = Exit.UNKNOWN
             _say(str(reached))
@@ -106,21 +118,17 @@ def run_alone(body: Callable[[], None], logged: bool = False) -> NoReturn:
                 with contextlib.suppress(Exception):
                     logging.error("unexpected", exc_info=error)
             _say(f"this is a defect of hedgerow: {crash.told(error)}" if logged else crash.report(error))
-    for stream in (sys.stdout, sys.stderr):
-        with contextlib.suppress(OSError, ValueError):  # nobody reads it
-            stream.flush()
-    # Not sys.exit: Zenoh's threads may outlive a session that was not closed, and must not hold the process.
-    os._exit(code)
+    return code
 
 
 def _say(text: str) -> None:
-    with contextlib.suppress(OSError, ValueError):  # nobody reads it
+    with contextlib.suppress(OSError, ValueError):  # standard error has no reader
         echo(f"{ERROR_PREFIX}{text}", error=True)
 
 
 @contextlib.contextmanager
 def stopped_by(stop: Callable[[], None]) -> Iterator[None]:
-    """While the block lasts, the first SIGTERM or Ctrl-C calls `stop`, on a thread of its own; the next ends us."""
+    """Call `stop` on a separate thread at the first SIGTERM or Ctrl-C while the block lasts; exit at the next one."""
     global _stop  # noqa: PLW0603 (a process has one way to end)
     _stop = stop
     try:
@@ -132,7 +140,8 @@ def stopped_by(stop: Callable[[], None]) -> Iterator[None]:
 def _watch_signals(ends: Collection[signal.Signals]) -> None:
     number = signal.sigwait(ends)
     if (stop := _stop) is not None:
-        threading.Thread(target=stop, name="stop", daemon=True).start()  # not here, who must hear the next
+        # A separate thread: this one must receive the next signal.
+        threading.Thread(target=stop, name="stop", daemon=True).start()
         number = signal.sigwait(ends)
     # Flush nothing: a log is written line by line, and a full pipe would block this process.
     os._exit(128 + number)

@@ -1,7 +1,7 @@
 """Every message of the loop, byte for byte (docs/wire.md).
 
-A message is a header and arrays behind it, all little-endian. Both ends know how many nodes and incidences
-they share, so that a length which does not fit is refused here and nowhere else.
+A message is a header and arrays behind it, all little-endian. Both ends know the number of nodes and incidences that
+they share. So this module, and no other, refuses a message of the wrong length.
 """
 
 from __future__ import annotations
@@ -55,9 +55,11 @@ class Kind(IntEnum):
 
 
 class Flag(IntEnum):
-    """Bits of one incidence in a state message; in an input message, what the node took in: OPEN and HEAR.
+    """The flag bits of one incidence in a state message.
 
-    The six bits above these two count, in an input message, the late and back-filled rows that arrived.
+    In an input message, OPEN and HEAR mark the inputs of t - 1 that the node used.
+
+    In an input message, the six bits above these two count the late and back-filled rows that arrived.
     """
 
     OPEN = 1
@@ -71,25 +73,25 @@ class Flag(IntEnum):
 ALL_UP = Flag.OPEN | Flag.HEAR | Flag.TELL
 TAKEN = Flag.OPEN | Flag.HEAR
 LATE, MOST_LATE = 2, 63
-"""the lowest bit of the count of late rows, and the largest count, which also stands for more"""
+"""the lowest bit of the count of late rows; the largest count, which also means any larger number"""
 
-# To look up a member of an enumeration costs as much as to unpack a header, and to call a named tuple's class three
-# times that: the messages of every step do neither.
+# A lookup in an enumeration costs as much as unpacking a header; a call of a named tuple's class costs three times
+# that. So the messages of every step use neither.
 _STATE, _INPUT, _LINK, _TELEMETRY = map(int, (Kind.STATE, Kind.INPUT, Kind.LINK, Kind.TELEMETRY))
 _new = tuple.__new__
 
 
 class MessageError(HedgerowError):
-    """Bytes that are not the message which their key promises."""
+    """Bytes that are not the message that their key requires."""
 
     default_code = Code.MESSAGE
 
 
 class Span(NamedTuple):
-    """The rows that cross the links of one incidence, if they are not only the row of the step.
+    """The rows that cross the links of one incidence, if they are more than the row of the step.
 
-    Over the link from the neighbour, at t - 1: row t - 1 - heard_late and heard_back rows before it; over the link to
-    it, at t: row t - told_late and told_back rows before it.
+    The link from the neighbour delivers at t - 1 the row t - 1 - heard_late and heard_back rows before it. The link to
+    the neighbour delivers at t the row t - told_late and told_back rows before it.
     """
 
     incidence: int
@@ -102,8 +104,8 @@ class Span(NamedTuple):
 class State(NamedTuple):
     """Plant to shard, at t: x (k,), NaN without a reading, and a byte of Flag bits per incidence of the shard (m,).
 
-    Without flags all of them are set, ALL_UP, and there are no spans. A link that is up and has no span carries the row
-    of its own step alone.
+    Without flags, all bits are set (ALL_UP) and there are no spans. A link that is up and has no span carries only the
+    row of the current step.
     """
 
     t: int
@@ -113,7 +115,7 @@ class State(NamedTuple):
 
 
 class Record(NamedTuple):
-    """Plant to shard, before the state of t, the history of the r nodes that come back: states, inputs and open edges.
+    """Plant to shard, before the state of t: the history of the r nodes that rejoin, as states, inputs and open edges.
 
     Steps `first` .. t - 1, S of them: x and u (S, r), NaN where there was none, and which of their incidences' edges
     were open (S, m_r).
@@ -121,7 +123,7 @@ class Record(NamedTuple):
 
     t: int
     back: Mask
-    """True for the shard's nodes that come back, (k,)"""
+    """True for the nodes of the shard that rejoin, (k,)"""
     first: int
     x: Array
     u: Array
@@ -129,8 +131,10 @@ class Record(NamedTuple):
 
 
 class Input(NamedTuple):
-    """Shard to plant, at t: u (k,), NaN where there is none; what its nodes report about themselves, ahat and margin
-    (k,); and the Flag bits of what they took in of t - 1 (m,), none where that is all of it. See `gather`.
+    """Shard to plant, at t: u (k,), ahat and margin (k,), and Flag bits (m,) of the inputs of t - 1 that the nodes
+    used.
+
+    u is NaN where an input is missing. There are no bits if the nodes used every input. See `gather`.
     """
 
     t: int
@@ -141,9 +145,9 @@ class Input(NamedTuple):
 
 
 class Link(NamedTuple):
-    """Shard to shard, at t: x and u of the sender's n nodes with a neighbour there, a row a step from `first` on.
+    """Shard to shard, at t: x and u of the sender's n nodes with a neighbour there, one row per step from `first` on.
 
-    Most often that is the row of t alone; see `gather`.
+    This is usually the row of t alone; see `gather`.
     """
 
     t: int
@@ -155,8 +159,8 @@ class Link(NamedTuple):
 class Telemetry(NamedTuple):
     """Plant to observer, at t: x, u, w (n,), report (REPORT_ROWS, n), edges open (E,), links up (2E,).
 
-    u is NaN where no input came, the report where nobody was there. `took` (2E,), of step t - 1, is what the nodes
-    themselves say that they took in, in Flag bits.
+    u is NaN where no input arrived, and the report is NaN where the node was absent. `took` (2E,) has the Flag bits of
+    the inputs of t - 1 that the nodes report as used.
     """
 
     t: int
@@ -170,21 +174,21 @@ class Telemetry(NamedTuple):
 
 
 class Trips(NamedTuple):
-    """Plant to observer: how long each of P shards took to answer [s], from step t on, (S, P); NaN for no answer."""
+    """Plant to observer: the answer times of P shards [s], from step t on, (S, P); NaN for no answer."""
 
     t: int
     seconds: Array
 
 
 class End(NamedTuple):
-    """Plant to everybody, after the last step: the final state (n,), and no more comes."""
+    """Plant to all processes, after the last step: the final state (n,). No message follows."""
 
     t: int
     x: Array
     elapsed_s: float
-    """time from the first state sent to the last input taken, by the plant's clock"""
+    """the time from the first state sent to the last input received, by the plant's clock"""
     forgotten: int = 0
-    """rows of neighbours' inputs that fell off the history before they could be back-filled"""
+    """the number of rows of neighbours' inputs that the history dropped before they could be back-filled"""
 
 
 def _pack(kind: int, n: int, t: int, *arrays: Buffer) -> bytes:
@@ -200,14 +204,15 @@ def _count(doubles: Buffer) -> int:
 
 
 def join(parts: Iterable[Buffer]) -> bytes:
-    """Return all parts, concatenated."""
+    """Return the concatenation of all parts."""
     return b"".join(parts)  # type: ignore[arg-type]  # arrays are buffers
 
 
 def gather(parts: Iterable[Buffer]) -> Array:
     """Return the doubles of several messages as one array.
 
-    They stay bytes until all of a step are here: one look at many costs what a look at each would.
+    The messages stay bytes until all of a step are here: one conversion of many costs as much as one conversion of
+    each.
     """
     return np.frombuffer(join(parts), _F8)
 
@@ -250,7 +255,7 @@ def encode_state(t: int, x: Buffer, flags: Buffer, spans: Sequence[Span] = ()) -
 
 
 def encode_quiet_states(t: int, x: Array, sizes: Iterable[int]) -> list[bytes]:
-    """Return the State messages of all shards, of so many nodes each, that are told nothing but their part of x."""
+    """Return the State messages of all shards, of `sizes` nodes each; each carries x alone, and all flags are set."""
     whole, pack, start, messages = x.tobytes(), _HEADER.pack, 0, list[bytes]()
     for k in sizes:
         stop = start + 8 * k
@@ -334,9 +339,9 @@ def decode_link(message: bytes, n: int) -> Link:
 
 
 def encode_telemetry(row: Telemetry, whole: bool = False) -> tuple[Buffer, ...]:
-    """A Telemetry message, in parts: it is long, and goes out in a batch.
+    """Return a Telemetry message in parts, because it is long and is sent in a batch.
 
-    `whole` says that all edges are open, all links up and all is taken in, which is left out.
+    If `whole`, all edges are open, all links are up and every input was used; the message then has no flags.
     """
     t, x, u, w, report, *bits = row
     return (_HEADER.pack(VERSION, _TELEMETRY, 0, len(x), t), x, u, w, report, *(() if whole else bits))
@@ -359,7 +364,7 @@ def decode_telemetry(message: bytes, n: int, e: int) -> Telemetry:
 
 @cache
 def _whole(e: int) -> tuple[Flags, Flags, Flags]:
-    """Return the flags of a step where all e edges are open, all links are up and everything is taken in."""
+    """Return the flags of a step in which all e edges are open, all links are up and every input was used."""
     edge_open, link_up, took = (np.broadcast_to(np.uint8(bit), c) for bit, c in ((1, e), (1, 2 * e), (TAKEN, 2 * e)))
     return edge_open, link_up, took
 
@@ -394,7 +399,7 @@ def telemetry_bytes(n: int, e: int) -> int:
 
 
 def encode_batch(number: int, messages: Iterable[Sequence[Buffer]]) -> bytes:
-    """Messages that go from plant to observer together, each in its parts."""
+    """Return a batch of messages from plant to observer, each in its parts."""
     parts: list[Buffer] = [_STEP.pack(number)]
     for message in messages:
         parts += (_STEP.pack(sum(map(_length, message))), *message)
@@ -402,7 +407,7 @@ def encode_batch(number: int, messages: Iterable[Sequence[Buffer]]) -> bytes:
 
 
 def decode_batch(whole: bytes) -> tuple[int, list[bytes]]:
-    """The number of a batch, and its messages, one or more."""
+    """Return the number of a batch, and its messages, one or more."""
     stop, messages = _STEP.size, list[bytes]()
     while (start := stop + _STEP.size) <= len(whole):
         (size,) = _STEP.unpack_from(whole, stop)
@@ -416,17 +421,17 @@ def decode_batch(whole: bytes) -> tuple[int, list[bytes]]:
 
 
 def encode_seen(number: int) -> bytes:
-    """Observer to plant: all up to this number is taken in."""
+    """Return the message from observer to plant that it received every batch up to this number."""
     return _pack(Kind.SEEN, 0, number)
 
 
 def decode_seen(message: bytes) -> int:
-    """The number in a `seen` message."""
+    """Return the number in a `seen` message."""
     return _open(message, Kind.SEEN, 0, 0)
 
 
 def encode_event(t: int, event: Mapping[str, Any]) -> bytes:
-    """Plant to observer, between the rows of telemetry: something that happened at step t.
+    """Return a message from plant to observer about an event at step t; it travels between the rows of telemetry.
 
     Raises MessageError for an event that JSON cannot hold.
     """
@@ -437,7 +442,7 @@ def encode_event(t: int, event: Mapping[str, Any]) -> bytes:
 
 
 def decode_event(message: bytes, most_bytes: int = bounded_json.MOST_BYTES) -> dict[str, Any]:
-    """Return the event in a message with its `step`, rebuilt from plain types; raise MessageError for none."""
+    """Return the event in a message with its `step`, rebuilt from plain types; raise MessageError otherwise."""
     t = _open(message, Kind.EVENT, 0, max(0, len(message) - _SIZE))
     try:
         event: dict[str, Any] = bounded_json.decode(message[_SIZE:], most_bytes)

@@ -1,4 +1,4 @@
-"""What a process that nobody forked is told: one TOML text, in a file or in an environment variable."""
+"""The config of a process that is started separately: one TOML text, in a file or in an environment variable."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.regular_file import read_regular
 
 FILE = "told.toml"
-"""Its name in a folder of the process's own."""
+"""The name of the file in the folder of the process."""
 VARIABLE = "HEDGEROW_CONFIG"
 """The environment variable that holds the text itself, for containers."""
 
 
 @dataclass(frozen=True)
 class Config:
-    """Where a process belongs, and what it is told."""
+    """The place of one process in a run, and its part of the network."""
 
     process: str
     """`plant`, `agent-3` or `shard-0`"""
@@ -32,16 +32,16 @@ class Config:
     told: dict[str, Any]
     """hedgerow.agents.view.View or plant.truth.Truth, as its `to_dict` writes it"""
     credentials: str = ""
-    """the folder of its keys, from that of the text, where the network is secure"""
+    """the folder of its keys, relative to the text, if the network is secure"""
 
     def to_toml(self) -> str:
-        """The text that `parse` reads."""
+        """Return the text that `parse` reads."""
         head = {key: value for key, value in asdict(self).items() if key != "told" and value}
         return toml.dumps(head | self.told)
 
     @classmethod
     def parse(cls, text: str, source: str) -> Config:
-        """The config in a text; UserError, which names its `source`, where something is missing."""
+        """Return the config in a text; raise UserError, which names `source`, if something is missing."""
         told = toml.loads(text, source)
         head = {key: told.pop(key, None) for key in ("process", "namespace", "router", "network")}
         missing = [key for key, value in head.items() if not isinstance(value, str)]
@@ -54,7 +54,7 @@ class Config:
 
 
 def find(path: Path | None, otherwise: str) -> Config:
-    """The config in a file, else in the environment, else in the file `otherwise`; UserError if there is none."""
+    """Return the config from a file, the environment, or the file `otherwise`; raise UserError if there is none."""
     if path is None and (text := os.environ.get(VARIABLE)):
         return Config.parse(text, VARIABLE)
     path = _file(path or Path(otherwise))
@@ -63,12 +63,15 @@ def find(path: Path | None, otherwise: str) -> Config:
     except (OSError, UnicodeDecodeError) as error:
         why = getattr(error, "strerror", None) or "is not a text"
         raise UserError(
-            f"{path}: {why}; `orchestrator bundle` writes it, --config says where it is", code=Code.FILE_UNREADABLE
+            f"{path}: {why}; `orchestrator bundle` writes it, and --config gives its path", code=Code.FILE_UNREADABLE
         ) from None
     return replace(config, credentials=config.credentials and str(path.parent / config.credentials))
 
 
 def _file(path: Path) -> Path:
-    """In a secure network each has a folder, with its keys: NAME and NAME.toml stand for NAME/told.toml."""
+    """Return the file of a config.
+
+    In a secure network each process has a folder with its keys, where NAME and NAME.toml are NAME/`FILE`.
+    """
     folder = path.with_suffix("") if path.suffix == ".toml" and not path.exists() else path
     return folder / FILE if folder.is_dir() else path

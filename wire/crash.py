@@ -10,7 +10,7 @@ from pathlib import Path
 
 
 def told(error: BaseException) -> str:
-    """Return one line about an exception that nobody expected."""
+    """Return one line about an unexpected exception."""
     words = " ".join(str(error).split())
     return f"{type(error).__name__}: {words[:200]}" if words else type(error).__name__
 

@@ -1,4 +1,4 @@
-"""What a process shows to a secure router, and whom it believes: a certificate, its private key and the authority's."""
+"""The credentials of a process in a secure network: its certificate and key, and the certificate of the authority."""
 
 from __future__ import annotations
 
@@ -14,25 +14,28 @@ from hedgerow.topologies.regular_file import open_regular
 
 LOG = logging.getLogger("keys")
 PRIVATE_KEY, CERTIFICATE, CA = "key.pem", "cert.pem", "ca.pem"
-"""Their files in a folder of the process's own."""
+"""The names of their files in the folder of the process."""
 MOST_BYTES = 2**14
-"""What is longer is none of them."""
+"""A longer file is not one of the three."""
 _BOTH_ENDS = {"enable_mtls": True, "verify_name_on_connect": True}
 
 
 @dataclass(frozen=True)
 class Credentials:
-    """The three, as PEM texts that stand in memory alone."""
+    """The three credentials as PEM texts, in memory only."""
 
     of: str
-    """where they were read, or for whom they were made; for people"""
+    """the folder that they were read from, or the name of their owner; for messages"""
     authority: bytes
     certificate: bytes
     private_key: bytes = field(repr=False)
 
     @classmethod
     def read(cls, folder: Path) -> Credentials:
-        """Those in a folder; UserError where one is missing or too long. Says if all may read the private key."""
+        """Return the credentials in a folder; raise UserError if one is missing or too long.
+
+        Print a warning if every user of the machine may read the private key.
+        """
 
         def text(name: str) -> bytes:
             try:
@@ -46,13 +49,13 @@ class Credentials:
                     f"no keys in {folder}: {name}: it is longer than {MOST_BYTES} bytes", code=Code.FILE_FORMAT
                 )
             if for_all and name == PRIVATE_KEY:
-                LOG.warning("%s: everybody here may read it, and speak for its owner; chmod 600", folder / name)
+                LOG.warning("%s: every user of this machine can read it; use chmod 600", folder / name)
             return found
 
         return cls(str(folder), text(CA), text(CERTIFICATE), text(PRIVATE_KEY))
 
     def tls(self) -> dict[str, object]:
-        """Settings of a link of Zenoh's at whose other end is a router of the same authority."""
+        """Return the Zenoh settings of a link to a router of the same authority."""
         return {
             "root_ca_certificate_base64": _inline(self.authority),
             "connect_private_key_base64": _inline(self.private_key),
@@ -62,7 +65,7 @@ class Credentials:
 
 
 def router_tls(folder: Path) -> dict[str, object]:
-    """Settings of the links of the router whose credentials lie in `folder`."""
+    """Return the Zenoh settings of the links of a router that has its credentials in `folder`."""
     return {
         "root_ca_certificate": str(folder / CA),
         "listen_private_key": str(folder / PRIVATE_KEY),

@@ -1,4 +1,4 @@
-"""Who may take part: the same message format, the same release, the same network, and nobody twice."""
+"""The conditions to take part: the same message format, the same release, the same network, and only one plant."""
 
 from __future__ import annotations
 
@@ -20,12 +20,15 @@ LOOK_AGAIN_S = 0.5
 
 
 def introduction(network: str) -> dict[str, Any]:
-    """What a process says of itself: the format it speaks, its release, and the fingerprint of its network."""
+    """Return the introduction of a process: its message format, its release, and the fingerprint of its network."""
     return {"codec": VERSION, "hedgerow": release("hedgerow"), "network": network}
 
 
 def mismatch(network: str, theirs: Mapping[str, Any]) -> str | None:
-    """Why we and somebody who said `theirs` cannot work together, None if we can; both sides are named."""
+    """Return the reason why we and a process with the introduction `theirs` cannot work together, None if we can.
+
+    The reason names both sides.
+    """
     ours = introduction(network)
     words = {"codec": "message format", "hedgerow": "hedgerow", "network": "network"}
     different = [
@@ -46,11 +49,12 @@ def mismatch(network: str, theirs: Mapping[str, Any]) -> str | None:
 def room(
     session: zenoh.Session, namespace: str, say: Callable[[str], object], stopped: Callable[[], bool] = lambda: False
 ) -> Iterator[None]:
-    """Have the namespace for one plant while the block lasts, once nobody else has; or begin it when `stopped()`.
+    """Hold the namespace for one plant while the block lasts; wait for any other plant, or until `stopped()`.
 
-    UserError where another stays for longer than the token of a dead plant. Two plants in one namespace would end each
-    other's networks. So a new plant shows a token, looks again, and goes on if it is alone. One that
-    sees a smaller number withdraws: of two who see each other one is left, and one who began unseen is never disturbed.
+    Raise UserError if another plant stays for longer than the token of a dead plant. Two plants in one namespace would
+    end each other's networks. So a new plant shows a token, checks again, and starts if it is the only one. A plant
+    that sees a smaller number withdraws its token. So one of two new plants remains, and a plant that has started is
+    never disturbed.
     """
     ours, shown = keys.alive(keys.ROOM, f"{secrets.randbelow(10**10):010d}"), None
     there, by, said = f"a plant is there already at {namespace}", time.monotonic() + LEASE_S, False
@@ -62,7 +66,7 @@ def room(
             if not others:
                 shown = session.liveliness().declare_token(ours)
                 continue
-            if shown is not None and min(others) < ours:  # a plant's token, too
+            if shown is not None and min(others) < ours:  # this includes the token of a plant
                 shown.undeclare()  # type: ignore[no-untyped-call]
                 shown = None
             if time.monotonic() > by:
@@ -79,6 +83,6 @@ def room(
 
 
 def _there(session: zenoh.Session) -> set[str]:
-    """The tokens of plants that are there, and of who is to begin one."""
+    """Return the tokens of the plants that run and of those that are about to start."""
     looked = (session.liveliness().get(keys.alive(name, "*")) for name in (keys.PLANT, keys.ROOM))
     return {str(reply.ok.key_expr) for replies in looked for reply in replies if reply.ok is not None}

@@ -1,4 +1,4 @@
-"""What an end of the wire remembers: the last rows of states, of inputs and of what was open; bounded."""
+"""The bounded history of one end of a connection: the last rows of states, inputs and flag bits."""
 
 from __future__ import annotations
 
@@ -11,32 +11,36 @@ from numpy.typing import NDArray
 from hedgerow.wire.codec import Array, Flags
 
 ASIDE = 64
-"""how many short rows are laid aside at most"""
+"""The maximum number of short rows in the queue."""
 LONG = 4096
-"""numbers in a row that is long: to lay it aside is to keep what is there anyway"""
+"""The length from which a row counts as long.
+
+A long row costs no extra memory in the queue, because its arrays exist anyway.
+"""
 
 
 class History:
-    """Rows of consecutive steps, `first` .. `next` - 1, of which the oldest fall off past `most`.
+    """The last rows of consecutive steps, `first` to `next` - 1; the oldest drop out when there are more than `most`.
 
-    Room is made by doubling up to twice `most`, then by moving the last rows to the front: an append costs the same
-    at any length, and any span of steps is one slice. But first a row is laid aside, until there are some or, if it is
-    long, until somebody looks: most runs never do. So what is appended must not change afterwards.
+    The arrays double up to a length of 2 `most`; then the last rows move to the front. So an append has the same cost
+    at any length, and any span of steps is one slice. A new row waits in a queue first. The queue is written to the
+    arrays when it is full or, for long rows, when a reader asks; most runs have no reader. So an appended row must not
+    change afterwards.
     """
 
     def __init__(self, most: int, states: int, inputs: int, bits: int) -> None:
         self.most = most
         self.first = self.next = 0
         self._at = 0
-        """where `first` stands"""
+        """the position of `first` in the arrays"""
         self._x, self._u = np.empty((0, states)), np.empty((0, inputs))
         self._bits = np.empty((0, bits), dtype=np.uint8)
         self._background: deque[tuple[Array | Sequence[float], Array | Sequence[float], Flags]] = deque()
-        """the last rows, which do not stand in the arrays yet"""
+        """the last rows, which are not in the arrays yet"""
         self._patience = min(ASIDE, most) if states + inputs < LONG else most + 1
 
     def append(self, x: Array | Sequence[float], u: Array | Sequence[float], bits: Flags) -> None:
-        """The row of step `next`; nothing is kept where `most` is 0."""
+        """Append the row of step `next`; store nothing if `most` is 0."""
         if not self.most:
             return
         self._background.append((x, u, bits))
@@ -51,10 +55,10 @@ class History:
             self._settle()
 
     def _settle(self) -> None:
-        """Put what was laid aside where it belongs."""
+        """Write the queued rows to the arrays."""
         if not (new := len(self._background)):
             return
-        rows = self.next - self.first - new  # of those in the arrays, the oldest may have fallen off already
+        rows = self.next - self.first - new  # of the rows in the arrays, the oldest may have dropped out
         if self._at + rows + new > len(self._x):
             self._make_room(rows, new)
         end = slice(self._at + rows, self._at + rows + new)
@@ -71,7 +75,7 @@ class History:
         self._at = 0
 
     def begin_at(self, first: int, after: int) -> None:
-        """Start anew, with rows `first` .. `after` - 1 of which nothing is known yet."""
+        """Restart the history with rows `first` to `after` - 1, which are unknown (NaN, no bits)."""
         self.first = self.next = first
         self._at = 0
         self._background.clear()
@@ -86,16 +90,16 @@ class History:
         return slice(self._at + begin, self._at + end)
 
     def x(self, start: int, stop: int) -> Array:
-        """The states of steps start .. stop - 1, as far as they are here, (S, states); a view."""
+        """Return the states of steps start to stop - 1, as far as they are stored, (S, states); a view."""
         span = self._span(start, stop)
         return self._x[span]
 
     def u(self, start: int, stop: int) -> Array:
-        """The inputs, likewise, (S, inputs)."""
+        """Return the inputs of the same steps, (S, inputs)."""
         span = self._span(start, stop)
         return self._u[span]
 
     def bits(self, start: int, stop: int) -> Flags:
-        """The bits, likewise, (S, bits)."""
+        """Return the flag bits of the same steps, (S, bits)."""
         span = self._span(start, stop)
         return self._bits[span]

@@ -1,4 +1,4 @@
-"""The limits of the machine: recognise the one that was reached, and name its cure."""
+"""The limits of the machine: find the one that was reached, and name the fix."""
 
 from __future__ import annotations
 
@@ -58,12 +58,12 @@ _BY_WORDS = (
 
 
 def limit_in(words: str) -> str | None:
-    """Return which limit of the machine some library's words are about, with the cure; None if they name none."""
+    """Return the limit of the machine that a library's message is about, with the fix; None if it names none."""
     return next((str(limit) for pattern, limit in _BY_WORDS if pattern.search(words)), None)
 
 
 def limit_reached(error: BaseException) -> HedgerowError | None:
-    """Return the limit of the machine that an exception, or a cause of it, is about; None if there is none."""
+    """Return the limit of the machine that an exception, or one of its causes, is about; None if there is none."""
     for one in _causes(error):
         if isinstance(one, HedgerowError):
             continue
@@ -73,7 +73,7 @@ def limit_reached(error: BaseException) -> HedgerowError | None:
         elif isinstance(one, OSError) and one.errno is not None:
             found = str(_BY_NUMBER[one.errno]) if one.errno in _BY_NUMBER else None
         elif isinstance(one, ImportError | RuntimeError) or not isinstance(one, Exception):
-            found = limit_in(str(one))  # a panic of a Rust library is no Exception
+            found = limit_in(str(one))  # a panic of a Rust library is not an Exception
         if found is not None:
             return HedgerowError(found, code=Code.LIMIT)
     return None

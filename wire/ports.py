@@ -1,4 +1,4 @@
-"""TCP ports that nobody uses."""
+"""Free TCP ports."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ LOOPBACK = "127.0.0.1"
 
 
 def free_port(host: str = LOOPBACK) -> int:
-    """A TCP port that nobody uses at `host`, an address of this machine, and that nobody is given there for a minute.
+    """Return a free TCP port at `host`, an address of this machine; no other program receives it for a minute.
 
     Raises HedgerowError if that interface is down, as the loopback of a new network namespace is.
 
-    A connection that was closed on it keeps it out of the kernel's choice at that address (TIME_WAIT); who asks for it
-    by its number gets it.
+    A closed connection on the port removes it from the kernel's choice at that address (TIME_WAIT). A program that asks
+    for the port by its number still receives it.
     """
     try:
         with socket.create_server((host, 0)) as listener:

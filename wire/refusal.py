@@ -1,4 +1,7 @@
-"""Why a router and a process do not take each other's certificates: Zenoh says only that nobody is there."""
+"""The reason why a router and a process refuse each other's certificates.
+
+Zenoh reports only that there is no router.
+"""
 
 from __future__ import annotations
 
@@ -14,13 +17,13 @@ import zenoh
 from hedgerow.wire.credentials import Credentials
 
 CONNECT_S, ANSWER_S = 2.0, 1.0
-"""How long a router may take to be reached; and to refuse us, once it has our certificate."""
+"""The time limits to reach a router, and to wait for its refusal after it has our certificate."""
 _WORDS = {
     "expired": "it has expired",
     "unknown ca": "it is of another authority",
     "unknownca": "it is of another authority",
     "unknownissuer": "it is of another authority",
-    "decrypt": "it is of another authority",  # of the same name, with another key
+    "decrypt": "it is of another authority",  # an authority of the same name, with another key
     "badsignature": "it is of another authority",
     "signature failure": "it is of another authority",
     "self-signed": "it is of another authority",
@@ -36,13 +39,15 @@ _LOGGED = re.compile(r"zenoh_link_tls\S*: (?P<why>.+)")
 
 
 def address(endpoint: str) -> tuple[str, int]:
-    """Host and port of a Zenoh endpoint; ValueError where it has none."""
+    """Return host and port of a Zenoh endpoint; raise ValueError if it has none."""
     host, _, port = endpoint.partition("/")[2].partition("?")[0].rpartition(":")
     return host.strip("[]"), int(port)
 
 
 def refusal(endpoint: str, credentials: Credentials) -> str | None:
-    """Why we and the router at `endpoint` refuse each other; None if we do not, or if nobody is there."""
+    """Return the reason why we and the router at `endpoint` refuse each other; None if they do not, or without a
+    router.
+    """
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     try:
         context.load_verify_locations(cadata=credentials.authority.decode(errors="replace"))
@@ -56,7 +61,7 @@ def refusal(endpoint: str, credentials: Credentials) -> str | None:
             socket.create_connection((host, port), CONNECT_S) as plain,
             context.wrap_socket(plain, server_hostname=host) as link,
         ):
-            # Our certificate is judged once we believe to be connected.
+            # The router checks our certificate after our side counts as connected.
             link.settimeout(ANSWER_S)
             link.recv(1)
     except ssl.SSLCertVerificationError as error:
@@ -65,15 +70,18 @@ def refusal(endpoint: str, credentials: Credentials) -> str | None:
         if "ALERT" in (error.reason or ""):
             return f"the router at {endpoint} refuses the certificate in {credentials.of}: {_words(error.reason)}"
         if error.reason == "WRONG_VERSION_NUMBER":
-            return f"who listens at {endpoint} does not speak TLS"
+            return f"the program at {endpoint} does not speak TLS"
     except (OSError, ValueError):
-        pass  # nobody is there; or it waits for us to say something
+        pass  # there is no router, or it waits for our first message
     return None
 
 
 @contextlib.contextmanager
 def _readable(text: bytes) -> Iterator[str]:
-    """A path for who reads files alone; the text, shorter than a pipe, is in no file that could be left."""
+    """Provide a path to a text for libraries that only read files.
+
+    The text is in a pipe, so no file of it can remain.
+    """
     out, into = os.pipe()
     try:
         with open(into, "wb") as pipe:
@@ -84,7 +92,7 @@ def _readable(text: bytes) -> Iterator[str]:
 
 
 def log_refusals() -> None:
-    """Have Zenoh write to the log who a router of ours refuses, one line each; `refused` reads them."""
+    """Make Zenoh log each client that a router of ours refuses, in one line each; `refused` reads these lines."""
     os.environ.setdefault("NO_COLOR", "1")
     rules = f"{os.environ.get('RUST_LOG', 'off')},zenoh_link_tls=warn"
     os.environ["RUST_LOG"] = rules
@@ -92,18 +100,18 @@ def log_refusals() -> None:
 
 
 def refused(line: str) -> str | None:
-    """What a line of the log says about somebody whom our router refused, or who refused it; None for other lines."""
+    """Return the refusal in a line of the log, by our router or of our certificate; None for other lines."""
     found = _LOGGED.search(line)
     if found is None:
         return None
     why = found["why"]
-    if "handshake eof" in why:  # a port scan, say: there was no certificate to refuse
-        return "somebody connected and left without a handshake"
-    who = "somebody refused our certificate" if "alert" in why else "somebody's certificate was refused"
+    if "handshake eof" in why:  # for example a port scan: it showed no certificate
+        return "a client connected and left without a handshake"
+    who = "a client refused our certificate" if "alert" in why else "our router refused a certificate"
     return f"{who}: {_words(why)}"
 
 
 def _words(reason: str) -> str:
-    """A library's reason in words of ours."""
+    """Return a library's reason in our words."""
     plain = reason.lower().replace("_", " ")
     return next((words for sign, words in _WORDS.items() if sign in plain), plain)

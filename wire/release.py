@@ -8,7 +8,7 @@ from importlib.metadata import PackageNotFoundError, version
 UNKNOWN = "unknown"
 
 
-@cache  # it is looked up on the disk
+@cache  # the look-up reads the disk
 def release(package: str) -> str:
     """Return the release of a package; `unknown` without metadata, as in a frozen program or a copied folder."""
     try:

@@ -1,4 +1,4 @@
-"""How a process of a run is set up: the environment of its libraries, and its place among other processes."""
+"""The setup of a process of a run: the environment of its libraries, and its scheduling."""
 
 from __future__ import annotations
 
@@ -10,29 +10,29 @@ import warnings
 from collections.abc import Mapping
 
 LONG_BYTES = 2**14
-"""A message so long is more than Zenoh takes at once: what waits to be sent has room for a few of 64 kB."""
+"""The size of a long message. The send buffer of Zenoh holds a few messages of 64 kB."""
 _M_TRIM_THRESHOLD, _M_MMAP_MAX, _M_ARENA_MAX = -1, -4, -8
 _RUNTIME = "ZENOH_RUNTIME"
 _KEPT = threading.local()
-"""Python forgets it with the rest of what it knows of a thread."""
+"""Python drops this with its other data about the thread."""
 _DUTIES = ("rx", "tx", "app", "net", "acc")
 
 
 def runtime_environment() -> dict[str, str]:
-    """What to set in the environment of a process before it loads Zenoh and numpy.
+    """Return the environment variables that a process sets before it loads Zenoh and numpy.
 
-    Many processes share few cores (docs/performance.md): Zenoh has one thread for each duty of its runtime, and
-    linear algebra, of which agents and plant do none, has no threads; a process that forks must have none.
+    Many processes share few cores (docs/performance.md). So Zenoh has one thread for each duty of its runtime. Linear
+    algebra has no threads: agents and plant do not use it, and a process that forks must have none.
     """
     return {"OPENBLAS_NUM_THREADS": "1", _RUNTIME: _threads(dict.fromkeys(_DUTIES, "worker_threads: 1"))}
 
 
 def one_network_thread() -> None:
-    """Have Zenoh do all its duties in one thread, in a process that has not loaded it yet or not used it.
+    """Make Zenoh do all its work on one thread, in a process that has not used it yet.
 
-    To hear and to answer wakes up one thread then, not three. But who waits on that thread until what it says is on its
-    way waits for itself: what is long must be said by another, and a router, which has to pass on what is long, cannot
-    live so.
+    A received message and its answer then wake up one thread, not three. But a call on that thread that waits for its
+    own message to leave waits forever. So another thread must send what is long, and a router, which forwards long
+    messages, cannot use this.
     """
     os.environ[_RUNTIME] = _threads(dict.fromkeys(_DUTIES, "handover: app") | {"app": "worker_threads: 1"})
 
@@ -42,29 +42,29 @@ def _threads(duties: Mapping[str, str]) -> str:
 
 
 def share_the_cores() -> None:
-    """Ask the kernel not to interrupt others when we wake up, where it can be asked (Linux).
+    """Ask the kernel, on Linux, not to interrupt other processes when this one wakes up.
 
-    Many processes answer each other on few cores: each does its little work in one go, and the loop is a fifth to a
-    third quicker (docs/performance.md). Threads that are made later inherit it.
+    Many processes answer each other on few cores. Each does its short work without a break, which makes the loop a
+    fifth to a third faster (docs/performance.md). Threads that start later inherit the setting.
     """
     with contextlib.suppress(AttributeError, OSError):
         os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
 
 
 def let_numbers_overflow() -> None:
-    """Have our own arithmetic say that a number grew too large by its being infinite, and not by numpy's warnings.
+    """Let our own arithmetic overflow to infinity without numpy's warnings.
 
-    A law that is not stable drives a network there; of its own arithmetic it is warned.
+    An unstable law drives a network there. Warnings about the law's own arithmetic stay on.
     """
     for package in ("agents", "plant", "orchestrator", "topologies", r"numpy\._core"):
         warnings.filterwarnings("ignore", category=RuntimeWarning, module=rf"{package}\.")
 
 
 def keep_thread() -> None:
-    """Have Python keep what it knows of this thread, which is one of Zenoh's, until the process ends.
+    """Keep Python's data about this thread, which belongs to Zenoh, until the process ends.
 
-    Else it would make that for every message, map memory for it, and throw both away: a quarter of the loop's time
-    (docs/performance.md). Zenoh may go on with another thread, so that every message asks for it.
+    Without this, Python would create and free that data for every message, which takes a quarter of the loop's time
+    (docs/performance.md). Zenoh may change to another thread, so every message calls this.
     """
     if not hasattr(_KEPT, "here"):
         _KEPT.here = True
@@ -72,9 +72,10 @@ def keep_thread() -> None:
 
 
 def keep_memory() -> None:
-    """Ask the C library, where it is glibc, to keep what is freed for what comes next.
+    """Ask the C library, if it is glibc, to keep freed memory for the next allocation.
 
-    Long messages come and go at every step, and their pages would be given back, and filled with zeros, each time.
+    Long messages are allocated and freed at every step. Without this, their pages would be returned to the kernel and
+    filled with zeros each time.
     """
     with contextlib.suppress(AttributeError, OSError):
         library = ctypes.CDLL(None)

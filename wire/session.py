@@ -1,4 +1,4 @@
-"""Zenoh sessions as the loop wants them: no scouting, no clock, messages that are never dropped on purpose."""
+"""The Zenoh sessions of the loop: no scouting, no clock, and messages that are never dropped on purpose."""
 
 from __future__ import annotations
 
@@ -29,34 +29,34 @@ MAX_SESSIONS = 100_000
 MOST_PORT = 65535
 CONNECT_TIMEOUT_S = 10.0
 LEASE_S = 30.0
-"""How long a process may be silent before the others take it for gone, if nothing else says so."""
+"""The silence after which a process counts as gone, if nothing else reports it earlier [s]."""
 LOOK_S, MOST_LOOK_S = 2.0, 30.0
-"""How long a secure router is tried before a look at whether it refuses us: at first, and at most."""
+"""The wait for a secure router before a check whether it refuses us [s]: the first, and the longest."""
 MOST_SAID = 200
-"""Letters of what Zenoh says that are shown; the cause comes last."""
+"""The maximum length of a message from Zenoh that is shown. The cause is at its end."""
 PAUSE_S = 0.05
-"""Between two tries."""
+"""The time between two tries [s]."""
 LISTEN_TIMEOUT_S = 60.0
 ACCESS = "access.json"
 """The rules of access, beside the credentials of the router."""
 STRANGE_KEYS = 16
-"""how many keys are remembered that should not have been heard of"""
+"""The maximum number of unexpected keys that are counted."""
 
 
 class WireError(HedgerowError):
-    """A session that could not be opened, or a peer that never arrived."""
+    """A session that did not open, or a peer that did not arrive."""
 
     default_code = Code.WIRE
 
 
 class RefusedError(WireError):
-    """A router that will not have us, or that we will not have: to wait does not help."""
+    """A refusal by the router, or by us of the router. Waiting does not help."""
 
     default_code = Code.REFUSED
 
 
 def check_endpoint(endpoint: str, option: str = "--router") -> None:
-    """Raise UserError for what is no endpoint of Zenoh's, or none that a client could connect to (`--router`)."""
+    """Raise UserError for a text that is not a Zenoh endpoint, or not one that a client can connect to (`--router`)."""
     try:
         zenoh.Config().insert_json5("connect/endpoints", json.dumps([endpoint]))
     except zenoh.ZError:
@@ -66,7 +66,7 @@ def check_endpoint(endpoint: str, option: str = "--router") -> None:
     port = endpoint.partition("#")[0].partition("?")[0].rpartition(":")[2]
     if endpoint.startswith(("tcp/", "tls/")) and not (re.fullmatch("[0-9]+", port) and 1 <= int(port) <= MOST_PORT):
         raise UserError(f"{option} {endpoint}: write a port from 1 to {MOST_PORT} after the host", code=Code.OPTION)
-    if option == "--router" and endpoint.startswith("tls/["):  # "invalid dns name", and it would try for ever
+    if option == "--router" and endpoint.startswith("tls/["):  # Zenoh reports "invalid dns name" and tries forever
         raise UserError(
             f"{option} {endpoint}: Zenoh takes no IPv6 address for the name in a certificate; write a name",
             code=Code.OPTION,
@@ -74,7 +74,7 @@ def check_endpoint(endpoint: str, option: str = "--router") -> None:
 
 
 def check_namespace(namespace: str) -> None:
-    """Raise UserError for what keys cannot stand under."""
+    """Raise UserError for a namespace that cannot prefix a key."""
     if escape(namespace, keep="") != namespace:
         raise UserError(f"--namespace {namespace}: holds control characters. Remove them.", code=Code.OPTION)
     try:
@@ -88,15 +88,15 @@ def check_namespace(namespace: str) -> None:
 
 
 def base_settings() -> dict[str, object]:
-    """What all sessions are opened with."""
+    """Return the settings that all sessions share."""
     return {
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
         "timestamping/enabled": False,
         "transport/shared_memory/enabled": False,
-        # TCP looks for a cable that was pulled after 6, 13 and 25 s: a session that is given up before loses messages.
+        # TCP looks for an unplugged cable after 6, 13 and 25 s. A session that ends earlier loses messages.
         "transport/link/tx/lease": int(1000 * LEASE_S),
-        # All messages are of one priority: a queue for each of eight costs time and memory.
+        # All messages have one priority. Eight queues, one for each priority, would cost time and memory.
         "transport/unicast/qos/enabled": False,
     }
 
@@ -112,12 +112,15 @@ def _config(namespace: str | None, settings: dict[str, object]) -> zenoh.Config:
 def router_settings(
     endpoint: str, credentials: Path | None = None, rules: Mapping[str, object] | None = None
 ) -> dict[str, object]:
-    """The settings of the router of a run: with `credentials` it lets nobody in but by the `rules` of wire.access."""
+    """Return the settings of the router of a run.
+
+    With `credentials` it accepts only clients that the `rules` of wire.access allow.
+    """
     settings: dict[str, object] = {
         "mode": "router",
         "listen/endpoints": [endpoint],
         "transport/unicast/max_sessions": MAX_SESSIONS,
-        # Half a second before it opens, to hear of others: there are none.
+        # The router would wait half a second for other routers before it opens; there are none.
         "scouting/delay": 0,
     }
     if credentials is not None:
@@ -126,7 +129,7 @@ def router_settings(
 
 
 def open_router(endpoint: str, namespace: str | None = None, credentials: Path | None = None) -> zenoh.Session:
-    """A router that listens on `endpoint`, inside this process, whose own keys stand under `namespace`.
+    """Open a router in this process that listens on `endpoint`; its own keys have the prefix `namespace`.
 
     With `credentials`, a folder with its certificate and the rules of access, it is the router of a secure run.
     Raises WireError.
@@ -144,7 +147,10 @@ def open_router(endpoint: str, namespace: str | None = None, credentials: Path |
 
 
 def _rules_in(credentials: Path) -> Mapping[str, object]:
-    """What the router of a secure run keeps; one that kept nothing would let everybody in to everything."""
+    """Return the access rules of the router of a secure run; raise UserError if there are none.
+
+    Without rules, every client could read and write everything.
+    """
     whole = "take the folder `router`, whole, with --credentials"
     try:
         rules: Any = read_json(credentials / ACCESS)
@@ -163,10 +169,11 @@ def _rules_in(credentials: Path) -> Mapping[str, object]:
 
 
 def remove_trace(path: Path | str) -> None:
-    """Remove what must not outlive a run, a file or a whole folder, if it is there: its socket, its private keys."""
+    """Remove a file or folder that must not outlive a run, if it exists: its socket, its private keys."""
     with contextlib.suppress(OSError):
         Path(path).unlink()
-    # What is no folder was unlinked above. If that failed, rmtree would open it, and wait for a FIFO's writer.
+    # Anything but a folder was unlinked above. If that failed, rmtree would open it, and would wait for the writer of a
+    # FIFO.
     if Path(path).is_dir() and not Path(path).is_symlink():
         shutil.rmtree(path, ignore_errors=True)
 
@@ -174,10 +181,10 @@ def remove_trace(path: Path | str) -> None:
 def open_client(
     endpoint: str, namespace: str, credentials: Credentials | Path | None = None, timeout_s: float = CONNECT_TIMEOUT_S
 ) -> zenoh.Session:
-    """A client of the router at `endpoint`; its keys stand under `namespace`.
+    """Open a client of the router at `endpoint`; its keys have the prefix `namespace`.
 
-    Raises UserError for what is no endpoint, RefusedError where certificates do not fit, WireError past `timeout_s`.
-    With `credentials`, or the folder where they lie, it shows its certificate and demands the router's.
+    Raise UserError for an invalid endpoint, RefusedError if the certificates do not fit, WireError after `timeout_s`.
+    With `credentials`, or the folder that holds them, it shows its certificate and demands the router's.
     """
     check_endpoint(endpoint)
     if isinstance(credentials, Path):
@@ -186,7 +193,7 @@ def open_client(
         "mode": "client",
         "connect/endpoints": [endpoint],
         "connect/exit_on_failure": True,
-        # A router that begins or comes back finds its clients there at once, or within half a second.
+        # When a router starts or returns, its clients reconnect at once or within half a second.
         "connect/retry": {"period_init_ms": 10, "period_max_ms": 500, "period_increase_factor": 2},
     }
     if credentials is not None:
@@ -202,29 +209,29 @@ def open_client(
             return _open_aside(_config(namespace, settings))
         except zenoh.ZError as error:
             patience_s = min(2 * patience_s, MOST_LOOK_S)
-            # Zenoh would try until the time is over, whatever the router thinks of our certificate.
+            # Zenoh would try until the timeout, even if the router refuses our certificate.
             if credentials is not None and (why := _refusal(endpoint, credentials)) is not None:
                 raise RefusedError(f"{why}; take keys that were made together with the router's") from None
             if time.monotonic() >= by:
                 raise WireError(f"no router at {endpoint} after {timeout_s:g} s: {_why(error)}") from None
-            time.sleep(PAUSE_S)  # some mistakes are found at once, again and again
+            time.sleep(PAUSE_S)  # some mistakes fail at once on every try
 
 
 def _open_aside(config: zenoh.Config) -> zenoh.Session:
-    """Open a session on a thread of its own: a signal is handled by the main thread, which Zenoh would hold till then.
+    """Open a session on a separate thread. Zenoh would block the main thread, which handles the signals.
 
-    Shorter tries would never reach a router that is slow to answer.
+    Several short tries would never reach a router that is slow to answer.
     """
     with ThreadPoolExecutor(1) as pool:
         return pool.submit(zenoh.open, config).result()
 
 
 def _why(error: zenoh.ZError) -> str:
-    """Return the cause alone of what Zenoh says, in one line, without where in its sources it says so."""
+    """Return the cause in a message from Zenoh, in one line, without positions in its source code."""
     if (limit := limit_in(str(error))) is not None:
         return limit
     words = re.sub(r"\s+at /\S+\.rs:\d+\b\.?", "", str(error))
-    # Zenoh wraps a cause in what it was doing, and the cause comes last.
+    # Zenoh puts the cause last, after a description of its action.
     said = " ".join(words.split())
     return said if len(said) <= MOST_SAID else f"…{said[-MOST_SAID:]}"
 
@@ -241,15 +248,15 @@ def has_router(session: zenoh.Session) -> bool:
 
 
 def close(session: zenoh.Session) -> None:
-    """Leave the network; one that does not answer any more is left without a word."""
+    """Close the session; abandon it silently if it does not answer."""
     with contextlib.suppress(zenoh.ZError):
         session.close()  # type: ignore[no-untyped-call]
 
 
 def publisher(session: zenoh.Session, key: str) -> zenoh.Publisher:
-    """A publisher of the loop: reliable, in order, and it waits rather than drops.
+    """Return a publisher of the loop: reliable, in order; it waits instead of dropping messages.
 
-    Not express: messages that leave together travel in one packet, which makes the loop half as fast again.
+    It is not express: messages that leave together share one packet, which makes the loop 1.5 times as fast.
     """
     return session.declare_publisher(
         key,
@@ -260,7 +267,7 @@ def publisher(session: zenoh.Session, key: str) -> zenoh.Publisher:
 
 
 def wait_for_listeners(publishers: Sequence[zenoh.Publisher], timeout_s: float = LISTEN_TIMEOUT_S) -> None:
-    """Return once every publisher has a subscriber, so that nothing said from now on is lost.
+    """Wait until every publisher has a subscriber. From then on no message is lost.
 
     Raises DeadlineError if one has none `timeout_s` from now.
     """
@@ -275,19 +282,19 @@ def wait_for_listeners(publishers: Sequence[zenoh.Publisher], timeout_s: float =
             while not _has_listener(one):
                 if not heard.wait(max(0.0, by - time.monotonic())):
                     raise DeadlineError(
-                        f"nobody listens on {one.key_expr} after {timeout_s:g} s; see that process's log"
+                        f"{one.key_expr} has no subscriber after {timeout_s:g} s; see that process's log"
                     )
                 heard.clear()
 
 
 def _has_listener(one: zenoh.Publisher) -> bool:
-    # Its type is said to be bool, yet it is an object that is always true.
+    # Its declared type is bool, but it is an object that is always true.
     status: Any = one.matching_status
     return bool(status.matching)
 
 
 def direct(take: Callable[[Any], None]) -> zenoh.handlers.Callback[Any]:
-    """A handler that calls `take` on the network thread, where it must not wait for anything."""
+    """Return a handler that calls `take` on the network thread, where `take` must not block."""
 
     def on_network(what: Any) -> None:
         keep_thread()
@@ -297,7 +304,7 @@ def direct(take: Callable[[Any], None]) -> zenoh.handlers.Callback[Any]:
 
 
 def subscriber(session: zenoh.Session, key: str, take: Callable[[bytes], None]) -> zenoh.Subscriber[None]:
-    """Call `take(payload)` for each message, on the network thread: it must not wait for anything."""
+    """Call `take(payload)` for each message on the network thread; `take` must not block."""
     return session.declare_subscriber(key, direct(lambda sample: take(sample.payload.to_bytes())))
 
 
@@ -319,10 +326,10 @@ class Receiver:
     """A subscriber that counts its messages; `take` raises MessageError for a message that is not valid on its key."""
 
     def __init__(self, session: zenoh.Session, key: str, take: Callable[[bytes], None]) -> None:
-        """`take` is called on the network thread, where it must not wait."""
+        """Subscribe to `key`; `take` is called on the network thread and must not block."""
         self.key, self.heard, self.refused = key, 0, 0
         self.strange: dict[str, int] = {}
-        """messages that came on another key, which has a `*` in it: nobody of the run speaks so"""
+        """the number of messages by unexpected keys; such a key contains a `*`, which no process of a run uses"""
         self._take = take
         self._declared = session.declare_subscriber(key, direct(self._on_sample))
 
@@ -349,7 +356,7 @@ class Receiver:
 
 
 def counts(senders: Iterable[Sender], receivers: Iterable[Receiver]) -> dict[str, dict[str, int]]:
-    """What a process said, heard, refused and should not have been told, by key."""
+    """Return the message counts of a process by key: sent, received, refused, and on unexpected keys."""
     receivers = list(receivers)
     return {
         "said": {sender.key: sender.said for sender in senders},

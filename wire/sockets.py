@@ -1,4 +1,4 @@
-"""Where the Unix socket of a run lies: a short folder, private to the run, with no text of the user's in its path."""
+"""The place of a run's Unix socket: a short folder, private to the run, without any text of the user in its path."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _RANDOM_BYTES = 8
 
 
 def socket_folder() -> Path:
-    """Return the path of a new folder for one socket; the caller makes it with mode 0700, and removes it.
+    """Return the path of a new folder for one socket. The caller makes it with mode 0700, and removes it.
 
     It lies in the first of these that is writable, short and plain and can hold a socket: XDG_RUNTIME_DIR, the folder
     for temporary files, /tmp, /var/tmp, /dev/shm. Raises HedgerowError (Code.LIMIT) if there is none.
@@ -71,7 +71,9 @@ def locator(path: Path) -> str:
 
 
 def check_socket(endpoint: str, option: str) -> None:
-    """Raise UserError for a Unix endpoint whose path Zenoh would cut, or would remove because it is no socket."""
+    """Raise UserError for a Unix endpoint if Zenoh would cut its path, or would remove the file there because it is not
+    a socket.
+    """
     if not endpoint.startswith(_SCHEME):
         return
     path = endpoint.removeprefix(_SCHEME)
@@ -82,7 +84,7 @@ def check_socket(endpoint: str, option: str) -> None:
             code=Code.OPTION,
         )
     for one in (path, f"{path}.lock"):
-        # Zenoh removes whatever lies there before it listens.
+        # Zenoh removes any file at this path before it listens.
         if os.path.lexists(one) and not _is_left_by_a_router(one, path):
             raise UserError(
                 f"{option} {endpoint}: {one} exists and is no socket. Choose another path.", code=Code.OPTION

@@ -1,4 +1,4 @@
-"""How a process begins that nobody forks: on its own machine, in a container, by hand."""
+"""The start of a process without a parent: on its own machine, in a container, or by hand."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from hedgerow.wire.runtime import runtime_environment, share_the_cores
 
-# Before Zenoh and numpy are loaded, below.
+# Set these before Zenoh and numpy load, below.
 for _name, _value in runtime_environment().items():
     os.environ.setdefault(_name, _value)
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from _typeshed import SupportsWrite
 
 WAIT_S = 600.0
-"""How long a process waits for the others, who may be started by hand."""
+"""The time that a process waits for the other processes, which people may start by hand [s]."""
 ASK_S, PAUSE_S = 2.0, 0.5
 CHECK_S = 5.0
 
@@ -42,7 +42,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def options(program: str, what: str) -> argparse.ArgumentParser:
-    """The options that agents and plants have in common."""
+    """Return a parser with the options that agents and plants share."""
     parser = _Parser(prog=program, description=what)
     parser.add_argument("--config", type=user_path, help="what `orchestrator bundle` wrote for it [$HEDGEROW_CONFIG]")
     parser.add_argument("--router", metavar="ENDPOINT", help="in place of the config's router, e.g. tcp/bench:7447")
@@ -57,9 +57,9 @@ def options(program: str, what: str) -> argparse.ArgumentParser:
 def main(
     find: Callable[[], Config], known: argparse.Namespace, body: Callable[[Config, str, Path | None], None]
 ) -> NoReturn:
-    """Run `body(config, endpoint, credentials)` as the whole of this process, or look whether another process does.
+    """Run `body(config, endpoint, credentials)` as the whole of this process, or probe whether another process runs it.
 
-    `known` are the `options`; the credentials are None where the network is open.
+    `known` are the parsed `options`; the credentials are None in an open network.
     """
 
     def whole() -> None:
@@ -68,7 +68,9 @@ def main(
         endpoint = known.router or config.router
         credentials = known.credentials or (Path(config.credentials) if config.credentials else None)
         if credentials is None and endpoint.startswith("tls/"):
-            raise UserError(f"--router {endpoint}: the network is secure; --credentials says where its keys lie")
+            raise UserError(
+                f"--router {endpoint}: the network is secure. Give the folder of its keys with --credentials"
+            )
         if known.check:
             _check(config, endpoint, credentials)
         else:
@@ -79,7 +81,7 @@ def main(
 
 
 def told(config: Config, read: Callable[[dict[str, Any]], Any]) -> Any:
-    """What the config tells, as `read` understands it; UserError where it does not."""
+    """Return the process's part of the network, as `read` builds it from the config; raise UserError if it cannot."""
     try:
         return read(config.told)
     except (KeyError, TypeError, ValueError) as error:
@@ -91,12 +93,12 @@ def told(config: Config, read: Callable[[dict[str, Any]], Any]) -> Any:
 
 
 def token(process: str, told: dict[str, Any]) -> str:
-    """The name of a process in liveliness tokens."""
+    """Return the name of a process in liveliness tokens."""
     return keys.PLANT if process == keys.PLANT else keys.shard_name(int(told["shard"]))
 
 
 def wait_for(session: zenoh.Session, name: str, within_s: float) -> None:
-    """Return once a process is alive, by its token; DeadlineError if it does not come."""
+    """Wait until the token of a process appears; raise DeadlineError after `within_s`."""
     there = threading.Event()
 
     def on_token(_: zenoh.Sample) -> None:

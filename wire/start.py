@@ -1,6 +1,6 @@
-"""The start of every process: streams that never raise for a character, room for open files, and a quiet Ctrl-C.
+"""The start of every process: streams that accept every character, room for open files, and a quiet Ctrl-C.
 
-Import this module before everything slow: it loads nothing but the standard library.
+Import this module before everything slow: it loads little but the standard library.
 """
 
 from __future__ import annotations
@@ -12,27 +12,44 @@ import resource
 import signal
 import sys
 import threading
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from types import FrameType
 from typing import Any
+
+from hedgerow.topologies.escape import EscapedStream
 
 INTERRUPTED = 128 + signal.SIGINT
 """The exit code after a Ctrl-C."""
 MOST_OPEN_FILES = 2**16
-"""A process asks for no more: some libraries close every number below the limit, one by one."""
+"""The maximum number of open files that a process asks for.
+
+Some libraries close every number below the limit, one by one.
+"""
 
 
 def begin() -> None:
-    """Prepare this process, before it loads what is slow; a second call changes nothing."""
+    """Prepare this process before it loads slow modules; a second call changes nothing."""
     quiet_ctrl_c()
     open_streams()
     raise_open_files()
 
 
-def open_streams() -> None:
-    """Make standard input, output and error exist, and write as an escape what their encoding lacks.
+@contextlib.contextmanager
+def needs(command: str) -> Iterator[None]:
+    """Exit with 2 and one line if a package that `command` needs cannot be imported in the block."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        if error.name not in ("numpy", "zenoh"):
+            raise
+        print(f"error: {command} needs {error.name}. Install it with: pip install numpy eclipse-zenoh", file=sys.stderr)
+        sys.exit(2)
 
-    A closed stream leads to /dev/null: else the next pipe of ours would get its number and be taken for it.
+
+def open_streams() -> None:
+    """Open standard input, output and error if they are closed; make them escape characters that their encoding lacks.
+
+    A closed stream is opened on /dev/null. Otherwise the next pipe would get its number and be used as that stream.
     """
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         stream = getattr(sys, name)
@@ -42,23 +59,25 @@ def open_streams() -> None:
             os.set_inheritable(stream.fileno(), True)
             setattr(sys, name, stream)
         if number and isinstance(stream, io.TextIOWrapper):
-            with contextlib.suppress(OSError, ValueError):  # nobody reads it any more
+            with contextlib.suppress(OSError, ValueError):  # the stream has no reader any more
                 stream.reconfigure(errors="backslashreplace")
+        if number and not isinstance(stream, EscapedStream):
+            setattr(sys, name, EscapedStream(stream))
 
 
 def raise_open_files() -> None:
-    """Raise the soft limit of open files to the hard one, which a user may; child processes inherit it."""
+    """Raise the soft limit of open files to the hard limit, which needs no privileges; child processes inherit it."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     wanted = MOST_OPEN_FILES if hard == resource.RLIM_INFINITY else min(hard, MOST_OPEN_FILES)
     if soft != resource.RLIM_INFINITY and soft < wanted:
-        with contextlib.suppress(OSError, ValueError):  # macOS has a lower limit of its own
+        with contextlib.suppress(OSError, ValueError):  # macOS has another, lower limit
             resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
 
 
 def quiet_ctrl_c() -> None:
     """End without a traceback when a Ctrl-C arrives while modules load; later it raises KeyboardInterrupt as usual.
 
-    Many modules turn a KeyboardInterrupt into an error of their own while they load. A disposition other than
+    Without this, many modules turn a KeyboardInterrupt into another error while they load. A disposition other than
     Python's own stays: a SIGINT that was ignored at the start stays ignored.
     """
     here = threading.current_thread() is threading.main_thread()
@@ -75,12 +94,12 @@ def _interrupt(_: int, frame: FrameType | None) -> None:
 
 
 def ignored(numbers: Iterable[signal.Signals]) -> set[signal.Signals]:
-    """Return the signals that this process ignores, as nohup and background jobs have it; they must stay ignored."""
+    """Return the signals that this process ignores, as under nohup or in background jobs; they must stay ignored."""
     return {number for number in numbers if signal.getsignal(number) is signal.SIG_IGN}
 
 
 def handle(number: signal.Signals, handler: Any) -> Any:
-    """Install a signal handler, unless the signal is ignored; return the disposition before."""
+    """Install a signal handler, unless the signal is ignored; return the previous disposition."""
     before = signal.getsignal(number)
     if before is not signal.SIG_IGN:
         signal.signal(number, handler)

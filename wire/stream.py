@@ -1,4 +1,4 @@
-"""From the plant to the observer: batches of messages, of which none is lost, none comes twice, and all in order."""
+"""The stream from the plant to the observer: batches of messages, each received exactly once and in order."""
 
 from __future__ import annotations
 
@@ -10,48 +10,54 @@ from collections.abc import Callable, Sequence
 from hedgerow.wire.codec import Buffer, Kind, MessageError, decode_batch, encode_batch, join, kind_of, telemetry_bytes
 
 REPEAT_AFTER_S = 2.0
-"""What the observer has not taken in for so long is sent again."""
+"""Batches that the observer has not acknowledged for this time are sent again [s]."""
 REPEAT_MOST = 1024
-"""batches at a time"""
+"""The maximum number of batches that are sent again at a time."""
 TOGETHER_S = 0.05
-"""What need not be sent at once leaves once nothing has for so long: to send a row, and to hear it, costs time."""
+"""A message that can wait leaves when no batch has left for this time [s].
+
+Each batch costs time to send and to receive.
+"""
 AHEAD_BYTES, AHEAD_ROWS = 32 * 2**20, 4096
-"""How much telemetry the plant may send before the observer has taken it in; it bounds the memory of both."""
+"""The maximum amount of telemetry that the plant sends before the observer acknowledges it.
+
+It bounds the memory of both.
+"""
 
 
 def rows_ahead(n: int, e: int) -> int:
-    """How many rows of telemetry the plant may send before the observer has taken them in."""
+    """Return the maximum number of rows of telemetry that the plant may send before the observer acknowledges them."""
     return max(2, min(AHEAD_ROWS, AHEAD_BYTES // telemetry_bytes(n, e)))
 
 
 class Outbox:
-    """The sender's end: keeps what was sent until the receiver says that it has it. Not thread-safe."""
+    """The sender's end. It stores each batch until the receiver acknowledges it. Not thread-safe."""
 
     def __init__(self, put: Callable[[bytes], None]) -> None:
         self._put = put
         self.said = 0
-        """how many batches were sent, repetitions included"""
+        """the number of batches sent, repetitions included"""
         self._next = 0
         self._sent_at = self._repeated_at = 0.0
         self._waiting: list[tuple[bytes]] = []
         """messages of the next batch"""
         self._unseen: deque[tuple[int, bytes]] = deque()
-        """batches, each with how many messages it has"""
+        """batches, each with the number of its messages"""
         self._count = 0
         self.progress_at = time.monotonic()
-        """when the receiver last took something in, or had nothing to take"""
+        """the time when the receiver last made progress, or had nothing to receive"""
 
     def __len__(self) -> int:
-        """How many messages the receiver has not taken in."""
+        """Return the number of messages that the receiver has not acknowledged."""
         return self._count
 
     def send(self, *message: Buffer) -> None:
-        """Send the next message, in its parts, and before it all that waits."""
+        """Send the next message, in its parts, after all queued messages."""
         self._add()
         self._send(message)
 
     def send_soon(self, *message: Buffer) -> None:
-        """Send the next message, together with those before and after it if the last batch left a moment ago."""
+        """Send the next message; queue it if the last batch left a moment ago, so that messages share a batch."""
         self._add()
         self._waiting.append((join(message),))
         if time.monotonic() - self._sent_at >= TOGETHER_S:
@@ -73,13 +79,13 @@ class Outbox:
         self._put(whole)
 
     def seen(self, number: int) -> None:
-        """The receiver has all batches up to this one."""
+        """Forget the batches up to this one, which the receiver acknowledged."""
         while self._unseen and self._next - len(self._unseen) <= number:
             self._count -= self._unseen.popleft()[0]
             self.progress_at = time.monotonic()
 
     def tend(self) -> None:
-        """Send what waits, and again what should have been taken in long ago."""
+        """Send the queued messages, and repeat batches that were not acknowledged in time."""
         now = time.monotonic()
         if self._waiting and now - self._sent_at >= TOGETHER_S:
             self._send()
@@ -88,30 +94,30 @@ class Outbox:
             self.repeat()
 
     def repeat(self) -> None:
-        """Send all again that the receiver has not taken in: from some batch on the wire lost them all."""
+        """Send all batches again that the receiver has not acknowledged."""
         for _, whole in itertools.islice(self._unseen, REPEAT_MOST):
             self.said += 1
             self._put(whole)
 
 
 class Inbox:
-    """The receiver's end: takes the next batch and no other; the rest comes again."""
+    """The receiver's end. It accepts only the next batch; the sender repeats the others."""
 
     def __init__(self) -> None:
         self._messages: deque[bytes] = deque()
         self.last = -1
-        """the number of the last batch taken"""
+        """the number of the last batch accepted"""
         self.refused = 0
         self.arrived = 0
-        """how many batches came, in their order or not"""
+        """the number of batches that arrived, in order or not"""
         self.arrived_at_event = 0
-        """the same, up to the last batch that ends with an event"""
+        """the number of batches up to the last one that ends with an event"""
 
     def __len__(self) -> int:
         return len(self._messages)
 
     def put(self, whole: bytes) -> list[bytes]:
-        """Take a batch as it came, on the network thread; its messages, or none if it is not the next."""
+        """Accept a batch on the network thread; return its messages, or an empty list if it is not the next batch."""
         try:
             number, messages = decode_batch(whole)
         except MessageError:
@@ -127,5 +133,5 @@ class Inbox:
         return messages
 
     def drain(self) -> list[bytes]:
-        """All that was taken since the last time."""
+        """Return all messages that were accepted since the last call."""
         return [self._messages.popleft() for _ in range(len(self._messages))]

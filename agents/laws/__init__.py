@@ -1,4 +1,4 @@
-"""The laws of the project, by name; each is a small file of its own, loaded when it is first used."""
+"""The laws of the project, by name. Each is a small file, loaded at its first use."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ LAWS: dict[str, str] = {
     "either": "Either",
     "robust": "Robust",
 }
-"""By the name that a file gives: the class, in the module of that name."""
+"""By name in a topology file: the class, in the module of that name."""
 
 
 def law_of_name(name: str) -> type[Law]:

@@ -2,12 +2,12 @@
 
     u_i = sum_m pi_m b x_i / (a_m - 1),    pi_m ~ exp(-J_i,m / (2 sigma^2))
 
-Athans et al., "The Stochastic Control of the F-8C Aircraft Using a Multiple Model Adaptive Control (MMAC) Method",
-IEEE TAC 22(5), 1977; Lainiotis, "Partitioning: A Unifying Framework for Adaptive Systems", Proceedings of the IEEE
-64(8), 1976.
-It is right if w is white with the standard deviation sigma: pi is then the posterior of a uniform prior. It fails if
-sigma is wrong (too small: it is the paper's law; too large: it never decides) or w is not white. The reported estimate
-is the posterior mean, which is no candidate as long as two have weight. The input is not (6) of that estimate.
+Source: Athans et al., "The Stochastic Control of the F-8C Aircraft Using a Multiple Model Adaptive Control (MMAC)
+Method", IEEE TAC 22(5), 1977. See also: Lainiotis, "Partitioning: A Unifying Framework for Adaptive Systems",
+Proceedings of the IEEE 64(8), 1976. It is right if w is white with the standard deviation sigma: pi is then the
+posterior of a uniform prior. It fails if sigma is wrong (too small: it is the paper's law; too large: it never decides)
+or w is not white. The reported estimate is the posterior mean, which is no candidate as long as two have weight. The
+input is not (6) of that estimate.
 """
 
 from __future__ import annotations

@@ -2,10 +2,10 @@
 
     J_i,m = sum r^2 - (sum r)^2 / n,    r = a_m x_i + b f_i - x_i(t + 1),    n samples
 
-This is least squares with an intercept. The sums are kept as Welford does, because the two terms cancel: B. P.
-Welford, "Note on a Method for Calculating Corrected Sums of Squares and Products", Technometrics 4(3), 1962.
-It is right if w is a constant plus white noise. It fails if x is as constant as w: then all candidates explain the
-samples, and J says little. With n = 0 or 1 sample all J are 0, and the first candidate wins.
+This is least squares with an intercept. The sums are updated as Welford does, because the two terms cancel: Welford,
+"Note on a Method for Calculating Corrected Sums of Squares and Products", Technometrics 4(3), 1962. It is right if w is
+a constant plus white noise. It fails if x is as constant as w: then all candidates explain the samples, and J does not
+separate them. With n = 0 or 1 sample all J are 0, and the first candidate wins.
 """
 
 from __future__ import annotations

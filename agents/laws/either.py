@@ -1,4 +1,4 @@
-"""The notch where it explains the samples far better, else the paper's law.
+"""The notch if it explains the samples far better, otherwise the paper's law.
 
     ahat_i is notch's if min_m J_notch,m < ratio min_m J_m, else that of (7)
 
@@ -23,7 +23,7 @@ from hedgerow.topologies.graph import Gain
 
 
 class Either(Listed):
-    """Two estimators, of which the one that explains the samples decides."""
+    """Two estimators; the one that explains the samples decides."""
 
     equation: ClassVar[str] = "notch if min J_notch < ratio min J, else (7)"
 
@@ -56,5 +56,5 @@ class Either(Listed):
             np.subtract(second, least, out=self.margin)
 
     def learn(self, x: Array, flow: Array, x_next: Array, sample: Heard) -> None:  # type: ignore[override]  # it asks
-        """Learn the sample of step `sample.t`; a node whose flow is unknown (NaN) skips it."""
+        """Learn the sample of step `sample.t`; skip nodes with an unknown flow (NaN)."""
         self._learn(x, flow, x_next, sample.t)

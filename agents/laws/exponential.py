@@ -1,7 +1,7 @@
 """The exponential function of numbers that are not positive, with the same bits on every machine.
 
 NumPy's and the C library's `exp` differ in their last bit from one processor to another, and a run would then not
-repeat. This one is made of + - * and exact scaling, each a NumPy call of its own, so that none of them is fused.
+repeat. This one uses + - * and exact scaling, each as a separate NumPy call, so no compiler can fuse them.
 """
 
 from __future__ import annotations

@@ -18,7 +18,7 @@ from hedgerow.topologies.graph import Gain
 
 
 class Forgetting(Listed):
-    """The paper's law, whose costs decay by a factor with every sample."""
+    """The paper's law with costs that decay by a factor at every sample."""
 
     equation: ClassVar[str] = "J <- decay J + r^2"
 

@@ -2,12 +2,11 @@
 
     keep m unless (1 + h) min_n J_i,n <= J_i,m;  then m is the first minimiser
 
-Morse, Mayne and Goodwin, "Applications of Hysteresis Switching in Parameter Adaptive Control", IEEE TAC 37(9), 1992;
-Hespanha, Liberzon and Morse, "Hysteresis-based switching algorithms for supervisory control of uncertain systems",
-Automatica 39(2), 2003.
-It is right if switching itself is harmful: it switches less often than the paper's law. It fails if speed matters: a
-better model must first win by the factor 1 + h. A tie of all costs at 0 switches to the first candidate. With h = 0 it
-is the paper's law.
+Source: Morse, Mayne and Goodwin, "Applications of Hysteresis Switching in Parameter Adaptive Control", IEEE TAC 37(9),
+1992. See also: Hespanha, Liberzon and Morse, "Hysteresis-based switching algorithms for supervisory control of
+uncertain systems", Automatica 39(2), 2003. It is right if switching itself is harmful: it switches less often than the
+paper's law. It fails if speed matters: a better model must first win by the factor 1 + h. A tie of all costs at 0
+switches to the first candidate. With h = 0 it is the paper's law.
 """
 
 from __future__ import annotations

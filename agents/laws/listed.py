@@ -18,7 +18,7 @@ class Listed:
     """
 
     equation: ClassVar[str]
-    """one line for people"""
+    """the equation in one line, for display"""
 
     def __init__(self, b: Gain, candidates: Array, more: int = 0) -> None:
         """Take `more` rows of memory beside the score of every candidate; they begin at 0."""
@@ -69,7 +69,7 @@ class Listed:
         return control(self.b, x, self.ahat)
 
     def learn(self, x: Array, flow: Array, x_next: Array) -> None:
-        """Learn one sample; a node whose flow is unknown (NaN) skips it."""
+        """Learn one sample; skip nodes with an unknown flow (NaN)."""
         self._learn(x, flow, x_next, 0)
 
     def _learn(self, x: Array, flow: Array, x_next: Array, t: int) -> None:

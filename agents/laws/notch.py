@@ -1,4 +1,4 @@
-"""The candidate whose residuals are nearest a sinusoid of any frequency.
+"""The candidate with residuals nearest to a sinusoid of any frequency.
 
     J_i,m = min over c of sum (r_t - c r_{t-1} + r_{t-2})^2 = S2 - S1^2 / S0,    c = 2 cos omega
     S0 = sum r_{t-1}^2,    S1 = sum (r_t + r_{t-2}) r_{t-1},    S2 = sum (r_t + r_{t-2})^2
@@ -78,5 +78,5 @@ class Notch(Listed):
         notched(memory, candidates, x, y, t)
 
     def learn(self, x: Array, flow: Array, x_next: Array, sample: Heard) -> None:  # type: ignore[override]  # it asks
-        """Learn the sample of step `sample.t`; a node whose flow is unknown (NaN) skips it."""
+        """Learn the sample of step `sample.t`; skip nodes with an unknown flow (NaN)."""
         self._learn(x, flow, x_next, sample.t)

@@ -2,10 +2,10 @@
 
     R <- R + x^2,    a <- a + x (y - a x) / R,    ahat = clip(a, min A_i, max A_i),    R(0) = eps, a(0) = mid A_i
 
-with y = x(t + 1) - b f(t): this is a = (Sxy + eps mid A_i) / (Sxx + eps), in a form whose sums do not cancel.
-Goodwin and Sin, Adaptive Filtering, Prediction and Control, Prentice-Hall 1984, chapter 3.
-It is right if the truth may lie between the candidates, and the disturbance is white. It fails as the paper's law
-does if the disturbance is correlated with the state. Its estimate is a number, and no candidate of the list.
+with y = x(t + 1) - b f(t). This is a = (Sxy + eps mid A_i) / (Sxx + eps), in a form with sums that do not cancel.
+Goodwin and Sin, Adaptive Filtering, Prediction and Control, Prentice-Hall 1984, chapter 3. It is right if the truth may
+lie between the candidates, and the disturbance is white. It fails as the paper's law does if the disturbance is
+correlated with the state. Its estimate is a number, and no candidate of the list.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class RLS:
         return control(self.b, x, self._report[0])
 
     def learn(self, x: Array, flow: Array, x_next: Array) -> None:
-        """Learn one sample; a node whose flow is unknown (NaN) skips it."""
+        """Learn one sample; skip nodes with an unknown flow (NaN)."""
         R, a = self._memory
         known = np.isfinite(flow)
         if not known.any():

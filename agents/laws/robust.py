@@ -1,11 +1,11 @@
-"""One fixed model for every node: the one of the least worst gain over the candidates.
+"""One fixed model for every node: the one with the smallest worst-case gain over the candidates.
 
     u_i = b x_i / (theta - 1),    theta = argmin over theta of max over a in the lists of the gain from w
 
-Zhou, Doyle and Glover, Robust and Optimal Control, Prentice-Hall 1996, for the worst case over a set of plants.
-It is the price of not learning: right if nothing can be learned in time, and beaten by a law that learns if something
-can. `theta` is a number of the whole network, so the operator computes it and gives it as a parameter. A file that
-leaves it out gets it computed when the run begins.
+Zhou, Doyle and Glover, Robust and Optimal Control, Prentice-Hall 1996, for the worst case over a set of plants. It is
+the price of not learning: right if nothing can be learned in time, and beaten by a law that learns if something can.
+`theta` is a number of the whole network, so the operator computes it and gives it as a parameter. If a file leaves it
+out, the operator computes it at the start of the run.
 """
 
 from __future__ import annotations

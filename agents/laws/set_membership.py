@@ -2,11 +2,11 @@
 
     ahat_i = first candidate that minimises J_i,m = max over samples of |a_m x_i + b f_i - x_i(t + 1)|
 
-Fogel and Huang, "On the value of information in system identification: bounded noise case", Automatica 18(2), 1982;
-Milanese and Vicino, "Optimal estimation theory for dynamic systems with set membership uncertainty: an overview",
-Automatica 27(6), 1991.
-It is right if w is bounded and its bound is often reached. It fails if w has outliers: one large residual of the true
-model counts forever. All samples that are equally bad tie, and the first candidate wins.
+Source: Fogel and Huang, "On the value of information in system identification: bounded noise case", Automatica 18(2),
+1982. See also: Milanese and Vicino, "Optimal estimation theory for dynamic systems with set membership uncertainty: an
+overview", Automatica 27(6), 1991. It is right if w is bounded and its bound is often reached. It fails if w has
+outliers: one large residual of the true model counts forever. All samples that are equally bad tie, and the first
+candidate wins.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from hedgerow.agents.laws.listed import Listed
 
 
 class SetMembership(Listed):
-    """The least largest residual."""
+    """The candidate with the smallest maximum residual."""
 
     equation: ClassVar[str] = "J = max |r|"
 

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from hedgerow.orchestrator.cli.names import EXPERIMENT
-from hedgerow.orchestrator.cli.options import File, Sets
+from hedgerow.orchestrator.cli.options import File, NoProgress, Sets
 from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.escape import echo
 from hedgerow.topologies.paths import user_path
@@ -46,6 +46,7 @@ def compare(
     sets: Sets = None,
     out: Out = None,
     jobs: Jobs = None,
+    quiet: NoProgress = False,
 ) -> int:
     """Compare laws under the same seeds: one table, one figure, and the law that wins under each disturbance."""
     from hedgerow.orchestrator.experiments.compare import compare as run  # noqa: PLC0415
@@ -56,7 +57,7 @@ def compare(
         raise UserError(f"--jobs {jobs}: is below 1. Leave it out for all cores.", code=Code.OPTION)
     settings = [*(sets or []), *([] if steps is None else [f"steps={steps}"])]
     plan = comparison(file, law or ["minimax"], disturbances_of(disturbances), seeds_of(seeds), settings)
-    found = run(plan, out, jobs)
+    found = run(plan, out, jobs, quiet)
     if found is None:
         return 3
     echo(str(found))

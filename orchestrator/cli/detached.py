@@ -88,7 +88,8 @@ def release_terminal(log: Path) -> None:
     sys.stdout.flush()
     descriptor = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
     os.dup2(descriptor, 1)
-    os.dup2(descriptor, 2)
+    # Not descriptor 2: what libraries write to it is escaped on its way to this one (wire/stderr_relay.py).
+    os.dup2(descriptor, sys.stderr.fileno())
 
 
 def is_detached() -> bool:

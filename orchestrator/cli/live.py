@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
 import json
+import re
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,6 +12,7 @@ import typer
 
 from hedgerow.orchestrator.cli.names import WATCH, Commands
 from hedgerow.orchestrator.cli.options import AsJson
+from hedgerow.orchestrator.launch.fault_verbs import VERBS, FaultVerbs
 from hedgerow.topologies.escape import echo
 
 if TYPE_CHECKING:
@@ -27,12 +30,31 @@ Run = Annotated[
     str | None,
     typer.Option("--run", metavar="RUN", help="a running network's name [the only one, or that of this folder]"),
 ]
-Link = Annotated[str, typer.Argument(metavar="I-J", help="two neighbours; I,J where a '-' is part of a name")]
-Node = Annotated[str, typer.Argument(metavar="NODE", help="the id of a node")]
-For = Annotated[int | None, typer.Option("--for", metavar="N", min=1, help="how many steps it holds [until healed]")]
-After = Annotated[int, typer.Option("--after", metavar="N", min=0, help="how many steps to let pass before")]
-OneWay = Annotated[bool, typer.Option("--one-way", help="only what I says to J")]
-Probability = Annotated[float, typer.Option(metavar="P", help="of striking, at each step and for each message")]
+_Link = Annotated[str, typer.Argument(metavar="I-J", help="two neighbours; I,J where a '-' is part of a name")]
+_Chance = Annotated[float, typer.Option(metavar="P", help="of striking, at each step and for each message")]
+_For = Annotated[int | None, typer.Option("--for", metavar="N", min=1, help="how many steps it holds [until healed]")]
+_Back = Annotated[int | None, typer.Option(metavar="N", help="how many steps it misses [until healed]")]
+_Process = Annotated[int | None, typer.Option(metavar="P", help="kill this process with all its agents")]
+_NODE_OR_PROCESS = Annotated[str | None, typer.Argument(metavar="[NODE]", help="the node whose agent dies")]
+_REQUIRED = inspect.Parameter.empty
+_ARGUMENTS: dict[str, tuple[Any, Any]] = {
+    "link": (_Link, _REQUIRED),
+    "edge": (_Link, _REQUIRED),
+    "groups": (Annotated[str, typer.Argument(metavar="I,J/K,L", help="groups of nodes")], _REQUIRED),
+    "node": (Annotated[str, typer.Argument(metavar="NODE", help="the id of a node")], _REQUIRED),
+    "process": (_Process, None),
+    "to": (Annotated[float, typer.Option(metavar="A", help="the new truth, one of the node's candidates")], _REQUIRED),
+    "by": (Annotated[int, typer.Option(metavar="N", min=1, help="how many steps late")], _REQUIRED),
+    "cut": (Annotated[bool, typer.Option("--cut", help="cut the edges between them too")], False),
+    "one_way": (Annotated[bool, typer.Option("--one-way", help="only the messages from I to J")], False),
+    "probability": (_Chance, 1.0),
+    "steps": (_For, None),
+    "restart_after": (_Back, None),
+    "after": (Annotated[int, typer.Option("--after", metavar="N", min=0, help="how many steps to let pass before")], 0),
+    "run": (Run, None),
+    "as_json": (AsJson, False),
+}
+"""The command-line form of each argument of the methods of FaultVerbs, and its default."""
 Number = Annotated[int | None, typer.Argument(metavar="[ID]", help="the fault's number [all that can be ended]")]
 
 
@@ -53,14 +75,6 @@ def _with(run: str | None, as_json: bool, ask: Callable[[Live], tuple[str, dict[
     return 0
 
 
-def _inject(run: str | None, as_json: bool, inject: Callable[[Live], Injected]) -> int:
-    def ask(live: Live) -> tuple[str, dict[str, Any]]:
-        added = inject(live)
-        return str(added), {"fault": added.number, "step": added.step, "entry": added.fault.written()}
-
-    return _with(run, as_json, ask)
-
-
 def _steps(after: int, steps: int | None) -> tuple[int, int] | None:
     from hedgerow.topologies.effects import FOREVER  # noqa: PLC0415
 
@@ -69,162 +83,51 @@ def _steps(after: int, steps: int | None) -> tuple[int, int] | None:
     return after, FOREVER if steps is None else after + steps
 
 
-@faults.command()
-def drop(
-    link: Link,
-    steps: For = None,
-    after: After = 0,
-    one_way: OneWay = False,
-    probability: Probability = 1.0,
-    run: Run = None,
-    as_json: AsJson = False,
-) -> int:
-    """Lose the messages of a link."""
-    from hedgerow.orchestrator.launch.live import pair  # noqa: PLC0415
-
-    return _inject(
-        run,
-        as_json,
-        lambda live: live.fault.drop(
-            pair(link, live.topology), steps=_steps(after, steps), one_way=one_way, probability=probability
-        ),
-    )
-
-
-@faults.command()
-def delay(
-    link: Link,
-    by: Annotated[int, typer.Option(metavar="N", min=1, help="how many steps late")],
-    steps: For = None,
-    after: After = 0,
-    one_way: OneWay = False,
-    probability: Probability = 1.0,
-    run: Run = None,
-    as_json: AsJson = False,
-) -> int:
-    """Let the messages of a link arrive late."""
-    from hedgerow.orchestrator.launch.live import pair  # noqa: PLC0415
-
-    return _inject(
-        run,
-        as_json,
-        lambda live: live.fault.delay(
-            pair(link, live.topology), by=by, steps=_steps(after, steps), one_way=one_way, probability=probability
-        ),
-    )
-
-
-@faults.command()
-def cut(
-    edge: Link,
-    steps: For = None,
-    after: After = 0,
-    probability: Probability = 1.0,
-    run: Run = None,
-    as_json: AsJson = False,
-) -> int:
-    """Let an edge carry no flow, at both its ends."""
-    from hedgerow.orchestrator.launch.live import pair  # noqa: PLC0415
-
-    return _inject(
-        run,
-        as_json,
-        lambda live: live.fault.cut(pair(edge, live.topology), steps=_steps(after, steps), probability=probability),
-    )
-
-
-@faults.command()
-def partition(
-    groups: Annotated[str, typer.Argument(metavar="I,J/K,L", help="groups of nodes")],
-    cut_too: Annotated[bool, typer.Option("--cut", help="cut the edges between them too")] = False,
-    steps: For = None,
-    after: After = 0,
-    run: Run = None,
-    as_json: AsJson = False,
-) -> int:
-    """Lose all messages between groups of nodes."""
-    from hedgerow.orchestrator.launch.live import groups as groups_in  # noqa: PLC0415
-
-    return _inject(
-        run,
-        as_json,
-        lambda live: live.fault.partition(*groups_in(groups, live.topology), steps=_steps(after, steps), cut=cut_too),
-    )
-
-
-@faults.command()
-def sensor(
-    node: Node,
-    steps: For = None,
-    after: After = 0,
-    probability: Probability = 1.0,
-    run: Run = None,
-    as_json: AsJson = False,
-) -> int:
-    """Lose the readings of a node's state."""
+def _read(name: str, value: Any, live: Live) -> Any:
+    """Return an argument of a fault from its text."""
+    from hedgerow.orchestrator.launch.live import groups, pair  # noqa: PLC0415
     from hedgerow.topologies.base import node_id  # noqa: PLC0415
 
-    return _inject(
-        run,
-        as_json,
-        lambda live: live.fault.sensor(node_id(node), steps=_steps(after, steps), probability=probability),
+    match name:
+        case "link" | "edge":
+            return pair(value, live.topology)
+        case "groups":
+            return groups(value, live.topology)
+        case "node":
+            return node_id(value)
+    return value
+
+
+def _kind(kind: str) -> Callable[..., int]:
+    """Return the command that injects faults of a kind, with the arguments of its method of FaultVerbs."""
+    verb = getattr(FaultVerbs, kind)
+    arguments = inspect.signature(verb).parameters
+    options = {name: _ARGUMENTS[name] for name in (*arguments, "after", "run", "as_json") if name in _ARGUMENTS}
+    if "process" in arguments:
+        options["node"] = _NODE_OR_PROCESS, None
+
+    def command(run: str | None, as_json: bool, after: int, **given: Any) -> int:
+        def inject(live: Live) -> tuple[str, dict[str, Any]]:
+            values = {name: _read(name, value, live) for name, value in given.items() if value is not None}
+            when = {"steps": _steps(after, values.pop("steps", None))} if "steps" in arguments else {"at": after}
+            added: Injected = getattr(live.fault, kind)(*values.pop("groups", ()), **values, **when)
+            return str(added), {"fault": added.number, "step": added.step, "entry": added.fault.written()}
+
+        return _with(run, as_json, inject)
+
+    command.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
+        [
+            inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
+            for name, (annotation, default) in options.items()
+        ]
     )
+    command.__annotations__ = {name: annotation for name, (annotation, _) in options.items()}
+    command.__doc__ = re.split("[;.]", inspect.getdoc(verb) or "")[0] + "."
+    return command
 
 
-@faults.command()
-def actuator(
-    node: Node,
-    steps: For = None,
-    after: After = 0,
-    probability: Probability = 1.0,
-    run: Run = None,
-    as_json: AsJson = False,
-) -> int:
-    """Lose a node's inputs on their way to the plant."""
-    from hedgerow.topologies.base import node_id  # noqa: PLC0415
-
-    return _inject(
-        run,
-        as_json,
-        lambda live: live.fault.actuator(node_id(node), steps=_steps(after, steps), probability=probability),
-    )
-
-
-@faults.command()
-def crash(
-    node: Annotated[str | None, typer.Argument(metavar="[NODE]", help="the node whose agent dies")] = None,
-    process: Annotated[int | None, typer.Option(metavar="P", help="kill this process with all its agents")] = None,
-    restart_after: Annotated[
-        int | None, typer.Option(metavar="N", help="how many steps it misses [until healed]")
-    ] = None,
-    after: After = 0,
-    run: Run = None,
-    as_json: AsJson = False,
-) -> int:
-    """Kill an agent, and start it again or not."""
-    from hedgerow.topologies.base import node_id  # noqa: PLC0415
-
-    return _inject(
-        run,
-        as_json,
-        lambda live: live.fault.crash(
-            None if node is None else node_id(node), process=process, at=after, restart_after=restart_after
-        ),
-    )
-
-
-@faults.command()
-def jump(
-    node: Node,
-    to: Annotated[float, typer.Option(metavar="A", help="the new truth, one of the node's candidates")],
-    after: After = 0,
-    run: Run = None,
-    as_json: AsJson = False,
-) -> int:
-    """Let a node's true a become another of its candidates."""
-    from hedgerow.topologies.base import node_id  # noqa: PLC0415
-
-    return _inject(run, as_json, lambda live: live.fault.jump(node_id(node), to=to, at=after))
+for _verb in VERBS:
+    faults.command(name=_verb)(_kind(_verb))
 
 
 @faults.command(name="list")

@@ -33,7 +33,7 @@ from hedgerow.orchestrator.cli import sweep as cli_sweep
 from hedgerow.orchestrator.cli import watch as cli_watch
 from hedgerow.orchestrator.cli.exit_code import code_of_run, leave, run_to_exit_code
 from hedgerow.orchestrator.cli.names import EXPERIMENT, INSPECT, RUN, WATCH, Commands
-from hedgerow.orchestrator.cli.options import AsJson, File, Law, Quiet, RunDir, Running, Seed, Sets, Steps
+from hedgerow.orchestrator.cli.options import AsJson, File, Law, NoProgress, Quiet, RunDir, Running, Seed, Sets, Steps
 from hedgerow.orchestrator.cli.topology import importable, read
 from hedgerow.orchestrator.launch.fork_client import ForkClient
 from hedgerow.topologies.errors import Code, DeadlineError, UserError, check_options
@@ -41,6 +41,7 @@ from hedgerow.topologies.escape import command, echo
 from hedgerow.topologies.paths import user_path
 from hedgerow.wire.child import escape_warnings
 from hedgerow.wire.runtime import let_numbers_overflow
+from hedgerow.wire.stderr_relay import StderrRelay
 
 # A topology takes most of a second to load: each command imports what it needs itself.
 if TYPE_CHECKING:
@@ -95,7 +96,9 @@ def run_command(began: float, fork_client: ForkClient | None) -> None:
     _BEGAN, _FORK_CLIENT = began, fork_client
     let_numbers_overflow()
     escape_warnings()
-    leave(run_to_exit_code(lambda: app(standalone_mode=False) or 0))
+    with StderrRelay():
+        code = run_to_exit_code(lambda: app(standalone_mode=False) or 0)
+    leave(code)
 
 
 @app.command(rich_help_panel=RUN)
@@ -158,8 +161,9 @@ def up(
     from hedgerow.orchestrator.ground.assignment import layout, places, views_of  # noqa: PLC0415
     from hedgerow.orchestrator.launch.endpoints import check as check_security  # noqa: PLC0415
     from hedgerow.orchestrator.launch.endpoints import meeting_place  # noqa: PLC0415
+    from hedgerow.orchestrator.launch.options import Options  # noqa: PLC0415
     from hedgerow.orchestrator.launch.recording import Watching  # noqa: PLC0415
-    from hedgerow.orchestrator.launch.up import Network, Options  # noqa: PLC0415
+    from hedgerow.orchestrator.launch.up import Network  # noqa: PLC0415
     from hedgerow.orchestrator.runs import folder as folders  # noqa: PLC0415
     from hedgerow.orchestrator.views.screen import screen  # noqa: PLC0415
 
@@ -393,12 +397,13 @@ def chaos(
     ] = 0,
     runs: Annotated[int, typer.Option(min=1, help="number of seeds to try")] = 1,
     nodes: Annotated[int, typer.Option(min=2, max=200, help="largest number of nodes of a network")] = 12,
+    quiet: NoProgress = False,
 ) -> int:
     """Run random networks under random faults until a check fails; write the smallest file that fails; exit code 1."""
     from hedgerow.orchestrator.experiments.chaos import hunt, write  # noqa: PLC0415
 
     with tempfile.TemporaryDirectory(prefix="hedgerow-") as scratch:
-        finding = hunt(range(seed, seed + runs), nodes, Path(scratch), echo)
+        finding = hunt(range(seed, seed + runs), nodes, Path(scratch), (lambda _: None) if quiet else echo)
     if finding is None:
         return 0
     file = Path(f"chaos-{finding.seed}.yaml")

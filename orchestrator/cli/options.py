@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from hedgerow.orchestrator.cli import complete
+from hedgerow.topologies.escape import answers_alone
 from hedgerow.topologies.paths import user_path
 
 File = Annotated[
@@ -32,5 +33,14 @@ RunDir = Annotated[
     Path | None, typer.Option(parser=user_path, metavar="DIR", help="the run's folder, new or empty [runs/NAME-TIME]")
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="print the verdict and nothing else")]
-AsJson = Annotated[bool, typer.Option("--json", help="one JSON object on standard output")]
+NoProgress = Annotated[bool, typer.Option("--quiet", "-q", help="print no progress")]
+
+
+def _alone(context: typer.Context, as_json: bool) -> bool:
+    if as_json:
+        context.with_resource(answers_alone())
+    return as_json
+
+
+AsJson = Annotated[bool, typer.Option("--json", help="one JSON object on standard output", callback=_alone)]
 Processes = Annotated[int | None, typer.Option(metavar="P", help="agent processes [one a node]")]

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from hedgerow.orchestrator.cli.names import EXPERIMENT
-from hedgerow.orchestrator.cli.options import RunDir
+from hedgerow.orchestrator.cli.options import Quiet, RunDir, Sets
 from hedgerow.topologies.escape import echo
 
 File = Annotated[str, typer.Argument(metavar="[FILE]", help="a topology file, a bundled name, or the folder of a run")]
@@ -31,8 +31,10 @@ def soak(
     rate: Rate = 0.0,
     processes: Processes = None,
     run_dir: RunDir = None,
+    sets: Sets = None,
     record: Record = True,
     faults: Faults = True,
+    quiet: Quiet = False,
 ) -> int:
     """Run a network for long under faults; exit code 1 if memory, threads, open files or pace do not stay flat."""
     from hedgerow.orchestrator.cli.topology import read  # noqa: PLC0415
@@ -44,7 +46,10 @@ def soak(
         raise UserError(
             f"--minutes {minutes:g}: give at least {LEAST_MINUTES:g}; the first {LEAST_WARM_UP_S:g} s are not judged"
         )
-    topology = read(file, None, processes=processes)
+    topology = read(file, sets, processes=processes)
     options = ["--rate", str(rate), *([] if record else ["--no-record"])]
     directory = run_dir or Path("runs") / f"{topology.name}-soak-{time.strftime('%Y%m%d-%H%M%S')}"
-    return run_soak(topology, directory, minutes, faults, options, echo)
+    say = (lambda _: None) if quiet else echo
+    line, code = run_soak(topology, directory, minutes, faults, options, say)
+    echo(line)
+    return code

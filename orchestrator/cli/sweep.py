@@ -8,8 +8,10 @@ from typing import Annotated
 import typer
 
 from hedgerow.orchestrator.cli.names import EXPERIMENT
+from hedgerow.orchestrator.cli.options import Quiet
 from hedgerow.orchestrator.launch.ray_cluster import check
 from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.escape import echo
 from hedgerow.topologies.paths import user_path
 
 File = Annotated[str, typer.Argument(metavar="FILE", help="a topology file, or a bundled name")]
@@ -39,6 +41,7 @@ def sweep(
     out: Out = None,
     jobs: Jobs = None,
     on: On = None,
+    quiet: Quiet = False,
 ) -> int:
     """Run a network under many seeds and settings, into one table; the same command goes on where it was stopped."""
     from hedgerow.orchestrator.experiments.sweep import sweep as run  # noqa: PLC0415
@@ -48,4 +51,6 @@ def sweep(
         raise UserError(f"--jobs {jobs}: is below 1; leave it out for all cores")
     if on is not None:
         check(on)
-    return run(plan(file, seeds, sets or [], engine), out, jobs, on)
+    done = run(plan(file, seeds, sets or [], engine), out, jobs, on, quiet)
+    echo(done.line)
+    return done.exit_code

@@ -15,70 +15,84 @@ from hedgerow.wire import keys
 from hedgerow.wire.access import Place
 from hedgerow.wire.config import FILE, Config
 
-README = """# {name}, on your machines
-
-Every file here but `topology.yaml` is what one process is told, and all that it is told. Carry each to its machine, and
-no other: an agent must not know the plant's file, nor that of another agent.
-
-On each machine, once, with the wheel of this release beside it (`pip wheel --no-deps .` in the project makes it):
+INSTALL = """On each machine, install an agent once, with the wheel of this release beside it. `pip wheel --no-deps .`
+in a clone of Hedgerow makes the wheel:
 
 ```console
-$ python3 -m venv .venv && .venv/bin/pip install './hedgerow-{release}-py3-none-any.whl[agent]'
+$ python3 -m venv .venv && .venv/bin/pip install numpy eclipse-zenoh
+$ .venv/bin/pip install --no-deps ./hedgerow-{release}-py3-none-any.whl
 ```
+"""
 
-On the operator's, in this folder:
+
+README = (
+    """# {name} on your machines
+
+Each file except `topology.yaml` holds everything that one process may know. Carry to each machine only the files of its
+own processes. An agent must not know the file of the plant or of another agent.
+
+"""
+    + INSTALL
+    + """
+Start the operator on its machine, in this folder:
 
 ```console
 $ orchestrator up topology.yaml --external all --listen tcp/0.0.0.0:{port} --namespace {quoted_namespace}
 ```
 
-And wherever an agent is to live, with its file beside it (`--router` if it is not at `{router}`):
+Start each agent on its machine, beside its file. Use `--router` if the router is not at `{router}`:
 
 ```console
 {commands}
 ```
 
-The order does not matter: each waits ten minutes for the others (`--wait`). `--external 3,5` has the operator start
-the others itself; with `--external plant,all --router {quoted_router}` the plant runs elsewhere, too:
-`hedgerow-plant --config plant.toml`, beside a Zenoh router of yours or as one (`--listen tcp/0.0.0.0:{port}`).
+You can start them in any order, because each waits ten minutes for the others (`--wait`). With `--external 3,5`, the
+operator starts all agents except 3 and 5.
+
+To run the plant on another machine, give the operator `--external plant,all --router {quoted_router}` and start
+`hedgerow-plant --config plant.toml` there. A Zenoh router must run beside it. With `--listen tcp/0.0.0.0:{port}`, the
+plant is the router itself.
 """
+)
 
 
-README_SECURE = """# {name}, on your machines, secure
+README_SECURE = (
+    """# {name} on your machines, with certificates
 
-A folder here holds all that one process needs, with its keys. Carry each to its machine, and no other: the holder of
-an agent's folder can speak for that agent. The keys hold for {days:g} days. `observer`, `operator`,
-`router` and `plant` stay on the operator's machine, unless the router or the plant lives elsewhere.
+Each folder holds everything that one process may know, and its keys. Carry to each machine only the folders of its own
+processes. The holder of an agent's folder can act as that agent. The keys are valid for {days:g} days. `observer`,
+`operator`, `router` and `plant` stay on the operator's machine, unless the router or the plant runs elsewhere.
 
-On each machine, once, with the wheel of this release beside it (`pip wheel --no-deps .` in the project makes it):
-
-```console
-$ python3 -m venv .venv && .venv/bin/pip install './hedgerow-{release}-py3-none-any.whl[agent]'
-```
-
-On the operator's, `{host}`, in this folder:
+"""
+    + INSTALL
+    + """
+Start the operator on its machine, `{host}`, in this folder:
 
 ```console
 $ orchestrator up topology.yaml --external all --listen tls/0.0.0.0:{port} --keys .
 ```
 
-And wherever an agent is to live, with its folder beside it (`--router` if it is not at `{router}`):
+Start each agent on its machine, beside its folder. Use `--router` if the router is not at `{router}`:
 
 ```console
 {commands}
 ```
 
-The order does not matter: each waits ten minutes for the others (`--wait`). `--external 3,5` has the operator start
-the others itself. With `--external plant,all --router {quoted_router}` the plant runs elsewhere, too:
-`hedgerow-plant --config plant` beside a Zenoh router (`zenohd -c zenohd.json5`, in the folder `router`); or as the
-router, with that folder:
-`hedgerow-plant --config plant --listen tls/0.0.0.0:{port} --credentials router`.
+You can start them in any order, because each waits ten minutes for the others (`--wait`). With `--external 3,5`, the
+operator starts all agents except 3 and 5.
+
+To run the plant on another machine, give the operator `--external plant,all --router {quoted_router}`. Then start the
+plant in one of two ways:
+
+- beside a Zenoh router (`zenohd -c zenohd.json5`, in the folder `router`): `hedgerow-plant --config plant`
+- as the router, with that folder: `hedgerow-plant --config plant --listen tls/0.0.0.0:{port} --credentials router`
 """
+)
 
 
 LAW = """
-The law is {name}. Carry its source ({files}) to every machine as well, and start each process in the folder that holds
-it. An agent imports it from there.
+The law is {name}. Carry its source ({files}) to every machine too. Start each process in the folder with the source,
+because an agent imports it from there.
 """
 
 

@@ -21,8 +21,9 @@ import psutil
 from hedgerow.orchestrator.ground.assignment import layout
 from hedgerow.orchestrator.ground.signals import EndNowError
 from hedgerow.orchestrator.launch.fork_client import ForkClient
+from hedgerow.orchestrator.launch.options import Options
 from hedgerow.orchestrator.launch.recording import Watching
-from hedgerow.orchestrator.launch.up import Network, Options
+from hedgerow.orchestrator.launch.up import Network
 from hedgerow.orchestrator.metrics.summary import count
 from hedgerow.orchestrator.runs.folder import create
 from hedgerow.orchestrator.views.screen import Quiet

@@ -125,10 +125,11 @@ def with_faults(topology: Topology) -> Topology:
 
 def run_soak(
     topology: Topology, directory: Path, minutes: float, faults: bool, options: Sequence[str], say: Say
-) -> int:
-    """Run a resolved network for so long, leave soak.csv and soak.png in its new folder, and judge; the exit code.
+) -> tuple[str, int]:
+    """Run a resolved network for so long and judge it; return the verdict in a line and the exit code.
 
-    `options` are more of `orchestrator up`. 0 is flat, 1 not flat or INVALID, 3 ended early. Raises HedgerowError.
+    The new folder gets soak.csv and soak.png. `options` are more of `orchestrator up`. The exit code is 0 if the run
+    is flat, 1 if it is not or is INVALID, 3 if it ended early. Raises HedgerowError.
     """
     folder = RunFolder(directory.resolve())
     folder.path.parent.mkdir(parents=True, exist_ok=True)
@@ -158,8 +159,8 @@ def run_soak(
     word = f"not flat: {', '.join(wrong)}" if wrong else "flat"
     word += f"; the run is {verdict.get('verdict', 'without a verdict')}" if invalid else ""
     done, seconds = samples[-1].step, samples[-1].t_s
-    say(f"{word}: {done} steps in {seconds / 60:.1f} min, {verdict.get('restarts', 0)} restarts")
-    return 1 if wrong or invalid else 3 if early else 0
+    line = f"{word}: {done} steps in {seconds / 60:.1f} min, {verdict.get('restarts', 0)} restarts"
+    return line, 1 if wrong or invalid else 3 if early else 0
 
 
 @contextlib.contextmanager

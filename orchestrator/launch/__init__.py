@@ -1,1 +1,1 @@
-"""A network of processes: started, supervised, recorded, controlled."""
+"""Networks of processes: start, supervision, recording, control."""

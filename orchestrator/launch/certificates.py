@@ -1,4 +1,4 @@
-"""An authority and a certificate for each process, made for one network; the authority's own key is kept nowhere."""
+"""An authority and a certificate for each process of one network; the key of the authority is never stored."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ if TYPE_CHECKING:
     from cryptography.x509 import Certificate, Name
 
 LIFE_DAYS = 7
-"""How long a certificate holds: a process that starts again later is refused."""
+"""The validity of a certificate [days]; a process that starts again later is refused."""
 SLACK = timedelta(minutes=5)
-"""How far the clock of a machine may be behind ours."""
+"""The maximum lag of another machine's clock behind ours."""
 HERE = ("127.0.0.1", "localhost")
-"""A router is reached by these names too, from its own machine."""
+"""More names of a router, for processes on its own machine."""
 SETTINGS, CONFIGURATION = "settings.json", "zenohd.json5"
 
 
@@ -38,7 +38,7 @@ class Authority:
     """An authority that signs certificates; the holder of one may connect under the name in it."""
 
     def __init__(self, days: float = LIFE_DAYS) -> None:
-        """Raises UserError where the library for it is not installed."""
+        """Make the keys; raise UserError if the library is not installed."""
         try:
             from cryptography.hazmat.primitives.asymmetric import ec  # noqa: PLC0415
         except ImportError:
@@ -52,7 +52,7 @@ class Authority:
         self._certificate = self._signed(self._name, self._key, authority=True)
 
     def issue(self, folder: Path, name: str, host: str | None = None) -> None:
-        """Write the credentials of a process into a new folder of theirs; `host` is where it listens, if it does."""
+        """Write the credentials of a process into a new folder; `host` is its address if it listens."""
         from cryptography.hazmat.primitives import serialization  # noqa: PLC0415
         from cryptography.hazmat.primitives.asymmetric import ec  # noqa: PLC0415
 
@@ -85,7 +85,7 @@ class Authority:
             names = [_address(one) for one in dict.fromkeys((host, *HERE))]
             builder = builder.add_extension(x509.SubjectAlternativeName(names), critical=False)
         else:
-            # Who may not listen cannot play the router to others, whose name it does not bear.
+            # A client certificate cannot serve: its holder cannot pretend to be the router.
             role = x509.ExtendedKeyUsage([oid.ExtendedKeyUsageOID.CLIENT_AUTH])
             builder = builder if authority else builder.add_extension(role, critical=False)
         return builder.sign(self._key, hashes.SHA256())
@@ -106,19 +106,19 @@ def _address(host: str) -> Any:
 
 
 def write_private(path: Path, content: bytes) -> None:
-    """Write a file that nobody else could ever read."""
+    """Write a file that only its owner can ever read."""
     descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
     try:
         with os.fdopen(descriptor, "wb") as file:
             file.write(content)
-    except BaseException:  # half a file is none
+    except BaseException:  # an incomplete file is useless
         path.unlink()
         raise
 
 
 @contextlib.contextmanager
 def for_this_run(folder: Path, places: Sequence[Place], namespace: str, host: str) -> Iterator[Path]:
-    """Credentials of a run whose router is its plant, on this machine, at `host`, while the block lasts."""
+    """Provide the credentials of a run while the block lasts; its plant is the router, on this machine, at `host`."""
     authority = Authority()
     folder.mkdir(mode=0o700)
     try:
@@ -126,7 +126,7 @@ def for_this_run(folder: Path, places: Sequence[Place], namespace: str, host: st
         most = LEAST_BYTES + BYTES_PER_INCIDENCE * sum(place.incidences for place in places)
         kept = rules(places, namespace, plant_is_client=False, request_bytes=most)
         write_private(folder / ROUTER / ACCESS, json.dumps(kept).encode())
-        # The plant is no client of a router that it is itself: nobody comes in by its name.
+        # The plant is the router itself, so no client may connect under its name.
         for name in rights(places).keys() - {keys.PLANT}:
             authority.issue(folder / name, name)
         yield folder
@@ -142,10 +142,12 @@ def to_carry(
     days: float,
     more: Callable[[Path], None] = lambda _: None,
 ) -> list[str]:
-    """Credentials for processes on other machines: one folder a process, and the router's; returns their names.
+    """Write credentials for processes on other machines: one folder per process, and one for the router.
 
-    The router may be one that stands somewhere, or our own plant. `more` writes what else is to lie in the folder,
-    which is there whole or not at all.
+    Return the names.
+
+    The router may be a separate one, or our own plant. `more` writes further files into the folder, which is complete
+    or absent.
     """
     authority = Authority(days)
     host = host_of(endpoint)
@@ -155,7 +157,7 @@ def to_carry(
     until = authority.until.isoformat(timespec="seconds")
     settings = {"endpoint": endpoint, "namespace": namespace, "rules": _digest(kept), "until": until}
     port = endpoint.rpartition(":")[2]
-    # Its own certificate lies beside the file: it is to be started there.
+    # The certificate of the router is beside the file, because the router starts in that folder.
     configuration = base_settings() | router_settings(f"tls/0.0.0.0:{port}", Path(), kept)
     said = f"// zenohd -c {CONFIGURATION}, in this folder\n{json.dumps(nested(configuration), indent=1)}\n"
     try:
@@ -173,7 +175,7 @@ def to_carry(
 
 
 def _check_host(host: str, endpoint: str) -> None:
-    """Raise UserError for a host that no certificate can name."""
+    """Raise UserError for a host that cannot be in a certificate."""
     try:
         _address(host)
     except ValueError:
@@ -183,7 +185,9 @@ def _check_host(host: str, endpoint: str) -> None:
 
 
 def carried(folder: Path, places: Sequence[Place]) -> tuple[str, str]:
-    """The endpoint and the namespace that credentials in a folder were made for; UserError if not for this network."""
+    """Return the endpoint and the namespace of the credentials in a folder; raise UserError if they are for another
+    network.
+    """
     again = "`orchestrator keys` and `orchestrator bundle --secure` make one"
     try:
         settings = read_json(folder / OBSERVER / SETTINGS)
@@ -203,12 +207,12 @@ def carried(folder: Path, places: Sequence[Place]) -> tuple[str, str]:
 
 
 def _digest(kept: object) -> str:
-    """What tells the rules of a router from all others."""
+    """Return the fingerprint of a router's rules."""
     return hashlib.sha256(json.dumps(kept).encode()).hexdigest()[:16]
 
 
 def host_of(endpoint: str, option: str = "--router") -> str:
-    """The host of a TLS endpoint; UserError for any other."""
+    """Return the host of a TLS endpoint; raise UserError for any other."""
     protocol, _, address = endpoint.partition("/")
     host, _, port = address.rpartition(":")
     if protocol != "tls" or not host or not port.isdigit():
@@ -219,7 +223,7 @@ def host_of(endpoint: str, option: str = "--router") -> str:
 
 
 def nested(settings: dict[str, Any]) -> dict[str, Any]:
-    """Settings by path as a tree."""
+    """Return settings by path as a tree."""
     tree: dict[str, Any] = {}
     for path, value in settings.items():
         *above, last = path.split("/")

@@ -1,4 +1,4 @@
-"""A finished run beside the in-process reference: equal, not equal from a step on, or not compared."""
+"""The comparison of a finished run with the in-process reference: equal, different from a step on, or not compared."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from hedgerow.topologies.schema import Topology
 
 @dataclass(frozen=True)
 class Difference:
-    """The first value in which two tables differ."""
+    """The first value that differs between two tables."""
 
     step: int
     node: str
@@ -32,7 +32,7 @@ class Difference:
 def compare(run: Recording) -> Comparison:
     """Compare the tables of a finished run with those of the in-process reference, bit for bit.
 
-    A failure on the way, a signal or a full disk, says nothing of the run: then it is not compared.
+    A failure during the comparison, a signal or a full disk, proves nothing about the run: it is then not compared.
     """
     try:
         run.close_tables()
@@ -52,7 +52,7 @@ def _beside(topology: Topology, folder: RunFolder, reference: RunFolder) -> Comp
         return Comparison(True)
     try:
         difference = first_difference(folder.path, reference.path)
-    except UserError as error:  # the tables differ, whatever hinders that the place is found
+    except UserError as error:  # the tables differ, even if the place cannot be found
         return Comparison(False, cause=f"other tables; {error}")
     if difference is None:
         return Comparison(False, cause="other tables or columns")
@@ -95,6 +95,6 @@ def _first_row(mine: object, theirs: object) -> int | None:
 
 
 def _equal(mine: object, theirs: object, low: int, high: int) -> bool:
-    # Text, for Arrow takes no NaN for equal to itself; repr of a float is exact.
+    # Compare as text, because Arrow does not treat NaN as equal to itself; repr of a float is exact.
     one, other = (array.slice(low, high - low) for array in (mine, theirs))  # type: ignore[attr-defined]
     return bool(one.equals(other)) or repr(one.to_pylist()) == repr(other.to_pylist())

@@ -1,4 +1,4 @@
-"""Talking to the plant of a running network."""
+"""Requests to the plant of a running network."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from hedgerow.wire.session import WireError
 def ask(
     session: zenoh.Session, command: str, request: Mapping[str, Any] | None = None, timeout_s: float = 2.0
 ) -> dict[str, Any]:
-    """The plant's answer to a command of plant/control.py; raises WireError when none comes in time."""
+    """Return the plant's answer to a command of plant/control.py; raise WireError if there is none in time."""
     key = keys.control(command)
     for reply in session.get(key, payload=json.dumps(request or {}), timeout=timeout_s):
         if reply.ok is not None:
@@ -31,9 +31,9 @@ def ask(
 
 
 def tell_died(session: zenoh.Session, shard: int, life: int, timeout_s: float) -> bool | None:
-    """Tell the plant that a life of a shard is over.
+    """Report to the plant that a life of a shard has ended.
 
-    Return True if that life had reached the router, False if it had not, and None if the plant is to be told again.
+    Return True if that life had reached the router, False if not, and None if the report must be repeated.
     """
     with contextlib.suppress(WireError):
         answer = ask(session, "died", {"shard": shard, "life": life}, timeout_s)

@@ -1,4 +1,4 @@
-"""How the processes of a run find each other, and by what they know each other."""
+"""The endpoints and the namespace of a run, and its credentials."""
 
 from __future__ import annotations
 
@@ -23,36 +23,36 @@ from hedgerow.wire.sockets import check_socket, locator, socket_folder, socket_i
 
 @dataclass(frozen=True)
 class Connection:
-    """The router of a run, and the folder with everybody's credentials where the run is secure."""
+    """The router of a run, and in a secure run the folder with the credentials of all processes."""
 
     endpoint: str
     namespace: str
     listens: bool
     """the plant is the router"""
     socket_folder: Path | None = None
-    """The folder that is made for its Unix socket, if it listens on one."""
+    """The folder for its Unix socket, if it listens on one."""
     credentials: Path | None = None
-    """a folder of them for each process"""
+    """a folder with credentials for each process"""
     made_for: str = ""
-    """the host in the router's certificate, where all of them are made for this run alone and removed with it"""
+    """the host in the router's certificate, if the credentials are made for this run and removed with it"""
 
     def of(self, name: str) -> Path | None:
-        """The credentials of a process; a plant that is the router has the router's."""
+        """Return the credentials of a process; a plant that is the router has those of the router."""
         name = ROUTER if name == PLANT and self.listens else name
         return self.credentials and self.credentials / name
 
     def with_keys_of_its_own(self, folder: RunFolder, host: str) -> Connection:
-        """The same with credentials that are made for this run, whose plant is reached at `host`."""
+        """Return a copy with credentials that are made for this run; its plant has the address `host`."""
         return replace(self, credentials=registry.secrets_of(registry.entry_path(folder.name)), made_for=host)
 
     @property
     def own(self) -> Path | None:
-        """The credentials of `up`."""
+        """Return the credentials of `up`."""
         return self.of(OBSERVER)
 
     @property
     def traces(self) -> list[Path]:
-        """What is there of the wiring while the run lasts, and must not be afterwards: files, and whole folders."""
+        """Return the files and folders that exist only during the run and must be removed after it."""
         traces = [] if self.socket_folder is None else [self.socket_folder]
         if self.credentials is not None and self.made_for:
             traces.append(self.credentials)
@@ -60,10 +60,10 @@ class Connection:
 
     @contextlib.contextmanager
     def laid(self, places: Sequence[Place]) -> Iterator[None]:
-        """Credentials exist while the block lasts; after it nothing of them is left, nor of the socket."""
+        """Provide the socket folder and the credentials while the block lasts; remove them after it."""
         with contextlib.ExitStack() as stack:
             if self.socket_folder is not None:
-                self.socket_folder.mkdir(mode=0o700)  # raises if it exists: it is never shared
+                self.socket_folder.mkdir(mode=0o700)  # raises an error if it exists: it is never shared
                 stack.callback(shutil.rmtree, self.socket_folder, ignore_errors=True)
             if self.credentials is not None and self.made_for:
                 stack.enter_context(certificates.for_this_run(self.credentials, places, self.namespace, self.made_for))
@@ -71,7 +71,7 @@ class Connection:
 
 
 def wire(folder: RunFolder, secure: bool, router: str | None, keys: Path | None, places: Sequence[Place]) -> Connection:
-    """The wiring of a run: over a router of its own, or over one that is there; raises UserError as `check` does."""
+    """Return the connection of a run, over its own router or an existing one; raise UserError as `check` does."""
     namespace = namespace_of(folder.name)
     if not secure:
         if router is not None:
@@ -94,9 +94,9 @@ def check(
     listen: str | None,
     namespace: str | None,
 ) -> None:
-    """Raise UserError for endpoints and namespaces that are none, and for a run that cannot be as secure as asked.
+    """Raise UserError for invalid endpoints and namespaces, and for a run that cannot be as secure as asked.
 
-    Raises HedgerowError if a secure run has no port to listen on.
+    Raise HedgerowError if a secure run has no port to listen on.
     """
     for option, endpoint in (("--router", router), ("--listen", listen)):
         if endpoint is not None:
@@ -134,7 +134,9 @@ def check(
 def meeting_place(
     keys: Path, places: Sequence[Place], router: str | None, listen: str | None, namespace: str | None
 ) -> tuple[str | None, str]:
-    """The router (None where that is our plant) and the namespace that keys are for; UserError if asked for another."""
+    """Return the router (None if it is our plant) and the namespace of the keys; raise UserError if the options
+    differ.
+    """
     endpoint, made_for = certificates.carried(keys, places)
     if namespace is not None and namespace != made_for:
         raise UserError(f"--namespace {namespace}: the keys in {keys} were made for {made_for}; leave the option out")
@@ -142,5 +144,5 @@ def meeting_place(
 
 
 def namespace_of(run: str) -> str:
-    """Where the keys of a run stand: runs under one name do not meet."""
+    """Return a new namespace for the keys of a run: two runs with one name never share a namespace."""
     return f"hedgerow/{chunk(run)}-{secrets.token_hex(4)}"

@@ -1,8 +1,7 @@
-"""Processes of a run that somebody else starts, on whatever machine: who they are, what they hear, how they meet.
+"""Separate processes of a run, which the user starts on any machine: their choice, their configs, their meeting.
 
-They are told the same as a process that `up` forks, in a TOML text of their own (wire.config). They find each other in
-a namespace that is known beforehand, and the plant takes nobody in who has another network, release or message format
-(wire.handshake).
+They receive the same data as a process that `up` forks, in a separate TOML text (wire.config). They meet in a namespace
+that is known in advance. The plant refuses a process with another network, release or message format (wire.handshake).
 """
 
 from __future__ import annotations
@@ -32,38 +31,38 @@ from hedgerow.wire.refusal import refused
 from hedgerow.wire.session import WireError, direct
 
 PLANT_GONE_S = 30.0
-"""How long the plant may be out of sight before a run is given up; a cable that was pulled is put back sooner."""
+"""The time that the plant may be out of sight before the run ends [s]; reconnecting a cable takes less."""
 PLANT = -1
-"""The plant among the numbers of shards."""
+"""The number of the plant, beside the numbers of shards."""
 _MOST_LOG = 2**20
-"""bytes of a log that are read at once"""
+"""the maximum number of bytes of a log in one read"""
 OWN_START_S = 60.0
-"""How much longer our own processes may take to begin than the others have to come."""
+"""The additional start time of our own processes, beyond the wait for the separate ones [s]."""
 ANY_HOST = ("0.0.0.0", "[::]")
 
 
 @dataclass(frozen=True)
 class External:
-    """Who is started elsewhere, and where and under which names all meet."""
+    """The separate processes of a run, and the endpoint, namespace and names that all use."""
 
     shards: frozenset[int]
     plant: bool
     names: Sequence[str]
-    """of all of them, for people"""
+    """the names of all processes, for display"""
     namespace: str
     network: str
     """the fingerprint of the network"""
     listen: str | None
-    """where our own plant listens for them; None where there is a router"""
+    """the endpoint of our own plant for them; None if there is a router"""
     wait_s: float
-    """how long they have to come"""
+    """the time that they have to come [s]"""
 
     def __contains__(self, process: int) -> bool:
-        """Whether it is started elsewhere: a shard, or PLANT."""
+        """Return True if a process, a shard or PLANT, is started separately."""
         return self.plant if process == PLANT else process in self.shards
 
     def connection(self, router: str | None, keys: Path | None) -> Connection:
-        """How our own processes find the run: over a router that is there, or the port that our plant opens."""
+        """Return the connection of our own processes: an existing router, or the port that our plant opens."""
         endpoint = router or local(self.listen or "")
         return Connection(endpoint, self.namespace, listens=router is None, credentials=keys and keys.resolve())
 
@@ -72,12 +71,12 @@ class External:
 
 
 def namespace_of(topology: Topology) -> str:
-    """Where the processes of a network meet when they are not told a namespace of the run's own."""
+    """Return the default namespace of a network, for processes without an option for it."""
     return f"hedgerow/{topology.name}"
 
 
 def fingerprint(topology: Topology) -> str:
-    """What tells a resolved network from every other, without saying anything about it."""
+    """Return a hash of a resolved network, which differs from that of any other network."""
     return hashlib.sha256(to_yaml(topology).encode()).hexdigest()[:16]
 
 
@@ -90,9 +89,10 @@ def chosen(
     namespace: str,
     wait_s: float,
 ) -> External:
-    """Who `--external ASKED` means: `all`, `plant`, ids of nodes and names of processes, with commas between.
+    """Return the processes in `--external ASKED`: `all`, `plant`, ids of nodes and names of processes, separated by
+    commas.
 
-    Raises UserError for a name that is none, and where nobody could reach us.
+    Raise UserError for an unknown name, and if separate processes could not reach us.
     """
     names = [process_name(view) for view in views_of(topology, shards)]
     nodes = {str(topology.ids[k]): p for p, shard in enumerate(shards) for k in shard}
@@ -136,14 +136,14 @@ def chosen(
 
 
 def local(endpoint: str, here: str = "127.0.0.1") -> str:
-    """How who listens on `endpoint` is reached at our own address, for ourselves or as others know it."""
+    """Return `endpoint` with our address in place of an address that means any host."""
     for host in ANY_HOST:
         endpoint = endpoint.replace(f"/{host}:", f"/{here}:")
     return endpoint
 
 
 def configs(topology: Topology, shards: Layout, router: str, namespace: str) -> list[Config]:
-    """What each process is told, the plant first; see `orchestrator bundle`."""
+    """Return the config of each process, the plant first; see `orchestrator bundle`."""
     network = fingerprint(topology)
     told = {keys.PLANT: truth_of(topology, shards).to_dict()}
     told |= {process_name(view): view.to_dict() for view in views_of(topology, shards)}
@@ -151,7 +151,7 @@ def configs(topology: Topology, shards: Layout, router: str, namespace: str) -> 
 
 
 class Meeting:
-    """The others, as the observer sees them: whether they come, and whether the plant stays."""
+    """The separate processes as the observer sees them: their arrival, and the presence of the plant."""
 
     def __init__(self, external: External, session: zenoh.Session, plant_log: Path) -> None:
         self._external, self._session = external, session
@@ -162,7 +162,7 @@ class Meeting:
         self._there = False
         self._gone_at = self._began
         self.reason = ""
-        """why there is nothing to wait for any more"""
+        """the reason why waiting is useless"""
 
     @contextlib.contextmanager
     def watched(self) -> Iterator[None]:
@@ -178,7 +178,7 @@ class Meeting:
             self._changed.notify_all()
 
     def introduce(self) -> None:
-        """Wait for a plant that is started elsewhere, and compare versions; HedgerowError if we do not fit."""
+        """Wait for a separate plant, and compare versions; raise HedgerowError if they do not fit."""
         with self._changed:
             if not self._changed.wait_for(lambda: self._there, self._external.wait_s):
                 raise DeadlineError(f"plant: not there after {self._external.wait_s:g} s; is it started?")
@@ -189,12 +189,12 @@ class Meeting:
             raise HedgerowError(f"the plant refuses us: {answer['error']}")
 
     def refused(self) -> list[str]:
-        """Whom our router refused since the last time, if it is in our plant; each cause is told once."""
+        """Return the new refusals of our plant's router, each cause once."""
         if not self._log.exists():
             return []
         with open_regular(self._log) as log:
             log.seek(self._read)
-            # Strangers can make the router write as much as they like: the rest is read the next time.
+            # Strangers can make the router write any amount: read the rest next time.
             lines = log.read(_MOST_LOG).rpartition(b"\n")[0]
         self._read += len(lines)
         found = {why for line in lines.decode(errors="replace").splitlines() if (why := refused(line))}
@@ -202,7 +202,7 @@ class Meeting:
         return sorted(new)
 
     def is_over(self, begun: bool) -> bool:
-        """Whether nobody is to be waited for any more; `reason` says why."""
+        """Return True if no process will come any more; `reason` has the cause."""
         now = time.monotonic()
         with self._changed:
             if self._external.plant and not self._there and now - self._gone_at > PLANT_GONE_S:
@@ -210,7 +210,7 @@ class Meeting:
         waited_s = now - self._began - self._external.wait_s
         if not begun and waited_s > 0:
             absent = self._absent()
-            # Of ours, who has a neighbour among the others waits for them.
+            # One of our own processes with a separate neighbour waits for that neighbour.
             others = [who for p, who in absent.items() if p in self._external]
             if others or waited_s > OWN_START_S:
                 names = ", ".join((others or list(absent.values()))[:8]) or "nobody is missing, yet the first step is"
@@ -218,7 +218,7 @@ class Meeting:
         return bool(self.reason)
 
     def _absent(self) -> dict[int, str]:
-        """Who is not there, by shard."""
+        """Return the names of the absent processes, by shard."""
         with contextlib.suppress(WireError):
             return {int(p): name for p, name in ask(self._session, "status")["absent"].items()}
         return {PLANT: keys.PLANT}

@@ -1,5 +1,7 @@
-"""How the list of faults changes while a run goes on: what was added or ended stands in the resolved file as if it
-had been there from the start, so that the run can be repeated from its folder.
+"""Changes of the fault list during a run.
+
+The resolved file contains added and ended faults as if they had been there from the start, so the run can be repeated
+from its folder.
 """
 
 from __future__ import annotations
@@ -12,12 +14,13 @@ from pydantic import ValidationError
 from hedgerow.topologies.effects import FOREVER
 from hedgerow.topologies.errors import HedgerowError
 from hedgerow.topologies.faults import Crash, Fault, Jump
+from hedgerow.topologies.partition import layout_of
 from hedgerow.topologies.rules import broken_faults
 from hedgerow.topologies.schema import Topology
 
 
 def with_fault(topology: Topology, entry: Mapping[str, Any]) -> Topology:
-    """The topology with one fault more, as a file spells it; HedgerowError if it is none of this network.
+    """Return the topology with one more fault, as a file spells it; raise HedgerowError if it does not fit the network.
 
     `Live` has checked it before, but any process that reaches the plant can send a request.
     """
@@ -38,17 +41,19 @@ def _with(topology: Topology, entry: Mapping[str, Any]) -> Topology:
 
 
 _LEAST = {"name": "one", "b": 0.1, "steps": 1, "nodes": [0]}
-"""The least of a file: it gives a fault its type, and what it names was checked before."""
+"""The smallest topology: it gives a fault its type; the names in the fault were checked before."""
 
 
 def with_loss(topology: Topology, shard: int, nodes: list[int | str], at: int) -> Topology:
-    """The topology with the crash that losing an agent process at a step amounts to."""
+    """Return the topology with the crash fault that the loss of an agent process at a step means."""
     who = {"process": shard} if isinstance(topology.processes, int) else {"node": nodes[0]}
+    if "process" in who and topology.layout is None:
+        topology = topology.model_copy(update={"layout": layout_of(topology.graph, topology.process_count)})
     return _with(topology, {"kind": "crash", **who, "at": at})
 
 
 def with_end(topology: Topology, number: int, at: int) -> Topology:
-    """The topology whose fault of that number, from 0, stops at step `at`, after it has begun."""
+    """Return the topology with the end of a fault (`number`, from 0) at step `at`, after its begin."""
     faults = list(topology.faults)
     faults[number] = _ended(faults[number], at)
     return topology.model_copy(update={"faults": tuple(faults)})

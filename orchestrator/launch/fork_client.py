@@ -1,6 +1,6 @@
-"""Our end of the fork server: told to start processes, it says who runs and who has ended.
+"""The client of the fork server: it orders new processes, and learns which processes run and which ended.
 
-It is started before anything else of a command, so that it loads while we do: nothing heavy is imported here.
+It starts first of all in a command, so the server loads in parallel: this module imports nothing heavy.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ END_DEADLINE_S = 5.0
 
 
 def _leave_ctrl_c_to_us() -> None:
-    """Signals go to this process; the fork server ends when this process does."""
+    """Ignore signals in the fork server, which ends with this process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 class ForkClient:
-    """Our end of `hedgerow.orchestrator.launch.fork_server`: who it forked, and who of them has ended."""
+    """The client of `hedgerow.orchestrator.launch.fork_server`, with its processes and their ends."""
 
     def __init__(self) -> None:
         held, self._lifeline = socket.socketpair()
-        # -P: a folder called `agents` in the user's working directory is not ours.
+        # -P ignores a folder `agents` in the user's working directory.
         self._process = subprocess.Popen(
             [
                 sys.executable,
@@ -56,7 +56,7 @@ class ForkClient:
         self.pids: dict[str, int] = {}
         self.codes: dict[str, int] = {}
         self.on_end: Callable[[], None] = lambda: None
-        """called when somebody has ended, on a thread of ours"""
+        """called at the end of a process, on a thread of this object"""
         self.error = ""
         """The last error text of the fork server."""
         self._closing = False
@@ -88,31 +88,31 @@ class ForkClient:
         self.on_end()
 
     def fork(self, name: str, module: str, arguments: Sequence[str], log: Path) -> None:
-        """Have `python -m MODULE ARGUMENTS` run in a process of its own, which logs to `log`."""
+        """Run `python -m MODULE ARGUMENTS` in a separate process, which logs to `log`."""
         with self._changed:
             self.pids.pop(name, None)
             self.codes.pop(name, None)
         self._tell(name=name, module=module, arguments=list(arguments), log=str(log))
 
     def leave_no(self, paths: Sequence[Path]) -> None:
-        """Have these files and folders removed when the fork server ends, as it does, with its processes, if we die."""
+        """Remove these files and folders when the fork server ends; it ends with its processes if this process dies."""
         self._tell(leave=list(map(str, paths)))
 
     def _tell(self, **what: object) -> None:
         assert self._process.stdin is not None
-        with contextlib.suppress(BrokenPipeError):  # `codes` says that it has ended
+        with contextlib.suppress(BrokenPipeError):  # `codes` records its end
             self._process.stdin.write(json.dumps(what).encode() + b"\n")
             self._process.stdin.flush()
 
     def wait_until_forked(self, names: Sequence[str]) -> None:
-        """Return once all of them run; raise DeadlineError past the deadline."""
+        """Wait until all of them run; raise DeadlineError after the deadline."""
         with self._changed:
             ok = self._changed.wait_for(lambda: set(names) <= self.pids.keys() or self.codes, FORK_DEADLINE_S)
         if not ok:
             raise DeadlineError(f"no process of its own for {names[0]} after {FORK_DEADLINE_S:g} s")
 
     def kill(self, name: str) -> None:
-        """End one of them at once, if it runs."""
+        """Kill a process, if it runs."""
         with self._changed:
             pid = self.pids.get(name) if name not in self.codes else None
         if pid is not None:
@@ -120,7 +120,7 @@ class ForkClient:
                 os.kill(pid, signal.SIGKILL)
 
     def wait(self, names: Iterable[str], timeout_s: float) -> None:
-        """Wait until these have ended, as far as they were forked, at most so long."""
+        """Wait up to `timeout_s` until the forked ones of these processes have ended."""
         with self._changed:
             self._changed.wait_for(
                 lambda: "fork server" in self.codes or self.pids.keys() & names <= self.codes.keys(), timeout_s
@@ -141,8 +141,8 @@ class ForkClient:
             self.codes.clear()
 
     def close(self) -> None:
-        """The same, and then end the fork server itself."""
-        self._closing = True  # its own end is none that anybody need hear of
+        """Kill the remaining processes, and then end the fork server."""
+        self._closing = True  # do not report its own end
         self.clear()
         assert self._process.stdin is not None
         with contextlib.suppress(OSError):
@@ -159,7 +159,7 @@ class ForkClient:
         self._lifeline.close()
 
     def _let_go(self) -> None:
-        """Close the lifeline, which ends every process that holds its other end; return when all have ended."""
+        """Close the lifeline, which ends every process that holds its other end; wait until all have ended."""
         with contextlib.suppress(OSError):
             self._lifeline.settimeout(END_DEADLINE_S)
             self._lifeline.shutdown(socket.SHUT_WR)

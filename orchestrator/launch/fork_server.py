@@ -1,12 +1,12 @@
-"""Where agents and plants come from: a process that has loaded what they need, and forks one when it is told to.
+"""The source of agents and plants: a process that has loaded their modules, and forks one on demand.
 
-A fork costs a few milliseconds and shares memory; an interpreter of one's own, with numpy and Zenoh, costs a
-quarter of a second. The fork server itself opens no session, knows no topology, and has one thread.
+A fork costs a few milliseconds and shares memory; a new interpreter with numpy and Zenoh costs a quarter of a second.
+The fork server opens no session, knows no topology, and has one thread.
 
-On its standard input it is told, a line of JSON each, `{"name", "module", "arguments", "log"}`, and `{"leave"}`: files
-and folders. When that input ends, whatever ended its parent, it ends its remaining children, frozen or not,
-removes these, and ends. On its standard output it says `{"name", "pid"}` when a process runs, and `{"name", "code"}`
-when it has ended. Its first argument is the descriptor of the lifeline that its children hold (wire.child).
+Its standard input has one JSON object per line: `{"name", "module", "arguments", "log"}`, or `{"leave"}` with files and
+folders to remove. When that input ends, for any reason, it kills its remaining children, removes these files and
+folders, and ends. Its standard output has `{"name", "pid"}` for a started process, and `{"name", "code"}` for an ended
+one. Its first argument is the descriptor of the lifeline that its children hold (wire.child).
 """
 
 from __future__ import annotations
@@ -39,17 +39,17 @@ PROGRAMS: dict[str, Callable[[Sequence[str]], NoReturn]] = {
 
 
 IGNORE_SIGINT = "--ignore-sigint"
-"""An argument: the processes of the run ignore SIGINT, as the command did when it was started."""
+"""An argument: the processes of the run ignore SIGINT, as the command did at its start."""
 
 
 def main() -> None:
     """Fork on demand until standard input ends."""
-    # What was loaded without an error has no more to say: let go of whatever our parent's standard error is.
+    # Release the standard error of our parent: the loaded modules have no more messages.
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
-    gc.freeze()  # what is loaded stays as it is: the collector need not touch, and so copy, shared pages
+    gc.freeze()  # freeze the loaded objects: the collector would touch, and so copy, shared pages
     lifeline = int(sys.argv[1])
     names: dict[int, str] = {}
-    # A child's end wakes the select below through this pair.
+    # The end of a child wakes the select below through this pair.
     wakes, woken = socket.socketpair()
     woken.setblocking(False)
     signal.set_wakeup_fd(woken.fileno())
@@ -90,7 +90,7 @@ def _fail(told: dict[str, Any], error: OSError) -> None:
 
 
 def _end(pids: Iterable[int], leave: Sequence[str]) -> None:
-    """Nobody of ours lives on; and only then, for a plant may just be making its socket, is it removed."""
+    """Kill all children first, and then remove the files: a plant may just be creating its socket."""
     for pid in pids:
         os.kill(pid, signal.SIGKILL)
     for pid in pids:
@@ -108,29 +108,29 @@ def _reap(names: dict[int, str]) -> None:
 
 
 def _say(**what: Any) -> None:
-    with contextlib.suppress(BrokenPipeError):  # our parent is gone: standard input ends, too
+    with contextlib.suppress(BrokenPipeError):  # our parent is gone, so standard input ends too
         os.write(1, json.dumps(what).encode() + b"\n")
 
 
 def _become(told: dict[str, Any], lifeline: int) -> NoReturn:
-    """In the child: a session and a log of its own, the lifeline as standard input; then the program, for good."""
+    """Set up the child: a new session, a log, the lifeline as standard input; then run the program and exit."""
     signal.set_wakeup_fd(-1)
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # the fork server handles it
     if IGNORE_SIGINT not in sys.argv:  # the fork server ignores it in any case
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     share_the_cores()
-    os.setsid()  # a Ctrl-C in the terminal is the parent's to handle
+    os.setsid()  # the parent handles a Ctrl-C in the terminal
     log = os.open(told["log"], os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
     for descriptor, source in ((0, lifeline), (1, log), (2, log)):
         os.dup2(source, descriptor)
     os.closerange(3, 256)
-    with contextlib.suppress(OSError):  # where there is a /proc, `ps` and `top` call it by its name
+    with contextlib.suppress(OSError):  # with /proc, `ps` and `top` show this name
         Path("/proc/self/comm").write_text(told["name"], encoding="utf-8")
     PROGRAMS[told["module"]](told["arguments"])
 
 
 def whole() -> NoReturn:
-    """Run `main`, and tell our parent what ended it."""
+    """Run `main`, and report the error that ended it to our parent."""
     code = Exit.VALID
     try:
         start.begin()

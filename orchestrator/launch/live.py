@@ -1,30 +1,30 @@
-"""A network while it runs: where it is, its clock, and faults that come and go.
+"""Control of a running network: its status, its clock, and faults that are added and ended.
 
     with Live() as network:                                     # the one that runs here
         print(network.fault.drop((2, 4), steps=range(50)))      # fault 1: drop 2-4 from step 214 to 264
         network.wait_for_step(300)
         network.heal()
 
-Whatever is asked takes effect at a step that the answer names, and steps of a fault are counted from there.
+Each request takes effect at a step that the answer names. The steps of a fault count from there.
 """
 
 from __future__ import annotations
 
 import json
 import time
-from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import psutil
 import zenoh
 from pydantic import TypeAdapter, ValidationError
 
 from hedgerow.orchestrator.launch.control import ask
+from hedgerow.orchestrator.launch.fault_verbs import FaultVerbs, NodeId, Pair, window_of
 from hedgerow.orchestrator.runs import registry
 from hedgerow.topologies.base import node_id
 from hedgerow.topologies.describe import describe
@@ -39,111 +39,14 @@ from hedgerow.wire.session import WireError, open_client
 if TYPE_CHECKING:
     from hedgerow.orchestrator.runs.run import Run
 
-NodeId = int | str
-Pair = tuple[NodeId, NodeId]
-Steps = range | tuple[int, int] | None
-T_co = TypeVar("T_co", covariant=True)
-
 WAIT_DEADLINE_S = 60.0
 END_DEADLINE_S = 20.0
 _LOOK_EVERY_S = 0.01
 _FAULT: TypeAdapter[Fault] = TypeAdapter(Fault)
 
 
-class FaultVerbs(ABC, Generic[T_co]):
-    """Every kind of fault as a method; `steps` is a range or (from, to), and every step if left out."""
-
-    @abstractmethod
-    def inject(self, fault: Fault | Mapping[str, Any]) -> T_co:
-        """Any fault: a model of `hedgerow.topologies.faults`, or a mapping as a file spells it."""
-
-    def _inject(self, kind: str, **keys: Any) -> T_co:
-        return self.inject({"kind": kind} | {key: value for key, value in keys.items() if value is not None})
-
-    def drop(
-        self,
-        link: Pair | None = None,
-        *,
-        steps: Steps = None,
-        one_way: bool = False,
-        probability: float | None = None,
-        at: Mapping[int, Sequence[Pair]] | None = None,
-    ) -> T_co:
-        """Messages between two neighbours are lost; `one_way`: those of the first to the second alone.
-
-        `at` alone lists, by step, the pairs (from, to) whose message is lost.
-        """
-        return self._inject("drop", **_ends(link, one_way), steps=_window(steps), probability=probability, at=at)
-
-    def delay(
-        self,
-        link: Pair,
-        *,
-        by: int,
-        steps: Steps = None,
-        one_way: bool = False,
-        probability: float | None = None,
-    ) -> T_co:
-        """Messages between two neighbours arrive `by` steps late; `one_way` as for `drop`."""
-        return self._inject("delay", **_ends(link, one_way), by=by, steps=_window(steps), probability=probability)
-
-    def cut(
-        self,
-        edge: Pair | None = None,
-        *,
-        steps: Steps = None,
-        probability: float | None = None,
-        at: Mapping[int, Sequence[Pair]] | None = None,
-    ) -> T_co:
-        """An edge carries no flow, at both its ends; `at` alone lists the edges by step."""
-        return self._inject("cut", edge=edge, steps=_window(steps), probability=probability, at=at)
-
-    def partition(self, *groups: Sequence[NodeId], steps: Steps = None, cut: bool = False) -> T_co:
-        """All messages between groups of nodes are lost; with `cut`, their edges carry no flow either."""
-        return self._inject("partition", groups=groups, steps=_window(steps), cut=cut)
-
-    def sensor(self, node: NodeId, *, steps: Steps = None, probability: float | None = None) -> T_co:
-        """The reading of a node's state is lost, and the node sends no input."""
-        return self._inject("sensor", node=node, steps=_window(steps), probability=probability)
-
-    def actuator(self, node: NodeId, *, steps: Steps = None, probability: float | None = None) -> T_co:
-        """A node's input is lost on its way to the plant."""
-        return self._inject("actuator", node=node, steps=_window(steps), probability=probability)
-
-    def crash(
-        self,
-        node: NodeId | None = None,
-        *,
-        process: int | None = None,
-        at: int = 0,
-        restart_after: int | None = None,
-    ) -> T_co:
-        """A node's agent, or a whole process of agents, dies; it is back `restart_after` steps later, or never."""
-        return self._inject("crash", node=node, process=process, at=at, restart_after=restart_after)
-
-    def jump(self, node: NodeId, *, to: float, at: int = 0) -> T_co:
-        """A node's true a becomes another of its candidates."""
-        return self._inject("jump", node=node, at=at, a=to)
-
-
-def _ends(link: Pair | None, one_way: bool) -> dict[str, Any]:
-    if link is None or not one_way:
-        return {"link": link}
-    return {"from": link[0], "to": link[1]}
-
-
-def _window(steps: Steps) -> tuple[int, int] | None:
-    if isinstance(steps, range):
-        if steps.step != 1:
-            raise UserError(
-                f"steps={steps}: a fault holds at every step of its window; use a range with no stride", code=Code.FAULT
-            )
-        return steps.start, steps.stop
-    return steps
-
-
 def checked(fault: Fault | Mapping[str, Any], topology: Topology) -> Fault:
-    """A fault for a resolved topology; raises UserError with all that a file would be refused for."""
+    """Return a fault for a resolved topology; raise UserError with all mistakes, as for a file."""
     if isinstance(fault, Mapping):
         entry = _plain(fault)
         kind = entry.get("kind", "fault")
@@ -159,11 +62,11 @@ def checked(fault: Fault | Mapping[str, Any], topology: Topology) -> Fault:
 
 
 def _plain(value: Any) -> Any:
-    """Python's values, numpy's among them, as a file would have given them."""
+    """Return values of Python and numpy as a file would give them."""
     if isinstance(value, Mapping):
         return {_plain(key): _plain(inside) for key, inside in value.items()}
     if isinstance(value, range):
-        return _window(value)
+        return window_of(value)
     if isinstance(value, list | tuple):
         return [_plain(inside) for inside in value]
     return value.item() if hasattr(value, "item") else value
@@ -175,7 +78,7 @@ def _schema_problems(entry: Any, refused: ValidationError) -> Sequence[Any]:
         parse(json.dumps(least, default=str).encode(), "fault", Path())
     except TopologyError as error:
         return error.problems
-    # A file takes some numbers that Python's types rule out, such as 1e16 for a step: report pydantic's own words.
+    # A file accepts some numbers that Python's types exclude, such as 1e16 for a step: report pydantic's own words.
     return [f"{'.'.join(map(str, found['loc'][1:]))}: {found['msg']}" for found in refused.errors(include_url=False)]
 
 
@@ -185,7 +88,7 @@ def _said(kind: str, problems: Sequence[Any]) -> Iterator[str]:
 
 
 def pair(text: str, topology: Topology) -> Pair:
-    """The two nodes that `2-4` names; `2,4` says the same where names with a '-' in them leave it open."""
+    """Return the two nodes in `2-4`; `2,4` is the same for ambiguous names with a '-' in them."""
     if "," in text:
         one, _, other = text.partition(",")
         return _known(one, text, topology), _known(other, text, topology)
@@ -204,7 +107,7 @@ def pair(text: str, topology: Topology) -> Pair:
 
 
 def groups(text: str, topology: Topology) -> list[list[NodeId]]:
-    """The groups of nodes that `1,2,3/4,5` names."""
+    """Return the groups of nodes in `1,2,3/4,5`."""
     return [[_known(node, text, topology) for node in group.split(",")] for group in text.split("/")]
 
 
@@ -221,14 +124,14 @@ def _listed(topology: Topology) -> str:
 
 @dataclass(frozen=True)
 class Injected:
-    """A fault that a running network was given."""
+    """A fault that was added to a running network."""
 
     number: int
-    """by which `heal` ends it, from 1"""
+    """its number for `heal`, from 1"""
     step: int
-    """the first step that it could have; its own steps are counted from there"""
+    """the first possible step; the steps of the fault count from there"""
     fault: Fault
-    """as the run's topology.yaml holds it, by steps of the run"""
+    """the fault as in the run's topology.yaml, with steps of the run"""
 
     def __str__(self) -> str:
         return f"fault {self.number}: {describe(self.fault)}"
@@ -236,11 +139,11 @@ class Injected:
 
 @dataclass(frozen=True)
 class Healed:
-    """Faults that were ended."""
+    """The faults that were ended."""
 
     numbers: tuple[int, ...]
     step: int
-    """the first step without them; a crashed agent is back one step later"""
+    """the first step without them; a crashed agent returns one step later"""
 
     def __str__(self) -> str:
         if not self.numbers:
@@ -252,13 +155,14 @@ class Healed:
 class Live:
     """A session with a running network; a context manager.
 
-    run: the name of a network, or its beginning, or its entry of `registry`; if left out, the only one that runs, or
-    that of this working directory. Every method raises UserError for what the network refuses, and WireError when its
+    run: the name of a network, or its beginning, or its entry of `registry`; if omitted, the only running network, or
+    that of this working directory. Every method raises UserError if the network refuses a request, and WireError if its
     plant does not answer.
     """
 
     def __init__(self, run: str | registry.Entry | None = None) -> None:
         self.entry = run if isinstance(run, registry.Entry) else registry.find(run)
+        """the entry of the run in the registry"""
         self._session: zenoh.Session | None = None
         self._added: dict[int, Fault] = {}
 
@@ -273,24 +177,24 @@ class Live:
         self.close()
 
     def close(self) -> None:
-        """Leave the network, which runs on."""
+        """Close the session; the network continues."""
         if self._session is not None:
             self._session.close()  # type: ignore[no-untyped-call]
             self._session = None
 
     @property
     def run(self) -> str:
-        """The name of the run."""
+        """Return the name of the run."""
         return self.entry.run
 
     @property
     def folder(self) -> Path:
-        """The folder of the run."""
+        """Return the folder of the run."""
         return Path(self.entry.folder)
 
     @cached_property
     def topology(self) -> Topology:
-        """The network, resolved, with the faults of the moment when it was first asked for."""
+        """Return the resolved network, with the faults at the time of the first call."""
         return load(str(self.folder))
 
     def _ask(self, command: str, **request: Any) -> dict[str, Any]:
@@ -304,11 +208,11 @@ class Live:
         return answer
 
     def status(self) -> dict[str, Any]:
-        """`step` of `steps`, whether it is `running` and `paused`, its `rate`, who is `missing` and who is `lost`."""
+        """Return the status: `step` of `steps`, `running`, `paused`, `rate`, and the `missing` and `lost` shards."""
         return self._ask("status")
 
     def inject(self, fault: Fault | Mapping[str, Any]) -> Injected:
-        """Add a fault, its steps counted from the first that it can have: [0, 50) is the next 50 steps."""
+        """Add a fault; its steps count from the first possible step: [0, 50) is the next 50 steps."""
         model = checked(fault, self.topology)
         if isinstance(model, Jump) and not isinstance(model.a, float):
             listed = ", ".join(map(repr, self.topology.nodes[model.node].candidates))  # type: ignore[arg-type]
@@ -324,34 +228,34 @@ class Live:
 
     @property
     def fault(self) -> FaultVerbs[Injected]:
-        """Every kind of fault as a method: `network.fault.drop((2, 4), steps=range(50))`."""
+        """Return an object with every kind of fault as a method: `network.fault.drop((2, 4), steps=range(50))`."""
         return _Injecting(self)
 
     def heal(self, number: int | None = None) -> Healed:
-        """End a fault, by its number from 1; or all that can be ended."""
+        """End a fault, by its number from 1; or every fault that can be ended."""
         answer = self._ask("heal", fault=number)
         return Healed(tuple(answer["faults"]), answer["step"])
 
     def faults(self) -> dict[int, Fault]:
-        """The faults of the file, and those that were added, by their numbers and by steps of the run."""
+        """Return the faults of the file and the added ones, by number, with steps of the run."""
         return self._added | dict(enumerate(load(str(self.folder)).faults, start=1))
 
     def pause(self) -> int:
-        """Make no step after this one."""
+        """Pause the network after this step."""
         return int(self._ask("pause")["step"])
 
     def resume(self) -> int:
-        """Go on."""
+        """Resume the network."""
         return int(self._ask("resume")["step"])
 
     def step(self, steps: int = 1) -> int:
-        """Make so many steps more and pause."""
+        """Make this number of steps, then pause."""
         if steps < 1:
             raise UserError(f"step {steps}: one step is the least", code=Code.OPTION)
         return int(self._ask("step", steps=steps)["step"])
 
     def rate(self, rate: float) -> int:
-        """So many steps a second from now on; 0 for as fast as possible."""
+        """Set the rate in steps per second; 0 is as fast as possible."""
         if rate < 0:
             raise UserError(f"rate {rate:g}: must not be negative; 0 is as fast as possible", code=Code.OPTION)
         return int(self._ask("rate", rate=rate)["step"])
@@ -361,12 +265,12 @@ class Live:
         return int(self._ask("stop")["step"])
 
     def stop(self, deadline_s: float = END_DEADLINE_S) -> Run:
-        """End the run after the current step, wait for its verdict, and return it. Raises DeadlineError."""
+        """End the run after the current step, wait for its verdict, and return the run. Raises DeadlineError."""
         self.ask_to_stop()
         return self.wait(deadline_s)
 
     def wait(self, deadline_s: float = WAIT_DEADLINE_S) -> Run:
-        """Wait for the end of the run, and return it. Raises DeadlineError."""
+        """Wait for the end of the run, and return the run. Raises DeadlineError."""
         from hedgerow.orchestrator.runs.reader import load_run  # noqa: PLC0415 (Arrow takes a while to load)
 
         until = time.monotonic() + deadline_s
@@ -377,9 +281,9 @@ class Live:
         return load_run(self.folder)
 
     def wait_for_step(self, step: int, deadline_s: float = WAIT_DEADLINE_S) -> int:
-        """Wait until all steps before `step` are made; returns the step that the network is at.
+        """Wait until all steps before `step` are made; return the current step.
 
-        Raises DeadlineError past the deadline, and HedgerowError when the run ends before that step.
+        Raise DeadlineError after the deadline, and HedgerowError if the run ends before that step.
         """
         until = time.monotonic() + deadline_s
         last = "its plant does not answer"
@@ -411,7 +315,7 @@ class Live:
             return True
 
     def _done(self) -> int | None:
-        """How many steps were made, once the run has its verdict."""
+        """Return the number of steps of a finished run, None without a verdict."""
         from hedgerow.orchestrator.runs.files import read_file  # noqa: PLC0415 (Arrow takes a while to load)
 
         try:
@@ -430,7 +334,7 @@ class _Injecting(FaultVerbs[Injected]):
 
 
 def where(status: Mapping[str, Any]) -> str:
-    """Where a network is, and what it waits for."""
+    """Return the progress of a network, and the missing processes, in words."""
     said = f"step {status['step']} of {status['steps']}"
     if status["paused"]:
         said += ", paused"

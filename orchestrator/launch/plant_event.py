@@ -1,6 +1,6 @@
-"""An event that the plant tells the observer: rebuilt from the fields that it may have, or refused.
+"""An event from the plant to the observer: rebuilt from its permitted fields, or refused.
 
-In an open network anybody may write on `telemetry`, and the next message there may be a stranger's.
+In an open network any process may write on `telemetry`, so the next message may come from a stranger.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def _is_table(value: Any) -> bool:
 
 
 def _fields(shards: int, faults: int) -> Mapping[str, Mapping[str, Check]]:
-    """Return the fields of each event of a run with so many shards and, until now, so many faults."""
+    """Return the fields of each event, in a run with these numbers of shards and, until now, faults."""
 
     def is_shard(value: Any) -> bool:
         return _is_count(value) and value < shards
@@ -58,9 +58,9 @@ def _fields(shards: int, faults: int) -> Mapping[str, Mapping[str, Check]]:
 
 
 def checked(event: Mapping[str, Any], shards: int, faults: int) -> dict[str, Any]:
-    """Return the event with its known fields alone.
+    """Return the event with only its known fields.
 
-    Raises MessageError for an event that no plant of a run with so many shards and faults tells.
+    Raise MessageError for an event that no plant of such a run sends.
     """
     kind = event.get("event")
     fields = _fields(shards, faults).get(kind) if isinstance(kind, str) else None

@@ -1,9 +1,9 @@
-"""A network whose agents live on the machines of a Ray cluster.
+"""A network with agents on the machines of a Ray cluster.
 
-Ray finds each a machine, starts it again when it dies, and brings its log here. An agent there is one that was started
-elsewhere (launch/external_agents.py), with its config as an argument. Agents and plant exchange messages over Zenoh.
+Ray chooses a machine for each agent, restarts it when it dies, and brings its log here. For the run it is a separate
+agent (launch/external_agents.py), with its config as an argument. Agents and plant exchange messages over Zenoh.
 
-A machine of the cluster loads this module, and needs what an agent needs and no more: the rest is loaded late.
+A machine of the cluster loads this module and needs only what an agent needs: other imports are late.
 """
 
 from __future__ import annotations
@@ -30,28 +30,28 @@ if TYPE_CHECKING:
     from hedgerow.wire.credentials import Credentials
 
 ALWAYS = -1
-"""Ray starts an agent again each time that it dies: `Restarts` decides when it stays down."""
+"""Ray restarts an agent each time that it dies: `Restarts` decides when it stays down."""
 READY = "ready: "
-"""how the line begins that an agent logs once it has reached the router and has its place"""
+"""the start of the log line of an agent that has reached the router and has its place"""
 MOST_PER_CPU = 20
 """Each is a whole Python process, with all of Ray in it."""
 WAIT_S = 120.0
-"""How long agents have to be placed and to come, if the user says nothing else."""
+"""The default time to place the agents and to wait for them [s]."""
 SOONER = 0.8
-"""They give up before we do, and say why."""
+"""The agents give up before we do, with the reason."""
 LOOK_EVERY_S = 0.5
 END_DEADLINE_S = 2.0
-"""How long agents have to leave by themselves, and to say their last lines, once the plant has ended."""
+"""The time for agents to leave by themselves and to log their last lines, after the end of the plant [s]."""
 
 
 class RemoteAgent:
-    """One agent, in a worker of Ray on some machine; two threads: one is the agent, one says how it does."""
+    """One agent in a Ray worker on some machine, with two threads: one runs the agent, one reports on it."""
 
     def __init__(self) -> None:
         self._said: list[str] = []
 
     def run(self, config: Config, wait_s: float, credentials: Credentials | None) -> str:
-        """Be the agent until the plant says END; why that could not be, or nothing."""
+        """Run the agent until the plant sends END; return the reason for a failure, or an empty text."""
         from hedgerow.agents.standalone import take_part  # noqa: PLC0415
         from hedgerow.wire.child import Line  # noqa: PLC0415
         from hedgerow.wire.runtime import share_the_cores  # noqa: PLC0415
@@ -72,14 +72,16 @@ class RemoteAgent:
 
     @staticmethod
     def _patience(wait_s: float) -> float:
-        """Return how long this life waits for the router [s]: if restarted, as long as `up` restarts its own agents."""
+        """Return the time that this life waits for the router [s]: after a restart, as long as `up` restarts its own
+        agents.
+        """
         import ray  # noqa: PLC0415
 
         restarted = ray.get_runtime_context().was_current_actor_reconstructed
         return max(wait_s, UNREACHED_S) if restarted else wait_s
 
     def look(self, seen: int) -> tuple[str, int, list[str]]:
-        """The machine's address, the process id, and what was logged but for `seen` lines."""
+        """Return the machine's address, the process id, and the log lines after the first `seen`."""
         import ray  # noqa: PLC0415
 
         return ray.util.get_node_ip_address(), os.getpid(), self._said[seen:]
@@ -96,27 +98,27 @@ class _Lines(logging.Handler):
 
 @dataclass
 class _Placed:
-    """One agent as we see it from here."""
+    """The state of one agent, as known here."""
 
     name: str
     actor: Any
     running: Any
-    """what its `run` will return"""
+    """the future result of its `run`"""
     looking: Any = None
-    """what its `look` will return"""
+    """the future result of its `look`"""
     pid: int = 0
     where: str = ""
     seen: int = 0
-    """lines of its log that are here"""
+    """the number of log lines received"""
     reached: bool = False
     """this life has reached the router"""
     restarts: Restarts = field(default_factory=Restarts)
     over: bool = False
     """its `run` has returned"""
     last: bool = False
-    """when it was asked last, it was over: after that answer its log is whole"""
+    """it had ended before the last request: after that answer its log is complete"""
     told: bool = False
-    """and that answer is here"""
+    """that answer has arrived"""
 
 
 @dataclass
@@ -129,7 +131,7 @@ class Fleet:
     say: Callable[[str], None]
     restarts: int = 0
     down: list[str] = field(default_factory=list)
-    """those that ended and stay down, and why"""
+    """the agents that stay down, with the reason"""
 
     @property
     def _ray(self) -> Any:
@@ -137,12 +139,12 @@ class Fleet:
 
     @property
     def reason(self) -> str:
-        """Why there is nothing to wait for: somebody could not begin."""
+        """Return the reason to stop waiting: the failure of an agent to start; otherwise an empty text."""
         return self.down[0] if self.down else ""
 
     @contextlib.contextmanager
     def placed(self, told: Sequence[tuple[Config, Credentials | None]], wait_s: float) -> Iterator[None]:
-        """Agents with these configs, and credentials where the network is secure, while the block lasts."""
+        """Run agents with these configs, and with credentials in a secure network, while the block lasts."""
         seat = self._ray.remote(RemoteAgent).options(
             num_cpus=self.on.share,
             scheduling_strategy="SPREAD",
@@ -165,18 +167,18 @@ class Fleet:
                 watcher.join(2 * END_DEADLINE_S)
         finally:
             for agent in agents:
-                with contextlib.suppress(Exception):  # of a cluster that is gone itself
+                with contextlib.suppress(Exception):  # errors of a cluster that is gone itself
                     self._ray.kill(agent.actor)
 
     def _watch(self, agents: Sequence[_Placed], over: threading.Event) -> None:
         try:
             self._tend(agents, over)
-        except Exception as error:  # the run needs Ray no more, as long as nobody dies
+        except Exception as error:  # the run does not need Ray any more, unless an agent dies
             why = (str(error).strip() or type(error).__name__).splitlines()[0]
             self.say(f"--on {self.on.cluster.address}: out of reach: {why}; the logs of agents end here")
 
     def _tend(self, agents: Sequence[_Placed], over: threading.Event) -> None:
-        """Bring logs here, and see who dies, until `over` and then until all have left, or should have."""
+        """Collect logs and detect deaths, until `over` and then until all agents have left or should have."""
         everybody = False
         while not over.wait(LOOK_EVERY_S):
             self._look(agents)
@@ -200,7 +202,7 @@ class Fleet:
         ready, _ = ray.wait(waiting, num_returns=len(waiting), timeout=LOOK_EVERY_S)
         for agent in agents:
             if agent.looking in ready:
-                with contextlib.suppress(ray.exceptions.RayError):  # it died, or is not there yet
+                with contextlib.suppress(ray.exceptions.RayError):  # it died, or it is not there yet
                     self._take(agent, *ray.get(agent.looking))
                 agent.looking, agent.told = None, agent.last
             if agent.running in ready and not agent.over:
@@ -219,10 +221,10 @@ class Fleet:
             self.restarts += again
             happened = "restarted" if again else "placed"
             self.folder.event(happened, process=agent.name, machine=where, pid=pid)
-            # What we asked for was counted in the log of its life before.
+            # The counted log lines belong to its earlier life.
             lines = [f"-- {'again ' if again else ''}on {where}, process {pid}", *([] if again else lines)]
             if again and agent.restarts.after_death(agent.reached, time.monotonic()) is None:
-                self._ray.kill(agent.actor)  # its `run` ends with that, and it is down
+                self._ray.kill(agent.actor)  # its `run` then ends, and the agent is down
             agent.where, agent.pid, agent.seen, agent.reached = where, pid, -1, False
         agent.seen += len(lines)
         agent.reached = agent.reached or any(READY in line for line in lines)
@@ -232,10 +234,12 @@ class Fleet:
 
 
 def share_of(agents: int, free: float, machines: int) -> float:
-    """The CPUs that each agent asks Ray for: one where there are enough, else such a part of one that all fit."""
+    """Return the CPUs that each agent requests from Ray: one if there are enough, otherwise a part of one such that all
+    fit.
+    """
     if agents <= free:
         return 1.0
-    # What is left over on a machine is less than a share.
+    # The unused rest of a machine is less than one share.
     share = int(1e4 * free / (agents + machines)) / 1e4
     if share * MOST_PER_CPU < 1:
         most = int(free * MOST_PER_CPU) - machines
@@ -249,7 +253,7 @@ def share_of(agents: int, free: float, machines: int) -> float:
 
 
 def _where(agents: Sequence[_Placed]) -> str:
-    """Who is where, in words."""
+    """Return the machines of the agents, in words."""
     machines = dict.fromkeys(agent.where for agent in agents)
     names = {where: [agent.name for agent in agents if agent.where == where] for where in machines}
     return "; ".join(
@@ -260,14 +264,14 @@ def _where(agents: Sequence[_Placed]) -> str:
 
 @dataclass(frozen=True)
 class OnRay:
-    """The agents of a network as they will be on a cluster."""
+    """The agents of a network on a cluster, before they start."""
 
     cluster: RayCluster
     external: External
     endpoint: str
-    """where they find the run"""
+    """their endpoint to reach the run"""
     share: float
-    """the CPUs that each asks for"""
+    """the CPUs that each agent requests"""
 
 
 @contextlib.contextmanager
@@ -280,13 +284,13 @@ def chosen(
     namespace: str | None,
     wait_s: float | None,
 ) -> Iterator[OnRay]:
-    """What `--on ON` means, while we are joined to that cluster; UserError where it cannot be."""
+    """Provide the agents for `--on ON` while we are joined to that cluster; raise UserError if it is impossible."""
     from hedgerow.orchestrator.launch import endpoints, external_agents  # noqa: PLC0415
     from hedgerow.orchestrator.launch.ray_cluster import joined  # noqa: PLC0415
     from hedgerow.wire.ports import LOOPBACK, free_port  # noqa: PLC0415
 
     with joined(on) as cluster:
-        # Nobody else is let in where there is nobody else.
+        # Listen on loopback only if the cluster is this machine alone.
         here = LOOPBACK if cluster.machines <= {cluster.here} else cluster.here
         listens = None if router else listen or f"{'tls' if topology.secure else 'tcp'}/{here}:{free_port(here)}"
         meet = namespace or endpoints.namespace_of(topology.name)

@@ -1,4 +1,4 @@
-"""A Ray cluster, joined: for a sweep, whose runs are its tasks, and for a network, whose agents it places."""
+"""The connection to a Ray cluster: for the tasks of a sweep, and for the agents of a network."""
 
 from __future__ import annotations
 
@@ -19,28 +19,28 @@ INSTALL = "install it with: pip install 'hedgerow[ray]'"
 
 @dataclass(frozen=True)
 class RayCluster:
-    """A cluster, and we a part or a client of it."""
+    """A Ray cluster that this process is part of, or a client of."""
 
     ray: Any
     """the module"""
     address: str
-    """as the user named it"""
+    """the address in the user's words"""
     here: str
-    """our own IP address, as its machines see it"""
+    """our IP address, as seen by its machines"""
 
     @property
     def machines(self) -> set[str]:
-        """The IP addresses of its machines."""
+        """Return the IP addresses of its machines."""
         return {node["NodeManagerAddress"] for node in self.ray.nodes() if node["Alive"]}
 
     @property
     def free_cpus(self) -> float:
-        """How many CPUs nobody has taken."""
+        """Return the number of free CPUs."""
         return float(self.ray.available_resources().get("CPU", 0.0))
 
 
 def check(address: str) -> None:
-    """Raise UserError for what names no cluster."""
+    """Raise UserError for a text that is not the address of a cluster."""
     if address == "ray":
         return
     if not address.startswith("ray://"):
@@ -57,10 +57,10 @@ def _host_and_port(address: str) -> tuple[str, str]:
 
 @contextlib.contextmanager
 def joined(address: str) -> Iterator[RayCluster]:
-    """A cluster while the block lasts: `address` is ray://HOST:PORT, its client port; or `ray`.
+    """Provide a cluster while the block lasts: `address` is ray://HOST:PORT, its client port; or `ray`.
 
-    That is the one that this machine is part of, else one of its own cores, which is gone after the block. Raises
-    UserError where there is none.
+    `ray` means the cluster of this machine, or otherwise a temporary one on its cores. Raise UserError if there is no
+    cluster.
     """
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     try:
@@ -86,7 +86,10 @@ def joined(address: str) -> Iterator[RayCluster]:
 
 
 def _way_to(address: str) -> str:
-    """Our own address on the way to a cluster. Ray would try for half a minute, and not say what is wrong."""
+    """Return our own address on the way to a cluster; raise UserError if it does not answer.
+
+    Ray itself would try for half a minute, without a clear error.
+    """
     host, port = _host_and_port(address)
     try:
         with socket.create_connection((host, int(port)), LISTEN_DEADLINE_S) as way:

@@ -32,28 +32,31 @@ if TYPE_CHECKING:
     from hedgerow.orchestrator.runs.round_trips import RoundTrips
     from hedgerow.orchestrator.runs.writer import Recorder
     from hedgerow.orchestrator.views.rerun.stream import RerunStream
+    from hedgerow.orchestrator.views.screen import Screen
 
 CLOSE_DEADLINE_S = 5.0
 CERTIFIED = 300
-"""Number of nodes up to which the bounds on the gain are solved beside a run, in seconds; its end waits for them."""
+"""The maximum number of nodes for a computation of the gain bounds beside the run, which takes seconds; the end of the
+run waits for it.
+"""
 TABLES = ("telemetry", "edges", "summary")
-"""of which there is no summary where `record:` says so"""
+"""the names of the tables; `record:` can omit the summary"""
 
 
 @dataclass(frozen=True)
 class Watching:
-    """The destinations of Rerun data: run.rrd or none, and a viewer as `views.rerun.viewer.choose` names it."""
+    """The destinations of Rerun data: run.rrd or none, and a viewer as named by `views.rerun.viewer.choose`."""
 
     record: bool = True
     viewer: str = "none"
     split_mb: float = 256.0
-    """past so many MB run.rrd goes on in another file; 0 for never"""
+    """the size of run.rrd [MB] at which a next file begins; 0 for one file"""
     keep: bool = False
     """leave the page of a finished run open until Ctrl-C"""
 
 
 class Recording:
-    """Feeds the observer and keeps what it computes."""
+    """The recorder of one run: it feeds the observer and stores the results."""
 
     def __init__(
         self,
@@ -64,22 +67,25 @@ class Recording:
         processes: Sequence[str] = (),
         replayed: bool = True,
     ) -> None:
-        """`processes` are those that answer states, in the order of their shards. `replayed` adds a replay's checks."""
+        """Open the recording; `processes` are those that answer states, in the order of their shards.
+
+        `replayed` adds a replay's checks.
+        """
         self._processes = processes
         self._round_trips: RoundTrips | None = None
-        """where something crosses a wire, from the first step on"""
+        """the answer times in a run over Zenoh, from the first step on"""
         self.topology, self.folder, self.ending = topology, folder, ending
         self.observer = Observer(topology)
         self.rows_at_once = rows_at_once(self.observer.graph.n)
         self._watching = watching
         self._background: BackgroundThread | None = None
-        """who feeds the stream: Rerun takes a second to load, and nobody waits for it"""
+        """the thread that feeds the stream: loading Rerun takes a second, and the run does not wait for it"""
         self._replaying: BackgroundThread | None = None
-        """the thread of the replay: a step of it takes as long as one of an agent, and the loop is not to wait"""
+        """the thread of the replay: its step takes as long as that of an agent, and the loop must not wait"""
         self._replayed = replayed
         self._stream: RerunStream | None = None
         self._bounding: BackgroundThread | None = None
-        """the thread that solves for the bounds on the gain: it begins after the first step"""
+        """the thread that computes the gain bounds: it begins after the first step"""
         if len(topology.ids) <= CERTIFIED:
             self.observer.adaptive = GainCertificate(plant_of(topology.network), self.observer.x0)
         else:
@@ -87,23 +93,23 @@ class Recording:
                 f"{len(topology.ids)} nodes are more than {CERTIFIED}; `orchestrator bound` takes larger networks"
             )
         self._notes: list[tuple[str, str, int]] = []
-        """what was noted before there was a stream"""
+        """the notes from before the stream existed"""
         self.viewer: Viewer | None = None
         self.warnings: deque[str] = deque()
-        """Warnings about the viewer, for the command that started the run; other threads append to it."""
+        """warnings about the viewer that `warn` prints; other threads append to it"""
         self._watched = False
 
     @cached_property
     def _recorder(self) -> Recorder:
-        # Arrow takes a while to load: not before the processes of the run have been launched.
+        # Loading Arrow takes time: the processes of the run must start first.
         from hedgerow.orchestrator.runs.writer import Recorder  # noqa: PLC0415
 
         return Recorder(self.topology, self.folder.path)
 
     def take(self, rows: Sequence[Telemetry]) -> Batch | None:
-        """Observe and record some steps, `rows_at_once` at most; None if all of them were recorded before.
+        """Observe and record some steps, at most `rows_at_once`; return None if all were recorded before.
 
-        Raises OSError when the disk is full.
+        Raise OSError when the disk is full.
         """
         if not (rows := self.observer.in_order(rows)):
             return None
@@ -127,12 +133,12 @@ class Recording:
             return
         if self._replaying is None:
             self._replaying = BackgroundThread("replay", self._leave_out_replay)
-            first = self.topology  # by the faults at the first step, whatever comes before the thread begins
+            first = self.topology  # the faults at the first step, whatever changes before the thread begins
             self._replaying.do(lambda: self._begin_replay(first))
         self._replaying.do(lambda: self._take_replayed(rows), size)
 
     def _bound(self) -> None:
-        """Solve for the bounds on the gain beside the run, once it has made its first step."""
+        """Compute the gain bounds beside the run, after its first step."""
         certificate = self.observer.adaptive
         if certificate is None or self._bounding is not None:
             return
@@ -144,23 +150,25 @@ class Recording:
         self._bounding.do(solve)
 
     def _leave_out_bounds(self, error: BaseException) -> None:
-        """Go on without the certificate, which is only one check of several."""
+        """Continue without the certificate, which is only one of several checks."""
         reached = limit_reached(error)
         expected = isinstance(error, HedgerowError | OSError | ImportError) or reached is not None
         why = str(reached or error) if expected else crash.report(error, self.folder.logs / "orchestrator.log")
         self.observer.adaptive, self.observer.not_certified = None, why
 
     def _leave_out_replay(self, error: BaseException) -> None:
-        """Go on without the replay after a defect in it; the verdict is unknown, and names the traceback's file."""
+        """Continue without the replay after a defect in it; the verdict is unknown, and names the file of the
+        traceback.
+        """
         self.ending.replay = None
         self.ending.not_replayed = crash.report(error, self.folder.logs / "orchestrator.log")
 
     def _begin_replay(self, topology: Topology) -> None:
         try:
             self.ending.replay = Replay(topology)
-        except HedgerowError as error:  # a law that can be loaded where the agents are, and not here
+        except HedgerowError as error:  # a law that only the agents' machine can load
             self.ending.not_replayed = str(error)
-        except Exception as error:  # no room for a replay, say: that ends no run
+        except Exception as error:  # a failure of the replay, such as a lack of memory, must not end the run
             self.ending.not_replayed = f"{type(error).__name__}: {error}"
 
     def _take_replayed(self, rows: Sequence[Telemetry]) -> None:
@@ -172,23 +180,23 @@ class Recording:
             self.ending.replay.change(topology)
 
     def take_trips(self, trips: Trips) -> None:
-        """Record how long the processes took to answer, at some steps that were taken in; OSError as `take`."""
+        """Record the answer times of the processes at some recorded steps; OSError as in `take`."""
         assert self._round_trips is not None, "they come after their steps"
         self._round_trips.take(trips)
         at = time.time()
         self._show(lambda stream: stream.round_trips(trips, at))
 
     def finish(self, end: End) -> None:
-        """Take in the final state."""
+        """Record the final state."""
         self.observer.finish(end)
         self._recorder.write_end(self.observer, end)
         self._show(lambda stream: stream.end(self.observer))
         self.note(f"the run ended after {end.t} steps", "INFO", end.t)
 
     def change(self, topology: Topology) -> None:
-        """The faults are these from the next step on: the observer goes by them, and so will who runs the folder again.
+        """Change the faults from the next step on, for the observer and in the run's topology.yaml.
 
-        Raises OSError when the disk is full.
+        Raise OSError when the disk is full.
         """
         self.topology = topology
         self.observer.change(topology)
@@ -202,16 +210,21 @@ class Recording:
             part.unlink(missing_ok=True)
 
     def note(self, text: str, level: str, step: int) -> None:
-        """Show a line among the viewer's events; `level` is INFO, WARN or ERROR."""
+        """Show a line in the viewer's events; `level` is INFO, WARN or ERROR."""
         if self._watched:
             self._show(lambda stream: stream.event(text, level, step))
         else:
             self._notes.append((text, level, step))
 
     def tell_faults(self) -> None:
-        """Write down the faults that the file schedules."""
+        """Record the faults that the file schedules."""
         for number, fault in enumerate(self.topology.faults, 1):
             self.folder.event("fault", fault=number, entry=fault.written())
+
+    def warn(self, screen: Screen) -> None:
+        """Print the warnings about the viewer that came since the last call."""
+        while self.warnings:
+            screen.say(self.warnings.popleft())
 
     def _open_stream(self) -> None:
         if not self._watching.record and self._watching.viewer == "none":
@@ -249,7 +262,7 @@ class Recording:
         )
 
     def _leave_out(self, error: BaseException) -> None:
-        """Go on without the recording and the viewer, which only help, and say so once."""
+        """Continue without the recording and the viewer, which are optional, and report this once."""
         self._stream = None
         why = str(limit_reached(error) or error)
         expected = isinstance(error, HedgerowError | OSError | ImportError) or limit_reached(error) is not None
@@ -267,7 +280,7 @@ class Recording:
             self._background.do(job, size)
 
     def close_tables(self) -> None:
-        """Bring the tables into their final form; nothing can be taken in afterwards."""
+        """Write the final form of the tables; no step can be recorded after that."""
         self._recorder.close()
         if self._round_trips is not None:
             self._round_trips.close()
@@ -292,7 +305,8 @@ class Recording:
                 self._background.close()
             self._close_stream()
             self.close_tables()
-        except (OSError, HedgerowError) as error:  # a full disk: the streams hold what was recorded, and can be read
+        # A full disk: the stream files hold the recorded steps, and can be read.
+        except (OSError, HedgerowError) as error:
             self.ending.stopped = self.ending.stopped or str(error)
         if self._round_trips is not None:
             self.ending.round_trips = self._round_trips.summary()
@@ -304,7 +318,10 @@ class Recording:
 
 
 def same_tables(one: Path, other: Path) -> bool:
-    """Whether two run folders hold the same tables, bit for bit; by a summary's checksums, of all nodes and steps."""
+    """Return True if two run folders hold the same tables, bit for bit.
+
+    A summary has checksums over all nodes and steps.
+    """
     names = [f"{name}.parquet" for name in TABLES]
     return all(_digest(one / name) == _digest(other / name) for name in names)
 

@@ -1,11 +1,11 @@
-"""How often an agent that dies by itself is started again: one rule for forked agents and for those on Ray."""
+"""The restart rule for agents that die by themselves, both forked ones and those on Ray."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 RESTARTS = 5
-"""How often an agent that died by itself is started again; then it stays down."""
+"""The maximum number of restarts of an agent that died by itself; then it stays down."""
 BACKOFF_S = 0.1
 """The wait before the first restart; each next restart of the same kind waits twice as long."""
 MOST_BACKOFF_S = 5.0
@@ -13,7 +13,7 @@ MOST_BACKOFF_S = 5.0
 UNREACHED_S = 300.0
 """The time for which an agent that does not reach the router is restarted; then it stays down.
 
-A router that is busy with 1000 bare connections lets nobody in for 103 s (docs/security.md).
+A router that is busy with 1000 bare connections accepts no agent for 103 s (docs/security.md).
 """
 
 
@@ -21,19 +21,19 @@ A router that is busy with 1000 bare connections lets nobody in for 103 s (docs/
 class Restarts:
     """The unplanned deaths of one agent, over all its lives.
 
-    A life that never reached the router uses up no restart: an outsider who keeps the router busy would otherwise end
-    an agent for good.
+    A life that never reached the router does not count as a restart. Otherwise, an outsider who keeps the router busy
+    could end an agent for good.
     """
 
     deaths: int = 0
-    """of lives that had reached the router"""
+    """the number of deaths after reaching the router"""
     unreached: int = 0
-    """in a row, of lives that had not"""
+    """the number of deaths in a row before reaching the router"""
     since: float = 0.0
-    """the first of these, by time.monotonic()"""
+    """the time of the first of these, by time.monotonic()"""
 
     def after_death(self, reached: bool, now: float) -> float | None:
-        """Count an unplanned death; return how long to wait before the next life [s], None if none follows."""
+        """Count an unplanned death; return the wait before the next life [s], None if there is none."""
         if reached:
             again, before = self.deaths < RESTARTS, self.deaths
             self.deaths, self.unreached = self.deaths + 1, 0

@@ -1,7 +1,7 @@
 """A network of real processes that this process has started: controlled, interrupted, and ended with its block.
 
-`orchestrator up --lifeline` runs it. Its standard input is a pipe from this process, so the network ends when this
-process does, however it ends.
+`orchestrator up --lifeline` runs it. Its standard input is a pipe from this process, so the network ends with this
+process, for any reason.
 """
 
 from __future__ import annotations
@@ -152,6 +152,7 @@ class Running(Live):
     ) -> None:
         """Prepare `orchestrator up` with some options; the block starts it. `on_run` receives the finished run."""
         self.topology = topology
+        """the resolved network as it started"""
         self._folder, self._options, self._listed, self._on_run = folder, options, listed, on_run
         self._frozen: set[int] = set()
         self._finished: Run | None = None

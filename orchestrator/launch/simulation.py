@@ -1,4 +1,4 @@
-"""A run without a wire: the in-process reference, with the same folder and the same verdict."""
+"""A run in one process: the in-process reference, with the same folder and the same verdict."""
 
 from __future__ import annotations
 
@@ -30,19 +30,20 @@ if TYPE_CHECKING:
 
 
 def simulate(network: Named, *settings: str, run_dir: str | Path | None = None) -> Run:
-    """Run a network in this process, and read back what it left: `simulate("paper7", "steps=300", "law=hinf")`.
+    """Run a network in this process and return the run: `simulate("paper7", "steps=300", "law=hinf")`.
 
-    network: as of `topologies.named.text_of`. settings: `path=value`, as for `--set` on the command line.
-    run_dir: a new folder for the run, else one in runs/. Raises HedgerowError for a mistake, or if no step was made,
-    and LawError if the law fails; its `__cause__` is the exception of the law, and the folder has the steps before it.
+    network: as in `topologies.named.text_of`. settings: `path=value`, as for `--set` on the command line. run_dir: a
+    new folder for the run; without it, a folder in runs/. Raise HedgerowError for a mistake, or if no step was made,
+    and LawError if the law fails. The `__cause__` of a LawError is the exception of the law, and the folder has the
+    steps before it.
     """
-    # `up` comes by here, and has no use for what reads runs.
+    # `up` imports this module, and does not need the reader of runs.
     from hedgerow.orchestrator.runs.reader import load_run  # noqa: PLC0415
 
     topology = resolved(network, settings)
     if isinstance(network, str | Path) and ":" in topology.law:
         _warn_of_another_source(topology.law, text_of(network)[2] / FOLDER)
-    topology = checked(topology)  # a mistake in its law is better known before there is a folder
+    topology = checked(topology)  # find a mistake in its law before a folder exists
     folder = create(topology, None if run_dir is None else user_path(str(run_dir)))
     verdict = simulate_into(topology, folder, layout(topology, 1), Watching(record=False), Quiet())
     if verdict.error is not None:
@@ -85,8 +86,7 @@ def simulate_into(
             ending.end_by(error, folder.logs / "orchestrator.log")
             ending.stopped = f"stopped at step {run.observer.next_step}: {ending.stopped}"
         verdict = run.close()
-        for warning in run.warnings:
-            screen.say(warning)
+        run.warn(screen)
         screen.verdict(verdict, folder.path)
         if run.viewer is not None:
             run.viewer.end()
@@ -94,7 +94,7 @@ def simulate_into(
 
 
 def _batches(telemetry: Iterator[Telemetry | End], size: int) -> Iterator[list[Telemetry | End]]:
-    """Rows, so many at once; what there is before a law fails comes before its error."""
+    """Yield rows in batches of `size`; the rows before a failure of the law come before its error."""
     failure: LawError | None = None
     while failure is None:
         rows: list[Telemetry | End] = []

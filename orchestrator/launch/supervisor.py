@@ -1,4 +1,4 @@
-"""The processes of a run: started with what they are told, watched, and gone when we are."""
+"""The processes of a run: started with their data, watched, and ended with this process."""
 
 from __future__ import annotations
 
@@ -26,7 +26,9 @@ from hedgerow.wire.child import ERROR_PREFIX, USER_ERROR
 
 @dataclass(frozen=True)
 class Dead:
-    """A process that ended: its name, how, the error that its log ends with (empty when it says none), and its log."""
+    """A process that ended: its name, its exit, the error at the end of its log (empty if there is none), and its
+    log.
+    """
 
     name: str
     code: int
@@ -41,7 +43,7 @@ class Dead:
 
 
 def cause(dead: Sequence[Dead]) -> str:
-    """What to tell the user about processes that died."""
+    """Return the message about processes that died."""
     others = f" (and {len(dead) - 1} more: {', '.join(one.name for one in dead[1:8])})" if len(dead) > 1 else ""
     return f"{dead[0]}{others}"
 
@@ -54,24 +56,24 @@ class _Agent:
     life: int = 0
     alive: bool = True
     starting: bool = False
-    """it was started again, and its process id is not known yet"""
+    """it was restarted, and its process id is unknown yet"""
     killed: bool = False
-    """we ended this life, or are about to"""
+    """we ended this life, or are about to do so"""
     told: bool = False
-    """the plant knows of this life's end"""
+    """the plant knows that this life ended"""
     again: bool = False
-    """another life is to follow"""
+    """another life will follow"""
     due: float = 0.0
     """not before this time, by time.monotonic()"""
     restarts: Restarts = field(default_factory=Restarts)
     dead: Dead | None = None
     """the last unplanned death"""
     undecided: bool = False
-    """this death is unplanned, and the plant has not answered yet whether that life had reached the router"""
+    """this death is unplanned, and the plant has not answered whether that life had reached the router"""
 
 
 class Processes:
-    """The plant and the agents of one run, each a process of its own with a log of its own."""
+    """The plant and the agents of one run, each a separate process with a log."""
 
     def __init__(self, fork_client: ForkClient, folder: RunFolder, connection: Connection) -> None:
         self._fork_client, self._folder = fork_client, folder
@@ -80,13 +82,13 @@ class Processes:
         self._names: list[str] = []
         self._agents: dict[str, _Agent] = {}
         self.deaths: dict[int, int] = {}
-        """by shard: how often its process has ended, other than in good order"""
+        """by shard: the number of abnormal ends of its process"""
         self.restarts = 0
         self.down: list[Dead] = []
-        """agents that stay down"""
+        """the agents that stay down"""
 
     def start_agent(self, view: View) -> None:
-        """Launch one shard with its local view and nothing else."""
+        """Launch one shard with its local view alone."""
         name = process_name(view)
         self._agents[name] = _Agent(view.shard)
         self.deaths[view.shard] = 0
@@ -95,7 +97,7 @@ class Processes:
         self._names.append(name)
 
     def start_plant(self, truth: Truth, rate: float, deadline_s: float, external: External | None = None) -> None:
-        """Launch the plant, the router of the run if it has none, with a port for who is `external`."""
+        """Launch the plant, which is the router unless there is one, with a port for `external` processes."""
         options = ["--rate", str(rate), "--deadline", str(deadline_s)]
         if external is not None:
             options += ["--network", external.network, "--start", str(external.wait_s + OWN_START_S)]
@@ -114,19 +116,19 @@ class Processes:
         self._fork_client.fork(name, module, arguments, self._log(name))
 
     def wait_until_started(self) -> dict[str, int]:
-        """The process ids by name, once all run."""
+        """Wait until all processes run; return the process ids by name."""
         self._fork_client.wait_until_forked(self._names)
         return dict(self._fork_client.pids)
 
     def kill(self, shard: int, life: int, restart: bool) -> None:
-        """End the agent process of a shard, for a crash that the plant has decided; start it again if it comes back."""
+        """Kill the agent process of a shard, for a crash fault of the plant; restart it if the fault ends."""
         name, agent = self._agent(shard)
         if agent.life == life:
             agent.killed, agent.again, agent.undecided = True, restart, False
             self._fork_client.kill(name)
 
     def revive(self, shard: int) -> None:
-        """Start the agent process of a shard again, if it was to stay down."""
+        """Restart the agent process of a shard that was meant to stay down."""
         _, agent = self._agent(shard)
         agent.again = agent.again or agent.killed
 
@@ -134,10 +136,10 @@ class Processes:
         return next((name, agent) for name, agent in self._agents.items() if agent.shard == shard)
 
     def tend(self, tell_died: Callable[[int, int], bool | None]) -> list[dict[str, Any]]:
-        """See who has died, and start again who is due; returns what happened since the last time, as events.
+        """Detect deaths, and restart the agents that are due; return the new events.
 
-        `tell_died(shard, life)` tells the plant, and returns True if that life had reached the router, False if it
-        had not, and None if the plant did not answer; then it is called again.
+        `tell_died(shard, life)` reports to the plant. It returns True if that life had reached the router, and False if
+        not. It returns None if the plant did not answer; then it is called again.
         """
         happened: list[dict[str, Any]] = []
         for name, agent in self._agents.items():
@@ -166,7 +168,7 @@ class Processes:
 
     @staticmethod
     def _restarts(agent: _Agent, reached: bool) -> bool:
-        """Decide after an unplanned death whether another life follows, and when; return True if one does."""
+        """Decide after an unplanned death if and when another life follows; return True if one does."""
         now, agent.undecided = time.monotonic(), False
         pause = agent.restarts.after_death(reached, now)
         agent.again, agent.due = pause is not None, now + (pause or 0.0)
@@ -174,16 +176,18 @@ class Processes:
 
     @property
     def failing(self) -> list[Dead]:
-        """Agents that died more than RESTARTS times, in any way; before the first step they end the run."""
+        """Return the agents that died more than RESTARTS times, in any way; before the first step they end the run."""
         return [agent.dead for agent in self._agents.values() if agent.dead and agent.restarts.failed]
 
     @property
     def next_due(self) -> float | None:
-        """When `tend` should be called again at the latest, by time.monotonic()."""
+        """Return the latest time of the next call of `tend`, by time.monotonic(); None if there is none."""
         return min((agent.due for agent in self._agents.values() if agent.told and agent.again), default=None)
 
     def dead(self) -> list[Dead]:
-        """Who has ended, other than in good order, and ends the run: not an agent, unless the fault is its user's."""
+        """Return the processes with an abnormal end that ends the run: the plant, or an agent after a mistake of the
+        user.
+        """
         return [
             Dead(name, code, self._last_error(name) or self._fork_server_error(name), self._log(name))
             for name, code in dict(self._fork_client.codes).items()
@@ -201,11 +205,11 @@ class Processes:
         return ""
 
     def ended(self, name: str) -> bool:
-        """Whether that process is gone, in good order or not."""
+        """Return True if that process has ended, normally or not."""
         return name in self._fork_client.codes or "fork server" in self._fork_client.codes
 
     def wait(self, plant_s: float, agents_s: float) -> None:
-        """Wait for the plant to end by itself, at most so long, and then for the agents."""
+        """Wait up to `plant_s` for the plant to end by itself, and then up to `agents_s` for the agents."""
         self._fork_client.wait([keys.PLANT], plant_s)
         self._fork_client.wait(list(self._agents), agents_s)
 
@@ -219,7 +223,7 @@ class Processes:
         return self._last_line(name, lambda line: line.startswith(ERROR_PREFIX)).removeprefix(ERROR_PREFIX)
 
     def _last_line(self, name: str, wanted: Callable[[str], bool]) -> str:
-        """Return the last line of a log that is wanted; empty if there is none."""
+        """Return the last matching line of a log; empty if there is none."""
         try:
             lines = last_text(self._log(name)).splitlines()
         except OSError:

@@ -6,14 +6,16 @@ import contextlib
 import io
 import shutil
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
+from string import ascii_lowercase
 from typing import Any
 
 import matplotlib.style
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_pdf import FigureCanvasPdf
 from matplotlib.backends.backend_svg import FigureCanvasSVG
@@ -112,6 +114,12 @@ def width_in() -> float:
 def sheet(height_in: float) -> Figure:
     """Return an empty figure of the width of the look."""
     return Figure(figsize=(width_in(), height_in))
+
+
+def label_panels(axes: Iterable[Axes]) -> None:
+    """Put the letters (a), (b), … above the upper left corners of panels, as journals ask for."""
+    for place, axis in enumerate(axes):
+        axis.set_title(f"({ascii_lowercase[place % len(ascii_lowercase)]})")
 
 
 def save(figure: Figure, folder: Path, name: str, title: str, formats: Sequence[str] = ("pdf", "png")) -> bytes:

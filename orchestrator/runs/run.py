@@ -461,7 +461,7 @@ class Run:
 
     @cached_property
     def recorded(self) -> Index:
-        """The step of each row of telemetry; it may hold one step more than `rows`."""
+        """The step of each row of telemetry, (K,), or (K + 1,) with a step after T."""
         return frozen(self.tables["telemetry"].steps(len(self.ids)) if self.ids else self._summary.steps(1))
 
     def _of_nodes(self, name: str, rows: int, missing: float) -> Array:

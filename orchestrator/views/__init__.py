@@ -1,1 +1,1 @@
-"""A run on a terminal and in Rerun."""
+"""The display of a run on a terminal and in Rerun."""

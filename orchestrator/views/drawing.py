@@ -1,4 +1,4 @@
-"""A picture of a network for notebooks and pages, by matplotlib."""
+"""A picture of a network for notebooks and pages, drawn by matplotlib."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 NAMED = 60
-"""networks of more nodes are drawn without names, unless they are asked for"""
+"""the maximum number of nodes for a picture with names by default"""
 
 
 def draw(topology: Topology, ax: Axes | None = None, labels: bool | None = None) -> Axes:
     """Draw a resolved network into the axes, or into new ones, and return them.
 
-    Nodes stand at the positions of the file, or in a layout; the width of an edge grows with its weight.
+    Nodes are at the positions in the file, or in a layout; the width of an edge grows with its weight.
     """
     from matplotlib import pyplot as plt  # noqa: PLC0415 (a third of a second)
     from matplotlib.collections import LineCollection  # noqa: PLC0415
@@ -28,8 +28,8 @@ def draw(topology: Topology, ax: Axes | None = None, labels: bool | None = None)
         _, ax = plt.subplots(figsize=(8, 6), layout="constrained")
     network = topology.network
     graph = network.graph
-    places = placed(topology) * np.array([1.0, -1.0])  # that y points down
-    # Widths by rank of magnitude: conductances of one network differ by factors of a thousand.
+    places = placed(topology) * np.array([1.0, -1.0])  # y points down in a layout
+    # Use the rank of the magnitude as width: conductances in one network differ by factors of a thousand.
     weights = np.ones(len(graph.edges)) if graph.weights is None else graph.weights
     low, high = (float(weights.min()), float(weights.max())) if len(weights) else (1.0, 1.0)
     share = np.log(weights / low) / np.log(high / low) if high > low else np.full(len(weights), 0.3)
@@ -39,7 +39,7 @@ def draw(topology: Topology, ax: Axes | None = None, labels: bool | None = None)
     ax.scatter(places[:, 0], places[:, 1], s=size, c="#1f77b4", zorder=2)
     if labels if labels is not None else len(places) <= NAMED:
         for k in range(len(places)):
-            text = network.name(k).replace("$", r"\$")  # a `$` would begin a formula
+            text = network.name(k).replace("$", r"\$")  # a `$` would start a formula
             ax.annotate(text, places[k], xytext=(4, 4), textcoords="offset points", fontsize=7)
     ax.set_aspect("equal", adjustable="datalim")
     ax.set_axis_off()

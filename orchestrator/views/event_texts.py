@@ -1,4 +1,4 @@
-"""What the live view says in words: how the network fares now, and what its panels show."""
+"""The sentences of the live view: the state of the network, and the meaning of the panels."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ _AGENTS = {
     "hinf": "Its agent knows a_i: the law is the oracle's.",
     "nominal": "Its agent does not know a_i and acts on a\nfixed guess of it.",
 }
-"""What the agents of each law of the paper do"""
+"""The action of the agents under each law of the paper"""
 _OTHERS = "What its agent does is the law's own."
 SOME = 6
-"""longer lists are cut short, and say so"""
+"""the maximum length of a list; a longer one ends with the number of further names"""
 
 
 class Now:
-    """Says of a step who struggles, what is down, who is wrong and what that costs; in Markdown."""
+    """The texts about a step, in Markdown: problems, failures, wrong models, and costs."""
 
     def __init__(self, topology: Topology, observer: Observer) -> None:
         self._ids, self._graph = topology.ids, topology.graph
@@ -36,7 +36,7 @@ class Now:
         self._observer = observer
 
     def texts(self, batch: Batch, rows: Index) -> list[str]:
-        """A text a row."""
+        """Return one text per row."""
         gain, less = batch.gain(), batch.gain(float(self._observer.v0))
         return [self._text(batch, row, float(gain[row]), float(less[row])) for row in rows.tolist()]
 
@@ -95,7 +95,7 @@ def _listed(names: Iterable[str], count: int) -> str:
 
 
 def about(topology: Topology, observer: Observer, large: bool, pictures_hz: float, group: int = 1) -> str:
-    """What a newcomer needs to read the panels, in Markdown; `group` nodes are one dot of the picture."""
+    """Return the explanation of the panels for newcomers, in Markdown; `group` nodes are one dot of the picture."""
     what = kept(topology)
     lines = "every node" if what.all_nodes else f"{len(what.nodes)} of the nodes, evenly chosen or by the file"
     if what.every > 1:

@@ -1,4 +1,4 @@
-"""A network of many nodes as a picture can show it: some hundred groups of neighbours, and the edges between them."""
+"""A large network in a picture: some hundred groups of neighbours, and the edges between them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ GROUPS = 500
 
 
 class Scene(NamedTuple):
-    """What a picture is drawn from: the fields of a Batch of these names, of R rows."""
+    """The data of a picture: the fields of a Batch with these names, R rows each."""
 
     t: NDArray[np.int64]
     a: NDArray[np.float64]
@@ -30,17 +30,17 @@ class Scene(NamedTuple):
 
 
 class Groups:
-    """Parts of one size, cut where few edges cross; what is drawn of a group is the worst of its nodes.
+    """Parts of equal size with few edges between them; the picture of a group shows its worst node.
 
-    |x| and the flow of an edge are the largest there are, an edge is cut and a message lost where one is, a group is
-    dead or without input where a node is, and its model is wrong where those of more than half of its nodes are.
+    |x| and the flow of an edge are the maxima. An edge is cut, and a message lost, if this holds for one of them. A
+    group is dead or without input if a node is. Its model is wrong if more than half of its nodes have wrong models.
     """
 
     def __init__(self, graph: Graph) -> None:
         parts = partition(graph, GROUPS)
         self._weights = graph.weights
         self.size = max(map(len, parts))
-        """nodes of a group, about"""
+        """the approximate number of nodes in a group"""
         self._nodes = np.concatenate(parts)
         self._starts = np.cumsum([0, *map(len, parts)])[:-1]
         home = np.empty(graph.n, dtype=np.int64)
@@ -56,11 +56,11 @@ class Groups:
         self._links = _Gathered(outward, at, len(own))
 
     def name(self, group: int, ids: Sequence[int | str]) -> str:
-        """What a group is called: after its first node."""
+        """Return the name of a group: that of its first node."""
         return f"{ids[int(self._nodes[self._starts[group]])]}…"
 
     def scene(self, batch: Batch, rows: Index) -> Scene:
-        """Some rows of a batch."""
+        """Return some rows of a batch for the picture."""
 
         def of(values: NDArray[Any], most: np.ufunc = np.maximum) -> NDArray[Any]:
             return np.asarray(most.reduceat(values[:, self._nodes], self._starts, axis=1))
@@ -83,13 +83,13 @@ class Groups:
         )
 
     def _flow(self, u_edge: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The size k_e |u_e| of what flows through each edge."""
+        """Return the magnitude k_e |u_e| of the flow over each edge."""
         size = np.abs(u_edge)
         return size if self._weights is None else size * self._weights
 
 
 class _Gathered:
-    """Columns of an array, ordered by where they belong; each of `count` places has one or more."""
+    """Columns of an array, ordered by place; each of `count` places has one or more."""
 
     def __init__(self, columns: Index, places: Index, count: int) -> None:
         order = np.argsort(places, kind="stable")
@@ -97,13 +97,13 @@ class _Gathered:
         self._starts = np.searchsorted(places[order], np.arange(count))
 
     def most(self, values: NDArray[Any]) -> NDArray[Any]:
-        """The largest of each place."""
+        """Return the maximum of each place."""
         if not len(self._starts):
             return np.empty((len(values), 0))
         return np.asarray(np.maximum.reduceat(values[:, self._columns], self._starts, axis=1))
 
     def all(self, values: Mask) -> Mask:
-        """Whether it holds for all of each place."""
+        """Return True for each place with True in all of its columns."""
         if not len(self._starts):
             return np.empty((len(values), 0), dtype=np.bool_)
         return np.asarray(np.logical_and.reduceat(values[:, self._columns], self._starts, axis=1))

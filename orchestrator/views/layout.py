@@ -1,4 +1,4 @@
-"""Where the nodes of a network stand in its picture: the same places for the same file.
+"""The places of the nodes in the picture of a network: the same places for the same file.
 
     a tree     its levels below each other, the first node of the file on top; a bushy one in rings around its centre
     others     stress majorisation: distances on paper as near as can be to those in the graph
@@ -22,18 +22,20 @@ Places = NDArray[np.float64]
 
 PIVOTS = 60
 STRESS_NODES = 1500
-"""larger components stand where the distances to PIVOTS of their nodes put them: stress takes the square of n"""
+"""components with more nodes are placed by the distances to PIVOTS of their nodes, because stress needs the square
+of n
+"""
 WIDE = 1.5
-"""width over height of what is made to fit a panel"""
+"""the ratio of width to height of the picture"""
 APART = 1.0
-"""between components"""
+"""the space between components"""
 _GOLDEN = np.pi * (3 - 5**0.5)
 
 
 def placed(topology: Topology) -> Places:
-    """The place of each node of a resolved topology, (n, 2): those of the file, where y points up, or a layout.
+    """Return the place of each node of a resolved topology, (n, 2): those in the file, where y points up, or a layout.
 
-    A node without a position stands between its neighbours, if others have one.
+    A node without a position is placed between its neighbours, if they have one.
     """
     network = topology.network
     graph, given = network.graph, network.positions
@@ -42,7 +44,7 @@ def placed(topology: Topology) -> Places:
     known = ~np.isnan(given[:, 0])
     places = np.where(known[:, None], given, given[known].mean(axis=0)) * np.array([1.0, -1.0])
     if not known.all():
-        # A leaf would stand on its neighbour: a little apart, it can be seen.
+        # Move a leaf a little away from its neighbour: otherwise it would be hidden.
         count = np.maximum(graph.degree, 1)[:, None]
         for _ in range(200):
             sums = np.stack([np.bincount(graph.node, axis[graph.neighbour], graph.n) for axis in places.T], axis=1)
@@ -59,7 +61,7 @@ def _mean_length(places: Places, graph: Graph) -> float:
 
 
 def positions(graph: Graph) -> Places:
-    """The place of each node, (n, 2)."""
+    """Return the place of each node, (n, 2)."""
     ones = np.ones(len(graph.node))
     matrix = csr_matrix((ones, (graph.node, graph.neighbour)), shape=(graph.n, graph.n))
     count, which = connected_components(matrix, directed=False)
@@ -73,7 +75,7 @@ def positions(graph: Graph) -> Places:
 
 
 def _component(matrix: csr_matrix) -> Places:
-    """Places of a connected component, its corner at 0."""
+    """Return the places of a connected component, with its corner at 0."""
     n, edges = matrix.shape[0], matrix.nnz // 2
     if n == 1:
         return np.zeros((1, 2))
@@ -83,7 +85,7 @@ def _component(matrix: csr_matrix) -> Places:
 
 
 def _tree(neighbours: list[Index]) -> Places:
-    """A column a leaf, a row a level; in rings where there are many more leaves than levels."""
+    """Return one column per leaf and one row per level; use rings if there are many more leaves than levels."""
     ends = [k for k, own in enumerate(neighbours) if len(own) == 1]
     path = len(ends) == 2
     across, level, leaves = _tidy(neighbours, ends[0] if path else 0)
@@ -94,13 +96,13 @@ def _tree(neighbours: list[Index]) -> Places:
         return np.stack([across * max(1.0, WIDE * height / max(width, 1)), level], axis=1)
     across, level, leaves = _tidy(neighbours, _centre(neighbours))
     angle = 2 * np.pi * across / leaves
-    # Rings as far apart as their nodes, so that a ring of a thousand does not crush those within.
+    # Give the rings the distance of their nodes: a ring of a thousand nodes must not squeeze the inner ones.
     radius = level * max(1.0, leaves / (2 * np.pi * level.max() * 3))
     return np.stack([radius * np.sin(angle), -radius * np.cos(angle)], axis=1)
 
 
 def _walk(neighbours: list[Index], root: int) -> tuple[list[int], Index]:
-    """Nodes in the order of their distance from the root, and who leads to each; -1 to the root."""
+    """Return the nodes in the order of their distance from the root, and the predecessor of each; -1 for the root."""
     parent = np.full(len(neighbours), -2)
     parent[root] = -1
     order, waiting = [], deque([root])
@@ -115,7 +117,7 @@ def _walk(neighbours: list[Index], root: int) -> tuple[list[int], Index]:
 
 
 def _tidy(neighbours: list[Index], root: int) -> tuple[Places, Places, int]:
-    """Per node its column and its level; and how many leaves there are."""
+    """Return the column and the level of each node, and the number of leaves."""
     order, parent = _walk(neighbours, root)
     level = np.zeros(len(order))
     children: list[list[int]] = [[] for _ in order]
@@ -136,7 +138,7 @@ def _tidy(neighbours: list[Index], root: int) -> tuple[Places, Places, int]:
 
 
 def _centre(neighbours: list[Index]) -> int:
-    """The node in the middle of the longest path."""
+    """Return the node in the middle of the longest path."""
     last = _walk(neighbours, 0)[0][-1]
     order, parent = _walk(neighbours, last)
     path = [order[-1]]
@@ -146,7 +148,7 @@ def _centre(neighbours: list[Index]) -> int:
 
 
 def _stress(matrix: csr_matrix) -> Places:
-    """Gansner, Koren and North (2004), from where the distances to some pivots put the nodes."""
+    """Return the layout of Gansner, Koren and North (2004), started from the distances to some pivots."""
     n = matrix.shape[0]
     places = _by_pivots(matrix)
     if n > STRESS_NODES:
@@ -166,7 +168,9 @@ def _stress(matrix: csr_matrix) -> Places:
 
 
 def _by_pivots(matrix: csr_matrix) -> Places:
-    """Brandes and Pich (2006): the two main directions of the squared distances to pivots far from each other."""
+    """Return the layout of Brandes and Pich (2006): the two main directions of the squared distances to distant
+    pivots.
+    """
     n = matrix.shape[0]
     nearest = np.full(n, np.inf)
     columns: list[Places] = []
@@ -179,13 +183,15 @@ def _by_pivots(matrix: csr_matrix) -> Places:
     _, directions = np.linalg.eigh(centred.T @ centred)
     places = centred @ directions[:, :-3:-1]
     places *= np.sqrt(n) / max(float(np.ptp(places)), 1e-9)
-    # Who has the same distances stands in the same place: a little apart, or it would stay there.
+    # Separate nodes with equal distances a little: they would stay in the same place.
     k = np.arange(n)
     return np.asarray(places + 0.1 * np.stack([np.cos(_GOLDEN * k), np.sin(_GOLDEN * k)], axis=1))
 
 
 def _upright(places: Places, matrix: csr_matrix) -> Places:
-    """Edges along the axes as far as they can be, the wider way across, the first nodes at the left and on top."""
+    """Return the places turned: edges along the axes if possible, the wider side across, the first nodes at the top
+    left.
+    """
     ends = matrix.nonzero()
     step = places[ends[0]] - places[ends[1]]
     turn = np.angle(np.exp(4j * np.arctan2(step[:, 1], step[:, 0])).sum()) / 4
@@ -200,7 +206,7 @@ def _upright(places: Places, matrix: csr_matrix) -> Places:
 
 
 def _shelves(placed: list[Places]) -> list[Places]:
-    """The corner of each component: the large ones first, from left to right, row below row."""
+    """Return the corner of each component: the large ones first, from left to right, in rows."""
     size = [np.ptp(own, axis=0) + APART for own in placed]
     widest = max((WIDE * sum(float(w * h) for w, h in size)) ** 0.5, *(float(w) for w, _ in size))
     corners = [np.zeros(2)] * len(placed)

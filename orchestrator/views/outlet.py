@@ -10,11 +10,11 @@ from collections.abc import Callable
 from errno import EIO
 from pathlib import Path
 
-from hedgerow.topologies.escape import command
+from hedgerow.topologies.escape import answers, command
 
 
 class Outlet:
-    """Standard output that may fail: the first error is kept in `lost`, and the run continues."""
+    """Standard output that may fail: `lost` holds the first error, and the run continues."""
 
     def __init__(self) -> None:
         self._terminal = _leads_to_terminal()
@@ -28,23 +28,25 @@ class Outlet:
         except OSError as error:
             self.lost = self.lost or error
             with contextlib.suppress(OSError, ValueError):
-                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+                os.dup2(os.open(os.devnull, os.O_WRONLY), answers().fileno())
 
     @property
     def incomplete(self) -> OSError | None:
-        """The error, or None if the reader of a pipe has left or the terminal was closed, which is no failure."""
+        """Return the error, or None if the reader of a pipe has left or the terminal was closed, which is not a
+        failure.
+        """
         closed = isinstance(self.lost, BrokenPipeError) or (self._terminal and getattr(self.lost, "errno", 0) == EIO)
         return None if closed else self.lost
 
 
 def _leads_to_terminal() -> bool:
     with contextlib.suppress(OSError, ValueError):
-        return sys.stdout.isatty()
+        return answers().isatty()
     return False
 
 
 def left_behind(folder: Path) -> str:
     """Return lines with the run folder and the command that shows it."""
-    # The folder of the interpreter holds the command and may be missing in PATH.
+    # The folder of the interpreter contains the command and may be missing in PATH.
     program = "orchestrator" if shutil.which("orchestrator") else Path(sys.executable).with_name("orchestrator")
     return f"run folder {folder}\nsee it again with: {command([program, 'open', folder])}"

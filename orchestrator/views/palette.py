@@ -1,4 +1,4 @@
-"""The colours of the live view: one a node in every panel, one a thing that goes wrong, a scale for sizes."""
+"""The colours of the live view: one per node in every panel, one per kind of fault, and scales for magnitudes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Color = tuple[int, int, int, int]
 Packed = NDArray[np.uint32]
 
 BACKGROUND: Color = (17, 20, 26, 255)
-"""of the picture: what is painted so is not there"""
+"""the background of the picture: objects in this colour are invisible"""
 TEXT: Color = (190, 196, 206, 255)
 GREY: Color = (170, 170, 170, 255)
 GREEN: Color = (90, 200, 120, 255)
@@ -19,7 +19,7 @@ ORANGE: Color = (240, 150, 60, 255)
 PURPLE: Color = (190, 130, 255, 255)
 
 RIGHT: Color = (66, 74, 90, 255)
-"""the ring of a node whose model is right"""
+"""the ring of a node with the right model"""
 WRONG: Color = (255, 64, 200, 255)
 NO_INPUT: Color = (64, 160, 255, 255)
 DEAD: Color = (255, 48, 48, 255)
@@ -32,29 +32,31 @@ _FLOWS = np.array([[58, 66, 80], [120, 134, 156], [226, 234, 246]], dtype=float)
 
 
 def hues(count: int, alpha: int = 255) -> list[Color]:
-    """A colour a node, by its place in the file: each a golden section of the circle from the last."""
+    """Return one colour per node, by its place in the file: each is a golden section of the circle from the last."""
     rgb = (colorsys.hsv_to_rgb(0.55 + k * 0.6180339887 % 1, 0.6, 0.95) for k in range(count))
     return [(int(255 * r), int(255 * g), int(255 * b), alpha) for r, g, b in rgb]
 
 
 def packed(color: Color) -> np.uint32:
-    """As Rerun has it: 0xRRGGBBAA."""
+    """Return a colour in Rerun's form, 0xRRGGBBAA."""
     r, g, b, a = color
     return np.uint32(r << 24 | g << 16 | b << 8 | a)
 
 
 def state_colors(part: NDArray[np.float64]) -> Packed:
-    """The fill of a node whose |x| is this part of the largest: from blue to yellow."""
+    """Return the fill of a node, from blue to yellow, for |x| as a part of the maximum."""
     return _between(_STATES, part)
 
 
 def flow_colors(part: NDArray[np.float64]) -> Packed:
-    """The colour of an edge whose flow k_ij |u_j - u_i| is this part of the largest: from grey to white."""
+    """Return the colour of an edge, from grey to white, for the flow k_ij |u_j - u_i| as a part of the maximum."""
     return _between(_FLOWS, part)
 
 
 def thickness(weights: NDArray[np.float64] | None, count: int) -> NDArray[np.float64]:
-    """The width of each of `count` edges by its weight, as a part of the widest: from 0.3 to 1, by the square root."""
+    """Return the width of each of `count` edges by its weight, as a part of the widest: from 0.3 to 1, by the square
+    root.
+    """
     if weights is None or not count:
         return np.ones(count)
     return np.asarray(np.maximum(0.3, np.sqrt(weights / weights.max())))

@@ -1,4 +1,4 @@
-"""A progress bar on the screen for work that takes a known time, and lines where there is no terminal."""
+"""A progress bar on the screen for work of a known duration, and lines without a terminal."""
 
 from __future__ import annotations
 
@@ -13,14 +13,18 @@ from hedgerow.topologies.escape import echo, escape
 
 
 class Progress:
-    """The share of a budget of time that has passed, and the last thing to say."""
+    """The elapsed share of a time budget, and the latest message."""
 
     def __init__(self, title: str, seconds: float, quiet: bool = False) -> None:
-        """`quiet` shows nothing at all."""
+        """Show the title; with `quiet`, show nothing."""
         self._quiet, self._began = quiet, time.monotonic()
         console = Console(stderr=True)
         columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeRemainingColumn())
-        self._bar = Bar(*columns, console=console, transient=True) if console.is_terminal and not quiet else None
+        self._bar = (
+            Bar(*columns, console=console, transient=True, redirect_stdout=False, redirect_stderr=False)
+            if console.is_terminal and not quiet
+            else None
+        )
         self._title = escape(title)
         self._task = self._bar.add_task(self._title, total=seconds) if self._bar is not None else None
 
@@ -36,7 +40,7 @@ class Progress:
             self._bar.stop()
 
     def update(self) -> None:
-        """Show how much time has passed."""
+        """Show the elapsed time."""
         if self._bar is not None and self._task is not None:
             self._bar.update(self._task, completed=time.monotonic() - self._began)
 

@@ -1,4 +1,4 @@
-"""A run on a terminal: a live table where no viewer shows it, else a bar.
+"""A run on a terminal: a live table, or a bar if a viewer shows the run.
 
     paper7: step 40 of 100, 10 steps/s, 0:00:06 left
     node            x      ahat  model  missing  now
@@ -12,8 +12,8 @@
     cost regret +1.734, gain 9.271 (less V(x(0)): 0; gamma* 2.974 is the oracle's without faults)
     step 30: cut 2-4 from step 30 to 60 (fault 2)
 
-A wrong model is a word as well as a colour. Who is dead comes first, then who sent no input, then who is wrong; where
-not all nodes have room, those with the largest |x| of each, and a line says what the others are like.
+A wrong model is marked by a word and by a colour. Dead nodes come first, then nodes without an input, then nodes with a
+wrong model. If the space is short, those with the largest |x| of each kind remain, and a line describes the others.
 """
 
 from __future__ import annotations
@@ -46,21 +46,21 @@ from hedgerow.topologies.graph import Index, Mask
 from hedgerow.topologies.schema import Topology
 
 REDRAW_S = 0.25
-"""The table is drawn again this often at most."""
+"""The minimum time between two drawings of the table [s]."""
 PACE_S = 5.0
-"""over how long steps/s are counted"""
+"""the time span for the count of steps/s"""
 EVENTS = 3
 FEW = 4
-"""lines that the nodes have before there is room for sums and events"""
+"""the lines reserved for nodes before sums and events get space"""
 NAMES = 60
-"""no line names more edges, however wide"""
+"""the maximum number of edges in a line"""
 
 Cell = tuple[str, str]
-"""text and style"""
+"""a text and its style"""
 
 
 class Standing:
-    """How a run stands: what the table shows, from batch to batch."""
+    """The status of a run: the content of the table, updated with every batch."""
 
     def __init__(self, topology: Topology) -> None:
         self._topology = topology
@@ -72,17 +72,17 @@ class Standing:
         self._lost = 0
         self._last: Batch | None = None
         self._pace: deque[tuple[float, int]] = deque()
-        """when so many steps were done"""
+        """pairs of a time and the number of finished steps"""
         self._events: deque[str] = deque(maxlen=EVENTS)
         faults = enumerate(topology.faults, 1)
         self._due = deque(sorted((window(fault)[0], k, describe(fault)) for k, fault in faults))
 
     def happened(self, text: str) -> None:
-        """Something to be shown as one of the last events."""
+        """Add a text to the last events."""
         self._events.append(escape(text, keep=""))
 
     def take(self, batch: Batch, now: float) -> None:
-        """Some more steps are done at `now` [s]."""
+        """Record further steps, finished at the time `now` [s]."""
         self._last = batch
         self._missing += np.isnan(batch.u).sum(axis=0)
         self._lost += batch.link_up.size - int(np.count_nonzero(batch.link_up))
@@ -94,7 +94,7 @@ class Standing:
             self._pace.popleft()
 
     def lines(self, width: int, height: int) -> list[Text]:
-        """The table, in at most `height` lines of `width` cells; a terminal may claim to have none."""
+        """Return the table, in at most `height` lines of `width` cells; a terminal may report zero lines."""
         width, height = max(width, 1), max(height, 0)
         if self._last is None:
             return []
@@ -120,7 +120,7 @@ class Standing:
         return title
 
     def _nodes(self, batch: Batch, width: int, room: int) -> list[Text]:
-        """A heading and the nodes, the worst first, in `room` lines; nothing if not even one has room."""
+        """Return a heading and the nodes, the worst first, in `room` lines; nothing if there is no space for a node."""
         if room < 2:
             return []
         x, ahat, missing = batch.x[-1], batch.ahat[-1], np.isnan(batch.u[-1])
@@ -157,9 +157,10 @@ class Standing:
         return [heading, *(_row(cells) for cells in rows), *hidden]
 
     def _down(self, batch: Batch, width: int) -> list[str]:
-        """The edges that carry no flow and the links over which nothing comes, at the last step."""
+        """Return the edges without flow and the links without messages at the last step."""
         closed: Mask = ~batch.edge_open[-1].astype(bool)
-        lost = ~batch.link_up[-1].astype(bool)[self._ends]  # per edge (i, j): at i, what j says; and the reverse
+        # Per edge (i, j): True if i lacks j's message; and the reverse.
+        lost = ~batch.link_up[-1].astype(bool)[self._ends]
         edges, links = np.flatnonzero(closed), np.flatnonzero(lost.any(axis=1))
         if not len(edges) and not len(links):
             return ["edges and links down: none"]
@@ -204,11 +205,11 @@ class Standing:
 
 
 def _worst(rank: Index, x: NDArray[np.float64], some: int) -> Index:
-    """So many nodes: those of the least rank, and of one rank those with the largest |x|, in this order."""
+    """Return up to `some` nodes in order: the lowest rank first and, within a rank, the largest |x|."""
     chosen: list[Index] = []
     for one in range(4):
         found = np.flatnonzero(rank == one)
-        if len(found) > some:  # of a million nodes, only a few need to be in order
+        if len(found) > some:  # only a few of a million nodes need an order
             found = found[np.sort(np.argpartition(-x[found], some - 1)[:some])] if some else found[:0]
         chosen.append(found[np.argsort(-x[found], kind="stable")])
         some -= len(found)
@@ -232,12 +233,12 @@ def _row(cells: Iterable[Cell]) -> Text:
 
 
 def _folded(phrases: Sequence[str], width: int) -> list[str]:
-    """Phrases, a comma between two, in lines of `width`."""
+    """Return phrases, separated by commas, in lines of `width`."""
     return textwrap.wrap(", ".join(phrases), width, break_on_hyphens=False)
 
 
 def _listed(head: str, names: Sequence[str], count: int, width: int) -> str:
-    """As many names as fit into a line, and how many of `count` do not."""
+    """Return as many names as fit in a line, and the number of the remaining ones."""
     line, named = head, 0
     for name in names:
         rest = f" and {count - named - 1} more" if named + 1 < count else ""
@@ -249,7 +250,7 @@ def _listed(head: str, names: Sequence[str], count: int, width: int) -> str:
 
 
 class Table:
-    """A table that is drawn again as the run goes on; the last one stays, with the verdict below it."""
+    """A table that is drawn again and again; the last one stays, with the verdict below it."""
 
     interactive = True
 
@@ -276,9 +277,7 @@ class Table:
         if self._live is None:
             self._live = Live(console=self._console, auto_refresh=False, redirect_stdout=False, redirect_stderr=False)
             self.outlet.write(self._live.start)
-            self.outlet.write(
-                self._console.show_cursor
-            )  # else somebody would have to bring it back, even after SIGKILL
+            self.outlet.write(self._console.show_cursor)  # otherwise a hidden cursor could remain, even after SIGKILL
         self._draw_if_due()
 
     def _draw_if_due(self) -> None:
@@ -289,8 +288,8 @@ class Table:
     def _draw(self, live: Live, refresh: bool = True) -> None:
         if (size := self._console.size) != self._size:
             self._size = size
-            self.outlet.write(self._console.clear)  # where lines were folded, nobody knows where the table began
-        # The last line stays empty, for the cursor and for the ^C that the terminal writes there.
+            self.outlet.write(self._console.clear)  # in folded lines, the start of the table is unknown
+        # The last line remains empty, for the cursor and for the ^C of the terminal.
         lines = self._standing.lines(size.width, size.height - 2)
         self.outlet.write(lambda: live.update(Text("\n").join([*lines, Text()]), refresh=refresh))
 
@@ -316,6 +315,7 @@ class Bar:
         self._bar = Progress(
             TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[rate]}"),
             TimeRemainingColumn(), console=self._console, transient=True, auto_refresh=False,
+            redirect_stdout=False, redirect_stderr=False,
         )  # fmt: skip
         self._task = self._bar.add_task("steps", total=steps, rate="")
         self._began: float | None = None
@@ -331,7 +331,7 @@ class Bar:
             self.outlet.write(self._bar.start)
         seconds = time.monotonic() - self._began
         rate = f"{done / seconds:.0f} steps/s" if seconds > 0 else ""
-        # Not on a thread of Rich's: it would end with a traceback when the terminal is closed.
+        # Draw here, not on a thread of Rich: that would end with a traceback when the terminal is closed.
         due = time.monotonic() - self._drawn_at >= REDRAW_S
         self._drawn_at = time.monotonic() if due else self._drawn_at
         self.outlet.write(lambda: self._bar.update(self._task, completed=done, rate=rate, refresh=due))

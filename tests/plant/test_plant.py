@@ -206,7 +206,7 @@ def test_a_network_that_nobody_comes_back_to_ends_by_name(scene: Scene, monkeypa
     scene.wait_for(scene.happened("lost", 2))
     scene.say(0, scene.states[-1])
     scene.wait_for(lambda: scene.failure)
-    assert "nobody is back after 2 s" in str(scene.failure)
+    assert "no agent is back after 2 s" in str(scene.failure)
 
 
 def test_one_that_dies_for_good_when_it_is_hardly_back_is_lost_again(scene: Scene) -> None:

@@ -264,7 +264,7 @@ def test_what_python_builds_is_checked_on_resolving() -> None:
         ("{kind: partition}", "fault 2: `groups:` is missing"),
         ("{kind: partition, groups: [[1, 2]]}", "fault 2: groups: [[1, 2]] has too few members; at least 2"),
         ("{kind: partition, groups: [[1, 2], []]}", "fault 2: groups: 1: [] has too few members"),
-        ("{kind: partition, groups: [[1, 2], [3, 2]]}", "fault 2: groups: node 2 stands in the groups twice"),
+        ("{kind: partition, groups: [[1, 2], [3, 2]]}", "fault 2: groups: node 2 is in the groups twice"),
         ("{kind: partition, groups: [[1], [2, 9]]}", "fault 2: groups: 1: 1: 9 is no node"),
         ("{kind: partition, groups: [[1], [2]], cut: yes}", 'fault 2: cut: "yes" is neither true nor false'),
         ("{kind: partition, groups: [[1], [2]], probability: 0.5}", "fault 2: unknown key `probability`"),

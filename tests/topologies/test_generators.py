@@ -133,7 +133,7 @@ def test_chance_has_the_shape_that_its_name_promises() -> None:
         ("{kind: small_world, nodes: 9, degree: 3}", "3"),
         ("{kind: random_tree, nodes: 9, max_degree: 1}", "is no tree"),
         ("{kind: grid, nodes: 9, colums: 3}", "did you mean `columns`?"),
-        ("{kind: line, nodes: 9}\nedges: [[0, 1]]", "edges: stands beside `graph:`"),
+        ("{kind: line, nodes: 9}\nedges: [[0, 1]]", "edges: conflicts with `graph:`"),
         ("{kind: line, nodes: 9}\nnodes: {9: {x0: 1}}", "9 is none of its nodes; they are 0 to 8"),
         ("{kind: line, nodes: 9}\nnodes: {a: {x0: 1}}", "'a' is none of its nodes"),
         ("{kind: line, nodes: 9}\nfaults: [{kind: cut, edge: [2, 4]}]", "the neighbours of 2 are 1, 3"),

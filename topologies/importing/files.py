@@ -1,4 +1,4 @@
-"""The reader of a file, by its ending and, where that leaves it open, by its first characters."""
+"""The choice of a file's reader, by its ending and, if that is ambiguous, by its first characters."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ _BY_ENDING: dict[str, tuple[str, str, str | None]] = {
     ".inp": ("water", "read", None),
     **dict.fromkeys(_TEXT, ("tables", "read", None)),
 }
-"""by ending: the module, its function, and the kind that it is told"""
+"""by ending: the module, its function, and the kind of file"""
 
 
 def read(path: Path, options: Options) -> Found:
-    """Return what is found in a file; raise UserError if no reader knows it, or the reader refuses it."""
+    """Return the content of a file; raise UserError if no reader knows it, or the reader refuses it."""
     try:
         with open_regular(path) as file:
             head = file.read(512)

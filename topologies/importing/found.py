@@ -1,4 +1,4 @@
-"""A graph as a reader finds it, before it is made undirected and simple."""
+"""A graph as a reader finds it, before it becomes undirected and simple."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def refuse(place: object, problem: str, fix: str = "", code: Code = Code.FILE_FO
 
 @dataclass(eq=False)
 class Found:
-    """Nodes and edges of a source, with what it says of them; loops and repeated edges included."""
+    """Nodes and edges of a source, with their attributes; loops and repeated edges included."""
 
     source: str
     """the file or object, for messages"""
@@ -31,7 +31,7 @@ class Found:
     edges: Index
     """positions in `names`, (E, 2)"""
     directed: bool = False
-    """whether an edge from i to j can have another one from j to i"""
+    """True if an edge from i to j may have a second one from j to i"""
     labels: Sequence[str | None] | None = None
     positions: Array | None = None
     """(n, 2), y upwards; NaN where a node has none"""
@@ -40,22 +40,22 @@ class Found:
     storage: Array | None = None
     """c_i of each node, above 0, (n,); None if all have 1"""
     a: float | None = None
-    """the true a of every node, where the source gives it"""
+    """the true a of every node, if the source gives it"""
     b: float | None = None
-    """the gain, where the source gives its unit"""
+    """the gain, if the source gives its unit"""
     samples: Array | None = None
     """w_i(t), (n, T)"""
     steps: int | None = None
     edge_names: Sequence[str] | None = None
     """for messages, (E,)"""
     sign: Callable[[float], str] = field(default=lambda _: "")
-    """what a weight that is not above 0 means in the source"""
+    """the meaning in the source of a weight that is not above 0"""
     facts: list[str] = field(default_factory=list)
-    """sentences: what the numbers of the topology are in the source"""
+    """sentences about the meaning of the numbers in the source"""
     assumptions: list[str] = field(default_factory=list)
-    """sentences: what the source does not say"""
+    """sentences about values that the source does not give"""
     changes: list[str] = field(default_factory=list)
-    """sentences: what was merged and dropped"""
+    """sentences about merged and dropped parts"""
 
     def edge_name(self, k: int) -> str:
         """Return the name of edge k for a message."""
@@ -72,9 +72,9 @@ class Found:
 def numbers(
     source: str, what: str, name: str, values: Sequence[Any], named: Callable[[int], str], missing: float = np.nan
 ) -> Array:
-    """Return the values of an attribute as numbers; raise UserError for text, and for a value that is missing.
+    """Return the values of an attribute as numbers; raise UserError for text, and for a missing value.
 
-    A value None is `missing`, if that is a number.
+    `missing` replaces a value None, if it is a number.
     """
     found = np.empty(len(values))
     for k, value in enumerate(values):
@@ -99,7 +99,7 @@ def numbers(
 def weights_of(
     source: str, asked: str | None, attributes: Sequence[Mapping[str, Any]], named: Callable[[int], str]
 ) -> tuple[Array | None, str]:
-    """Return the weights of edges, (E,) or None for all ones, and a sentence that says where they come from.
+    """Return the weights of edges, (E,) or None for all ones, and a sentence about their source.
 
     asked: the attribute that the user names, or a number for all edges; None takes `weight` if every edge has it.
     """
@@ -109,7 +109,7 @@ def weights_of(
             if isinstance(value, int | float | np.number) and not isinstance(value, bool):
                 keys[key] = keys.get(key, 0) + 1
     if asked is not None and (number := as_number(asked)) is not None:
-        return np.full(len(attributes), number), f"Every edge has the weight {number:g}, as the command says"
+        return np.full(len(attributes), number), f"Every edge has the weight {number:g}, by the option"
     if asked is not None:
         if not any(asked in own for own in attributes):
             known = ", ".join(sorted(map(str, keys))) or "none that are numbers"
@@ -133,9 +133,9 @@ def weights_of(
 def storage_of(
     source: str, asked: str | float | None, attributes: Sequence[Mapping[str, Any]], others: float | None, noun: str
 ) -> tuple[Array | None, str | None]:
-    """Return the storage of nodes, (n,) or None for 1 everywhere, and a sentence that says where it comes from.
+    """Return the storage of nodes, (n,) or None for 1 everywhere, and a sentence about its source.
 
-    asked: an attribute of nodes, or a number for all of them; others: the storage of nodes without one.
+    asked: an attribute of nodes, or a number for all of them; others: the storage of nodes without the attribute.
     """
     if asked is None:
         return None, None
@@ -168,7 +168,7 @@ def storage_of(
 
 
 def as_number(value: str | float) -> float | None:
-    """Return the number that a word of the command line is, or None if it is a name."""
+    """Return a word of the command line as a number, or None if it is a name."""
     try:
         found = float(value)
     except ValueError:
@@ -182,7 +182,7 @@ def pairs(found: Sequence[tuple[int, int]]) -> Index:
 
 
 def places(found: Sequence[tuple[float, float] | None]) -> Array | None:
-    """Return the positions of nodes, (n, 2), NaN where there is none; None if no node has one."""
+    """Return the positions of nodes, (n, 2), NaN for a node without one; None if no node has one."""
     if all(place is None for place in found):
         return None
     array: NDArray[np.float64] = np.array([(np.nan, np.nan) if one is None else one for one in found], dtype=float)

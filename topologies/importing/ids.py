@@ -14,10 +14,11 @@ Ids = list[int | str]
 
 
 def ids_of(names: Sequence[Hashable], labels: Sequence[str | None] | None) -> tuple[Ids, list[str | None], int]:
-    """Return the ids of nodes, their labels, and how many ids are not the node's name as it is.
+    """Return the ids of nodes, their labels, and the number of ids that differ from the node's name.
 
-    An id is made of the label if every node has one, and all of them differ; else of the name. Characters that no id
-    can have become `_`. An id that is taken gets `_2`, `_3`, … A node whose id is not its name keeps the name as label.
+    An id is made from the label if every node has one and all differ; otherwise from the name. Characters that an id
+    cannot have become `_`. A repeated id gets the suffix `_2`, `_3`, … If an id differs from the name of its node, the
+    name becomes the label.
     """
     by_label = labels is not None and all(labels) and len(set(labels)) == len(labels)
     wanted: Sequence[Hashable] = labels if by_label and labels is not None else names
@@ -25,7 +26,7 @@ def ids_of(names: Sequence[Hashable], labels: Sequence[str | None] | None) -> tu
     ids: Ids = []
     kept: list[str | None] = []
     made = 0
-    # Give every node that can keep its name its name first: a made id never takes the name of another node.
+    # Give every node first its name, if that is a valid id: a made id never takes the name of another node.
     own = [_whole(one) for one in wanted]
     reserved = {one for one in own if one is not None}
     for k, (name, plain) in enumerate(zip(wanted, own, strict=True)):
@@ -49,7 +50,7 @@ def ids_of(names: Sequence[Hashable], labels: Sequence[str | None] | None) -> tu
 
 
 def _whole(name: Hashable) -> int | str | None:
-    """Return the id that a name is as it stands, or None if it can be none."""
+    """Return the id that equals a name, or None if the name is not a valid id."""
     if isinstance(name, bool):
         return None
     if isinstance(name, float) and name.is_integer():
@@ -65,7 +66,7 @@ def _whole(name: Hashable) -> int | str | None:
 
 
 def _spelled(name: Hashable) -> str:
-    """Return a name with the characters of ids only; empty if none of its characters is left."""
+    """Return a name reduced to the characters of ids; empty if none remains."""
     text = "_".join(map(str, name)) if isinstance(name, tuple | frozenset) else str(name)
     ascii_ = unicodedata.normalize("NFKD", text).encode("ascii", "ignore").decode()
     return _OTHERS.sub("_", ascii_).strip("_.-")[:_LONGEST].rstrip("_.-")

@@ -15,9 +15,9 @@ from hedgerow.topologies.importing.tables import of_matrix
 from hedgerow.topologies.regular_file import read_regular
 
 GROWTH = 20
-"""bytes of memory for a byte of a file"""
+"""the memory per byte of a file"""
 MOST = 10**7
-"""rows of a matrix: a short file can name any number"""
+"""the maximum number of rows of a matrix: a short file can name any number"""
 
 
 def read_market(path: Path, options: Options) -> Found:
@@ -31,7 +31,7 @@ def read_market(path: Path, options: Options) -> Found:
             raise refuse(path, "holds complex numbers", "Save the moduli, or the real parts")
         if max(rows, columns) > MOST or rows != columns:
             raise ValueError(f"it has {rows} rows and {columns} columns")
-        # scipy.io.mmread ends the process on some damaged files: read the numbers by numpy, and check their places.
+        # scipy.io.mmread ends the process on some damaged files: numpy reads the numbers, and we check their places.
         lines = [line for line in data.decode().splitlines() if line.strip() and not line.lstrip().startswith("%")]
         numbers = np.loadtxt(lines[1:], ndmin=2) if len(lines) > 1 else np.empty((0, 3))
         matrix = _array(numbers, rows, symmetry) if form == "array" else _coordinates(numbers, rows, entries, field)
@@ -41,7 +41,7 @@ def read_market(path: Path, options: Options) -> Found:
 
 
 def _coordinates(numbers: Array, n: int, entries: int, field: str) -> Any:
-    """Return the matrix of rows (i, j, value), or (i, j) of a pattern; of a symmetric matrix one half is enough."""
+    """Return the matrix of rows (i, j, value), or (i, j) of a pattern; one half of a symmetric matrix suffices."""
     from scipy.sparse import coo_array  # noqa: PLC0415
 
     width = 2 if field == "pattern" else 3
@@ -76,7 +76,7 @@ def read_sparse(path: Path, options: Options) -> Found:
     data = read_regular(path, growth=GROWTH)
     try:
         matrix = load_npz(io.BytesIO(data))
-    except Exception as error:  # a damaged archive raises what zipfile, zlib and numpy raise
+    except Exception as error:  # a damaged archive causes any error of zipfile, zlib and numpy
         raise refuse(
             path, f"is no sparse matrix of SciPy: {str(error)[:200]}", "Write it with scipy.sparse.save_npz"
         ) from None

@@ -9,16 +9,16 @@ from hedgerow.topologies.errors import Code, UserError
 
 @dataclass(frozen=True)
 class Options:
-    """How a source becomes a topology; None leaves the choice to the reader, which reports it."""
+    """The rules to make a topology from a source; None leaves the choice to the reader, which reports it."""
 
     name: str | None = None
-    """of the run"""
+    """the name of the run"""
     weight: str | None = None
     """an edge attribute, or a number for all edges"""
     storage: str | float | None = None
     """a node attribute, or a number for all nodes: b_i = b/sqrt(storage)"""
     junction_storage: float | None = None
-    """of nodes that have none of their own; of the junctions of a water network [m^2]"""
+    """the storage of nodes without a value, such as the junctions of a water network [m^2]"""
     directed: bool = False
     """an edge from i to j and one from j to i are one edge, also in a source without directions"""
     largest_component: bool = False
@@ -34,7 +34,7 @@ class Options:
     """the storage [m^2] of reservoirs; they are dropped if it is None"""
 
     def __post_init__(self) -> None:
-        """Raise UserError for a number that cannot be."""
+        """Raise UserError for an invalid number."""
         for option, value in (
             ("--junction-storage", self.junction_storage),
             ("--b", self.b),

@@ -1,7 +1,7 @@
 """Power grids: MATPOWER cases, .m and .mat, and pandapower networks.
 
-A node is a bus, an edge a branch that is in service. Its weight is the susceptance 1/(x tap) per unit, by which a
-difference of angles makes a flow of power.
+A node is a bus, an edge a branch that is in service. Its weight is the susceptance 1/(x tap) per unit, which turns a
+difference of angles into a flow of power.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ if TYPE_CHECKING:
     import pandapower
 
 GROWTH = 60
-"""bytes of memory for a byte of a file"""
+"""the memory per byte of a file"""
 F_BUS, T_BUS, BR_X, TAP, BR_STATUS = 0, 1, 3, 8, 10
 BUS_I, BUS_TYPE, BASE_KV = 0, 1, 9
 ISOLATED = 4
 BUS_COLUMNS = ("BUS_I", "BUS_TYPE", "PD", "QD", "GS", "BS", "BUS_AREA", "VM", "VA", "BASE_KV")
 TRUSTED = {"pandapower", "pandas", "numpy", "networkx", "shapely", "geopandas"}
-"""modules whose objects a pandapower file may hold: its reader imports the modules that the file names"""
+"""modules allowed in a pandapower file: pandapower's reader imports every module that the file names"""
 
 
 _CHANGE = re.compile(rb"^[ \t]*(?:[^%\n]*[;,])?[ \t]*(mpc\.(bus|branch)[ \t]*\([^\n%]*\)[ \t]*=)", re.MULTILINE)
@@ -63,7 +63,7 @@ def read_m(path: Path, options: Options) -> Found:
         case = CaseFrames(str(path.resolve()))
         bus, branch = case.bus, case.branch
         names = getattr(case, "bus_name", None)
-    except Exception as error:  # the reader raises what its expressions and pandas raise
+    except Exception as error:  # the reader passes on all errors of its expressions and of pandas
         raise refuse(path, f"is no MATPOWER case that can be read: {str(error)[:200]}", "Check its format") from None
     labels = None if names is None else [str(name).strip() or None for name in names]
     return of_case(path, np.asarray(bus, dtype=float), np.asarray(branch, dtype=float), options, labels)
@@ -146,7 +146,7 @@ def of_case(
     if options.weight is not None:
         if (number := as_number(options.weight)) is None:
             raise refuse(f"--weight {options.weight}", "a branch has its susceptance", "Give a number", Code.OPTION)
-        weights, fact = np.full(len(branch), number), f"Every branch has the weight {number:g}, as the command says"
+        weights, fact = np.full(len(branch), number), f"Every branch has the weight {number:g}, by the option"
     attributes = [dict(zip(BUS_COLUMNS, row, strict=False)) for row in bus.tolist()]
     storage, of_storage = storage_of(str(path), options.storage, attributes, options.junction_storage, "bus")
     found = Found(
@@ -170,7 +170,7 @@ def of_case(
 
 
 def _sign(weight: float) -> str:
-    """Return what a branch is whose weight is not above 0."""
+    """Return the meaning of a branch with a weight that is not above 0."""
     if np.isinf(weight):
         return "a branch without reactance: a bus tie or a switch"
     return "a series capacitor, or the star point of a three-winding transformer" if weight < 0 else "no reactance"
@@ -193,7 +193,7 @@ def read_pandapower(path: Path, options: Options) -> Found:
             net = pandapower.from_json_string(content.decode())
             # Without the check of connectivity, parts that no supply reaches stay: they are a network all the same.
             case = to_ppc(net, init="flat", calculate_voltage_angles=True, mode="pf", check_connectivity=False)
-    except Exception as error:  # the conversion raises what its parts raise
+    except Exception as error:  # the conversion passes on all errors of its parts
         raise refuse(
             path, f"pandapower cannot read it: {str(error)[:200]}", "Open and save it with pandapower"
         ) from None
@@ -245,7 +245,7 @@ def _place(net: pandapower.pandapowerNet, buses: Sequence[Any]) -> tuple[float, 
 
 
 def _check_modules(path: Path, content: bytes) -> None:
-    """Raise UserError for a file that names modules other than those of its own tools: its reader imports them all."""
+    """Raise UserError for a file that names other modules than those of its tools: pandapower would import them all."""
     try:
         waiting = [json.loads(content)]
     except (ValueError, RecursionError):
@@ -269,7 +269,7 @@ def _check_modules(path: Path, content: bytes) -> None:
 
 
 def missing(package: str, extra: str) -> UserError:
-    """Return the error for a reader that is not installed, for the caller to raise."""
+    """Return the error for a missing reader, for the caller to raise."""
     return UserError(
         f"{package}: is not installed, and reads this file. Install it: pip install 'hedgerow[{extra}]'.",
         code=Code.OPTION,

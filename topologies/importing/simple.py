@@ -1,4 +1,4 @@
-"""From a graph of a source to an undirected one without loops and repeated edges; each change is counted."""
+"""The conversion of a source's graph to an undirected one without loops and repeated edges; each change is counted."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ from hedgerow.topologies.importing.options import Options
 
 
 def simple(found: Found, options: Options) -> Found:
-    """Return the graph with every edge once, and the changes that this took; raise UserError for a weight that is not
-    above 0, and for a source without nodes.
+    """Return the graph with every edge once, and the changes made.
+
+    Raise UserError for a weight that is not above 0, and for a source without nodes.
     """
     if not len(found.names):
         raise refuse(found.source, "has no nodes", "Name a file that holds a network")
@@ -63,7 +64,9 @@ def _check_weights(found: Found) -> None:
 def _merged(
     n: int, edges: Index, low: Index, high: Index, weights: Array | None, directed: bool
 ) -> tuple[Index, Array | None, int, int]:
-    """Return each edge once in the order of its first mention, its weight, and how many were merged by either rule."""
+    """Return each edge once in the order of its first mention, its weight, and the number of merged edges by either
+    rule.
+    """
     if not len(edges):
         return edges, weights, 0, 0
     key, first, inverse, count = np.unique(low * n + high, return_index=True, return_inverse=True, return_counts=True)
@@ -84,7 +87,7 @@ def _merged(
 
 
 def _of_degree(n: int, edges: Index, weights: Array | None, most: int) -> tuple[Index, Array | None, int]:
-    """Return the edges that are among the `most` of largest weight of both ends, and how many others there are."""
+    """Return the edges that are among the `most` of largest weight at both ends, and the number of the others."""
     ranked = np.arange(len(edges)) if weights is None else (-weights).argsort(kind="stable")
     ends = edges[ranked].ravel()
     order = ends.argsort(kind="stable")
@@ -96,7 +99,7 @@ def _of_degree(n: int, edges: Index, weights: Array | None, most: int) -> tuple[
 
 
 def _component(found: Found, largest: bool) -> Found:
-    """Return the network, or its largest connected piece, and report how many pieces there are."""
+    """Return the network, or its largest connected piece, and report the number of pieces."""
     from scipy.sparse import coo_array  # noqa: PLC0415 (half a second to load)
     from scipy.sparse.csgraph import connected_components  # noqa: PLC0415
 
@@ -121,7 +124,7 @@ def _component(found: Found, largest: bool) -> Found:
 
 
 def only(found: Found, nodes: Index) -> Found:
-    """Return the network of some nodes, given by ascending positions, and of the edges between them."""
+    """Return the subnetwork of some nodes, given by ascending positions, with the edges between them."""
     place = np.full(len(found.names), -1)
     place[nodes] = np.arange(len(nodes))
     kept = (place[found.edges] >= 0).all(axis=1)

@@ -17,7 +17,7 @@ from hedgerow.topologies.importing.options import Options
 from hedgerow.topologies.regular_file import read_regular
 
 GROWTH = 25
-"""bytes of memory for a byte of a file: every cell is text first"""
+"""the memory per byte of a file: every cell is a text first"""
 COMMENTS = ("#", "%", "//")
 FROM = ("source", "from", "src", "node1", "start", "from_node", "node_from", "tail")
 TO = ("target", "to", "dst", "node2", "end", "to_node", "node_to", "head")
@@ -28,7 +28,7 @@ def read(path: Path, options: Options) -> Found:
     """Return the graph in a text of edges, one per row, or of an adjacency matrix.
 
     A matrix is a square of numbers, with or without a row and a column of names. A row of edges begins with the two
-    ends, if no header names the columns.
+    ends, unless a header names the columns.
     """
     rows = _rows(path)
     if not rows:
@@ -65,9 +65,9 @@ def _rows(path: Path) -> list[tuple[int, list[str]]]:
 
 
 def _separator(lines: Sequence[str]) -> str:
-    """Return the character that separates the cells: the first of `,;TAB|` that every line has, else blanks.
+    """Return the separator of the cells: the first of `,;TAB|` that every line has, otherwise blanks.
 
-    If no line has cells without it, the first one of most lines: the others lack an end.
+    If most lines have one, it is the separator, and the other lines lack an end.
     """
     signs = _SEPARATORS[:-1]
     of_all = next((sign for sign in signs if lines and all(sign in line for line in lines)), None)
@@ -80,7 +80,7 @@ def _number(cell: str) -> float | None:
 
 
 def _matrix(rows: Sequence[tuple[int, list[str]]]) -> tuple[list[Hashable] | None, Array] | None:
-    """Return the names and the values of an adjacency matrix, or None if the rows are no square of numbers."""
+    """Return the names and the values of an adjacency matrix, or None if the rows are not a square of numbers."""
     cells = [row for _, row in rows]
     widths = {len(row) for row in cells}
     names: list[Hashable] | None = None
@@ -92,7 +92,7 @@ def _matrix(rows: Sequence[tuple[int, list[str]]]) -> tuple[list[Hashable] | Non
     elif len(cells) > 2 and len(widths) == 1 and len(cells) == len(cells[0]) and _named(cells[0][1:]):
         names, cells = [node_id(cell) for cell in cells[0][1:]], [row[1:] for row in cells[1:]]
     n = len(cells)
-    # Two edges of two columns look like a matrix of two nodes: edges are meant far more often.
+    # Two edges in two columns look like a matrix of two nodes: treat them as edges, which are far more common.
     if n < 3 or any(len(row) != n for row in cells):
         return None
     values = np.empty((n, n))
@@ -101,7 +101,7 @@ def _matrix(rows: Sequence[tuple[int, list[str]]]) -> tuple[list[Hashable] | Non
             if (value := _number(cell)) is None:
                 return None
             values[k, column] = value
-    # Three edges of a triangle, with weights, are a square as well: an adjacency matrix is symmetric, without loops.
+    # Three edges with weights are a square too: an adjacency matrix is symmetric and has no loops.
     if names is None and n == 3 and (not np.array_equal(values, values.T) or values.diagonal().any()):
         return None
     return names, values
@@ -216,9 +216,10 @@ def of_pairs(
 def of_matrix(
     matrix: Any, options: Options, source: str, names: Sequence[Hashable] | None = None, first: int = 0
 ) -> Found:
-    """Return the graph of an adjacency matrix, dense or sparse: an entry that is not 0 is an edge of this weight.
+    """Return the graph of an adjacency matrix, dense or sparse: a nonzero entry is an edge with this weight.
 
-    Nodes are numbered from `first` if they have no names. A symmetric matrix names every edge twice, which is once.
+    Nodes are numbered from `first` if they have no names. A symmetric matrix gives every edge twice, and it is taken
+    once.
     """
     from scipy.sparse import coo_array  # noqa: PLC0415 (half a second to load)
 
@@ -261,7 +262,9 @@ def of_matrix(
 
 
 def of_frame(frame: Any, options: Options, source: str, tail: str | None, head: str | None) -> Found:
-    """Return the graph of a data frame of edges: pandas, polars, pyarrow, or anything that dict() makes columns of."""
+    """Return the graph of a data frame of edges: pandas, polars, pyarrow, or any object that dict() turns into
+    columns.
+    """
     if hasattr(frame, "to_pydict"):
         columns = frame.to_pydict()
     elif hasattr(frame, "to_dict"):

@@ -1,8 +1,8 @@
-"""Water networks: EPANET files, .inp, which wntr reads and simulates at their start.
+"""Water networks: EPANET files, .inp, which wntr reads; it also computes their initial hydraulic state.
 
-The state of a node is x_i = sqrt(c_i) h_i, of the head h_i [m] above the operating point and the storage c_i [m^2], the
-area of its water. Of the balance c_i dh_i/dt = -leak c_i h_i + sum_j k_ij (u_i - u_j) - (demand above the operating
-point), a step of dt seconds makes (1) with b_i = 1/sqrt(c_i), weights k_ij dt [m^2] and a = exp(-leak dt).
+The state of a node is x_i = sqrt(c_i) h_i, with the head h_i [m] above the operating point and the storage c_i [m^2],
+the area of its water. The balance is c_i dh_i/dt = -leak c_i h_i + sum_j k_ij (u_i - u_j) - (demand above the operating
+point). A step of dt seconds makes (1) from it, with b_i = 1/sqrt(c_i), weights k_ij dt [m^2] and a = exp(-leak dt).
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ if TYPE_CHECKING:
     import wntr
 
 GROWTH = 60
-"""bytes of memory for a byte of a file"""
+"""the memory per byte of a file"""
 JUNCTION_STORAGE = 100.0
 """c_i of a junction [m^2]: a file has none"""
 SLOWEST = 0.01
-"""least velocity [m/s] at which a pipe is linearised: its conductance has no bound where nothing flows"""
+"""minimum velocity [m/s] for the linearisation of a pipe: without flow, its conductance would be unbounded"""
 STIFF = 100
-"""nodes are one if the link between them conducts this many times the median"""
+"""two nodes are merged if the link between them conducts this many times the median"""
 SHARE = 0.5
-"""of the bound 8 dt d_i/c_i < 1, that the default time step takes at most"""
+"""the maximum of 8 dt d_i/c_i with the default time step; condition (3) needs less than 1"""
 MOST_STEPS = 2000
-"""a default run is no longer than this"""
+"""the maximum number of steps of a default run"""
 
 
 def read(path: Path, options: Options) -> Found:
@@ -54,7 +54,7 @@ def read(path: Path, options: Options) -> Found:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             model = wntr.network.WaterNetworkModel(str(path))
-    except Exception as error:  # wntr raises what its parser raises
+    except Exception as error:  # wntr passes on the errors of its parser
         text = " ".join(str(error).split())[:200]
         raise refuse(path, f"wntr cannot read it: {text}", "Check it in EPANET") from None
     if not model.num_junctions + model.num_tanks:
@@ -82,7 +82,7 @@ def _simulated(model: wntr.network.WaterNetworkModel) -> Any:
 
 
 def _demand(model: wntr.network.WaterNetworkModel) -> tuple[Array, Any]:
-    """Return the times [s] and the demands [m^3/s] of all junctions by the patterns of the file, a column each."""
+    """Return the times [s] and the demands [m^3/s] of all junctions by the patterns of the file, one column each."""
     import wntr  # noqa: PLC0415
 
     with warnings.catch_warnings():
@@ -92,7 +92,7 @@ def _demand(model: wntr.network.WaterNetworkModel) -> tuple[Array, Any]:
 
 
 class _Reading:
-    """The numbers of one file."""
+    """The numbers of one EPANET file."""
 
     def __init__(self, path: Path, model: Any, results: Any, demand: tuple[Array, Any], options: Options) -> None:
         self._path, self._model, self._options = path, model, options
@@ -120,7 +120,7 @@ class _Reading:
         edges = pairs([(place[i], place[j]) for i, j in ends])
         storage, demand = self._storage(names), self._demands(names)
         home, kept = self._joined(names, edges, conductance)
-        # The storage of a junction is assumed: beside a tank, the area of the tank is all there is.
+        # The storage of a junction is assumed. Beside a tank, the area of the tank is the only known storage.
         tank = np.array([self._model.get_node(str(name)).node_type == "Tank" for name in names])
         tanks = weighted_sums(home, np.where(tank, storage, 0.0), len(kept))
         storage = np.where(tanks > 0, tanks, weighted_sums(home, storage, len(kept)))
@@ -156,7 +156,7 @@ class _Reading:
         return None if found is None else (float(found[0]), float(found[1]))
 
     def _storage(self, names: list[Hashable]) -> Array:
-        """Return c_i [m^2]: the area of a tank, and what a junction is given."""
+        """Return c_i [m^2]: the area of a tank, and the given storage of a junction."""
         options, model = self._options, self._model
         junction = options.junction_storage or JUNCTION_STORAGE
         storage = np.full(len(names), junction)
@@ -222,7 +222,7 @@ class _Reading:
         return q / drop if link.link_type == "Pump" else q / (2 * drop)
 
     def _time_step(self, names: list[Hashable], load: Array) -> float:
-        """Return dt [s]; raise UserError with the one that would do if no a satisfies (3) at a node with the given one.
+        """Return dt [s]; raise UserError with a suitable value if, with the given one, no a satisfies (3) at a node.
 
         load: d_i/c_i [1/s], (n,).
         """
@@ -274,7 +274,7 @@ class _Reading:
         return a
 
     def _demands(self, names: list[Hashable]) -> Array:
-        """Return the demands of all nodes [m^3/s], a row per time of the patterns."""
+        """Return the demands of all nodes [m^3/s], one row per time of the patterns."""
         demand = np.zeros((len(self._times), len(names)))
         for k, name in enumerate(names):
             if name in self._demand:
@@ -282,9 +282,9 @@ class _Reading:
         return demand
 
     def _joined(self, names: list[Hashable], edges: Index, conductance: Array) -> tuple[Index, Index]:
-        """Return the node that each node becomes, (n,), and the nodes that give those their names.
+        """Return the new node of each node, (n,), and the nodes that give the new nodes their names.
 
-        Two nodes become one if a link between them conducts so much more than others that they have one head.
+        Two nodes are merged if the link between them conducts so well that both have one head.
         """
         from scipy.sparse import coo_array  # noqa: PLC0415 (half a second to load)
         from scipy.sparse.csgraph import connected_components  # noqa: PLC0415
@@ -294,7 +294,7 @@ class _Reading:
         stiff = edges[conductance > bound]
         matrix = coo_array((np.ones(len(stiff), np.int8), (stiff[:, 0], stiff[:, 1])), shape=(n, n))
         _, piece = connected_components(matrix, directed=False)
-        # A tank names what it becomes part of; else the first node does. Keep the order of the file.
+        # A tank gives its name to its merged node; otherwise the first node does. Keep the order of the file.
         rank = np.lexsort((np.arange(n), [self._model.get_node(str(name)).node_type != "Tank" for name in names]))
         _, first = np.unique(piece[rank], return_index=True)
         kept = np.sort(rank[first])

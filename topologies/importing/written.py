@@ -31,14 +31,14 @@ from hedgerow.topologies.schema import Topology
 
 STEPS = 300
 SHARE = 0.5
-"""of the bound 8 b² d_i < 1, that the default b takes at most"""
+"""the maximum of 8 b² d_i with the default b; condition (3) needs less than 1"""
 INLINE = 20_000
-"""samples up to this many stand in the file itself"""
+"""the maximum number of samples in the file itself"""
 
 
 @dataclass(eq=False)
 class Imported:
-    """A network that was imported: the keys of its file, the columns of its table, and what was changed."""
+    """An imported network: the keys of its file, the columns of its table, and the changes made."""
 
     content: dict[str, Any]
     """the dictionary form of the file; of a large network without `nodes` and `edges`"""
@@ -54,7 +54,7 @@ class Imported:
     """SHA-256 of the file, or empty"""
 
     def text(self, table: str | None = None) -> str:
-        """Return the file: comments that say what was assumed and changed, then the keys."""
+        """Return the file: comments about assumptions and changes, then the keys."""
         lines = [
             f"# Imported from {escape(self.source, keep='')}" + (f", SHA-256 {self.digest}" if self.digest else "")
         ]
@@ -95,19 +95,21 @@ class Imported:
         return written
 
     def topology(self, path: Path) -> Topology:
-        """Return the checked topology of the file that was saved, or will be if it needs no table."""
+        """Return the checked topology of the saved file, or of the text if it needs no table."""
         text = read_regular(path) if self.arrays else self.text().encode()
         return parse(text, str(path), path.parent)
 
 
 def imported(found: Found, options: Options) -> Imported:
-    """Return the topology of what a reader found; raise UserError for a weight or an option that cannot be."""
+    """Return the topology of what a reader found; raise UserError for an invalid weight or option."""
     found = simple(found, options)
     n = len(found.names)
     ids, labels, made = ids_of(found.names, found.labels)
     changes = list(found.changes)
     if made:
-        changes.append(f"{made:,} id{'s' if made > 1 else ''} made from names that no id can be, or that stand twice")
+        changes.append(
+            f"{made:,} id{'s' if made > 1 else ''} made from names that are not valid ids, or that occur twice"
+        )
     assumptions = list(found.assumptions)
     content: dict[str, Any] = {"name": _name(options.name or Path(found.source).stem), "b": 0.0}
     content["b"] = _gain(found, options, ids, assumptions)
@@ -134,7 +136,7 @@ def imported(found: Found, options: Options) -> Imported:
 
 
 def import_file(path: Path, options: Options) -> Imported:
-    """Return the topology of a file of another tool; raise UserError for what cannot be imported."""
+    """Return the topology of a file of another tool; raise UserError if it cannot be imported."""
     from hedgerow.topologies.importing.files import read  # noqa: PLC0415 (each reader imports this package)
 
     result = imported(read(path, options), options)

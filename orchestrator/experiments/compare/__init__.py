@@ -30,9 +30,11 @@ class Compared:
     """A finished comparison; `print` shows its tables and its findings."""
 
     plan: Comparison
+    """the laws, disturbances and seeds"""
     rows: Sequence[Sequence[Row]]
     """the runs of each setting of the plan, by seed"""
     folder: Path
+    """the folder of the results"""
 
     @cached_property
     def cells(self) -> list[Cell]:
@@ -101,17 +103,17 @@ def _run(plan: Comparison, folder: SweepFolder, jobs: int, quiet: bool) -> str:
     chunks = plan.chunks(frozenset(folder.rows))
     answers: Generator[Answer | None, None, None]
     answers = over_processes(plan, chunks, jobs, answer) if jobs > 1 else (answer(plan, chunk) for chunk in chunks)
-    with contextlib.ExitStack() as stack:
-        interrupts = stack.enter_context(Interrupts())
-        shown = None if quiet else stack.enter_context(contextlib.closing(progress(folder.there, plan.runs)))
-        stack.enter_context(contextlib.closing(answers))
+    with (
+        Interrupts() as interrupts,
+        contextlib.closing(progress(folder.there, plan.runs, quiet)) as shown,
+        contextlib.closing(answers),
+    ):
         for rows in answers:
             if isinstance(rows, Failure):
                 raise rows.error()
             if rows:
                 folder.append(rows)
-                if shown is not None:
-                    shown.advance(len(rows))
+                shown.advance(len(rows))
             if interrupts.count:
                 return interrupts.name
     return ""

@@ -1,16 +1,18 @@
-"""The figure of a comparison: a panel per metric, a place per law, a colour per disturbance; needs matplotlib."""
+"""The figure of a comparison: a panel per metric, a row per law, a colour and a marker per disturbance."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
+import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
 from hedgerow.orchestrator.experiments.compare.runs import METRICS
 from hedgerow.orchestrator.experiments.compare.statistics import Cell
-from hedgerow.orchestrator.report.style import colour, look, save, sheet
+from hedgerow.orchestrator.report.style import colour, label_panels, look, save, sheet
 
 LABELS = {
     "share_right": "nodes right [1]",
@@ -20,39 +22,67 @@ LABELS = {
     "gain": "gain [1]",
     "switches": "switches per node",
 }
-PANEL_IN = 1.25
+COLUMNS = 3
+WIDTH_IN = 7.16
+"""The width of a page: six panels with the names of laws do not fit into one column of a journal."""
+ROW_IN, AXIS_IN = 0.22, 0.55
+MARKERS = "osD^vPX"
 _DECADES = 100.0
+
+
+def short(laws: Sequence[str]) -> list[str]:
+    """Return the laws without their modules, where no two become equal."""
+    bare = [re.sub(r"^[\w.]+:", "", law) for law in laws]
+    return [name if bare.count(name) == 1 else law for law, name in zip(laws, bare, strict=True)]
 
 
 def draw(cells: Sequence[Cell]) -> Figure:
     """Draw the mean of every cell and its interval over seeds."""
     disturbances = list(dict.fromkeys(cell.disturbance for cell in cells))
     laws = list(dict.fromkeys(cell.law for cell in cells))
-    figure = sheet(PANEL_IN * len(METRICS) + 1.2)
-    axes = figure.subplots(len(METRICS), sharex=True)
+    rows = -(-len(METRICS) // COLUMNS)
+    lines = len(laws) * max(1.0, 0.6 * len(disturbances))
+    figure = sheet(rows * (ROW_IN * lines + AXIS_IN) + 0.25)
+    axes = figure.subplots(rows, COLUMNS, sharey=True, squeeze=False).ravel()
     for axis, metric in zip(axes, METRICS, strict=True):
         shown = []
+        axis.margins(x=0.06)
         for d, disturbance in enumerate(disturbances):
             own = [cell for cell in cells if (cell.disturbance, cell.metric) == (disturbance, metric)]
             place = np.array([laws.index(cell.law) for cell in own]) + 0.6 * ((d + 0.5) / len(disturbances) - 0.5)
             mean, half = (np.array([getattr(cell, name) for cell in own]) for name in ("mean", "half"))
             bars = axis.errorbar(
-                place, mean, np.nan_to_num(half), fmt="o", markersize=2.5, linewidth=0.8, color=colour(d)
+                mean,
+                place,
+                xerr=np.nan_to_num(half),
+                fmt=MARKERS[d % len(MARKERS)],
+                markersize=2.5,
+                linewidth=0.8,
+                color=colour(d),
             )
             bars.set_label(disturbance)
             shown.append(mean[np.isfinite(mean)])
         values = np.concatenate(shown) if shown else np.empty(0)
-        if metric in ("regret", "gain") and len(values) and values.max() > _DECADES * max(values.min(), 0) > 0:
-            axis.set_yscale("log")
-        axis.set_ylabel(LABELS[metric])
-    axes[0].set_ylim(-0.03, 1.03)
-    axes[0].legend(fontsize=5, ncols=min(3, len(disturbances)))
-    axes[-1].set_xticks(range(len(laws)), laws, rotation=90)
-    axes[-1].set_xlim(-0.6, len(laws) - 0.4)
+        above = values[values > 0]
+        if metric in ("regret", "gain") and len(above) and above.max() > _DECADES * above.min():
+            least = 10 ** np.floor(np.log10(above.min()))
+            axis.set_xscale("symlog", linthresh=least)
+            axis.xaxis.get_major_locator().set_params(numticks=6)
+            axis.set_xlim(left=-0.3 * least)
+        axis.grid(axis="both")
+        axis.set_xlabel(LABELS[metric])
+    axes[0].set_xlim(-0.05, 1.05)
+    axes[0].set_yticks(range(len(laws)), short(laws))
+    axes[0].set_ylim(len(laws) - 0.5, -0.5)
+    label_panels(axes)
+    if len(disturbances) > 1:
+        handles, names = axes[0].get_legend_handles_labels()
+        figure.legend(handles, names, loc="outside upper center", ncols=min(6, len(disturbances)))
     return figure
 
 
 def write(folder: Path, cells: Sequence[Cell], title: str) -> None:
     """Write compare.pdf and compare.png."""
     with look():
+        matplotlib.rcParams["figure.figsize"] = (WIDTH_IN, matplotlib.rcParams["figure.figsize"][1])
         save(draw(cells), folder, "compare", title)

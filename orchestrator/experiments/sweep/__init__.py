@@ -5,7 +5,9 @@ from __future__ import annotations
 import contextlib
 import os
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 from hedgerow.orchestrator.experiments.sweep import summary
 from hedgerow.orchestrator.experiments.sweep.folder import SweepFolder, default_out
@@ -15,27 +17,43 @@ from hedgerow.orchestrator.experiments.sweep.runs import Failure
 from hedgerow.orchestrator.experiments.sweep.workers import over_processes
 from hedgerow.orchestrator.ground.signals import Interrupts
 from hedgerow.orchestrator.metrics.verdict import EXIT_CODES, INVALID, UNKNOWN, VALID
-from hedgerow.topologies.errors import Code, UserError
+from hedgerow.topologies.errors import Code, Exit, UserError
 from hedgerow.topologies.escape import echo
 
 
-def sweep(plan: Plan, out: Path | None = None, jobs: int | None = None, on: str | None = None) -> int:
+class Swept(NamedTuple):
+    """The outcome of a sweep."""
+
+    exit_code: Exit
+    """0 if all runs are valid, 1 if one is not, 3 if one is unknown or the sweep was stopped"""
+    line: str
+    """the verdict over all runs, or the signal that stopped the sweep"""
+
+
+def sweep(
+    plan: Plan, out: Path | None = None, jobs: int | None = None, on: str | None = None, quiet: bool = False
+) -> Swept:
     """Make the runs of a plan that are not there yet, then the table of all, its summary and its box plots.
 
-    `on` is `ray` or ray://HOST:PORT, None for the cores of this machine, of which `jobs` are used. Returns the exit
-    code: 0 where all runs are valid, 1 where one is not, 3 where one is unknown or the sweep was stopped.
+    `on` is `ray` or ray://HOST:PORT, None for the cores of this machine, of which `jobs` are used. `quiet` prints
+    nothing.
     Raises UserError for a mistake, and HedgerowError where a run cannot be made.
     """
     with SweepFolder(plan, out or default_out(plan)) as folder:
         there = folder.there
+        say = _nothing if quiet else echo
         if plan.engine == "in-process" and (why := sorted({one for one in plan.one_by_one if one})):
             some = sum(map(bool, plan.one_by_one))
-            echo(f"{some} of {len(plan.settings)} settings run one by one, which is slower: {'; '.join(why)}")
-        echo(f"{plan.name}: {_counted(plan)}, into {folder.path}" + (f"; {there} were there" if there else ""))
-        if stopped := there < plan.runs and _run(plan, folder, jobs, on):
-            echo(f"stopped: {stopped}: {folder.there} of {plan.runs} runs are there; the same command goes on")
-            return EXIT_CODES[UNKNOWN]
-        return _conclude(plan, folder)
+            say(f"{some} of {len(plan.settings)} settings run one by one, which is slower: {'; '.join(why)}")
+        say(f"{plan.name}: {_counted(plan)}, into {folder.path}" + (f"; {there} were there" if there else ""))
+        if stopped := there < plan.runs and _run(plan, folder, jobs, on, quiet):
+            line = f"stopped: {stopped}: {folder.there} of {plan.runs} runs are there; the same command goes on"
+            return Swept(EXIT_CODES[UNKNOWN], line)
+        return _conclude(plan, folder, say)
+
+
+def _nothing(text: str) -> None:
+    pass
 
 
 def _counted(plan: Plan) -> str:
@@ -43,7 +61,7 @@ def _counted(plan: Plan) -> str:
     return f"{plan.runs} run{'s' * (plan.runs != 1)} ({settings}, {len(plan.seeds)} seeds)"
 
 
-def _run(plan: Plan, folder: SweepFolder, jobs: int | None, on: str | None) -> str:
+def _run(plan: Plan, folder: SweepFolder, jobs: int | None, on: str | None, quiet: bool) -> str:
     """Make the runs that lack; who stopped that, or nothing."""
     chunks = plan.chunks(frozenset(folder.rows))
     if on is not None:
@@ -54,7 +72,7 @@ def _run(plan: Plan, folder: SweepFolder, jobs: int | None, on: str | None) -> s
         answers = over_processes(plan, chunks, jobs or (1 if plan.engine == "zenoh" else cores()))
     with (
         Interrupts() as interrupts,
-        contextlib.closing(progress(folder.there, plan.runs)) as shown,
+        contextlib.closing(progress(folder.there, plan.runs, quiet)) as shown,
         contextlib.closing(answers),
     ):
         for rows in answers:
@@ -73,7 +91,7 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _conclude(plan: Plan, folder: SweepFolder) -> int:
+def _conclude(plan: Plan, folder: SweepFolder, say: Callable[[str], None]) -> Swept:
     rows = [folder.asked(k) for k in range(len(plan.settings))]
     try:
         folder.write_table()
@@ -85,14 +103,13 @@ def _conclude(plan: Plan, folder: SweepFolder) -> int:
         ) from None
     verdicts = Counter(row["verdict"] for own in rows for row in own)
     worst = next(one for one in (INVALID, UNKNOWN, VALID) if verdicts[one])
-    echo(summary.table(plan, rows))
-    echo(f"{folder.table}, summary.csv, {drawn}")
+    say(summary.table(plan, rows))
+    say(f"{folder.table}, summary.csv, {drawn}")
     first = next(row for own in rows for row in own if row["verdict"] == worst)
     where = (
         "" if worst == VALID else f" (first seed {first['seed']}, {plan.says(first['setting'])}: {first['reasons']})"
     )
-    echo(f"{worst}{where}: {verdicts[VALID]} of {plan.runs} runs valid")
-    return EXIT_CODES[worst]
+    return Swept(EXIT_CODES[worst], f"{worst}{where}: {verdicts[VALID]} of {plan.runs} runs valid")
 
 
 def _draw(plan: Plan, folder: SweepFolder, rows: list[list[dict[str, object]]]) -> str:

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from hedgerow.orchestrator.experiments.sweep.plan import Plan
 from hedgerow.orchestrator.experiments.sweep.runs import Row
 from hedgerow.orchestrator.experiments.sweep.summary import values_of, varied
-from hedgerow.orchestrator.report.style import BLUE, GREY, look, save, sheet
+from hedgerow.orchestrator.report.style import BLUE, GREY, label_panels, look, save, sheet
 from hedgerow.topologies.graph import Array
 
 PANELS = {
@@ -40,6 +40,8 @@ def draw(plan: Plan, rows: Sequence[Sequence[Row]]) -> Figure:
         axis.set_ylabel(label)
     axes[0].set_ylim(-0.03, 1.03)
     axes[0].set_yscale("linear")
+    label_panels(axes)
+    figure.align_ylabels(axes)
     last = axes[-1]
     last.set_xticks(
         range(1, len(names) + 1), [(", " if upright else "\n").join(name) or plan.name for name in names],

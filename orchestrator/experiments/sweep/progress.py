@@ -38,7 +38,7 @@ class Bar:
     def __init__(self, there: int, runs: int, console: Console) -> None:
         self._bar = Progress(
             BarColumn(), MofNCompleteColumn(), TextColumn("runs"), TimeRemainingColumn(),
-            console=console, transient=True,
+            console=console, transient=True, redirect_stdout=False, redirect_stderr=False,
         )  # fmt: skip
         self._task = self._bar.add_task("runs", total=runs, completed=there)
         self._bar.start()
@@ -53,6 +53,18 @@ class Bar:
         self._bar.stop()
 
 
-def progress(there: int, runs: int) -> Lines | Bar:
-    """What fits standard output."""
+class Nothing:
+    """For `--quiet`."""
+
+    def advance(self, runs: int) -> None:
+        """Print nothing."""
+
+    def close(self) -> None:
+        """Leave nothing."""
+
+
+def progress(there: int, runs: int, quiet: bool = False) -> Lines | Bar | Nothing:
+    """Return the display for standard output."""
+    if quiet:
+        return Nothing()
     return Bar(there, runs, Console()) if sys.stdout.isatty() else Lines(there, runs)

@@ -1,1 +1,1 @@
-"""A run in the Rerun viewer, live and afterwards."""
+"""The display of a run in the Rerun viewer, live and afterwards."""

@@ -1,7 +1,7 @@
-"""What went wrong, when and where: a lane a link and node, as telemetry has it, whatever was planned.
+"""The timeline of failures: one lane per link and node, from telemetry alone, planned or not.
 
-A lane begins with the first thing that goes wrong in it. Lanes of an edge tell what crossed it, lanes of a node
-whether it was there, gave an input, and had the right model.
+A lane begins with the first failure in it. Lanes of an edge show its lost messages and cuts. Lanes of a node show its
+absence, its missing inputs, and its wrong models.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from hedgerow.orchestrator.views.palette import Color
 from hedgerow.topologies.schema import Topology
 
 LANES = 24
-"""more links and nodes than that have no lane of their own"""
+"""the maximum number of links and nodes with a lane"""
 RUN = -1
 """the number of the lane of the whole run"""
 FINE: Color = (38, 44, 54, 255)
 HEARD, NOT_I, NOT_J, CLOSED = 0, 1, 2, 4
-"""of an edge (i, j); they add up"""
+"""the states of an edge (i, j), as sums of these numbers"""
 THERE, MISTAKEN, TURNED, NO_INPUT, GONE = range(5)
-"""of a node, the worst of what holds"""
+"""the states of a node; the worst one counts"""
 OF_NODE: Sequence[tuple[str, Color]] = (
     ("ok", FINE),
     ("wrong model", palette.WRONG),
@@ -38,7 +38,7 @@ OF_NODE: Sequence[tuple[str, Color]] = (
 
 
 def of_edge(i: str, j: str) -> Sequence[tuple[str, Color]]:
-    """What may be said of the edge (i, j), by its code, and in which colour."""
+    """Return the texts and colours for the states of the edge (i, j), by their codes."""
     one, other, both = f"lost {j}→{i}", f"lost {i}→{j}", "lost both ways"
     return (
         ("ok", FINE),
@@ -56,21 +56,21 @@ class Lane:
     says: Sequence[tuple[str, Color]]
 
     def log_static(self, stream: rr.RecordingStream) -> None:
-        """Send what may be said, in its colours."""
+        """Send the texts and colours of the states."""
         values, colors = [what for what, _ in self.says], [color for _, color in self.says]
         stream.log(self.entity, rr.StateConfiguration(values=values, colors=colors), static=True)
 
 
 @dataclass(frozen=True)
 class Changes:
-    """By lane, at which steps it says something else, and what."""
+    """The steps when a lane changes its state, with the new states."""
 
     lanes: Mapping[str, tuple[NDArray[np.int64], NDArray[np.float64], list[str]]]
     begun: Sequence[Lane] = ()
-    """the lanes among them that are new"""
+    """the new lanes"""
 
     def write(self, stream: rr.RecordingStream) -> None:
-        """Send them."""
+        """Send the changes."""
         for lane in self.begun:
             lane.log_static(stream)
         for entity, (t, wall, says) in self.lanes.items():
@@ -79,12 +79,12 @@ class Changes:
 
     @property
     def size(self) -> int:
-        """Bytes, roughly."""
+        """Return the approximate size [bytes]."""
         return sum(40 * len(t) for t, _, _ in self.lanes.values())
 
     @staticmethod
     def joined(parts: Sequence[Changes]) -> Changes:
-        """One after the other."""
+        """Return the parts as one."""
         found: dict[str, tuple[NDArray[np.int64], NDArray[np.float64], list[str]]] = {}
         for entity in dict.fromkeys(entity for part in parts for entity in part.lanes):
             own = [part.lanes[entity] for part in parts if entity in part.lanes]
@@ -103,10 +103,10 @@ def _entity(kind: str, name: str) -> str:
 
 
 class Lanes:
-    """Sees what changes from step to step."""
+    """The detector of changes from step to step."""
 
     def __init__(self, topology: Topology, models: bool) -> None:
-        """`models`: whether wrong models are told of, beside faults."""
+        """Prepare the lanes; `models` adds wrong models to the faults."""
         self._ids, self._edges = topology.ids, topology.graph.edges
         self._models = models
         self._ends = at_ends(topology.graph)
@@ -121,7 +121,7 @@ class Lanes:
         return Lane(_entity("link", f"{i}-{j}"), of_edge(i, j))
 
     def codes(self, batch: Batch) -> NDArray[np.uint8]:
-        """What each lane says at each step, (B, E + n)."""
+        """Return the state of each lane at each step, (B, E + n)."""
         if len(self._ends):
             lost = ~batch.link_up[:, self._ends]
             links = NOT_I * lost[:, :, 0] + NOT_J * lost[:, :, 1] + CLOSED * ~batch.edge_open
@@ -131,19 +131,19 @@ class Lanes:
         turned = batch.a != np.concatenate([before, batch.a[:-1]])
         self._a = batch.a[-1].copy()
         missing, nobody = np.isnan(batch.u), np.isnan(batch.ahat)
-        # At step 0 an estimate is the first of a list: nobody has learned anything.
+        # At step 0 an estimate is the first of the list: no agent has learned anything.
         nodes = np.where(batch.wrong & self._models & (batch.t > 0)[:, None], MISTAKEN, THERE)
         nodes = np.where(turned, TURNED, nodes)
         nodes = np.where(missing, np.where(nobody, GONE, NO_INPUT), nodes)
         return np.concatenate([links, nodes], axis=1).astype(np.uint8)
 
     def changes(self, batch: Batch, wall: NDArray[np.float64]) -> Changes:
-        """What changes with this batch."""
+        """Return the changes in this batch."""
         codes = self.codes(batch)
         changed = codes != np.concatenate([self._before[None], codes[:-1]])
         self._before = codes[-1].copy()
         new, found = [], {}
-        if RUN not in self.begun:  # a timeline without a lane would show Rerun's advice to add one
+        if RUN not in self.begun:  # for an empty timeline, Rerun would suggest to add a lane
             self.begun[RUN] = Lane("run", (("running", FINE),))
             new.append(self.begun[RUN])
             found["run"] = batch.t[:1], wall[:1], ["running"]

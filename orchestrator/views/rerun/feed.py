@@ -1,4 +1,4 @@
-"""A thread that brings what is written for a viewer to it, and lets nobody wait for a viewer that does not read."""
+"""A thread that sends data to a viewer; the run never waits for a viewer that does not read."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from hedgerow.orchestrator.views.rerun.viewer_version import compare
 Write = Callable[[rr.RecordingStream], None]
 
 WAITING_BYTES = 64 * 2**20
-"""numbers that may wait for a viewer; the oldest are dropped beyond"""
+"""the maximum size of the queued data for a viewer [bytes]; beyond it, the oldest are dropped"""
 POLL_S = 0.1
-"""how often a viewer is tried that does not listen or does not take what it was sent"""
+"""the time between two tries with a viewer that does not listen or does not read [s]"""
 
 
 class Feeder:
-    """A thread that brings writes to a viewer which may stall, go away, come late or never come."""
+    """A thread that writes to a viewer, which may stall, leave, come late or never come."""
 
     def __init__(
         self, viewer: Viewer, open_stream: Callable[[rr.GrpcSink], rr.RecordingStream], warn: Callable[[str], None]
     ) -> None:
-        """`warn` is told, on any thread, what is wrong with the viewer."""
+        """Start the thread; it calls `warn` on any problem with the viewer."""
         self._viewer, self._open, self._warn = viewer, open_stream, warn
         self._writes: deque[tuple[Write, int]] = deque()
         self._bytes = 0
@@ -39,7 +39,7 @@ class Feeder:
 
     @property
     def waiting(self) -> int:
-        """Bytes that wait for the viewer."""
+        """Return the size of the data queued for the viewer [bytes]."""
         return self._bytes
 
     def put(self, write: Write, size: int) -> None:
@@ -53,13 +53,13 @@ class Feeder:
             self._changed.notify()
 
     def finish(self, by: float) -> None:
-        """Nothing more is put: bring what waits, until the monotonic time `by`."""
+        """Write the queued data until the monotonic time `by`; accept nothing more."""
         with self._changed:
             self._by = by
             self._changed.notify()
 
     def join(self, by: float) -> bool:
-        """Wait until `by`; whether the thread has ended and left nothing behind that could block."""
+        """Wait until `by`; return True if the thread has ended without a connection that could block."""
         self._thread.join(max(0.0, by - time.monotonic()))
         return not self._thread.is_alive() and self._stuck is None
 
@@ -73,9 +73,9 @@ class Feeder:
             self._writes.clear()
 
     def _until_it_listens(self) -> bool:
-        """Wait for the viewer; False when it will not come, or not in time."""
+        """Wait for the viewer; return False if it does not come in time."""
         while not self._viewer.listens():
-            # At the end of a run our own viewer, which is starting, is worth waiting for; a stranger's is not.
+            # At the end of a run, wait for our own viewer if it is starting, but not for a separate one.
             hopeless = self._by is not None and self._viewer.process is None
             if self._viewer.gone or hopeless or self._late():
                 return False
@@ -83,7 +83,7 @@ class Feeder:
         return True
 
     def _feed(self) -> bool:
-        """Bring writes over one connection; True when there are no more, False when the connection broke."""
+        """Send data over one connection; return True when all is sent, False when the connection broke."""
         stream = self._open(rr.GrpcSink(self._viewer.url))
         self._stuck = stream
         while (item := self._next()) is not None:
@@ -110,9 +110,9 @@ class Feeder:
             return item
 
     def _taken(self, stream: rr.RecordingStream) -> bool:
-        """Wait until the viewer has what was written, so that no more than one batch is ever inside Rerun.
+        """Wait until the viewer has received the last write, so Rerun never holds more than one batch.
 
-        Beyond some megabytes Rerun would block, and could not be closed. False when the connection is broken.
+        Above some megabytes, Rerun would block, and could not be closed. Return False if the connection broke.
         """
         while not self._late():
             try:

@@ -1,4 +1,4 @@
-"""|x| of all nodes at all steps in one picture of a fixed size, however many there are."""
+"""A picture of |x| for all nodes and steps, with a fixed size for any network."""
 
 from __future__ import annotations
 
@@ -11,20 +11,23 @@ ROWS, COLUMNS = 200, 400
 
 
 class HeatMap:
-    """A row some nodes, a column some steps, a cell the largest |x| among them; columns widen as the run goes on."""
+    """A heat map: one row for some nodes, one column for some steps, and in each cell the largest |x|.
+
+    The columns become wider during the run.
+    """
 
     def __init__(self, nodes: int) -> None:
         self._nodes = nodes
         self._starts = np.unique(np.linspace(0, nodes, min(nodes, ROWS), endpoint=False).astype(np.int64))
         self._cells = np.zeros((len(self._starts), COLUMNS), dtype=np.float16)
         self._steps = 1
-        """in a column"""
+        """the number of steps per column"""
         self._last = 0
         self.step = 0
-        """the last that was taken in"""
+        """the last recorded step"""
 
     def take(self, batch: Batch) -> None:
-        """Take in the next steps."""
+        """Record the next steps."""
         most = np.maximum.reduceat(np.abs(batch.x), self._starts, axis=1).T
         while batch.t[-1] >= COLUMNS * self._steps:
             joined = np.maximum(self._cells[:, ::2], self._cells[:, 1::2])
@@ -39,12 +42,12 @@ class HeatMap:
 
     @property
     def image(self) -> NDArray[np.float16]:
-        """(rows, columns) so far."""
+        """Return the picture so far, (rows, columns)."""
         return self._cells[:, : self._last + 1].copy()
 
     @property
     def axes(self) -> tuple[str, str]:
-        """What a row is, and what a column."""
+        """Return the titles of the rows and of the columns."""
         nodes = -(-self._nodes // len(self._starts))
         return (
             "nodes" if nodes == 1 else f"nodes, {nodes} a row",

@@ -1,9 +1,9 @@
-"""The network as a picture, step by step: who struggles, whose model is wrong, what is down.
+"""The picture of the network at each step: states, wrong models, and faults.
 
-Positions never change and are sent once; a drawn step is some colours. What is broken is drawn over the edges:
+The positions never change and are sent once; a drawn step consists of colours. Faults are drawn over the edges:
 
-    i ========== j    open, heard at both ends: grey and thin to white and thick, by the flow k_ij |u_j - u_i|
-    i - - -===== j    i did not hear j: dashes at i's end
+    i ========== j    open, messages both ways: grey and thin to white and thick, by the flow k_ij |u_j - u_i|
+    i - - -===== j    i received no message of j: dashes at i's end
     i ==|    |== j    cut: a gap, and stumps
 """
 
@@ -25,21 +25,21 @@ from hedgerow.topologies.graph import Graph, Index, Mask
 from hedgerow.topologies.schema import WHOLE, Topology
 
 NAMED = 40
-"""larger networks are drawn without names, but for those of the WORST nodes"""
+"""the maximum number of nodes for names at all nodes; larger networks have names only at the WORST nodes"""
 WORST = 5
 DOT = 0.006
-"""of the picture: the least radius of a node whose colour can be seen; where many are close, they hide their edges"""
+"""the minimum radius of a node as a part of the picture, for a visible colour; close nodes then hide their edges"""
 SPARSE = 300
-"""of so many nodes every distance is looked at"""
+"""up to this number of nodes, all distances are compared"""
 FADE = 0.85
-"""a scale reaches to the largest value of late: each step counts this much less than the next"""
+"""the decay per step of the peak that sets the upper end of a scale"""
 _DASHES = np.array([[0.0, 0.26], [0.4, 0.62], [0.76, 0.96]])
 _STUMP = 0.42
 _HIDDEN, _LOST, _CUT, _BOTH = (packed(c) for c in (palette.BACKGROUND, palette.LOST, palette.CUT, palette.BOTH))
 
 
 def decaying_peak(size: NDArray[np.float64], before: float) -> NDArray[np.float64]:
-    """The largest of late at each of some rows, (B,): the size, or FADE times the peak before."""
+    """Return the decaying peak at each of some rows, (B,): the size, or FADE times the peak before."""
     fade = np.log(FADE) * np.arange(1, len(size) + 1)
     with np.errstate(divide="ignore"):
         peak = np.maximum.accumulate(np.maximum(np.log(size) - fade, np.log(before)))
@@ -48,7 +48,7 @@ def decaying_peak(size: NDArray[np.float64], before: float) -> NDArray[np.float6
 
 @dataclass(frozen=True)
 class Frames:
-    """Some drawn steps; what is broken differs in number from one to the next, which `.._count` tells, (R,)."""
+    """Some drawn steps; the number of faults differs from step to step, and `.._count` gives it, (R,)."""
 
     t: NDArray[np.int64]
     wall: NDArray[np.float64]
@@ -72,20 +72,20 @@ class Frames:
     worst_name: NDArray[np.object_]
     """(R, W)"""
     top: NDArray[np.object_]
-    """what |x| the scale reaches to, (R,)"""
+    """the |x| at the upper end of the scale, (R,)"""
 
     @staticmethod
     def joined(parts: Sequence[Frames]) -> Frames:
-        """One after the other."""
+        """Return the parts as one."""
         return Frames(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Frames)))
 
     @property
     def size(self) -> int:
-        """Bytes."""
+        """Return the size [bytes]."""
         return sum(getattr(self, f.name).nbytes for f in fields(self))
 
     def write(self, stream: rr.RecordingStream) -> None:
-        """Send them, an entity at a time."""
+        """Send the steps, one entity at a time."""
         index = [rr.TimeColumn("step", sequence=self.t), rr.TimeColumn("wall", timestamp=self.wall)]
         rows = len(self.t)
 
@@ -112,28 +112,28 @@ class Frames:
 
 
 class Picture:
-    """Draws the steps of a network's run."""
+    """The painter of the steps of a network's run."""
 
     def __init__(self, topology: Topology) -> None:
         self._topology, self._ids = topology, topology.ids
         self.groups = Groups(topology.graph) if len(topology.ids) > WHOLE else None
-        """of so many nodes that they cannot be told apart"""
+        """groups, in a network too large for single nodes"""
         self._graph: Graph = topology.graph if self.groups is None else self.groups.graph
         self.places = placed(topology) if self.groups is None else positions(self._graph)
         self._large = self._graph.n > NAMED
         self._radius = _radius(self.places)
         self._width = 1.2 if self._large else 2.5
-        """of an edge [points], with the most flow"""
+        """the width of an edge with the maximum flow [points]"""
         self._thickness = thickness(self._graph.weights, len(self._graph.edges))[self._graph.edge]
-        """of each half: an edge of less weight is thinner"""
+        """of each half edge; an edge with a lower weight is thinner"""
         self._x_peak = self._flow_peak = 0.0
         self._starts, self._middles = self._halves()
         self._nowhere = np.repeat(self.places[:1, None], 2, axis=1).astype(np.float32)
-        """a line that nobody sees: Rerun keeps what was drawn before where a row has no line at all"""
+        """an invisible line: if a row has no line at all, Rerun keeps the lines of the previous row"""
         self.legend = Legend(self.places, self._radius)
 
     def _halves(self) -> tuple[Places, Places]:
-        """Each half edge, from the rim of its node to the middle."""
+        """Return each half edge, from the rim of its node to the middle."""
         graph = self._graph
         near, far = self.places[graph.node], self.places[graph.neighbour]
         length = np.maximum(np.hypot(*(far - near).T), 1e-9)[:, None]
@@ -141,17 +141,17 @@ class Picture:
         return near + (far - near) * rim / length, (near + far) / 2
 
     def log_static(self, stream: rr.RecordingStream) -> None:
-        """Send what does not change: places, names, and the legend."""
+        """Send the static parts: places, names, and the legend."""
         n = self._graph.n
 
         def points(entity: str, radius: float, order: float) -> None:
-            # No colours here: what is static hides what changes.
+            # Send no colours here: static data would hide the changing data.
             stream.log(f"network/{entity}", rr.Points2D(self.places, radii=[radius] * n, draw_order=order), static=True)
 
         halves = np.stack([self._starts, self._middles], axis=1)
         if len(halves):
             stream.log("network/edges", rr.LineStrips2D(halves.astype(np.float32), draw_order=1.0), static=True)
-        # Among many nodes, what is broken is short, and must not hide behind them.
+        # Among many nodes, the marks of faults are short: draw them above the nodes.
         broken = rr.LineStrips2D.from_fields(draw_order=4.5 if self._large else 2.0)
         stream.log("network/broken", broken, static=True)
         points("rings", (1.35 if self._large else 1.45) * self._radius, 3.0)
@@ -162,7 +162,7 @@ class Picture:
             worst = rr.Points2D.from_fields(colors=[palette.TEXT], radii=[-1.0], show_labels=True, draw_order=6.0)
             stream.log("network/worst", worst, static=True)
         else:
-            # Rerun writes below the point that it names; edges of a tree go down.
+            # Rerun writes a name below its point, where the edges of a tree are: move it.
             beside = self.places + self._radius * np.array([2.3, -0.9])
             names = rr.Points2D(
                 beside,
@@ -179,7 +179,7 @@ class Picture:
         return self._topology.network.name(k) if self.groups is None else self.groups.name(k, self._ids)
 
     def frames(self, whole: Batch, rows: Index, wall: NDArray[np.float64]) -> Frames:
-        """Draw some rows of a batch; all of it counts for the scales, but where nodes are drawn in groups."""
+        """Draw some rows of a batch; all rows count for the scales, except if nodes are drawn in groups."""
         batch: Batch | Scene = whole
         wall = wall[rows]
         if self.groups is not None:
@@ -224,7 +224,9 @@ class Picture:
         )
 
     def _broken(self, cut: Mask, lost: Mask) -> tuple[NDArray[np.float32], Packed, Index]:
-        """Dashes where i did not hear j, stumps where an edge is cut; of each row, an invisible line first."""
+        """Return dashes where i lacks j's message, and stumps where an edge is cut; each row starts with an invisible
+        line.
+        """
         dashed, stumps = lost & ~cut, cut
         row, c = dashed.nonzero()
         start, way = self._starts[c], self._middles[c] - self._starts[c]
@@ -258,7 +260,7 @@ class Picture:
 def _by_row(
     rows: Sequence[Index], lines: Sequence[NDArray[np.floating]], colors: Sequence[NDArray[np.generic]]
 ) -> tuple[NDArray[np.float32], Packed, Index]:
-    """All lines in the order of their rows, their colours, and how many a row has."""
+    """Return all lines in the order of their rows, their colours, and the number of lines per row."""
     row = np.concatenate(rows)
     order = np.argsort(row, kind="stable")
     count = np.bincount(row, minlength=len(rows[0]))
@@ -267,7 +269,7 @@ def _by_row(
 
 
 def _radius(places: Places) -> float:
-    """As large as nodes can be that do not touch their nearest, but for the closest few; a dot at least."""
+    """Return the largest radius for which most nodes do not touch, at least that of a dot."""
     if len(places) == 1:
         return 0.2
     if len(places) <= SPARSE:
@@ -281,7 +283,7 @@ def _radius(places: Places) -> float:
 
 
 class Legend:
-    """What the colours mean, below the network, and the bounds of both."""
+    """The legend of the colours, below the network, and the bounds of both."""
 
     def __init__(self, places: Places, radius: float) -> None:
         low, high = places.min(axis=0) - 3 * radius, places.max(axis=0) + 3.5 * radius
@@ -289,7 +291,7 @@ class Legend:
         self._unit = unit = max(float(width) / 6, float(height) / 4)
         centre = float(low[0] + high[0]) / 2
         self.x = centre + unit * np.linspace(-2.45, 2.45, 5)
-        """of the symbols, in two rows with their names below"""
+        """the x of the symbols, in two rows with names below"""
         self.y = float(high[1]) + unit * np.array([0.45, 1.1])
         self.x_range = (centre - 3.1 * unit, centre + 3.1 * unit)
         self.y_range = (float(low[1]), float(high[1]) + 1.65 * unit)

@@ -1,4 +1,4 @@
-"""A Rerun page and its data on one port: what a container publishes, and a browser anywhere opens.
+"""A Rerun page and its data on one port, so that a container can publish it and any browser can open it.
 
 Rerun serves its page on one port and streams the data to it on another. Each connection here carries one request, and
 goes to the server that can answer it. A request for a page
@@ -17,24 +17,26 @@ HOST = "127.0.0.1"
 HEAD_BYTES = 2**16
 CHUNK_BYTES = 2**16
 HEAD_S = 10.0
-"""How long a browser may take to send the head of a request: a slow one would hold a connection for ever."""
+"""The time limit for the head of a request [s]: a slow browser would hold a connection forever."""
 
 
 def rewritten(head: bytes) -> bytes:
-    """A request's head that asks to close the connection after the answer: the next may be for the other port."""
+    """Return the head of a request, changed to close the connection after the answer: the next request may go to the
+    other port.
+    """
     first, *lines = head.removesuffix(b"\r\n\r\n").split(b"\r\n")
     kept = [line for line in lines if line.partition(b":")[0].strip().lower() not in (b"connection", b"keep-alive")]
     return b"\r\n".join([first, *kept, b"Connection: close"]) + b"\r\n\r\n"
 
 
 def target(head: bytes) -> str:
-    """What a request asks for: path and query."""
+    """Return the target of a request: path and query."""
     words = head.split(b"\r\n", 1)[0].split()
     return words[1].decode("latin-1") if len(words) > 1 else "/"
 
 
 def redirect(head: bytes, asked: str) -> bytes | None:
-    """The answer to a browser that asks for the bare page: the same with our data; None for any other request."""
+    """Return the answer to a request for the bare page: a redirect to our data; None for any other request."""
     address = urlsplit(asked)
     if address.path != "/" or "url=" in address.query:
         return None
@@ -55,7 +57,8 @@ async def _pump(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> N
 
 
 async def _answer(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, data: int, page: int) -> None:
-    with contextlib.suppress(OSError, asyncio.IncompleteReadError, asyncio.LimitOverrunError):  # TimeoutError is one
+    # TimeoutError is an OSError.
+    with contextlib.suppress(OSError, asyncio.IncompleteReadError, asyncio.LimitOverrunError):
         head = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), HEAD_S)
         asked = target(head)
         elsewhere = redirect(head, asked)
@@ -83,7 +86,7 @@ async def _serve(host: str, port: int, data: int, page: int) -> None:
 
 
 def main() -> None:
-    """`python -m hedgerow.orchestrator.views.rerun.one_port HOST PORT DATA PAGE`: serve until killed."""
+    """Run `python -m hedgerow.orchestrator.views.rerun.one_port HOST PORT DATA PAGE`: serve until killed."""
     host, *ports = sys.argv[1:]
     asyncio.run(_serve(host, *map(int, ports)))
 

@@ -1,4 +1,4 @@
-"""Runs that are over, opened in a viewer: one from its run.rrd, or from its tables; several on the same axes."""
+"""Finished runs in a viewer: one run from its run.rrd or its tables; several runs on the same axes."""
 
 from __future__ import annotations
 
@@ -48,16 +48,16 @@ Say = Callable[[str], None]
 Columns = NDArray[np.float64]
 
 CHUNKS = 64
-"""how many are sent between two looks at whether the viewer takes them"""
+"""the number of chunks between two checks that the viewer reads them"""
 FLUSH_DEADLINE_S = 30.0
 ROWS = 2**14
-"""of a comparison, in a chunk"""
+"""the rows of a comparison in one chunk"""
 
 
 def open_runs(runs: Sequence[str], choice: str, say: Say) -> None:
-    """Show runs in the viewer of a choice that was made before, and leave it open; a page until Ctrl-C.
+    """Show runs in the chosen viewer, and leave it open; serve a page until Ctrl-C.
 
-    Raises UserError where there is nothing to show, HedgerowError when the viewer fails.
+    Raise UserError if there is nothing to show, HedgerowError if the viewer fails.
     """
     folders = [find_run(run) for run in runs]
     for folder in folders:
@@ -90,7 +90,7 @@ def _open(folder: Path, viewer: Viewer, say: Say, go_on: Callable[[], bool]) -> 
         _replay(load_run(folder), viewer, say, go_on)
         return
     topology = load_resolved(folder)
-    # The layout is today's, whichever the run was recorded with.
+    # Use the current layout, not that of the recording.
     made = RerunStream(topology, Observer(topology), folder.name, None, None, processes=processes_of(folder, topology))
     stream = made.opened(rr.GrpcSink(viewer.url))
     with warnings.catch_warnings(action="ignore"):
@@ -100,7 +100,7 @@ def _open(folder: Path, viewer: Viewer, say: Say, go_on: Callable[[], bool]) -> 
 
 
 def _chunks(file: Path) -> Iterator[Any]:
-    """What a recording holds, to where it can be read."""
+    """Yield the chunks of a recording, up to the last readable one."""
     with foreign_stderr():
         chunks = iter(RrdReader(spelled(file)).stream())
     while True:
@@ -110,7 +110,7 @@ def _chunks(file: Path) -> Iterator[Any]:
         except StopIteration:
             return
         except BaseException as error:
-            # A panic of Rerun's reader comes as one that is no Exception, and of a class that cannot be imported.
+            # A panic of Rerun's reader arrives as an error of a class that cannot be imported.
             if not isinstance(error, RuntimeError | ValueError | OSError) and type(error).__name__ != "PanicException":
                 raise
             why = str(error).splitlines()[0]
@@ -121,7 +121,7 @@ def _chunks(file: Path) -> Iterator[Any]:
 
 
 def _unreadable(files: Sequence[Path]) -> str:
-    """Why some recording cannot be opened, in words; empty where it can."""
+    """Return the reason why a recording cannot be opened; empty if all can."""
     if not files:
         return "there is no run.rrd"
     for file in files:
@@ -137,7 +137,7 @@ def _unreadable(files: Sequence[Path]) -> str:
         if written > ours:
             return f"{file.name} was written by Rerun {head[4]}.{head[5]}, newer than {rr.__version__} here"
         try:
-            # A killed run left no footer, which only costs time.
+            # The recording of a killed run has no footer, which only costs time.
             with warnings.catch_warnings(action="ignore"), foreign_stderr():
                 if not RrdReader(spelled(file)).recordings():
                     raise ValueError("it holds no recording")
@@ -155,7 +155,7 @@ def _send(chunks: Iterable[Any], stream: rr.RecordingStream, viewer: Viewer) -> 
 
 
 def _flush(stream: rr.RecordingStream, viewer: Viewer) -> None:
-    """Wait until the viewer has all that was sent, so that Rerun never holds so much that it would block."""
+    """Wait until the viewer has received all data: Rerun would block if it held too much."""
     try:
         stream.flush(timeout_sec=FLUSH_DEADLINE_S)
     except RuntimeError as error:
@@ -170,7 +170,7 @@ def _flush(stream: rr.RecordingStream, viewer: Viewer) -> None:
 
 
 def _replay(run: Run, viewer: Viewer, say: Say, go_on: Callable[[], bool]) -> None:
-    """Show a run from its tables, each metric computed again."""
+    """Show a run from its tables; compute each metric again."""
     run.need_all("to be shown from its tables")
     begun = as_begun(run.topology, run.folder)
     observer = Observer(begun)
@@ -199,7 +199,7 @@ def _replay(run: Run, viewer: Viewer, say: Say, go_on: Callable[[], bool]) -> No
 
 
 def common_nodes(runs: Sequence[Run]) -> list[int | str]:
-    """The nodes that all runs have, in the order of the first; raises UserError where there is none."""
+    """Return the nodes that all runs have, in the order of the first; raise UserError if there is none."""
     found = [node for node in runs[0].ids if all(node in run.ids for run in runs)]
     if not found:
         networks = ", ".join(f"{run.name} has {_some(run.ids)}" for run in runs)
@@ -214,7 +214,7 @@ def _some(ids: Sequence[int | str]) -> str:
 
 
 def labels(runs: Sequence[Run]) -> list[str]:
-    """A name for each run: its law where no two have the same, else its folder's, numbered if that is there twice."""
+    """Return a name for each run: its law if all laws differ, otherwise its folder, with a number if that repeats."""
     laws = [run.law for run in runs]
     names = laws if len(set(laws)) == len(runs) else [run.name for run in runs]
     times = Counter(names)
@@ -228,7 +228,7 @@ SHARED = {
     "gain": "Gain √(Σcost / Σ|w|²); thin: γ*, the oracle's",
     "nodes_right": "Estimates right [nodes]",
 }
-"""What runs are compared in: an entity in the folder of each, and the title of the panel that they share."""
+"""The quantities of a comparison: an entity in the folder of each run, and the title of the shared panel."""
 
 
 def _compare(runs: Sequence[Run], viewer: Viewer) -> None:
@@ -240,7 +240,8 @@ def _compare(runs: Sequence[Run], viewer: Viewer) -> None:
     nodes = common_nodes(runs)
     for place, (run, name) in enumerate(zip(runs, names, strict=True)):
         hue = place / len(runs)
-        width = 2.5 / (1 + place)  # the lines of x have the colours of their nodes: the first run's are the boldest
+        # The lines of x have the colours of their nodes; those of the first run are the widest.
+        width = 2.5 / (1 + place)
         for entity, titles, colors, widths, values in _series(run, name, nodes, hue, width):
             path = rr.new_entity_path([name, entity])
             stream.log(path, rr.SeriesLines(names=titles, colors=colors, widths=widths), static=True)
@@ -257,7 +258,9 @@ Series = tuple[str, list[str], list[tuple[int, int, int]], list[float], Columns]
 
 
 def _series(run: Run, name: str, nodes: Sequence[int | str], hue: float, width: float) -> Iterable[Series]:
-    """Each shared entity of a run: the names, colours and widths of its series, and their values, (steps, series)."""
+    """Yield each shared entity of a run: the names, colours and widths of its series, and their values, (steps,
+    series).
+    """
     places = [run.ids.index(node) for node in nodes]
     hues = [_color(0.55 + k * 0.6180339887 % 1) for k in range(len(nodes))]
     yield "x", [f"{name}: {node}" for node in nodes], hues, [width] * len(nodes), run.x[:, places]
@@ -278,7 +281,7 @@ def _color(hue: float) -> tuple[int, int, int]:
 
 
 def comparison_blueprint(names: Sequence[str]) -> rrb.Blueprint:
-    """A panel for each shared quantity, with all runs in it, and a page of words."""
+    """Return a layout with a panel for each shared quantity, with all runs in it, and a page of text."""
     plots = [
         rrb.TimeSeriesView(
             origin="/",
@@ -298,7 +301,7 @@ def comparison_blueprint(names: Sequence[str]) -> rrb.Blueprint:
 
 
 def _about(runs: Sequence[Run], names: Sequence[str]) -> str:
-    """A table of what is compared, in Markdown."""
+    """Return a table of the compared runs, in Markdown."""
     lines = [
         f"| {markdown(name)} | {markdown(run.name)} | {markdown(run.topology.name)} | {markdown(run.law)} |"
         f" {run.topology.seed} | {run.T} | {run.regret_sum[-1]:.4g} | {run.cost_regret[-1]:+.4g} |"

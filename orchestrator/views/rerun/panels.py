@@ -1,4 +1,4 @@
-"""What Rerun shows of a run: its quantities, and where they stand on the screen."""
+"""The content of the Rerun view of a run: its quantities, and their places on the screen."""
 
 from __future__ import annotations
 
@@ -26,11 +26,13 @@ from hedgerow.wire.codec import Trips
 Matrix = NDArray[np.float64]
 
 LEGEND_NODES = 10
-"""larger networks have no legend of nodes: it would cover the plot; the picture and pointing at a line name them too"""
+"""the maximum number of nodes for a legend: a longer one would cover the plot, and the picture and the lines show names
+too
+"""
 LINES = 10_000
-"""of more nodes or edges, so many have a line, whatever has rows"""
+"""the maximum number of nodes or edges with a line"""
 LARGE = 24
-"""networks of more nodes are shown by quantiles and counts, with the plots of every node in tabs behind"""
+"""networks with more nodes are shown by quantiles and counts, with the plots of every node in tabs behind"""
 
 
 @dataclass(frozen=True)
@@ -39,15 +41,15 @@ class Quantity:
 
     entity: str
     of: Callable[[Batch], NDArray[Any]]
-    """the columns of a batch of B steps, (B, k) or (B,)"""
+    """returns the columns of a batch of B steps, (B, k) or (B,)"""
     names: Sequence[str]
     colors: Sequence[Color]
     width: float = 1.5
     steps: bool = False
-    """whether the values hold until the next step, rather than lead to it"""
+    """True if the values hold until the next step"""
 
     def style(self) -> rr.SeriesLines:
-        """Names, colours and widths [points] of the k series."""
+        """Return names, colours and widths [points] of the k series."""
         mode = rr.components.InterpolationMode
         return rr.SeriesLines(
             names=self.names,
@@ -57,18 +59,18 @@ class Quantity:
         )
 
     def columns(self, batch: Batch) -> Matrix:
-        """The series, (B, k); what is infinite has no place in a plot and becomes NaN."""
+        """Return the series, (B, k); infinite values become NaN, because a plot cannot show them."""
         values = np.asarray(self.of(batch), dtype=np.float64).reshape(len(batch.t), -1)
         return np.where(np.isinf(values), np.nan, values)
 
 
 def quantities(topology: Topology, observer: Observer) -> list[Quantity]:
-    """What is shown of a batch: an entity each, named as the field of Batch that it shows."""
+    """Return the quantities of a batch: one entity each, named like its field of Batch."""
     return [*lines(topology), *totals(topology, observer)]
 
 
 def lines(topology: Topology) -> list[Quantity]:
-    """A line a node, or an edge, that has rows; of LINES at most."""
+    """Return one line for each node and edge with rows, up to LINES."""
     which, graph = kept(topology), topology.graph
     nodes, flows = lined(which.nodes), lined(which.edges)
     ids = [str(topology.ids[k]) for k in nodes.tolist()]
@@ -102,12 +104,12 @@ def lines(topology: Topology) -> list[Quantity]:
 
 
 def lined(some: Index) -> Index:
-    """Which of some nodes or edges have a line."""
+    """Return the nodes or edges that have a line."""
     return some[evenly(len(some), LINES)]
 
 
 def totals(topology: Topology, observer: Observer) -> list[Quantity]:
-    """What is one number, or a few, of the whole network."""
+    """Return the quantities of the whole network, with one number or a few each."""
     limit = topology.network.gamma_star_now
 
     def gains(batch: Batch) -> Matrix:
@@ -134,12 +136,14 @@ def _some(values: NDArray[Any], columns: Index) -> NDArray[Any]:
 
 
 def _named(ahat: Matrix, index: NDArray[Any]) -> Matrix:
-    """Which candidates the estimates are, from 0; -1 for none of them, and a gap where there is no estimate."""
+    """Return the indices of the estimates in the candidate lists, from 0; -1 for other values, and a gap without an
+    estimate.
+    """
     return np.where(np.isnan(ahat), np.nan, index)
 
 
 def aggregates(topology: Topology) -> list[Quantity]:
-    """What is shown of a large network in place of a line a node: computed for the viewer, and told by no table."""
+    """Return the quantities of a large network that replace a line per node; they are computed for the viewer only."""
     if len(topology.ids) <= LARGE:
         return []
     names, colors = ["largest", "90 %", "median"], [ORANGE, GREEN, GREY]
@@ -160,19 +164,21 @@ ROUND_TRIPS = "round_trip_ms"
 
 
 class RoundTripLines:
-    """How long processes take to answer: a line each, or where they are many the slowest, 90 % and the median."""
+    """The answer times of the processes: one line each or, with many processes, the maximum, the 90 % quantile and the
+    median.
+    """
 
     def __init__(self, processes: Sequence[str]) -> None:
         self._many = len(processes) > LARGE
         self.names = ["slowest", "90 %", "median"] if self._many else list(processes)
 
     def style(self) -> rr.SeriesLines:
-        """Names, colours and widths [points]."""
+        """Return names, colours and widths [points]."""
         colors = [ORANGE, GREEN, GREY] if self._many else hues(len(self.names))
         return rr.SeriesLines(names=self.names, colors=colors, widths=[1.5] * len(self.names))
 
     def columns(self, trips: Trips) -> Matrix:
-        """The series [ms], a row a step, NaN where nobody answered."""
+        """Return the series [ms], one row per step, NaN without an answer."""
         ms = 1e3 * trips.seconds
         return _quantiles(np.nan_to_num(ms)) if self._many else ms
 
@@ -181,7 +187,7 @@ DOWN = ("edges cut", "messages lost", "nodes without input")
 
 
 def _quantiles(values: Matrix) -> Matrix:
-    """The largest, the 90 % and the median of each row."""
+    """Return the maximum, the 90 % quantile and the median of each row."""
     n = values.shape[1]
     at = [n - 1, int(0.9 * (n - 1)), (n - 1) // 2]
     return np.asarray(np.partition(values, at, axis=1)[:, at])
@@ -192,9 +198,9 @@ def _each(ids: Sequence[str], what: str) -> list[str]:
 
 
 def blueprint(topology: Topology, gamma_star: float, legend: Legend, wired: bool = False) -> rrb.Blueprint:
-    """The layout: the network and how it fares at the left; six plots, the faults and the events at the right.
+    """Return the layout: the network and its status at the left; six plots, the faults and the events at the right.
 
-    Where something crosses a wire, round trips stand beside the events.
+    In a run over Zenoh, the answer times are beside the events.
     """
     nodes = len(topology.ids)
     large = nodes > LARGE
@@ -236,13 +242,13 @@ def blueprint(topology: Topology, gamma_star: float, legend: Legend, wired: bool
 
 
 def _plots(topology: Topology, gamma_star: float) -> rrb.Grid:
-    # Titles fit beside each other in a window of 1280 pixels; About has the units and the pale lines.
+    # The titles fit beside each other in a window of 1280 pixels; About has the units and explains the pale lines.
     legend = "RightTop" if len(topology.ids) <= LEGEND_NODES else None
     flows = [_plot("Flows", "u_edge", legend=legend)] if topology.edges else []
     bound = steady_state(topology)
     steady = [_plot("Steady", "x", "x_oracle", axis=rrb.ScalarAxis(range=(-bound, bound)))] if bound > 0 else []
     return rrb.Grid(
-        # One legend of nodes for all panels: the colours are the same, and it covers a part of the plot.
+        # All panels share one legend of nodes: the colours are the same, and a legend covers a part of its plot.
         rrb.Tabs(_plot("States x", "x", "x_oracle", legend=legend), *steady, _plot("w", "w")),
         rrb.Tabs(_plot("Inputs u", "u"), *flows),
         rrb.Tabs(
@@ -297,11 +303,11 @@ def _aggregated(topology: Topology, gamma_star: float) -> rrb.Grid:
 
 
 STARTS_HIGH = 4.0
-"""the first states dwarf the later ones from this ratio on"""
+"""the ratio from which the first states hide the later ones"""
 
 
 def steady_state(topology: Topology) -> float:
-    """Return how large a state may be once x(0) is forgotten, or 0 if x(0) is no larger than that by far.
+    """Return the possible size of a state after x(0) has decayed, or 0 if x(0) is not much larger.
 
     It is max |w_i| / (1 - a_i) over the nodes, by the disturbances of the file.
     """
@@ -314,7 +320,7 @@ def steady_state(topology: Topology) -> float:
 
 
 def peak_of(kind: str, values: Mapping[str, NDArray[Any]]) -> Matrix:
-    """Return how large |w_i| of a group of disturbances gets: of noise, in all but a few of a thousand steps."""
+    """Return the peak of |w_i| of a group of disturbances; noise exceeds it in a few of a thousand steps."""
     if kind in ("white", "ar1"):
         return np.asarray(3 * np.abs(values["std"]))
     if kind == "samples":
@@ -324,7 +330,7 @@ def peak_of(kind: str, values: Mapping[str, NDArray[Any]]) -> Matrix:
 
 
 def _totals(gamma_star: float) -> list[rrb.Tabs | rrb.TimeSeriesView]:
-    """What it costs."""
+    """Return the panels of the costs."""
     gain = rrb.ScalarAxis(range=(0.0, 4 * gamma_star), zoom_lock=False) if gamma_star > 0 else None
     return [
         rrb.Tabs(
@@ -332,7 +338,7 @@ def _totals(gamma_star: float) -> list[rrb.Tabs | rrb.TimeSeriesView]:
             _plot("Cost R", "cost_regret"),
             _plot("Ratio", "cost_ratio"),
         ),
-        # A large x(0) makes the first gains huge: the axis begins where they can be compared.
+        # A large x(0) makes the first gains huge: start the axis where they are comparable.
         rrb.Tabs(
             _plot("Gain, axis to 4 γ*", "gain", legend="RightTop", axis=gain),
             _plot("Slack", "ceiling_slack"),
@@ -354,6 +360,8 @@ def _plot(
 
 
 def _whole() -> rrb.archetypes.TimeAxis:
-    """The whole run so far: left alone, the viewer shows the last thousand steps of a run that goes on."""
+    """Return a time axis over the whole run so far: by default, the viewer shows the last thousand steps of a live
+    run.
+    """
     boundary = rrb.TimeRangeBoundary.infinite()
     return rrb.archetypes.TimeAxis(view_range=rr.TimeRange(start=boundary, end=boundary))

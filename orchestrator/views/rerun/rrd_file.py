@@ -1,7 +1,7 @@
-"""run.rrd, which may become too large for one file: it goes on in run-001.rrd, run-002.rrd, …, each whole by itself.
+"""The recording run.rrd, split into run-001.rrd, run-002.rrd, … if it becomes too large.
 
-Each part begins with all that does not change, so that any of them opens alone; together they are one recording,
-and `rerun rrd merge run*.rrd -o whole.rrd` makes one file of them.
+Each part begins with all static data, so each of them opens alone. Together they are one recording, and `rerun rrd
+merge run*.rrd -o whole.rrd` makes one file of them.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ Write = Callable[[rr.RecordingStream], None]
 
 
 def part_path(path: Path, number: int) -> Path:
-    """The file of a part: `path` itself for number 0, then run-001.rrd and so on."""
+    """Return the file of a part: `path` itself for number 0, then run-001.rrd and so on."""
     return path.with_stem(f"{path.stem}-{number:03}") if number else path
 
 
 def parts(path: Path) -> list[Path]:
-    """The parts that are there, the oldest first; some may have been deleted while the run went on."""
+    """Return the existing parts, the oldest first; some may have been deleted during the run."""
     later = (one for one in path.parent.glob(f"{path.stem}-*{path.suffix}") if _number(path, one))
     return [path] * path.exists() + sorted(later, key=lambda one: _number(path, one))
 
@@ -38,10 +38,11 @@ def _number(path: Path, part: Path) -> int:
 class RrdFile:
     """A recording on disk, in parts of about `part_bytes`, or in one file for 0.
 
-    `footer`: each ends with an index of what it holds. Rerun keeps that in memory until then, 0.34 MB a MB of paper7.
+    With `footer`, each part ends with an index of its content. Rerun holds that index in memory until then, 0.34 MB per
+    MB of paper7.
 
-    `open_stream` opens a recording that leads to a sink, and has told it all that does not change. A part is over
-    at the first write after it has grown so large; what Rerun still holds by then, 0.2 s of rows, comes on top.
+    `open_stream` opens a recording into a sink and sends it all static data. The first write after a part has reached
+    its size starts the next part; the last 0.2 s of rows, which Rerun still holds, are added to the old one.
     """
 
     def __init__(
@@ -57,20 +58,20 @@ class RrdFile:
 
     @property
     def part(self) -> Path:
-        """The file that is written now."""
+        """Return the file that is being written."""
         return part_path(self._path, self.number)
 
     def write(self, write: Write) -> None:
-        """Write to the part that is written now, or begin another first; HedgerowError where that cannot be."""
+        """Write to the current part, or start another one first; raise HedgerowError if that fails."""
         if self._part_bytes and self._size() >= self._part_bytes:
             self._finish(timeout_s=5.0)
             self.number += 1
             self._stream = self._begin()
-            flush_and_cleanup_orphaned_recordings()  # or the threads of the last part stay
+            flush_and_cleanup_orphaned_recordings()  # otherwise the threads of the last part remain
         write(self._stream)
 
     def close(self, deadline_s: float) -> None:
-        """Complete the last part; HedgerowError if it is not complete."""
+        """Complete the last part; raise HedgerowError if it is incomplete."""
         self._finish(max(deadline_s, 1.0))
 
     def _begin(self) -> rr.RecordingStream:
@@ -89,7 +90,7 @@ class RrdFile:
     def _size(self) -> int:
         with contextlib.suppress(FileNotFoundError):
             return self.part.stat().st_size
-        return self._part_bytes  # somebody has deleted it: what comes now belongs into another
+        return self._part_bytes  # the file was deleted: write further data to the next part
 
     def _unwritable(self, error: RuntimeError) -> HedgerowError:
         return HedgerowError(

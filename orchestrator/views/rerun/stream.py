@@ -1,8 +1,8 @@
-"""A run as Rerun shows it: every metric of every step into run.rrd, and to a live viewer as far as it keeps up.
+"""A run in Rerun: every metric of every step goes to run.rrd, and to a live viewer as far as it keeps up.
 
-Two recordings under one id, because a sink that stalls stops every sink beside it: one goes to the file and to
-nothing else; the other belongs to a thread which nobody waits for, and which drops what its viewer has no time for.
-Importing this module imports rerun, which costs a second of CPU: import it late.
+There are two recordings under one id, because a sink that stalls stops every sink beside it. One goes to the file
+alone. The other belongs to a thread that drops data if its viewer is too slow; the run never waits for it. Importing
+this module imports rerun, which costs a second of CPU: import it late.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from hedgerow.topologies.errors import Code, HedgerowError
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire.codec import Trips
 
-# Rerun reads this once, on import, and else writes lines to the terminal when a viewer is closed: no error of a run.
+# Rerun reads this once, on import. Without it, Rerun prints errors to the terminal when a viewer is closed.
 os.environ.setdefault("RUST_LOG", "error,re_grpc_client=off,re_sdk=off")
 import rerun as rr
 
@@ -48,21 +48,21 @@ from hedgerow.orchestrator.views.rerun.rrd_file import RrdFile
 
 APPLICATION = "hedgerow"
 CHUNK_ROWS, CHUNK_S = 200, 2.0
-"""batches are joined in the file up to this many rows or this long: a write costs 20 kB, however few its rows"""
+"""batches are joined in the file up to this number of rows or this time: each write costs 20 kB"""
 FOOTER_STEPS = 10_000
-"""a run of more steps leaves no index at the end of run.rrd: its memory stays as it is for as long as it goes on"""
+"""a run with more steps has no index at the end of run.rrd, so its memory stays constant"""
 PICTURES_HZ, PICTURES_HZ_LARGE, PICTURES_AT_ONCE = 20.0, 4.0, 200
-"""steps that are drawn and put into words a second, if there are more; and how many may be made up for"""
+"""the maximum number of steps per second with a picture and texts; and the maximum that is made up for at once"""
 DRAWN_NODES = 200_000
-"""of a past that is played back, in all its pictures: every step of 28 000 of paper7, else every so many"""
+"""the maximum number of nodes in all pictures of a replay: every step of 28 000 of paper7, otherwise every Nth"""
 HEAT_S = 2.0
-"""how often the heat map of a large network is sent"""
+"""the time between two heat maps of a large network [s]"""
 
 
 class Pace:
-    """Picks which steps are drawn: all, as long as they are no more than `hz` a second; the last of a batch if any.
+    """The choice of the steps with a picture: all, up to `hz` per second; the last of a batch if any.
 
-    Of about `past` steps, which come first and all at once, every `stride`-th is.
+    The about `past` first steps come at once; every `stride`-th of them is chosen.
     """
 
     def __init__(self, hz: float, past: int = 0, stride: int = 1) -> None:
@@ -70,7 +70,7 @@ class Pace:
         self._hz, self._credit, self._last = hz, float(PICTURES_AT_ONCE), time.monotonic()
 
     def pick(self, rows: int) -> NDArray[np.int64]:
-        """Some of this many rows, evenly."""
+        """Return some of these rows, evenly spaced."""
         if self._seen < self._past:
             first = -self._seen % self._stride
             self._seen += rows
@@ -85,25 +85,25 @@ class Pace:
 
 @dataclass(frozen=True)
 class Texts:
-    """What the panel `now` says at some steps."""
+    """The texts of the panel `now` at some steps."""
 
     t: NDArray[np.int64]
     wall: NDArray[np.float64]
     text: list[str]
 
     def write(self, stream: rr.RecordingStream) -> None:
-        """Send them."""
+        """Send the texts."""
         columns = rr.TextDocument.columns(text=self.text, media_type=[rr.MediaType.MARKDOWN] * len(self.text))
         stream.send_columns("now", _index(self.t, self.wall), columns)
 
     @property
     def size(self) -> int:
-        """Bytes."""
+        """Return the size [bytes]."""
         return sum(map(len, self.text))
 
     @staticmethod
     def joined(parts: Sequence[Texts]) -> Texts:
-        """One after the other."""
+        """Return the parts as one."""
         t, wall = np.concatenate([part.t for part in parts]), np.concatenate([part.wall for part in parts])
         return Texts(t, wall, [text for part in parts for text in part.text])
 
@@ -118,19 +118,19 @@ class Rows:
     columns: Mapping[str, Matrix]
 
     def write(self, stream: rr.RecordingStream) -> None:
-        """Send them, an entity at a time."""
+        """Send the rows, one entity at a time."""
         index = _index(self.t, self.wall)
         for entity, values in self.columns.items():
             stream.send_columns(entity, index, rr.Scalars.columns(scalars=values))
 
     @property
     def size(self) -> int:
-        """Bytes of the numbers."""
+        """Return the size of the numbers [bytes]."""
         return sum(values.nbytes for values in self.columns.values())
 
     @staticmethod
     def joined(parts: Sequence[Rows]) -> Rows:
-        """Parts with the same entities, one after the other; those without any are left out."""
+        """Return parts with the same entities as one; leave out those without entities."""
         parts = [part for part in parts if part.columns] or parts[:1]
         columns = {entity: np.concatenate([part.columns[entity] for part in parts]) for entity in parts[0].columns}
         return Rows(np.concatenate([part.t for part in parts]), np.concatenate([part.wall for part in parts]), columns)
@@ -138,24 +138,24 @@ class Rows:
 
 @dataclass(frozen=True)
 class Drawn:
-    """Some steps as a picture, and in words."""
+    """Some steps as pictures and texts."""
 
     frames: Frames
     texts: Texts
 
     def write(self, stream: rr.RecordingStream) -> None:
-        """Send them."""
+        """Send the pictures and texts."""
         self.frames.write(stream)
         self.texts.write(stream)
 
     @property
     def size(self) -> int:
-        """Bytes."""
+        """Return the size [bytes]."""
         return self.frames.size + self.texts.size
 
     @staticmethod
     def joined(parts: Sequence[Drawn]) -> list[Drawn]:
-        """All in one, if there are any."""
+        """Return the parts as one, in a list; empty if there are none."""
         if not parts:
             return []
         return [Drawn(Frames.joined([part.frames for part in parts]), Texts.joined([part.texts for part in parts]))]
@@ -163,16 +163,16 @@ class Drawn:
 
 @dataclass(frozen=True)
 class Part:
-    """All that is shown of a batch."""
+    """The display of a batch."""
 
     lines: Rows
-    """of the steps that have rows"""
+    """the steps that have rows"""
     totals: Rows
     drawn: list[Drawn]
     changes: Changes
 
     def write(self, stream: rr.RecordingStream) -> None:
-        """Send it."""
+        """Send the display."""
         self.lines.write(stream)
         self.totals.write(stream)
         for drawn in self.drawn:
@@ -181,12 +181,12 @@ class Part:
 
     @property
     def size(self) -> int:
-        """Bytes, roughly."""
+        """Return the approximate size [bytes]."""
         return self.lines.size + self.totals.size + sum(drawn.size for drawn in self.drawn) + self.changes.size
 
     @staticmethod
     def joined(parts: Sequence[Part]) -> Part:
-        """One after the other."""
+        """Return the parts as one."""
         return Part(
             Rows.joined([part.lines for part in parts]),
             Rows.joined([part.totals for part in parts]),
@@ -196,7 +196,7 @@ class Part:
 
 
 class RerunStream:
-    """Streams batches to run.rrd at `path` (None: no file) and to `viewer` (None: nobody watches)."""
+    """The stream of batches to run.rrd at `path` (None: no file) and to `viewer` (None: no viewer)."""
 
     def __init__(
         self,
@@ -210,10 +210,12 @@ class RerunStream:
         past: int = 0,
         processes: Sequence[str] = (),
     ) -> None:
-        """A file holds about `part_bytes` before the next begins, 0 for all; `warn` is told what ails the viewer.
+        """Open the stream.
 
-        The first `past` steps are over already: no clock says how many of them are drawn. `processes` are those whose
-        round trips are shown.
+        A file has about `part_bytes` before the next begins, 0 for one file; `warn` reports problems of the viewer.
+
+        The first `past` steps are finished already, so no clock limits the number of pictures. `processes` are the
+        names for the answer times.
         """
         self._id = recording_id
         self._kept = kept(topology)
@@ -233,7 +235,7 @@ class RerunStream:
         self._trips = RoundTripLines(processes)
         self._blueprint = blueprint(topology, topology.network.gamma_star_now, self._picture.legend, bool(processes))
         self._wall = time.time()
-        # When to write is no matter of the wall clock, which may jump.
+        # Use a monotonic clock for the writes, because the wall clock may jump.
         self._written = self._heated = time.monotonic()
         self._unwritten: list[Part] = []
         self._unwritten_trips: list[Rows] = []
@@ -242,7 +244,7 @@ class RerunStream:
         self._feeder = Feeder(viewer, self.opened, warn) if viewer is not None else None
 
     def opened(self, sink: rr.FileSink | rr.GrpcSink) -> rr.RecordingStream:
-        """A recording that leads to `sink`, and has told it all that does not change."""
+        """Return a recording into `sink` that has received all static data."""
         stream = rr.RecordingStream(APPLICATION, recording_id=self._id)
         if not rr.is_enabled(stream):
             switch = os.environ.get("RERUN", "")
@@ -264,12 +266,12 @@ class RerunStream:
 
     @property
     def missed(self) -> int:
-        """Batches and events that the viewer had no time for; run.rrd has them all."""
+        """Return the number of batches and events that the viewer missed; run.rrd has them all."""
         return self._feeder.dropped if self._feeder is not None else 0
 
     def log(self, batch: Batch, at: float | None = None) -> None:
-        """Show the rows of a batch, which came at the time `at` [s since 1970, now]; never waits for a viewer."""
-        # No step has a clock of its own here: those of a batch share the time since the last one.
+        """Show the rows of a batch, which arrived at the time `at` [s since 1970, now]; never wait for a viewer."""
+        # The steps of a batch share the time since the last batch: no single step has a time here.
         before, self._wall = self._wall, time.time() if at is None else at
         wall = np.linspace(before, self._wall, len(batch.t) + 1)[1:]
         for text, level, step in self._plan.due(batch):
@@ -297,7 +299,7 @@ class RerunStream:
                 self._send_heat(self._heat.step)
 
     def round_trips(self, trips: Trips, at: float) -> None:
-        """Show how long processes took to answer at some steps, the last of which ended about `at`."""
+        """Show the answer times at some steps, the last of which ended at about `at`."""
         t = np.arange(trips.t, trips.t + len(trips.seconds))
         rows = Rows(t, np.full(len(t), at), {ROUND_TRIPS: self._trips.columns(trips)})
         if self._feeder is not None:
@@ -306,7 +308,7 @@ class RerunStream:
             self._unwritten_trips.append(rows)
 
     def _draw(self, batch: Batch, wall: NDArray[np.float64], rows: NDArray[np.int64]) -> list[Drawn]:
-        """Some rows of a batch; one without any is kept, in case that it is the last."""
+        """Return some rows of a batch as pictures; a batch without any is stored, in case it is the last."""
         self._undrawn = None if len(rows) else (batch, wall)
         if not len(rows):
             return []
@@ -320,11 +322,11 @@ class RerunStream:
                 self._write(drawn.write, drawn.size)
 
     def _send_heat(self, step: int) -> None:
-        """Send the heat map, of all steps so far."""
+        """Send the heat map of all steps so far."""
         assert self._heat is not None
         self._heated, self._heat_due = time.monotonic(), False
         image, axes, (t, wall) = self._heat.image, self._heat.axes, _now(step)
-        # The brightest hundredth looks the same: one large x(0) would leave all else dark.
+        # Limit the scale to the 99 % quantile: one large x(0) would leave all else dark.
         most = max(float(np.quantile(image, 0.99)), 1e-6)
 
         def write(stream: rr.RecordingStream) -> None:
@@ -343,7 +345,7 @@ class RerunStream:
         self._unwritten, self._unwritten_trips, self._written = [], [], time.monotonic()
 
     def end(self, observer: Observer) -> None:
-        """Show the states and the regret at step T, where no input acts; nothing if the run never got there."""
+        """Show the states and the regret at step T, without an input; show nothing if the run ended before it."""
         if (end := observer.end) is None:
             return
         if self._heat is not None:
@@ -370,8 +372,8 @@ class RerunStream:
     def close(self, deadline_s: float) -> bool:
         """Complete the file and let the viewer catch up, within the deadline.
 
-        Returns whether all threads have ended. If not, a viewer holds one of Rerun's, which would hold the process:
-        leave with os._exit. Raises HedgerowError if the file is not complete.
+        Return True if all threads have ended. Otherwise a viewer blocks one of Rerun's threads, which would block the
+        process: leave with os._exit. Raise HedgerowError if the file is incomplete.
         """
         by = time.monotonic() + deadline_s
         self._draw_last()
@@ -392,20 +394,20 @@ class RerunStream:
 
 
 class Plan:
-    """The faults of the file, which nobody else announces: when they begin and end."""
+    """The announcements of the faults in the file: when they begin and end."""
 
     def __init__(self, topology: Topology, observer: Observer) -> None:
         self._faults, self._observer = topology.faults, observer
 
     def due(self, batch: Batch) -> list[tuple[str, str, int]]:
-        """The lines (text, level, step) of the steps of a batch, in their order."""
+        """Return the lines (text, level, step) of the steps of a batch, in their order."""
         first, last = int(batch.t[0]), int(batch.t[-1])
         lines = []
         for number, fault in enumerate(self._faults):
             start, stop = window(fault)
             if first <= start <= last:
                 lines.append((f"fault {number + 1} begins: {_short(describe(fault))}", "WARN", start))
-            # Who healed it before has said so.
+            # An early end was already reported.
             if first <= stop <= last and self._observer.topology.faults[number] == fault:
                 lines.append((f"fault {number + 1} ends: {_short(describe(fault))}", "INFO", stop))
         return sorted(lines, key=lambda line: line[2])
@@ -420,5 +422,5 @@ def _now(step: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
 
 
 def _index(t: NDArray[np.int64], wall: NDArray[np.float64]) -> list[rr.TimeColumn]:
-    """Both timelines of some rows: the step, and the time [s since 1970]."""
+    """Return both timelines of some rows: the step, and the time [s since 1970]."""
     return [rr.TimeColumn("step", sequence=t), rr.TimeColumn("wall", timestamp=wall)]

@@ -1,14 +1,14 @@
-"""What `--viewer` means: which Rerun viewer shows a run live, and who starts it.
+"""The choice of `--viewer`: the Rerun viewer that shows a run live, and its start.
 
-    native    a window of its own, which stays open after the run
+    native    a window, which stays open after the run
     web       a page, served until the run has ended
-    auto      native where there is a display, else none
+    auto      native if there is a display, otherwise none
     http://HOST:PORT    the same page on one port of that address, 0.0.0.0 for all, until Ctrl-C: for containers
     none      nothing live
-    rerun+http://HOST:PORT/proxy    a viewer that somebody else starts, now or later
+    rerun+http://HOST:PORT/proxy    a viewer that the user starts, now or later
 
-Whatever else is started here listens on loopback only. A started viewer counts as listening only when the port is in
-the hands of its own process: a second `rerun` on a busy port would send all data to the process that holds the port.
+Every other server here listens on loopback only. A started viewer counts as listening only when its own process holds
+the port. Otherwise, if the port was busy, all data would go to the program that holds it.
 """
 
 from __future__ import annotations
@@ -33,36 +33,36 @@ from hedgerow.wire.ports import LOOPBACK, free_port
 from hedgerow.wire.release import release
 
 NATIVE_MEMORY = "1GB"
-"""what the native viewer keeps of a run; it drops the oldest steps beyond"""
+"""the memory of the native viewer for a run; it drops the oldest steps beyond"""
 SERVER_MEMORY = "256MiB"
-"""what a server keeps for pages that are opened late"""
+"""the memory of a server for pages that are opened late"""
 NICE = 5
-"""how much more a run's processes get of the processor than a viewer"""
+"""the increase of a viewer's `nice` value, so that the run has priority"""
 END_DEADLINE_S = 5.0
-"""how long a viewer has to end before it is killed"""
+"""the time that a viewer has to end before it is killed [s]"""
 START_DEADLINE_S = 20.0
-"""how long a viewer has to start where somebody waits for it"""
+"""the time that a viewer has to start if the command waits for it [s]"""
 
 
 @dataclass(frozen=True)
 class Viewer:
-    """A Rerun viewer that listens at `url`, or will."""
+    """A Rerun viewer that listens at `url`, or will do so."""
 
     url: str
     link: str | None = None
-    """what to open in a browser, for a viewer that is a page"""
+    """the link for a browser, if the viewer is a page"""
     process: subprocess.Popen[bytes] | None = None
-    """the viewer's own process; None if somebody else starts it"""
+    """the viewer's process; None if the user starts the viewer"""
     door: subprocess.Popen[bytes] | None = None
-    """the process that puts a page on one port, where that was asked for"""
+    """the process that serves a page on one port, if there is one"""
 
     @property
     def gone(self) -> bool:
-        """Whether the viewer that we started has ended, so that its port may be anybody's."""
+        """Return True if the viewer that we started has ended; any program may then use its port."""
         return self.process is not None and self.process.poll() is not None
 
     def listens(self) -> bool:
-        """Whether the viewer itself, and not a stranger on its port, takes connections now."""
+        """Return True if the viewer itself, not another program on its port, accepts connections now."""
         address = urlsplit(self.url)
         if self.process is not None:
             return (LOOPBACK, address.port) in listening(self.process.pid)
@@ -73,7 +73,7 @@ class Viewer:
         return True
 
     def wait_until_it_listens(self, deadline_s: float = START_DEADLINE_S) -> None:
-        """Return once it takes connections; HedgerowError, with what to do, if it never does."""
+        """Wait until it accepts connections; raise HedgerowError, with a fix, if it never does."""
         by = time.monotonic() + deadline_s
         while not self.listens():
             if self.gone:
@@ -86,7 +86,7 @@ class Viewer:
 
     @property
     def unheard(self) -> str:
-        """What to do when nobody listens."""
+        """Return the fix for a viewer that does not listen."""
         if self.process is not None:
             return "the viewer does not start; try again, or --viewer web"
         port = urlsplit(self.url).port
@@ -96,22 +96,22 @@ class Viewer:
         )
 
     def end(self) -> None:
-        """Stop the server behind a page; a native viewer lives on until its window is closed."""
+        """Stop the server behind a page; a native viewer stays until its window is closed."""
         if self.process is not None and self.link is not None:
             for process in (self.process, self.door):
                 if process is not None:
                     process.terminate()
                     try:
                         process.wait(END_DEADLINE_S)
-                    except subprocess.TimeoutExpired:  # it ignores SIGTERM, as we may do
+                    except subprocess.TimeoutExpired:  # it ignores SIGTERM, as our process may do
                         process.kill()
                         process.wait()
 
 
 def choose(asked: str) -> str:
-    """What `--viewer ASKED` comes to on this machine: native, web, none or an address.
+    """Return the result of `--viewer ASKED` on this machine: native, web, none or an address.
 
-    Raises UserError when it is none of these, native without a display, or a page on a port that we cannot have.
+    Raise UserError for another text, for native without a display, and for a page on a port that is not available.
     """
     match asked:
         case "auto":
@@ -136,7 +136,9 @@ def choose(asked: str) -> str:
 
 
 def choose_one(asked: str, instead: str) -> str:
-    """The same where something has to be seen; UserError for none, and where nobody can, which says what to do."""
+    """Return the choice for a command that must show something; raise UserError, with a fix, for none or without a
+    display.
+    """
     choice = choose(asked) if asked != "native" or has_display() else "none"
     if choice == "none":
         raise UserError(
@@ -149,7 +151,7 @@ def choose_one(asked: str, instead: str) -> str:
 
 
 def start(choice: str, memory: str = NATIVE_MEMORY, server_memory: str = SERVER_MEMORY) -> Viewer | None:
-    """The viewer of a choice that `choose` returned, its process started if it is ours to start; None for none."""
+    """Return the viewer of a choice from `choose`, with its process started if it is ours; None for none."""
     match choice:
         case "none":
             return None
@@ -164,7 +166,7 @@ def start(choice: str, memory: str = NATIVE_MEMORY, server_memory: str = SERVER_
 
 
 def has_display() -> bool:
-    """Whether a window can be opened here."""
+    """Return True if a window can be opened here."""
     if sys.platform in ("darwin", "win32"):
         return True
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
@@ -175,7 +177,7 @@ def _is_address(asked: str) -> bool:
         parts = urlsplit(asked)
         known = parts.scheme in ("rerun+http", "rerun+https") and parts.path == "/proxy"
         return known and bool(parts.hostname and parts.port)
-    except ValueError:  # a port that is no number, or too large
+    except ValueError:  # a port that is not a number, or too large
         return False
 
 
@@ -199,7 +201,7 @@ def _check_free(page: str) -> None:
 
 
 def native(*options: str, port: int | None = None, memory: str = NATIVE_MEMORY) -> Viewer:
-    """A viewer in a window of its own, at a free port; `options` are more of rerun's, such as --headless for none."""
+    """Return a viewer in a window, at a free port; `options` are further options of rerun, such as --headless."""
     port = free_port() if port is None else port
     return Viewer(_url(port), process=_begin("--port", str(port), "--memory-limit", memory, *options))
 
@@ -208,13 +210,13 @@ def _web(memory: str) -> Viewer:
     port, page = free_port(), free_port()
     ports = ("--port", str(port), "--web-viewer-port", str(page))
     process = _begin("--serve-web", *ports, server_memory=memory, first=_end_with_parent)
-    # The colours of the network's picture are those of the dark theme; a browser would choose by its own.
+    # Use the dark theme, which the colours of the network's picture need; a browser would choose by itself.
     link = f"http://{LOOPBACK}:{page}/?url={quote(_url(port), safe='')}&theme=dark"
     return Viewer(_url(port), link, process)
 
 
 def _published(address: str, memory: str) -> Viewer:
-    """The page and its data on one port (orchestrator.views.rerun.one_port), which others than we can reach."""
+    """Return a page and its data on one port (orchestrator.views.rerun.one_port) that other machines can reach."""
     port, page, parts = free_port(), free_port(), urlsplit(address)
     process = _begin(
         *("--port", str(port), "--web-viewer-port", str(page), "--serve-web"),
@@ -242,12 +244,12 @@ def _url(port: int) -> str:
 
 
 def _step_back() -> None:
-    """What draws leaves the processor to the run: it may stutter, a step may not."""
+    """Lower the priority of a viewer: it may stutter, but a step of the run may not."""
     os.nice(NICE)
 
 
 def _end_with_parent() -> None:
-    """A page's server does not outlive the run, even if that is killed (where the kernel can see to it: Linux)."""
+    """End the server of a page with the run, even if that is killed (on Linux, where the kernel supports it)."""
     _step_back()
     if sys.platform == "linux":
         pr_set_pdeathsig = 1
@@ -257,7 +259,7 @@ def _end_with_parent() -> None:
 def _begin(
     *options: str, server_memory: str = SERVER_MEMORY, first: Callable[[], None] = _step_back
 ) -> subprocess.Popen[bytes]:
-    # A session of its own: neither Ctrl-C nor the end of the run's terminal reaches the viewer.
+    # Use a separate session: a Ctrl-C, or the end of the run's terminal, must not reach the viewer.
     return subprocess.Popen(
         [
             str(executable()),
@@ -274,7 +276,7 @@ def _begin(
 
 
 def executable() -> Path:
-    """The viewer of the installed rerun-sdk itself: the `rerun` on the path is a shim, or another version."""
+    """Return the viewer of the installed rerun-sdk: the `rerun` on the path is a wrapper, or another version."""
     package = importlib.util.find_spec("rerun_cli")
     if package is None or package.origin is None:
         raise UserError("--viewer: rerun-sdk has no viewer here; reinstall it, or --viewer none", code=Code.DEPENDENCY)
@@ -286,7 +288,7 @@ def executable() -> Path:
 
 
 def listening(pid: int) -> set[tuple[str, int]]:
-    """The addresses at which a process takes TCP connections; none if it has ended."""
+    """Return the addresses at which a process accepts TCP connections; none if it has ended."""
     try:
         sockets = psutil.Process(pid).net_connections("tcp")
     except psutil.Error:

@@ -1,4 +1,4 @@
-"""A viewer that somebody else started may be of another version than we are, which seems to work and need not."""
+"""The check of a separate viewer's version: another version seems to work, but may fail."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from collections.abc import Callable
 from hedgerow.orchestrator.views.rerun.viewer import Viewer
 
 VERSION_DEADLINE_S = 2.0
-"""how long an answer is worth waiting for: a frozen viewer never gives one"""
+"""the time to wait for an answer [s]: a frozen viewer never answers"""
 
 
 def compare(viewer: Viewer, say: Callable[[str], None]) -> threading.Thread:
-    """Ask a viewer that listens for its version, on a thread, and say what to do if it is not ours."""
+    """Ask a listening viewer for its version, on a thread, and report a difference with its fix."""
 
     def ask() -> None:
         if viewer.process is not None:

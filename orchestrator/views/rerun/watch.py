@@ -1,10 +1,10 @@
-"""A running network watched from outside, from its step 0: its folder is read, and nobody in the run is asked.
+"""A view of a running network from outside, from step 0: it reads the run's folder and sends no requests to the run.
 
     telemetry.arrows, edges.arrows ---> Trail ---> Observer ---> viewer
     topology.yaml (live faults) --------------------^  ^
     events.jsonl ---------------------------------------'
 
-So it costs the run nothing but the reading of two files, may come late, and may be there twice.
+So it costs the run only the reading of two files, may start late, and may run twice.
 """
 
 from __future__ import annotations
@@ -44,21 +44,21 @@ Say = Callable[[str], None]
 
 POLL_S = 0.2
 ALIVE_EVERY_S = 1.0
-"""how often it is asked whether the run, and the viewer, are still there"""
+"""the time between two checks that the run and the viewer still exist [s]"""
 READ_STEPS = 2048
 ROW_BYTES = 76
-"""of a step and node in telemetry.arrows, where ids are numbers"""
+"""the size of a step and node in telemetry.arrows, if ids are numbers [bytes]"""
 WAITING_BYTES = 8 * 2**20
-"""numbers that may wait for the viewer before more are read: of a past, nothing is dropped"""
+"""the maximum size of the data queued for the viewer before more are read; nothing of a past is dropped"""
 FROZEN_S = 10.0
-"""a viewer that takes nothing for so long is complained of"""
+"""the time without progress after which a viewer is reported as frozen [s]"""
 CLOSE_DEADLINE_S = 30.0
 MEMORY = "50%"
-"""of the machine's, that a viewer, or a page's server, may keep where somebody asks for the whole past"""
+"""the share of the machine's memory for a viewer, or a page's server, that shows the whole past"""
 
 
 class ArrowTail:
-    """An Arrow stream that may still grow, batch by batch from its first."""
+    """The reader of an Arrow stream that may still grow, batch by batch from the first."""
 
     def __init__(self, path: Path) -> None:
         check_file(path)
@@ -70,20 +70,20 @@ class ArrowTail:
 
     @property
     def bytes(self) -> int:
-        """What is written so far."""
+        """Return the size of the stream so far [bytes]."""
         return int(self._file.size())
 
     def next(self) -> pa.RecordBatch | None:
-        """The next whole batch; None if there is none yet."""
+        """Return the next complete batch; None if there is none yet."""
         before = at = self._file.tell()
         try:
             if self._schema is None:
                 self._schema = pa.ipc.read_schema(self._file)
                 at = self._file.tell()
             message = pa.ipc.read_message(self._file)
-        except EOFError:  # nothing, or the mark that ends a stream
+        except EOFError:  # nothing, or the end mark of a stream
             self.over = self._schema is not None and self._file.tell() > at
-        except (pa.ArrowInvalid, OSError):  # half of one is written
+        except (pa.ArrowInvalid, OSError):  # an incomplete batch
             pass
         else:
             return read_batch(self._path, message, self._schema)
@@ -92,14 +92,14 @@ class ArrowTail:
 
 
 class Trail:
-    """The telemetry that a run has left in its folder so far, and leaves while it is read.
+    """The telemetry in the folder of a run, which may still grow.
 
-    The tables hold all of it but what nodes say that they took in, which is set to all that there was, and margins
-    that are infinite for want of a rival, which come out as NaN.
+    The tables contain all of it, with two exceptions. The used inputs are set to all inputs that arrived. Margins that
+    are infinite, because there is only one candidate, are NaN.
     """
 
     def __init__(self, folder: Path, graph: Graph) -> None:
-        """Raise FileNotFoundError where the streams are not there: not yet, or no more."""
+        """Open the streams; raise FileNotFoundError if they do not exist yet, or not any more."""
         self._folder = folder
         with reading(folder):
             self._telemetry = ArrowTail(folder / "telemetry.arrows")
@@ -110,16 +110,16 @@ class Trail:
 
     @property
     def past(self) -> int:
-        """About how many steps are there now."""
+        """Return the approximate number of steps so far."""
         return self._telemetry.bytes // (ROW_BYTES * self._graph.n)
 
     @property
     def over(self) -> bool:
-        """Whether nothing more will come."""
+        """Return True if no more rows will come."""
         return self._telemetry.over and self._waiting is None
 
     def take(self, steps: int) -> list[Telemetry]:
-        """New rows, about so many at most; UserError where the streams are not those of this network."""
+        """Return new rows, about `steps` at most; raise UserError if the streams belong to another network."""
         rows: list[Telemetry] = []
         with reading(self._folder):
             while len(rows) < steps and (some := self._next()) is not None:
@@ -127,17 +127,17 @@ class Trail:
         return rows
 
     def _next(self) -> list[Telemetry] | None:
-        """The rows of the next batch of both streams."""
+        """Return the rows of the next batch of both streams."""
         self._waiting = self._waiting or self._telemetry.next()
         if (nodes := self._waiting) is None:
             return None
         n, e = self._graph.n, len(self._graph.edges)
-        if nodes["w"].null_count:  # at the last step nothing acts
+        if nodes["w"].null_count:  # no input acts at the last step
             self._waiting = None
             self.end = End(nodes["step"][0].as_py(), nodes["x"].to_numpy(), 0.0)
             return None
         edges = self._edges.next() if e else None
-        if e and edges is None:  # it is written right behind
+        if e and edges is None:  # it is written immediately after
             return None
         self._waiting = None
         t = nodes["step"].to_numpy()[::n]
@@ -155,18 +155,18 @@ class Trail:
 
 
 def _numbers(batch: pa.RecordBatch, name: str) -> Any:
-    """A column, NaN where it is null."""
+    """Return a column, NaN where it is null."""
     return batch[name].to_numpy(zero_copy_only=False)
 
 
 class Happenings:
-    """The lines of events.jsonl, those of a run that goes on among them."""
+    """The reader of events.jsonl, which may still grow."""
 
     def __init__(self, path: Path) -> None:
         self._path, self._at = path, 0
 
     def new(self) -> Iterator[Mapping[str, Any]]:
-        """What has happened since it was last asked."""
+        """Yield the events since the last call."""
         try:
             text = read_file(self._path, self._at)
         except FileNotFoundError:
@@ -177,7 +177,7 @@ class Happenings:
 
 
 def told(event: Mapping[str, Any]) -> tuple[str, str, int] | None:
-    """A line for the log of events, its level and its step; None for what the viewer need not show."""
+    """Return the line of an event for the viewer's log, its level and its step; None if it needs no line."""
     match event:
         case {"event": "lost", "who": who, "cause": cause, "step": step}:
             return f"step {step}: going on without {who}: {cause}", "WARN", step
@@ -191,15 +191,16 @@ def told(event: Mapping[str, Any]) -> tuple[str, str, int] | None:
 
 
 def as_begun(topology: Topology, folder: Path) -> Topology:
-    """A run's topology with the faults of its file alone: those that were added while it ran are told as they begin."""
+    """Return a run's topology with only the faults of its file: added faults are shown when they begin."""
     begun = sum(event["event"] == "fault" and "at" not in event for event in Happenings(folder / "events.jsonl").new())
     return topology.model_copy(update={"faults": topology.faults[:begun]})
 
 
 class PatientStream(RerunStream):
-    """A stream to a viewer alone that is waited for, since all of a past is to arrive; it is waited for in vain once.
+    """A stream to a viewer alone that waits for the viewer, because all of a past must arrive; it gives up after one
+    timeout.
 
-    A replay has time to wait, which the loop has not.
+    A replay has time to wait, but the loop has not.
     """
 
     def __init__(
@@ -218,11 +219,13 @@ class PatientStream(RerunStream):
 
     @property
     def waiting(self) -> int:
-        """Bytes of numbers that wait for the viewer."""
+        """Return the size of the numbers queued for the viewer [bytes]."""
         return self._feeder.waiting if self._feeder is not None else 0
 
     def wait(self, go_on: Callable[[], bool], below: int = WAITING_BYTES) -> None:
-        """Return when less than so much waits, or `go_on` says no; HedgerowError when the viewer was closed."""
+        """Wait until less than `below` is queued, or `go_on` returns False; raise HedgerowError if the viewer was
+        closed.
+        """
         least, since = self.waiting, time.monotonic()
         while (now := self.waiting) >= below and go_on():
             if now < least:
@@ -238,7 +241,7 @@ class PatientStream(RerunStream):
             time.sleep(0.02)
 
     def check(self) -> None:
-        """Raise HedgerowError when there is no viewer any more."""
+        """Raise HedgerowError if the viewer has gone."""
         if self._viewer.gone:
             raise HedgerowError("the viewer was closed; the run is untouched: the same command opens it again")
         if not self._viewer.listens():
@@ -248,7 +251,7 @@ class PatientStream(RerunStream):
 def watch(entry: Entry, choice: str, say: Say) -> None:
     """Show a running network from step 0 until it ends or Ctrl-C; the viewer stays open.
 
-    Raises UserError where there is nothing to attach to, HedgerowError when the viewer fails.
+    Raise UserError if there is no run to show, HedgerowError if the viewer fails.
     """
     folder = RunFolder(Path(entry.folder))
     wake = threading.Event()
@@ -275,7 +278,7 @@ def watch(entry: Entry, choice: str, say: Say) -> None:
 
 
 def keep_page(viewer: Viewer, interrupts: Interrupts, wake: threading.Event, say: Say) -> None:
-    """Serve a page until Ctrl-C; a window needs nobody."""
+    """Serve a page until Ctrl-C; do nothing for a window."""
     if viewer.link is None or interrupts.count:
         return
     say(f"{viewer.link} stays until Ctrl-C")
@@ -284,7 +287,7 @@ def keep_page(viewer: Viewer, interrupts: Interrupts, wake: threading.Event, say
 
 
 def _attached(entry: Entry, topology: Topology, wake: threading.Event, interrupts: Interrupts) -> Trail | None:
-    """The trail of a run, as soon as that has done a step; None after Ctrl-C."""
+    """Return the trail of a run after its first step; None after Ctrl-C."""
     while not interrupts.count:
         try:
             return Trail(Path(entry.folder), topology.graph)
@@ -315,16 +318,16 @@ class _Watch:
         self._say, self._interrupts, self._wake = say, interrupts, wake
         topology = as_begun(topology, folder.path)
         self._observer = Observer(topology)
-        # Not the run's own name: two that show it in one viewer would be taken for one recording, its rows twice.
+        # Do not use the name of the run: two views of it in one viewer would become one recording with all rows twice.
         name = f"{entry.run} watched at {time.strftime('%H:%M:%S')}-{time.monotonic_ns() % 1000:03}"
         processes = processes_of(folder.path, topology)
         self._trips: ArrowTail | None = None
-        with contextlib.suppress(FileNotFoundError):  # nothing crosses a wire, or the run has just ended
+        with contextlib.suppress(FileNotFoundError):  # the run uses no network, or it has just ended
             self._trips = ArrowTail(folder.path / f"{TABLE}.arrows")
         self._stream = PatientStream(topology, self._observer, name, viewer, say, trail.past, processes)
         self._happenings = Happenings(folder.events)
         self._file: tuple[int, int] | None = None
-        """which topology.yaml was read"""
+        """the version of topology.yaml that was read"""
         self._looked_at = 0.0
         self._alive = True
 
@@ -344,16 +347,16 @@ class _Watch:
             self._stream.close(1.0 if self._interrupts.count else CLOSE_DEADLINE_S)
 
     def _look(self) -> None:
-        """See, now and then, whether the run and the viewer are still there."""
+        """Check from time to time that the run and the viewer still exist."""
         if time.monotonic() - self._looked_at > ALIVE_EVERY_S:
             self._looked_at = time.monotonic()
             self._alive = self._entry in registry.running()
             self._stream.check()
 
     def _read(self) -> bool:
-        """Show what is new; whether anything was."""
+        """Show new rows; return True if there were any."""
         rows = self._trail.take(READ_STEPS)
-        # Whatever strikes a step stands in the file before that step is recorded: it is read after the rows.
+        # A fault is in the file before its first step is recorded: read the file after the rows.
         status = self._folder.topology.stat()
         if (status.st_ino, status.st_mtime_ns) != self._file:
             self._file = (status.st_ino, status.st_mtime_ns)
@@ -372,7 +375,7 @@ class _Watch:
         return bool(rows)
 
     def _end(self) -> None:
-        """Say what became of the run, as soon as that is known."""
+        """Report the result of the run, when it is known."""
         while not self._folder.verdict.exists() and self._entry in registry.running() and not self._interrupts.count:
             self._wake.wait(POLL_S)
         if self._folder.verdict.exists():

@@ -6,9 +6,12 @@ import json
 import os
 import re
 import subprocess
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
+import typer
 
 import hedgerow as hg
 from hedgerow.orchestrator.cli.exit_code import run_to_exit_code
@@ -67,6 +70,25 @@ def test_quiet_prints_the_verdict_alone(here: Path, capfd: pytest.CaptureFixture
     assert not done.stderr
 
 
+@pytest.mark.parametrize(
+    ("words", "lines"),
+    [
+        (("sweep", "pair.yaml", "--seeds", "0:2", "--jobs", "1"), 1),
+        (("worst", "pair.yaml", "--budget", "1s"), None),
+        (("compare", "pair.yaml", "--seeds", "0:2", "--jobs", "1"), None),
+        (("chaos", "--nodes", "3"), 0),
+    ],
+)
+def test_quiet_prints_no_progress(
+    here: Path, capfd: pytest.CaptureFixture[str], words: tuple[str, ...], lines: int | None
+) -> None:
+    Path("pair.yaml").write_text(json.dumps(PAIR))
+    run_to_exit_code(lambda: app([*words, "-q"], standalone_mode=False) or 0)
+    printed = capfd.readouterr()
+    assert not printed.err
+    assert lines is None or len(printed.out.splitlines()) == lines
+
+
 def test_the_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) -> None:
     assert said(capsys, "--version") == f"hedgerow {hg.__version__}\n"
 
@@ -76,6 +98,33 @@ def test_every_command_is_in_a_panel_and_no_text_is_cut(capsys: pytest.CaptureFi
     panels = re.findall(r"^(\S.*):$", text, re.MULTILINE)
     assert panels == ["Options", "Run", "Watch and control", "Inspect", "Experiment", "Deploy"]
     assert "..." not in text.split("Options:")[1]
+
+
+def commands(group: Any, *words: str) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """Yield every command with its words."""
+    for name, command in group.commands.items():
+        yield (*words, name), command
+        if hasattr(command, "commands"):
+            yield from commands(command, *words, name)
+
+
+COMMANDS = dict(commands(typer.main.get_command(app)))
+
+
+@pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
+def test_help_fits_80_columns_and_shows_all_options(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    text = said(capsys, *words, "--help")
+    assert max(map(len, text.splitlines())) <= 80
+    assert all(option in text for parameter in COMMANDS[words].params for option in parameter.opts if option[0] == "-")
+    assert not [line for line in text.splitlines()[1:] if line.endswith("...")]
+
+
+@pytest.mark.parametrize("name", ["compare", "simulate", "soak", "sweep", "up", "worst", "chaos"])
+def test_commands_that_print_progress_can_be_quiet(name: str) -> None:
+    assert "-q" in {option for parameter in COMMANDS[(name,)].params for option in parameter.opts}
 
 
 @pytest.mark.parametrize(

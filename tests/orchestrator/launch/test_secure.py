@@ -172,7 +172,7 @@ def test_a_router_elsewhere_keeps_the_same_rules(here: Path) -> None:
                 network.wait_for("running")
                 assert orchestrator("stop").returncode == 0
                 assert network.wait() == 3
-            assert "keys/observer/key.pem: everybody here may read it" in network.output
+            assert "keys/observer/key.pem: every user of this machine can read it" in network.output
         finally:
             router.kill()
     assert (here / "keys/agent-1/key.pem").exists()  # theirs who made them

@@ -98,7 +98,8 @@ def test_a_run_is_repeated_with_a_warning_if_its_law_is_another(here: Path) -> N
 
 def test_a_sweep_does_not_resume_with_another_source(here: Path) -> None:
     def swept() -> int:
-        return sweep(plan("paper7", "0:2", ["law=kept_law:Mine", "steps=3"], "in-process"), here / "out", jobs=1)
+        made = plan("paper7", "0:2", ["law=kept_law:Mine", "steps=3"], "in-process")
+        return sweep(made, here / "out", jobs=1).exit_code
 
     assert swept() == 0
     assert LawSource.read(here / "out" / "law").files

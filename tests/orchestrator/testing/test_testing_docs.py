@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from hedgerow.orchestrator import testing
-from hedgerow.orchestrator.launch.live import FaultVerbs
+from hedgerow.orchestrator.launch.fault_verbs import FaultVerbs
 from tests.test_docs import ROOT, Scratch, blocks, commands, same_output, table
 
 PAGE = ROOT / "docs" / "testing.md"
@@ -41,7 +41,7 @@ def test_the_examples_are_tests_and_pass(tmp_path: Path) -> None:
 
 def test_every_method_is_in_a_table() -> None:
     """What the tables of the page name is there, and what is there they name."""
-    rows = [table("testing.md", "Everything there is", k) for k in range(3)]
+    rows = [table("testing.md", "Reference", k) for k in range(3)]
     named = [set(re.findall(r"\b[a-z_]\w*", " ".join(next(iter(row.values())) for row in some))) for some in rows]
     assert named[1] <= {*dir(testing.Run), *testing.Run.__dataclass_fields__, "t", "i", "j", "node", "other"}
     for cls, words in zip((testing.Scenario, testing.Running), (named[0], named[2]), strict=True):

@@ -1,0 +1,172 @@
+"""The intake of telemetry: batches on the network thread, rows and events on the main thread."""
+
+from __future__ import annotations
+
+import itertools
+import threading
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import zenoh
+
+from hedgerow.agents.view import View
+from hedgerow.orchestrator.ground.assignment import Layout, places
+from hedgerow.orchestrator.launch.fault_changes import with_end, with_fault, with_loss
+from hedgerow.orchestrator.launch.plant_event import checked
+from hedgerow.orchestrator.launch.recording import Recording
+from hedgerow.orchestrator.launch.supervisor import Processes
+from hedgerow.orchestrator.metrics.message_audit import audit, observed
+from hedgerow.orchestrator.metrics.verdict import Ending
+from hedgerow.orchestrator.runs.folder import RunFolder
+from hedgerow.orchestrator.views.screen import Screen
+from hedgerow.wire import keys
+from hedgerow.wire.codec import (
+    Kind,
+    MessageError,
+    Telemetry,
+    decode_end,
+    decode_event,
+    decode_telemetry,
+    decode_trips,
+    encode_seen,
+    kind_of,
+    telemetry_bytes,
+)
+from hedgerow.wire.runtime import LONG_BYTES, keep_memory
+from hedgerow.wire.session import Receiver, Sender
+from hedgerow.wire.stream import Inbox, rows_ahead
+
+WAKE_ROWS = 512
+"""Rows that are taken in at once, or half of those that the plant waits for, whichever is less."""
+
+
+class Intake:
+    """The telemetry of one run on its way from the plant into the recording."""
+
+    def __init__(
+        self,
+        run: Recording,
+        folder: RunFolder,
+        shards: Layout,
+        views: Sequence[View],
+        screen: Screen,
+        ending: Ending,
+        wake: threading.Event,
+    ) -> None:
+        """Set `wake` whenever a message should not wait for the next tick."""
+        self._run, self._folder, self._shards, self._views = run, folder, shards, views
+        self._screen, self._ending, self._wake = screen, ending, wake
+        self._size = len(run.topology.ids), len(run.topology.edges)
+        self._inbox = Inbox()
+        if telemetry_bytes(*self._size) > LONG_BYTES:
+            keep_memory()
+        self._wake_rows = min(WAKE_ROWS, rows_ahead(*self._size) // 2)
+        self.first_at: float | None = None
+        """the arrival of the first step, by time.monotonic()"""
+        self._repeated = False
+        """the plant has sent again a batch that we have"""
+        self._refused = 0
+        """messages on `telemetry` that no plant sends"""
+
+    def open(self, session: zenoh.Session) -> Receiver:
+        """Subscribe to the telemetry of the plant; close the result to end that."""
+        self._receiver, self._seen = Receiver(session, keys.TELEMETRY, self._put), Sender(session, keys.SEEN)
+        return self._receiver
+
+    def _put(self, whole: bytes) -> None:
+        """Take a batch, on the network thread, and wake up for what should not wait for the next tick."""
+        messages = self._inbox.put(whole)
+        if not messages:  # what we said to have seen was lost
+            self._repeated = True
+        kinds = set(map(kind_of, messages))
+        if Kind.TELEMETRY in kinds and self.first_at is None:
+            self.first_at = time.monotonic()
+            self._wake.set()
+        elif kinds & {Kind.EVENT, Kind.END} or len(self._inbox) >= self._wake_rows:
+            self._wake.set()
+
+    def take(self, processes: Processes) -> bool:
+        """Observe the received messages in their order and acknowledge them; return False if there were none."""
+        messages = self._inbox.drain()
+        run, (n, e) = self._run, self._size
+        for kind, some in itertools.groupby(messages, kind_of):
+            match kind:
+                case Kind.TELEMETRY:
+                    self._take_rows([decode_telemetry(message, n, e) for message in some])
+                case Kind.EVENT:
+                    for message in some:
+                        try:
+                            event = checked(decode_event(message), len(self._shards), len(run.topology.faults))
+                        except MessageError as error:
+                            self._refuse(error)
+                        else:
+                            self._take_event(processes, event)
+                case Kind.TRIPS:
+                    for message in some:
+                        run.take_trips(decode_trips(message, len(self._shards)))
+                case Kind.END:
+                    run.finish(decode_end(next(some), n))
+        if not (messages or self._repeated):
+            return False
+        self._repeated = False
+        self._seen.put(encode_seen(self._inbox.last))
+        return True
+
+    def _refuse(self, error: MessageError) -> None:
+        """Report the first message on `telemetry` that no plant sends; the run goes on without it."""
+        if not self._refused:
+            self._screen.say(f"{keys.TELEMETRY}: refused: {error}; somebody else writes there")
+            self._folder.event("refused_message", why=str(error))
+        self._refused += 1
+
+    def _take_rows(self, rows: Sequence[Telemetry]) -> None:
+        run = self._run
+        unseen = run.viewer is None
+        for some in range(0, len(rows), run.rows_at_once):
+            if (batch := run.take(rows[some : some + run.rows_at_once])) is not None:
+                self._screen.progress(batch)
+        if unseen and run.viewer is not None:
+            self._screen.say(f"watch it at {run.viewer.link or run.viewer.url}")
+        run.warn(self._screen)
+
+    def _take_event(self, processes: Processes, event: dict[str, Any]) -> None:
+        """Act on what the plant says between two steps, write it down, and keep the resolved file true."""
+        run, step = self._run, event["step"]
+        topology = run.topology
+        details = {key: value for key, value in event.items() if key != "event"}
+        if "fault" in event:  # people count from 1
+            details["fault"] += 1
+        if event["event"] != "heard":  # verdict.json has it
+            self._folder.event(event["event"], **details)
+        match event["event"]:
+            case "heard":
+                self._ending.audit = audit(
+                    places(self._views), event, observed(self._seen, self._receiver, self._inbox)
+                )
+            case "kill":
+                processes.kill(event["shard"], event["life"], event["restart"])
+            case "revive":
+                processes.revive(event["shard"])
+            case "lost":
+                nodes = [topology.ids[k] for k in self._shards[event["shard"]]]
+                self._ending.losses.add(event["fault"])
+                run.change(with_loss(topology, event["shard"], nodes, step))
+                slow = processes.slow_law(step, event["shard"])
+                why = f"{event['cause']}; {slow}" if slow else event["cause"]
+                self._say(f"step {step}: going on without {event['who']}: {why}", "WARN", step)
+            case "refused":
+                self._screen.say(f"{event['who']} is refused: {event['cause']}")
+            case "back":
+                run.change(with_end(topology, event["fault"], event["at"]))
+                self._say(f"step {event['at']}: {event['who']} is back", "INFO", step)
+            case "fault":
+                run.change(with_fault(topology, event["entry"]))
+                self._say(f"step {event['at']}: fault {event['fault'] + 1} begins", "WARN", step)
+            case "heal":
+                run.change(with_end(topology, event["fault"], event["at"]))
+                self._say(f"step {event['at']}: fault {event['fault'] + 1} ends", "INFO", step)
+
+    def _say(self, text: str, level: str, step: int) -> None:
+        self._screen.say(text)
+        self._run.note(text, level, step)

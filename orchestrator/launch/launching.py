@@ -1,0 +1,157 @@
+"""The start of a run over Zenoh: the processes, the observer's session, and those that start elsewhere."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import zenoh
+
+from hedgerow.orchestrator.ground.assignment import Layout, places, truth_of, views_of
+from hedgerow.orchestrator.ground.signals import Interrupts
+from hedgerow.orchestrator.launch.certificates import host_of
+from hedgerow.orchestrator.launch.endpoints import Connection, wire
+from hedgerow.orchestrator.launch.external_agents import Meeting, configs
+from hedgerow.orchestrator.launch.fork_client import ForkClient
+from hedgerow.orchestrator.launch.options import Options
+from hedgerow.orchestrator.launch.ray_agents import Fleet
+from hedgerow.orchestrator.launch.supervisor import Processes, cause
+from hedgerow.orchestrator.runs import registry
+from hedgerow.orchestrator.runs.folder import RunFolder
+from hedgerow.orchestrator.views.screen import Screen
+from hedgerow.topologies.errors import Code, Exit, HedgerowError
+from hedgerow.topologies.schema import Topology
+from hedgerow.wire import keys
+from hedgerow.wire.credentials import Credentials
+from hedgerow.wire.handshake import room
+from hedgerow.wire.limits import need_open_files
+from hedgerow.wire.session import CONNECT_TIMEOUT_S, RefusedError, WireError, close, open_client
+
+ROUTER_FILES = 24
+"""Open files of a plant that is the router, besides one per agent process."""
+LOOK_S = 1.0
+"""The time of one attempt to open our own session; after it we check that there is still a router to meet."""
+
+
+@dataclass(frozen=True)
+class Launched:
+    """The running parts of a run."""
+
+    processes: Processes
+    session: zenoh.Session
+    """our own session"""
+    meeting: Meeting | None
+    """the meeting with processes that start elsewhere"""
+    fleet: Fleet | None
+    """the processes that Ray started"""
+
+
+class Launch:
+    """The processes of one run before they are started, and the place where they meet."""
+
+    def __init__(
+        self,
+        topology: Topology,
+        folder: RunFolder,
+        shards: Layout,
+        options: Options,
+        screen: Screen,
+        fork_client: ForkClient,
+        wake: Callable[[], None],
+    ) -> None:
+        """`wake` is called when a process ends."""
+        self._topology, self._folder, self._shards, self._options = topology, folder, shards, options
+        self._screen, self._fork_client, self._wake = screen, fork_client, wake
+        self.views = views_of(topology, shards)
+        """the local view of every agent process"""
+        self.connection = self._wire()
+        """the router's endpoint, the namespace and the credentials"""
+
+    def _wire(self) -> Connection:
+        secure, options = self._topology.secure, self._options
+        if options.external is None:
+            return wire(self._folder, secure, options.router, options.keys, places(self.views))
+        connection = options.external.connection(options.router, options.keys)
+        if secure and options.keys is None and options.ray is not None:
+            return connection.with_keys_of_its_own(self._folder, host_of(options.ray.endpoint))
+        return connection
+
+    def announced(self) -> contextlib.AbstractContextManager[Path]:
+        """List the run in the registry while the block lasts."""
+        self._fork_client.on_end = self._wake
+        # Register the traces before they exist: whenever we are killed, nothing of them stays.
+        self._fork_client.leave_no([registry.entry_path(self._folder.name), *self.connection.traces])
+        connection = self.connection
+        return registry.announced(
+            self._folder.name,
+            self._folder.path,
+            connection.endpoint,
+            connection.namespace,
+            connection.credentials,
+            connection.traces,
+        )
+
+    def start(self, stack: contextlib.ExitStack, interrupts: Interrupts) -> Launched:
+        """Start the processes and open our own session; closing `stack` undoes each."""
+        connection = self.connection
+        stack.enter_context(connection.laid(places(self.views)))
+        stack.callback(self._fork_client.clear)
+        processes = Processes(self._fork_client, self._folder, connection)
+        if connection.listens:  # without this, agents that the router cannot accept would be restarted for a minute
+            need_open_files(len(self.views) + ROUTER_FILES, f"a plant with {len(self.views)} agent processes")
+        external, meeting, fleet = self._options.external, None, None
+        # Nobody need be started for a router that is not there.
+        session = None if connection.listens else self._connect(processes, interrupts, stack)
+        if external is None or not external.plant:
+            if session is not None:  # nor for one where another network runs
+                stack.enter_context(room(session, connection.namespace, self._screen.say, lambda: interrupts.count > 0))
+                if interrupts.count:
+                    raise HedgerowError(interrupts.name)
+            truth = truth_of(self._topology, self._shards)
+            processes.start_plant(truth, self._options.rate, self._options.deadline_s, external)
+        for view in self.views:
+            if external is None or view.shard not in external:
+                processes.start_agent(view)
+        session = session or self._connect(processes, interrupts, stack)
+        pids = processes.wait_until_started()
+        if external is not None:
+            self._screen.say(
+                f"waiting for {external} at {external.listen or connection.endpoint}, {connection.namespace}"
+            )
+            meeting = Meeting(external, session, self._folder.logs / f"{keys.PLANT}.log")
+            stack.enter_context(meeting.watched())
+            if external.plant:
+                meeting.introduce()
+        if external is not None and self._options.ray is not None:
+            told = configs(self._topology, self._shards, self._options.ray.endpoint, connection.namespace)
+            fleet = Fleet(self._options.ray, self._folder, self._wake, self._screen.say)
+            own = [Credentials.read(where) if (where := connection.of(one.process)) else None for one in told[1:]]
+            stack.enter_context(fleet.placed([*zip(told[1:], own, strict=True)], external.wait_s))
+        self._folder.event(
+            "start", engine="zenoh", endpoint=connection.endpoint, namespace=connection.namespace, pids=pids
+        )
+        return Launched(processes, session, meeting, fleet)
+
+    def _connect(self, processes: Processes, interrupts: Interrupts, stack: contextlib.ExitStack) -> zenoh.Session:
+        """Our own session while `stack` lasts; HedgerowError if no router comes in time, or who would be it died."""
+        connection, external = self.connection, self._options.external
+        wait_s = external.wait_s if external and external.plant else CONNECT_TIMEOUT_S
+        by = time.monotonic() + wait_s
+        own = Credentials.read(connection.own) if connection.own else None  # once: what is wrong with them is told once
+        while True:
+            try:
+                session = open_client(connection.endpoint, connection.namespace, own, LOOK_S)
+                stack.callback(close, session)
+                return session
+            except RefusedError:
+                raise
+            except WireError as error:
+                dead = processes.dead()
+                if interrupts.count or dead:
+                    code = Code.CRASH if any(one.code == Exit.CRASH for one in dead) else None
+                    raise HedgerowError(interrupts.name or cause(dead), code=code) from None
+                if time.monotonic() > by:
+                    raise WireError(f"{error} (tried for {wait_s:g} s)") from None

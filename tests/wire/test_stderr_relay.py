@@ -1,0 +1,51 @@
+"""What a library writes to file descriptor 2 of a running process is escaped, and no byte of it is lost."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+
+import pytest
+
+HOSTILE = "\x1b]0;owned\x07\x1b[2J\x9b2J\u202e\x7f"
+BEGIN = """
+import os, sys
+from hedgerow.wire import start
+from hedgerow.wire.stderr_relay import StderrRelay
+start.begin()
+"""
+
+
+def stderr_of(text: str, first: Callable[[], object] | None = None) -> bytes:
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", BEGIN + text], stderr=subprocess.PIPE, check=True, preexec_fn=first, timeout=20
+    )
+    return done.stderr
+
+
+def test_a_panic_is_escaped_while_the_process_runs() -> None:
+    said = stderr_of(f"with StderrRelay():\n os.write(2, {HOSTILE.encode()!r})\n print({HOSTILE!r}, file=sys.stderr)")
+    assert not set(said.decode()) & {"\x1b", "\x07", "\x9b", "\u202e", "\x7f"}
+    assert said.count(b"owned") == 2
+
+
+def test_a_long_text_arrives_whole_and_standard_error_is_back_afterwards() -> None:
+    said = stderr_of("with StderrRelay():\n os.write(2, 'ü'.encode() * 10**5)\nos.write(2, b'after')")
+    assert said.decode() == "ü" * 10**5 + "after"
+
+
+@pytest.mark.parametrize("first", [lambda: os.close(2), lambda: os.closerange(0, 3)])
+def test_a_process_without_standard_error_runs(first: Callable[[], object]) -> None:
+    assert stderr_of("with StderrRelay():\n os.write(2, b'nobody reads it')", first) == b""
+
+
+def test_a_process_that_may_open_no_more_files_runs() -> None:
+    limit = "import resource\nresource.setrlimit(resource.RLIMIT_NOFILE, (4, 4))\n"
+    assert stderr_of(f"{limit}with StderrRelay():\n os.write(2, b'as it is')") == b"as it is"
+
+
+def test_a_child_that_holds_the_pipe_does_not_hold_the_process() -> None:
+    text = (
+        "import subprocess\nwith StderrRelay():\n subprocess.Popen(['sleep', '5'])\n os.write(2, b'done')\nos._exit(0)"
+    )
+    assert stderr_of(text).startswith(b"done")
