@@ -20,6 +20,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -28,12 +29,12 @@ import psutil
 
 from benchmarks.table import show
 from hedgerow.agents.view import View
-from hedgerow.orchestrator.ground.assignment import truth_of, views_of
+from hedgerow.orchestrator.ground.assignment import Layout, truth_of, views_of
 from hedgerow.orchestrator.runs import reference
 from hedgerow.plant.truth import Truth
 from hedgerow.topologies.graph import Array
 from hedgerow.topologies.load import load
-from hedgerow.topologies.partition import partition
+from hedgerow.topologies.partition import by_orders, cut, partition
 from hedgerow.topologies.resolve import resolve
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire import keys
@@ -50,12 +51,19 @@ WARM_UP = 4
 DEADLINE_S = 300.0
 
 
-def ring(nodes: int, steps: int, folder: Path) -> Topology:
-    """A ring, three candidates and a sinusoid a node."""
-    file = folder / "ring.yaml"
+NUMBERS = "candidates: {random: 3}, disturbance: {kind: sinusoid, amplitude: 1, omega: {random: [0, 3.14159]}}"
+"""the defaults of the nodes, besides x(0)"""
+UNEQUAL = (", weight: {random: [0.5, 1]}", "b: {random: [0.05, 0.1]}, ")
+"""of `graph:` and of `defaults:`"""
+
+
+def network_of(kind: str, nodes: int, steps: int, folder: Path, unequal: bool = False) -> Topology:
+    """Return a graph by a rule, with three candidates and a sinusoid per node, and other gains and weights if asked."""
+    file = folder / "network.yaml"
+    weight, gain = UNEQUAL if unequal else ("", "")
     file.write_text(
-        f"{{name: ring, b: 0.1, steps: {steps}, seed: 1, graph: {{kind: ring, nodes: {nodes}}}, defaults: {{x0: 10, "
-        "candidates: {random: 3}, disturbance: {kind: sinusoid, amplitude: 1, omega: {random: [0, 3.14159]}}}}\n"
+        f"{{name: network, b: 0.1, steps: {steps}, seed: 1, graph: {{kind: {kind}, nodes: {nodes}{weight}}}, "
+        f"defaults: {{{gain}x0: 10, {NUMBERS}}}}}\n"
     )
     return resolve(load(str(file)), folder)
 
@@ -152,7 +160,7 @@ def measure(nodes: int, processes: int, rounds: int) -> dict[str, float]:
     runs = []
     with tempfile.TemporaryDirectory(prefix="hedgerow-") as scratch:
         folder = Path(scratch)
-        network = ring(nodes, steps, folder)
+        network = network_of("ring", nodes, steps, folder)
         whole, parts = ([range(nodes)], partition(network.graph, processes))
         for _ in range(rounds):
             alone, x = engine(truth_of(network, whole), views_of(network, whole))
@@ -172,16 +180,63 @@ def measure(nodes: int, processes: int, rounds: int) -> dict[str, float]:
     }
 
 
+def measure_cuts(nodes: int, processes: int, rounds: int) -> dict[str, float]:
+    """Return one row of the table of `--cuts`: shards by the orders of nodes, and by METIS."""
+    with tempfile.TemporaryDirectory(prefix="hedgerow-") as scratch:
+        network = network_of("random_regular", nodes, _steps(nodes), Path(scratch))
+        graph, edges = network.graph, len(network.edges)
+        before, after = min(by_orders(graph, processes), key=partial(cut, graph)), partition(graph, processes)
+        return {
+            "nodes": nodes,
+            "cut by an order [%]": 100 * cut(graph, before) / edges,
+            "cut by METIS [%]": 100 * cut(graph, after) / edges,
+            **_in_turns((network, before), (network, after), rounds, Path(scratch)),
+        }
+
+
+def measure_unequal(nodes: int, processes: int, rounds: int) -> dict[str, float]:
+    """Return one row of the table of `--unequal`: a ring, and a ring with gains and weights that differ."""
+    with tempfile.TemporaryDirectory(prefix="hedgerow-") as scratch:
+        one, other = (network_of("ring", nodes, _steps(nodes), Path(scratch), unequal) for unequal in (False, True))
+        parts = partition(one.graph, processes)
+        return {"nodes": nodes, **_in_turns((one, parts), (other, parts), rounds, Path(scratch))}
+
+
+def _steps(nodes: int) -> int:
+    return WARM_UP + max(10, min(1000, NODE_STEPS // nodes))
+
+
+def _in_turns(
+    before: tuple[Topology, Layout], after: tuple[Topology, Layout], rounds: int, folder: Path
+) -> dict[str, float]:
+    """Return the medians of the ratios of two networks of shards, the second to the first, within a round."""
+    runs = []
+    for _ in range(rounds):
+        old, new = (shards(truth_of(*case), views_of(*case), folder) for case in (before, after))
+        if before[0] is after[0] and old.x.tobytes() != new.x.tobytes():
+            raise SystemExit("the trajectories differ")
+        runs.append((old, new))
+    return {
+        "steps/s, ratio": statistics.median(new.steps_per_s / old.steps_per_s for old, new in runs),
+        "CPU, ratio": statistics.median(sum(new.cpu_ms) / sum(old.cpu_ms) for old, new in runs),
+        "CPU of plant, ratio": statistics.median(new.cpu_ms[0] / old.cpu_ms[0] for old, new in runs),
+        "CPU of agents, ratio": statistics.median(sum(new.cpu_ms[1:-1]) / sum(old.cpu_ms[1:-1]) for old, new in runs),
+    }
+
+
 def main() -> None:
     """Print the table, or JSON with `--json`."""
     parser = argparse.ArgumentParser(description=main.__doc__)
     parser.add_argument("--nodes", type=int, nargs="+", default=SIZES)
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--cuts", action="store_true", help="a random graph by an order of its nodes, and by METIS")
+    parser.add_argument("--unequal", action="store_true", help="a ring, and one whose gains and weights differ")
     parser.add_argument("--json", action="store_true")
     known = parser.parse_args()
     print(f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}", file=sys.stderr)
-    show((measure(n, known.processes, known.rounds) for n in known.nodes), 26, known.json)
+    of_size = measure_cuts if known.cuts else measure_unequal if known.unequal else measure
+    show((of_size(n, known.processes, known.rounds) for n in known.nodes), 26, known.json)
 
 
 if __name__ == "__main__":

@@ -47,13 +47,17 @@ def partition(graph: Graph, processes: int) -> tuple[Index, ...]:
     in_order = _blocks(np.arange(graph.n), processes)
     if graph.n <= IN_ORDER or processes in (1, graph.n) or not cut(graph, in_order):
         return in_order
+    return min((*by_orders(graph, processes), *_by_metis(graph, processes)), key=partial(cut, graph))
+
+
+def by_orders(graph: Graph, processes: int) -> list[tuple[Index, ...]]:
+    """Return the blocks of the three orders of `partition`."""
     # Load it here: it takes half a second, and only large networks need it.
     from scipy.sparse.csgraph import depth_first_order, reverse_cuthill_mckee  # noqa: PLC0415
 
     banded = reverse_cuthill_mckee(_beside(graph), symmetric_mode=True)
     deep = depth_first_order(_beside(graph, pieces(graph)), graph.n, return_predecessors=False)
-    ours = (in_order, *(_blocks(order, processes) for order in (banded, deep[1:])))
-    return min((*ours, *_by_metis(graph, processes)), key=partial(cut, graph))
+    return [_blocks(order, processes) for order in (np.arange(graph.n), banded, deep[1:])]
 
 
 def _by_metis(graph: Graph, processes: int) -> list[tuple[Index, ...]]:
