@@ -33,11 +33,12 @@ _RESTORED = 8
 
 
 class Trial(NamedTuple):
-    """The network of a trial: ids (n,), the gain b, and candidates (M, n) padded with NaN."""
+    """The network of a trial: ids (n,), the gain b, candidates (M, n) padded with NaN, and whether weights differ."""
 
     ids: Sequence[int | str]
     b: Gain
     candidates: Array
+    weighted: bool = False
 
     @classmethod
     def default(cls) -> Trial:
@@ -48,7 +49,7 @@ class Trial(NamedTuple):
         return cls(range(1, NODES + 1), 0.1, candidates)
 
     @classmethod
-    def of(cls, ids: Sequence[int | str], b: Gain, candidates: Array) -> Trial:
+    def of(cls, ids: Sequence[int | str], b: Gain, candidates: Array, weighted: bool = False) -> Trial:
         """Return a network of NODES nodes of a larger one; a smaller one gets copies of its nodes."""
         chosen = np.linspace(0, len(ids) - 1, NODES).round().astype(int)
         if len(ids) < NODES:
@@ -56,7 +57,7 @@ class Trial(NamedTuple):
         known = [ids[k] for k in dict.fromkeys(chosen.tolist())]
         more = (number for number in range(1, 2 * NODES + 1) if number not in known)
         names = known + [next(more) for _ in range(NODES - len(known))]
-        return cls(names, b if isinstance(b, float) else b[chosen], candidates[:, chosen])
+        return cls(names, b if isinstance(b, float) else b[chosen], candidates[:, chosen], weighted)
 
 
 class _Call(NamedTuple):
@@ -106,7 +107,7 @@ def check_law(
     seed: int = 0,
     on_call: Callable[[], None] = lambda: None,
 ) -> None:
-    """Raise LawError with the line, the method, the node and a cure if a law breaks the contract.
+    """Raise LawError with the line, the method, the node and a fix if a law breaks the contract.
 
     `trial` is the network of the test, by default one of five nodes. `parameters` are those of the law. `name` is the
     name of the law in messages. `on_call` is called before every call of the law.
@@ -132,6 +133,9 @@ class _Test:
         self._law, self._trial, self._parameters, self._name, self._seed = law, trial, parameters, name, seed
         ends = sorted([*_EDGES, *((j, i) for i, j in _EDGES)])
         self._row, self._other = np.array(ends, dtype=np.int64).T
+        self._weight = np.ones(len(ends))
+        if self._trial.weighted:
+            self._weight += 0.25 * ((self._row + self._other) % 5)  # both ends of an edge have the same
         self._all = np.arange(NODES)
         asked = {"act": "now", "learn": "sample"}
         self._asks = {method: asks(getattr(law, method, None), name) for method, name in asked.items()}
@@ -172,9 +176,9 @@ class _Test:
             candidates=candidates,
             node=np.array([place[i] for i in self._row[incidences].tolist()], dtype=np.int64),
             neighbour=ids[self._other[incidences]],
-            weight=np.ones(len(incidences)),
+            weight=self._weight[incidences],
             parameters=self._parameters,
-            seed=self._seed,
+            seeds=self._seed,
         )
 
     def _of(self, nodes: Index) -> Index:
@@ -211,7 +215,7 @@ class _Test:
         truth = x
         for t in range(STEPS):
             if t:
-                flow: Array = np.bincount(self._row, u[self._row] - u[self._other], NODES)  # type: ignore[assignment]
+                flow: Array = np.bincount(self._row, self._weight * (u[self._row] - u[self._other]), NODES)  # type: ignore[assignment]
                 w = rng.normal(0.0, 2.0, NODES) if t >= _QUIET else np.zeros(NODES)
                 past, truth = truth, a * truth + self._trial.b * flow + w
                 lost = _lost(t, self._row)

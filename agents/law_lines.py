@@ -38,7 +38,7 @@ def line_of(law: type[Any], method: str) -> str:
 
 
 def place_of(error: BaseException, law: type[Any]) -> str:
-    """Return `file:line: ` of the line of the law that an exception came from, as the start of a message.
+    """Return `file:line: ` of the line in the law that raised an exception, as the start of a message.
 
     It is the last line in a file of the law. If there is none, it is the last line of all.
     """

@@ -65,8 +65,8 @@ _OURS = ("self", "b", "candidates", "local", "parameters")
 def declared(law: type[Any]) -> dict[str, Any]:
     """Return the default of every parameter that a class declares; `dataclasses.MISSING` for a required one.
 
-    A class declares its parameters by a nested dataclass or pydantic model `Parameters`, which its constructor gets as
-    `parameters`; or else by keyword-only arguments of its constructor.
+    A class declares its parameters by a nested dataclass or pydantic model `Parameters`, which its constructor receives
+    as `parameters`; or by keyword-only arguments of its constructor.
     """
     group = getattr(law, "Parameters", None)
     source = group if group is not None else law.__init__
@@ -117,5 +117,5 @@ def local_of(view: View, parameters: Mapping[str, Any]) -> Local:
         neighbour=known[view.column],
         weight=np.ones(len(view.row)) if view.weights is None else view.weights,
         parameters=parameters,
-        seed=view.seed,
+        seeds=view.seed,
     )

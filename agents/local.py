@@ -1,7 +1,7 @@
-"""The local knowledge that a law may ask for: a record per shard, and a record per step.
+"""The local data that a law may request: a record per shard, and a record per step.
 
 A law asks by naming an argument. `local` of its constructor is a `Local`, `now` of `act` and `sample` of `learn` are
-each a `Heard`. A law that names none of them is called without, and costs nothing more.
+each a `Heard`. A law without these arguments is called without them, at no extra cost.
 """
 
 from __future__ import annotations
@@ -42,8 +42,15 @@ class Local:
     """per incidence: the weight of the edge, (m,); 1 unless the network has weights"""
     parameters: Mapping[str, Any]
     """the parameters of the law, by name"""
-    seed: int
-    """a function of the seed of the run; it does not reveal that seed, from which the truth is drawn"""
+    seeds: int | lots.Words
+    """`seed`, or for networks side by side that of each node, (k,)"""
+
+    @property
+    def seed(self) -> int:
+        """Return a function of the seed of the run, which does not reveal the seed that the truth is drawn from."""
+        if isinstance(self.seeds, int):
+            return self.seeds
+        raise AttributeError("the nodes of this shard have different seeds; use draw()")
 
     @cached_property
     def degree(self) -> Array:
@@ -53,7 +60,7 @@ class Local:
 
     def draw(self, t: int, field: str = "law") -> Array:
         """Return a number in [0, 1) per node, (k,): a function of (seed, field, node id, t), in every layout."""
-        return lots.uniforms(lots.at(lots.keys(self.seed, field, self._words), np.array([t])))
+        return lots.uniforms(lots.at(lots.keys(self.seeds, field, self._words), np.array([t])))
 
     @cached_property
     def _words(self) -> lots.Words:
@@ -65,7 +72,7 @@ class Local:
 
 
 class Heard(NamedTuple):
-    """The step of a call, the nodes that it is for, and what the links brought from their neighbours.
+    """The step of a call, its nodes, and the values of their neighbours from the links.
 
     `act(x, now)` at step t gets the newest values that have arrived by then, each with its step. `learn(x, flow,
     x_next, sample)` of the sample of step t gets the values of step t alone, over the edges that carried flow at t. A

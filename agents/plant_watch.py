@@ -1,4 +1,4 @@
-"""A watch on the plant that an agent joined; an agent started by hand has no other process that would end it."""
+"""A watch on the plant of an agent; no other process would end an agent that was started by hand."""
 
 from __future__ import annotations
 

@@ -15,6 +15,7 @@ import contextlib
 import functools
 import logging
 import queue
+import sys
 import threading
 import time
 from collections import deque
@@ -25,6 +26,7 @@ from typing import NamedTuple, NoReturn
 
 import zenoh
 
+from hedgerow.agents.law_source import need_source
 from hedgerow.agents.shard import Shard
 from hedgerow.agents.view import View
 from hedgerow.topologies.paths import user_path
@@ -68,7 +70,7 @@ PATIENCE_S = 1.0
 
 
 SLOW_LAW = "has been running for"
-"""in the log: the words of a law that takes long; the operator finds them by this"""
+"""the words in the log about a slow law; the operator searches for them"""
 SLOW_EVERY_S = 5.0
 """time between two such lines"""
 
@@ -106,6 +108,7 @@ class Agent:
     def __init__(
         self, view: View, namespace: str, endpoint: str, begin: Begin, credentials: Credentials | Path | None = None
     ) -> None:
+        need_source(view.law, view.law_source)
         self._view, self.shard = view, Shard(view)
         self.peers = [peer.shard for peer in view.peers]
         self._pending: State | None = None
@@ -333,9 +336,12 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     parser.add_argument("--connect", required=True, help="the router, a Zenoh endpoint")
     parser.add_argument("--life", type=int, default=0, help="how often this shard was started before")
     parser.add_argument("--credentials", type=user_path, help="the folder with its certificate")
+    parser.add_argument("--law-path", type=user_path, help="a folder to import the law from, before all others")
     known = parser.parse_args(arguments)
 
     def body() -> None:
+        if known.law_path is not None:
+            sys.path.insert(0, str(known.law_path))
         view = View.read(known.view)
         Agent(view, known.namespace, known.connect, Begin(lambda _: Joined(known.life)), known.credentials).live()
 

@@ -2,8 +2,8 @@
 
 A step is quiet if every edge is open, every message of the step before is there, and nothing is learned late. Almost
 every step is. An array of one number costs as much as one of a hundred, so a shard of a few nodes makes its quiet steps
-here. All else, and laws of other classes, goes through the general path (agents.samples and the law itself): `settle`
-hands everything learned to it. Both ways give the same bits, because they do the same operations in the same order.
+here. Other steps, and laws of other classes, use the general path (agents.samples and the law itself); `settle` passes
+everything learned to it. Both ways give the same bits, because they do the same operations in the same order.
 """
 
 from __future__ import annotations

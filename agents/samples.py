@@ -5,7 +5,7 @@ skips a sample that lacks an input. If that input arrives late, the law returns 
 samples since then again, in the order of the steps. Its memory is then bit for bit the same as without the gap.
 
 A law that asks for its neighbours' states and inputs gets those of the sample's own step. So the states of neighbours
-are kept beside their inputs, for such a law alone, and a sample that is learned again has all of them.
+are stored beside their inputs, for such a law alone, and a sample has all of them when it is learned again.
 """
 
 from __future__ import annotations
@@ -286,10 +286,10 @@ class Samples:
         return flow
 
     def _heard(self, t: int, nodes: Mask, states: Array, u: Array, bits: Flags) -> Heard | None:
-        """Return the neighbours' values of step t, by incidence, for a law that asks; else None.
+        """Return the neighbours' values of step t, by incidence, for a law that asks; otherwise None.
 
-        A sample does not wait for the message over a closed edge. So it never has that message: else its values would
-        depend on whether the message was there when the sample was learned, or learned again.
+        A sample does not wait for the message over a closed edge. So the sample never has that message. Otherwise its
+        values would depend on the arrival of that message before the learning, or the second learning.
         """
         if not self.asks:
             return None

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from hedgerow.agents.law import Array
+from hedgerow.agents.law import Array, Law
 from hedgerow.agents.law_lines import line_of, place_of, running
 from hedgerow.agents.loading import LawError, new_law
 from hedgerow.agents.local import Heard, asks
@@ -57,9 +57,10 @@ class Shard:
     layout of the network over processes.
     """
 
-    def __init__(self, view: View) -> None:
+    def __init__(self, view: View, law: Law | None = None) -> None:
+        """Take the law of the view, or a `law` that is there already."""
         self._view = view
-        self._law = new_law(view)
+        self._law = new_law(view) if law is None else law
         self.k, self.m = view.k, len(view.row)
         self.degrees: Index = np.bincount(view.row, minlength=self.k)
         self._row = view.row
@@ -108,7 +109,7 @@ class Shard:
         self.report: Array = np.full((REPORT_ROWS, self.k), np.nan)
         """The law's report of the nodes at the last step."""
         self.took = b""
-        """The data taken in for the step before: Flag bits by incidence; empty if everything was taken in."""
+        """The used inputs of the step before: Flag bits by incidence; empty if every input was used."""
 
     # Incoming messages.
 
@@ -251,7 +252,7 @@ class Shard:
         self._samples.take_late(past, self.x, inputs, plain, state.x, late_rows, back, states)
 
     def _states(self, links: Sequence[Link | None]) -> Array | None:
-        """Return our own states followed by the peers' states of the same step, for a law that asks; else None."""
+        """Return our own states followed by the peers' states of the same step, for a law that asks; otherwise None."""
         if not (self._asks or self._samples.asks):
             return None
         rows = [_SILENCE * n if link is None else link.x[-8 * n :] for link, n in zip(links, self.hears, strict=True)]
@@ -331,7 +332,7 @@ class Shard:
 
     @property
     def silence(self) -> tuple[bytes, bytes, bytes]:
-        """Return the answer of a shard that cannot answer: no inputs, no reports, nothing taken in."""
+        """Return the answer of a shard that cannot answer: no inputs, no reports, no used inputs."""
         nothing = np.full((1 + REPORT_ROWS) * self.k, np.nan).tobytes()
         return nothing[: 8 * self.k], nothing[8 * self.k :], bytes(self.m)
 

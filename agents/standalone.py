@@ -92,8 +92,8 @@ class PlaceRequest:
                 unanswered += 1
                 if unanswered == TRIES:
                     raise WireError(
-                        f"the plant is there and did not answer {who} within {standalone.ASK_S:g} s; where the network"
-                        f" is secure, are those the keys of {who}?"
+                        f"the plant did not answer {who} within {standalone.ASK_S:g} s. If the network is secure, check"
+                        f" that the keys are those of {who}"
                     )
             elif "life" in answer:
                 return Joined(int(answer["life"]), int(answer["plant"]))

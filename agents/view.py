@@ -21,7 +21,7 @@ Ids = NDArray[Any]
 
 @dataclass(frozen=True, eq=False)
 class Peer:
-    """Another shard with neighbours of ours."""
+    """Another shard that contains neighbours of our nodes."""
 
     shard: int
     say: Index
@@ -56,10 +56,12 @@ class View:
     """ids of the neighbours in other shards, peer by peer"""
     history: int
     """number of past steps kept for back-filling; with 0, missed samples are never learned"""
-    seed: int = 0
-    """for laws that draw numbers; a function of the seed of the run"""
+    seed: int | NDArray[np.uint64] = 0
+    """for laws that draw numbers; a function of the seed of the run. For networks side by side: per node, (k,)"""
     weights: Array | None = None
     """per incidence: the weight of its edge, (m,); None if all are 1"""
+    law_source: str = ""
+    """digest of the source of a law of the user's own, which the process compares with its own; empty for none"""
 
     @property
     def k(self) -> int:
@@ -73,6 +75,7 @@ class View:
             "law": self.law,
             "history": self.history,
             "seed": self.seed,
+            "law_source": self.law_source,
         }
         peers = [(peer.shard, len(peer.say), peer.hear) for peer in self.peers]
         say = [peer.say for peer in self.peers]
@@ -128,7 +131,8 @@ class View:
         ]
         b = self.b if isinstance(self.b, float) else self.b.tolist()
         told = {"shard": self.shard, "b": b, "law": self.law, "nodes": nodes, "peers": peers}
-        return {**told, "history": self.history, **({"seed": self.seed} if self.seed else {})}
+        more = {"seed": self.seed, "law_source": self.law_source}
+        return {**told, "history": self.history, **{key: value for key, value in more.items() if value}}
 
     @classmethod
     def from_dict(cls, told: Mapping[str, Any]) -> View:
@@ -171,4 +175,5 @@ class View:
             heard=archive.id_array(heard),
             history=told["history"],
             seed=told.get("seed", 0),
+            law_source=told.get("law_source", ""),
         )

@@ -1,1 +1,1 @@
-"""Benchmarks: each a command that measures in pairs and prints ratios."""
+"""Benchmarks: each is a command that measures in pairs and prints ratios."""

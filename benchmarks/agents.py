@@ -1,4 +1,4 @@
-"""`python -m benchmarks.agents`: what an agent process costs: time to start, memory, and what it has loaded."""
+"""`python -m benchmarks.agents`: the cost of an agent process: time to start, memory, and loaded modules."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ FOREIGN = ("pydantic", "rerun", "scipy", "pyarrow", "yaml", "rich", "typer")
 
 
 def import_seconds(module: str) -> float:
-    """Wall time of an interpreter that loads `module` and ends; the best of five."""
+    """Return the wall time of an interpreter that loads `module` and ends; the best of five."""
     took = []
     for _ in range(5):
         began = time.perf_counter()
@@ -25,7 +25,7 @@ def import_seconds(module: str) -> float:
 
 
 def main() -> None:
-    """Run paper7 slowly, look at its agents, and print."""
+    """Run paper7 slowly, measure its agents, and print."""
     with tempfile.TemporaryDirectory(prefix="hedgerow-") as scratch:
         folder = Path(scratch) / "run"
         command = [sys.executable, "-m", "hedgerow.orchestrator", "up", "paper7", "--steps", "100000", "--rate", "50"]

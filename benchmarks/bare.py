@@ -1,7 +1,7 @@
-"""The floor: paper7's messages over Zenoh, byte for byte as many and as long as ours, and nothing else.
+"""The floor: as many messages over Zenoh as paper7 has, of the same length, without any other work.
 
-No law, no dynamics, no checks, no deadlines, no telemetry taken in: processes wake each other up in lockstep
-over the same keys, sessions and router, with payloads made once. What Zenoh and the kernel cost, this costs.
+There are no law, no dynamics, no checks, no deadlines and no telemetry. Processes wake each other up in lockstep over
+the same keys, sessions and router, with constant payloads. The result is the cost of Zenoh and the kernel.
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ def plant(endpoint: str, n: int, steps: int) -> float:
 
 
 def run(n: int, edges: Edges, steps: int) -> float:
-    """Steps per second of the bare loop on this machine now."""
+    """Return the steps per second of the bare loop on this machine now."""
     neighbours = [[b if a == i else a for a, b in edges if i in (a, b)] for i in range(n)]
     with tempfile.TemporaryDirectory(prefix="hedgerow-") as folder, contextlib.ExitStack() as stack:
         endpoint = f"unixsock-stream/{Path(folder) / 'router.sock'}"
@@ -136,7 +136,7 @@ def run(n: int, edges: Edges, steps: int) -> float:
 
 
 def main() -> None:
-    """One process of the loop: `ENDPOINT agent ME NEIGHBOUR…` or `ENDPOINT plant N STEPS`."""
+    """Run one process of the loop: `ENDPOINT agent ME NEIGHBOUR…` or `ENDPOINT plant N STEPS`."""
     parser = argparse.ArgumentParser()
     parser.add_argument("endpoint")
     parser.add_argument("role", choices=["agent", "plant"])

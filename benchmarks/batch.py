@@ -2,8 +2,9 @@
 
     python -m benchmarks.batch [SEEDS]
 
-The plain script is what a researcher would write for this one network: no files, no checks, no verdict, and numbers of
-numpy's own generator. The rounds of both take turns; the figure is the median ratio, with the least and the largest.
+The plain script is typical code of a researcher for this one network: no files, no checks, no verdict, and random
+numbers of numpy's generator. The rounds of both alternate; the figure is the median ratio, with the minimum and the
+maximum.
 """
 
 from __future__ import annotations
@@ -78,7 +79,7 @@ def plain(seeds: int) -> dict[str, Array]:
 
 
 def ours(seeds: int) -> int:
-    """Run the same by the batch engine, all checks included, and return the number of runs that pass them."""
+    """Run the same with the batch engine and all checks, and return the number of runs that pass them."""
     topology = load("paper7")
     size = batch.seeds_at_once(topology)
     good = 0
@@ -88,7 +89,7 @@ def ours(seeds: int) -> int:
 
 
 def main() -> None:
-    """Time both in turns and print the ratio."""
+    """Time both in turn and print the ratio."""
     seeds = int(sys.argv[1]) if len(sys.argv) > 1 else 10_000
     plain(100)
     ours(100)

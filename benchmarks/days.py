@@ -1,8 +1,8 @@
-"""`python -m benchmarks.days`: what a long run of paper7 keeps in memory and on disk, and whether it opens again.
+"""`python -m benchmarks.days`: memory and disk space of a long run of paper7, and a test that it opens again.
 
-A second of real telemetry is taken in again and again, its steps counted on, by what `up` takes it in with: the
-observer, the tables, run.rrd and a page's server. Memory does not depend on the numbers. Each part of the table is a
-process of its own; sizes are resident, as the kernel counts them.
+One second of real telemetry is repeated with increasing step numbers. The parts of `up` receive it: the observer, the
+tables, run.rrd and a page's server. Memory does not depend on the numbers. Each part of the table is a separate
+process; sizes are resident, as the kernel counts them.
 """
 
 from __future__ import annotations
@@ -33,31 +33,31 @@ from hedgerow.wire.codec import End, Telemetry
 
 SHORT, BATCH = 2048, 256
 MARKS = (0.1, 0.5, 1.0)
-"""at which parts of the run memory is looked at"""
+"""the parts of the run at which memory is measured"""
 NICE = 10
 
 
 def rows_of(topology: Topology) -> list[Telemetry]:
-    """SHORT steps of a network."""
+    """Return SHORT steps of a network."""
     short = topology.model_copy(update={"steps": SHORT})
     ran = run_in_process(truth_of(short, layout(short, 1)), views_of(short, layout(short, 1)))
     return [row for row in ran if isinstance(row, Telemetry)]
 
 
 def again_and_again(rows: list[Telemetry], steps: int) -> Iterator[list[Telemetry]]:
-    """So many steps in batches, as `up` takes them in."""
+    """Yield `steps` steps in batches, as `up` reads them."""
     for first in range(0, steps, BATCH):
         some = itertools.islice(itertools.cycle(rows), first % SHORT, first % SHORT + min(BATCH, steps - first))
         yield [row._replace(t=first + k) for k, row in enumerate(some)]
 
 
 def mb(process: psutil.Process) -> float:
-    """Resident megabytes of a process."""
+    """Return the resident memory of a process [MB]."""
     return float(process.memory_info().rss / 1e6)
 
 
 def record(steps: int, directory: Path, watching: Watching, answer: Connection) -> None:
-    """Take a long run in, and say what it cost at the marks."""
+    """Record a long run, and send its costs at the marks."""
     psutil.Process().nice(NICE)
     topology = resolve(load("paper7", [f"steps={steps}"]))
     rows = rows_of(topology)
@@ -85,7 +85,7 @@ def record(steps: int, directory: Path, watching: Watching, answer: Connection) 
 
 
 def recorded(steps: int, directory: Path, watching: Watching) -> dict[str, Any]:
-    """What it cost a process of its own."""
+    """Return the costs of a recording in a separate process."""
     ours, theirs = multiprocessing.Pipe()
     process = multiprocessing.get_context("spawn").Process(target=record, args=(steps, directory, watching, theirs))
     process.start()
@@ -97,7 +97,7 @@ def recorded(steps: int, directory: Path, watching: Watching) -> dict[str, Any]:
 
 
 def opened(folder: RunFolder, steps: int) -> dict[str, float]:
-    """Open a recorded run in a viewer without a window, until that has its last step."""
+    """Open a recorded run in a viewer without a window, and wait for its last step."""
     from rerun.experimental import ViewerClient  # noqa: PLC0415
 
     from hedgerow.orchestrator.views.rerun.opening import open_runs  # noqa: PLC0415
@@ -131,7 +131,7 @@ def opened(folder: RunFolder, steps: int) -> dict[str, float]:
 
 
 def main() -> None:
-    """Print a line for each way to record, and one for opening it again; `--json` for all of it."""
+    """Print a line for each way to record, and one for opening the run again; `--json` prints all numbers."""
     parser = argparse.ArgumentParser(description=main.__doc__)
     parser.add_argument("--steps", type=int, default=1_000_000)
     parser.add_argument("--only", choices=("tables", "run.rrd", "page"), action="append")

@@ -1,11 +1,11 @@
 """`python -m benchmarks.engine`: a step in one process, from 10^2 to 10^6 nodes, beside a plain step in numpy.
 
-A ring, three candidates a node, a sinusoid at each. The plain step does what a careful person would write: the state,
-the input, the flow (by bincount or as a sparse product, the faster counts), J of all candidates, and the best of them.
-Ours does that twice over, as plant and as agents, with telemetry, margins, histories for what may be lost, and room for
-faults. Both give the same trajectory, bit for bit, which is checked.
+The network is a ring with three candidates and a sinusoid per node. The plain step is careful standard code. It
+computes the state, the input, the flow (by bincount or as a sparse product; the faster one counts), J of all
+candidates, and the best of them. Ours does this twice, as plant and as agents, with telemetry, margins, histories for
+back-filling, and support for faults. Both give the same trajectory, bit for bit; the benchmark checks this.
 
-Every round runs each in turn; the table gives medians over the rounds, of CPU time, and of the ratios within a round.
+Every round runs each in turn. The table gives medians over the rounds, of CPU time and of the ratios within a round.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ B = 0.1
 CANDIDATES = 3
 SIZES = [10**2, 10**3, 10**4, 10**5, 10**6]
 NODE_STEPS = 4_000_000
-"""how many nodes times steps a measurement lasts"""
+"""the number of nodes times steps of a measurement"""
 WARM_UP = 3
-"""steps that are not counted: memory is found for the first time, and loops are loaded"""
+"""the number of steps that are not counted: they allocate memory and load loops"""
 
 
 class Ring(NamedTuple):
@@ -50,12 +50,12 @@ class Ring(NamedTuple):
 
     @property
     def wave(self) -> dict[str, Array]:
-        """amplitude, omega and phase of each node's sinusoid."""
+        """Return amplitude, omega and phase of each node's sinusoid."""
         return dict(self.truth.disturbance[0].values)
 
 
 def ring(n: int, steps: int) -> Ring:
-    """A ring of n nodes, in one shard."""
+    """Return a ring of n nodes, in one shard."""
     random = np.random.default_rng(1)
     candidates = random.uniform(0.1, 0.9, (CANDIDATES, n))
     nodes = np.arange(n)
@@ -93,7 +93,7 @@ def ring(n: int, steps: int) -> Ring:
 
 
 def plain(network: Ring, sparse: bool) -> tuple[float, Array]:
-    """Seconds of CPU a step in numpy, and the last state."""
+    """Return the CPU time of a step in numpy [s], and the last state."""
     truth, candidates, graph = network.truth, network.view.candidates, network.graph
     n, a = graph.n, truth.a
     amplitude, omega, phase = (network.wave[key] for key in ("amplitude", "omega", "phase"))
@@ -120,7 +120,7 @@ def plain(network: Ring, sparse: bool) -> tuple[float, Array]:
 
 
 def ours(network: Ring) -> tuple[float, Array]:
-    """The same of the in-process engine."""
+    """Return the same for the in-process engine."""
     began, x = 0.0, network.truth.x0
     for row in reference.run(network.truth, [network.view]):
         if row.t == WARM_UP - 1 and isinstance(row, Telemetry):
@@ -130,19 +130,21 @@ def ours(network: Ring) -> tuple[float, Array]:
 
 
 def bytes_per_node(n: int) -> float:
-    """The most memory that the engine ever takes for a network, histories filled, in a process of its own."""
+    """Return the peak memory of the engine for a network with full histories, measured in a separate process
+    [bytes/node].
+    """
     command = [sys.executable, "-m", "benchmarks.engine", "--memory", str(n)]
     return float(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
 
 
 def _peak() -> int:
-    """The most memory that this process ever had, in bytes; what getrusage says may be its parent's."""
+    """Return the peak memory of this process [bytes]; getrusage may give that of its parent."""
     status = Path("/proc/self/status").read_text(encoding="ascii")
     return 1024 * int(next(line.split()[1] for line in status.splitlines() if line.startswith("VmHWM")))
 
 
 def _memory(n: int) -> None:
-    for _ in reference.run(*_run_of(LARGE)):  # load all that is loaded once
+    for _ in reference.run(*_run_of(LARGE)):  # load everything that is loaded once
         pass
     before = _peak()
     for _ in reference.run(*_run_of(n)):
@@ -156,7 +158,7 @@ def _run_of(n: int) -> tuple[Truth, list[View]]:
 
 
 def measure(n: int, rounds: int) -> dict[str, float]:
-    """One row of the table."""
+    """Return one row of the table."""
     network = ring(n, WARM_UP + max(10, min(3000, NODE_STEPS // n)))
     runs = []
     for _ in range(rounds):

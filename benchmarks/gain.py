@@ -1,4 +1,4 @@
-"""The processor time that the bounds on the gain take, by size and kind of network: `python -m benchmarks.gain`."""
+"""The processor time of the bounds on the gain, by size and kind of network: `python -m benchmarks.gain`."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def main() -> None:
             network = {"name": kind, "b": 0.1, "steps": 1, "seed": 1, "graph": graph, "defaults": lists}
             plant = plant_of(hg.load(network).network)
             for premise in map(Premise, options.premises.split(",")):
-                methods = {method_for(plant), *([Method.WHOLE] if options.whole else [])}
+                methods = {method_for(plant, premise), *([Method.WHOLE] if options.whole else [])}
                 for method in sorted(methods):
                     began = time.process_time()
                     try:

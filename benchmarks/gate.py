@@ -1,11 +1,11 @@
 """`python -m benchmarks.gate REV_A REV_B`: the speed of one revision as a ratio to another, on this machine, now.
 
 Both revisions are unpacked beside each other and run with this Python and its packages. A round runs every case once
-with each revision, and the order alternates from round to round. Rounds go on until the time is over. A case compares
-the two runs of one round, so load that lasts longer than a round cancels. The table has the geometric mean of the
-ratios B / A and its 95 % interval (Student's t on the logarithms).
+with each revision, and the order alternates from round to round. Rounds continue until the time is over. A case
+compares the two runs of one round, so load that lasts longer than a round cancels. The table has the geometric mean of
+the ratios B / A and its 95 % interval (Student's t on the logarithms).
 
-The exit code is 1 if the whole interval of a case lies below `--least`: revision B lost speed.
+The exit code is 1 if the whole interval of a case is below `--least`: revision B lost speed.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ from scipy import stats
 HERE = Path(__file__).parent
 ROOT = HERE.parent
 BUDGET_S = 285.0
-"""for all rounds; with unpacking, the whole stays below five minutes"""
+"""the time for all rounds [s]; with unpacking, the total stays below five minutes"""
 FEWEST = 3
-"""rounds without which an interval says nothing"""
+"""the minimum number of rounds for a useful interval"""
 LEAST = 0.9
 DEADLINE_S = 120.0
 CONFIDENCE = 0.95
@@ -44,12 +44,12 @@ QUIET = ("--viewer", "none", "--no-record", "--json")
 
 @dataclass(frozen=True)
 class Case:
-    """A command of both revisions, and how its speed is read."""
+    """A command of both revisions, and the function that reads its speed."""
 
     name: str
     arguments: Sequence[str]
     read: Callable[[str, float], Mapping[str, float]]
-    """from its standard output and its seconds to speeds by name"""
+    """returns speeds by name from the standard output and the time [s]"""
 
 
 def verdict_speeds(output: str, _: float) -> Mapping[str, float]:
@@ -65,7 +65,7 @@ def steps_per_s(output: str, _: float) -> Mapping[str, float]:
 
 
 def per_second(_: str, elapsed_s: float) -> Mapping[str, float]:
-    """Return how often the whole command fits into a second."""
+    """Return the number of runs of the command per second."""
     return {"commands/s": 1 / elapsed_s}
 
 
@@ -176,7 +176,7 @@ def table(ratios: Mapping[tuple[str, str], Ratio], least: float) -> str:
 
 
 def lost(one: Ratio, least: float) -> bool:
-    """Return True if the rounds show that the ratio lies below `least`."""
+    """Return True if the rounds show that the ratio is below `least`."""
     return one.rounds >= FEWEST and one.high < least
 
 
@@ -189,7 +189,7 @@ def _arguments(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--least", type=float, default=LEAST, help="ratio below which speed is lost [%(default)s]")
     parser.add_argument("--seconds", type=float, default=BUDGET_S, help="time for all rounds [%(default)s]")
     parser.add_argument("--rounds", type=int, default=1000, help="rounds at most")
-    parser.add_argument("--only", metavar="WORD", default="", help="only the cases whose name contains this")
+    parser.add_argument("--only", metavar="WORD", default="", help="only the cases with this text in their names")
     parser.add_argument("--quick", action="store_true", help="one round of short runs: does it all still work?")
     parser.add_argument("--json", action="store_true", help="print JSON instead of the table")
     return parser.parse_args(arguments)

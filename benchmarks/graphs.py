@@ -1,6 +1,6 @@
 """Our graphs and pictures beside those of igraph: `python -m benchmarks.graphs`; it needs `pip install igraph`.
 
-A process of its own measures each number, three times. The first table has seconds of CPU and memory for the edges as
+A separate process measures each number, three times. The first table has seconds of CPU and memory for the edges as
 an array, by the rule of a topology file and by igraph's generator of the same kind. The second table has the time and
 the stress of pictures: the mean squared relative error of the distances on paper, at the best scale.
 """
@@ -135,7 +135,7 @@ def main() -> None:
 
 
 def _measured(kind: str, what: str, nodes: int) -> dict[str, float]:
-    """Return the median of three processes of its own, by seconds."""
+    """Return the median of three separate processes, by seconds."""
     command = [sys.executable, "-m", "benchmarks.graphs", "--one", kind, what, "--nodes", str(nodes)]
     environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     rows: Sequence[dict[str, float]] = [

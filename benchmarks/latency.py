@@ -1,7 +1,7 @@
-"""`python -m benchmarks.latency`: what latency does to the round trips of paper7, and to its rate.
+"""`python -m benchmarks.latency`: the effect of latency on the answer times and the rate of paper7.
 
-Every agent is on the other side of a relay that holds each packet for so long, in either direction. Between two agents
-there are two relays, as there are two cables from a machine to the switch and on to the next.
+Every agent is behind a relay that delays each packet by a given time, in both directions. There are two relays between
+two agents, like two cables from a machine to the switch and on to the next.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ AGENTS = range(1, 8)
 
 
 async def _hold(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, delay_s: float) -> None:
-    """Bring on what comes, in its order, each piece so much later."""
+    """Forward the data in order, each piece with the delay."""
     waiting: asyncio.Queue[tuple[float, bytes]] = asyncio.Queue()
 
     async def bring() -> None:
@@ -51,7 +51,7 @@ async def _hold(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, dela
 
 @contextlib.contextmanager
 def relay(to_port: int, delay_s: float) -> Iterator[int]:
-    """A port that leads to another, on which every packet takes so much longer."""
+    """Provide a port that forwards to another one, with a delay for every packet."""
     loop = asyncio.new_event_loop()
     port = free_port()
 
@@ -73,7 +73,7 @@ def relay(to_port: int, delay_s: float) -> Iterator[int]:
 
 
 def run(delay_s: float | None, steps: int, rate: float) -> dict[str, Any]:
-    """The verdict of a run whose agents are so far away; None for no relay between."""
+    """Return the verdict of a run with this delay to its agents; None for no relay."""
     with tempfile.TemporaryDirectory(prefix="hedgerow-") as name, contextlib.ExitStack() as stack:
         folder, port = Path(name), free_port()
         told = ("paper7", "--steps", str(steps))
@@ -102,7 +102,7 @@ def run(delay_s: float | None, steps: int, rate: float) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Print a row for each delay: of the seven agents the middle one's figures, and the longest of all."""
+    """Print a row for each delay: the answer times of the middle of the seven agents, and the longest of all."""
     parser = argparse.ArgumentParser(description=main.__doc__)
     parser.add_argument("--steps", type=int, default=300)
     parser.add_argument("--rate", type=float, default=0.0, help="steps per second, 0 for as fast as possible")

@@ -1,12 +1,12 @@
-"""`python -m benchmarks.loop`: how fast the loop runs beside what may slow it down, in pairs.
+"""`python -m benchmarks.loop`: the speed of the loop with and without other loads, in pairs.
 
-paper7 against the bare Zenoh loop, with run.rrd, secure, with lost messages, with a page that is served and not opened,
-with a live viewer and with a frozen one; or, with `--nodes N`, a ring of N nodes in two processes with run.rrd, secure,
-and the viewers.
+The cases are paper7 against the bare Zenoh loop, with run.rrd, secure, with lost messages, and with viewers: a page
+that is served but not opened, a live viewer, and a frozen one. With `--nodes N`, a ring of N nodes in two processes
+replaces paper7; its cases are run.rrd, secure, and the viewers.
 
-Every round runs each variant once, in turn; the table gives medians over the rounds and of the ratios within a
-round, so that a machine that slows down slows all of them. A viewer is a window where there is a display, else
-headless, which needs a graphics driver and draws on the CPU: with few cores that is what its ratio shows.
+Every round runs each variant once, in turn. The table gives medians over the rounds and of the ratios within a round,
+so a slow phase of the machine affects all variants. A viewer is a window if there is a display. Otherwise it is
+headless; it then needs a graphics driver and draws on the CPU, and with few cores its ratio shows that.
 """
 
 from __future__ import annotations
@@ -32,16 +32,16 @@ from hedgerow.orchestrator.views.rerun.viewer import Viewer, has_display, native
 from hedgerow.topologies.load import load
 
 FREEZE_AFTER_S = 1.0
-"""from the first step until a viewer is frozen: it has the first steps by then, and its connection"""
+"""the time from the first step until a viewer is frozen [s]: it then has the first steps and its connection"""
 VIEWER_DEADLINE_S = 60.0
 DROPS = [{"kind": "drop", "link": list(edge), "probability": 0.3} for edge in load("paper7").pairs]
-"""Every message of every link is lost with a probability of 0.3, and made up for later."""
+"""Every message of every link is lost with a probability of 0.3, and back-filled later."""
 
 Say = Callable[[str], None]
 
 
 def ring(nodes: int, folder: Path) -> str:
-    """A file with a ring of so many nodes, each with three candidates and a sinusoid."""
+    """Return a file with a ring of this number of nodes, each with three candidates and a sinusoid."""
     defaults = {
         "x0": 10,
         "candidates": {"random": 3},
@@ -55,7 +55,7 @@ def ring(nodes: int, folder: Path) -> str:
 
 
 def ours(network: str, *options: str, viewer: str = "none", on_say: Say = lambda _: None) -> dict[str, Any]:
-    """The verdict of one `orchestrator up`; `on_say` is told every line it says on the way."""
+    """Return the verdict of one `orchestrator up`; `on_say` receives every line of its output."""
     with tempfile.TemporaryDirectory(prefix="hedgerow-") as folder:
         command = [sys.executable, "-m", "hedgerow.orchestrator", "up", network, "--viewer", viewer]
         command += ["--json", "--run-dir", str(Path(folder) / "run"), *options]
@@ -75,7 +75,7 @@ def ours(network: str, *options: str, viewer: str = "none", on_say: Say = lambda
 
 @contextlib.contextmanager
 def watching() -> Iterator[Viewer]:
-    """A viewer of one run, killed afterwards."""
+    """Provide a viewer for one run, and kill it afterwards."""
     viewer = native(*([] if has_display() else ["--headless"]))
     assert viewer.process is not None
     try:
@@ -96,7 +96,7 @@ def watching() -> Iterator[Viewer]:
 
 
 def watched(network: str, *options: str, freeze: bool = False) -> dict[str, Any]:
-    """The verdict of a run that a viewer shows, which with `freeze` stops taking anything in soon after the start."""
+    """Return the verdict of a run with a viewer; with `freeze`, the viewer stops reading soon after the start."""
     with watching() as viewer:
         assert viewer.process is not None
         timer = threading.Timer(FREEZE_AFTER_S, viewer.process.send_signal, [signal.SIGSTOP])
@@ -117,7 +117,7 @@ def watched(network: str, *options: str, freeze: bool = False) -> dict[str, Any]
 def main() -> None:
     """Print the table, or JSON with `--json`."""
     parser = argparse.ArgumentParser(description=main.__doc__)
-    parser.add_argument("--nodes", type=int, help="a ring of so many nodes in two processes, in place of paper7")
+    parser.add_argument("--nodes", type=int, help="a ring of this number of nodes in two processes, in place of paper7")
     parser.add_argument("--steps", type=int, default=3000)
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--no-viewer", action="store_true", help="leave the viewers out")

@@ -1,7 +1,8 @@
-"""What big networks cost from file to processes: `python -m benchmarks.networks`, a row a graph and size.
+"""The cost of large networks from the file to the processes: `python -m benchmarks.networks`, one row per graph and
+size.
 
-Each row is a process of its own: seconds of CPU for each stage, and the most memory that it ever had. With `--unequal`
-each network also has a random gain for every node and a random weight for every edge, and a row of ratios follows.
+Each row is a separate process: CPU seconds for each stage, and its peak memory. With `--unequal` each network also has
+a random gain for every node and a random weight for every edge, and a row of ratios follows.
 """
 
 from __future__ import annotations
@@ -38,13 +39,13 @@ GRAPHS = {
 }
 STAGES = ("load", "resolve", "partition", "gamma*", "write", "read", "steps", "load again")
 STEPS = 20
-"""of all shards and of the plant, after two that are not counted"""
+"""the number of steps of all shards and of the plant, after two that are not counted"""
 UNEQUAL = (", weight: {random: [0.5, 1]}", "b: {random: [0.05, 0.1]}, ")
 """under `graph:` and under `defaults:`"""
 
 
 def measure(graph: str, nodes: int, processes: int, unequal: bool = False) -> dict[str, float]:
-    """Seconds of CPU by stage, MB at most, and the part of the edges that cross between processes."""
+    """Return the CPU seconds by stage, the peak memory [MB], and the share of the edges between processes."""
     spent: dict[str, float] = {}
 
     @contextmanager
@@ -117,10 +118,10 @@ def main() -> None:
 
 
 def _measured(graph: str, nodes: int, processes: int, unequal: bool) -> dict[str, float]:
-    """The numbers of one network, by a process of its own."""
+    """Return the numbers of one network, measured in a separate process."""
     command = [sys.executable, "-m", "benchmarks.networks", "--one", "--graphs", graph, "--sizes", str(nodes)]
     command += ["--processes", str(processes), *(["--unequal"] if unequal else [])]
-    # One thread, so that seconds of CPU are those that a machine with nothing else to do would need.
+    # Use one thread, so that the CPU seconds are those of an idle machine.
     environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     output = subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
     row: dict[str, float] = json.loads(output)

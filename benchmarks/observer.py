@@ -1,4 +1,4 @@
-"""What observing a large network costs: CPU seconds a step of the loop, and of what `up` does beside it.
+"""The cost of observing a large network: CPU seconds per step of the loop, and of the other work of `up`.
 
 python -m benchmarks.observer --kinds ring,grid --nodes 10000,100000,1000000 --steps 5
 """
@@ -32,7 +32,7 @@ PARTS = ("loop", "twins", "certificate", "other metrics and checks", "tables", "
 
 
 class Clock:
-    """CPU seconds of this thread, by part; a part within another is not counted as the other's."""
+    """The CPU seconds of this thread, by part; a part within another is counted only once."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = defaultdict(float)
@@ -40,7 +40,7 @@ class Clock:
 
     @contextmanager
     def of(self, part: str) -> Iterator[None]:
-        """What the block takes."""
+        """Count the time of the block."""
         began = time.thread_time()
         self._within.append(0.0)
         yield
@@ -60,7 +60,7 @@ class Clock:
 
 
 def measure(kind: str, nodes: int, steps: int) -> dict[str, Any]:
-    """One network: seconds a step by part, once for gamma*, and the memory at most [MB]."""
+    """Return the numbers of one network: seconds per step by part, once for gamma*, and the peak memory [MB]."""
     text = {"name": kind, "b": 0.1, "steps": steps, "seed": 1, "graph": {"kind": kind, "nodes": nodes}}
     text["defaults"] = {"x0": 5, "candidates": {"random": 5}, "disturbance": {"kind": "white", "std": 0.5}}
     topology = resolve(parse(json.dumps(text).encode(), kind, Path()))

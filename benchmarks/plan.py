@@ -1,12 +1,12 @@
-"""`python -m benchmarks.plan`: what a step costs past this machine, by a model of figures that are measured here.
+"""`python -m benchmarks.plan`: the cost of a step beyond this machine, by a model with numbers that are measured here.
 
-Measured: the seconds of CPU a node that the plant and the agents spend on a step, in one process at `--nodes` nodes;
-how many nodes of a graph of that size, cut into `--machines` parts by our partition, have a neighbour in another part,
-and how many pairs of parts are neighbours. Known: the bytes of every message (wire.codec).
+Measured: the CPU seconds per node and step of the plant and the agents, in one process at `--nodes` nodes. Also
+measured, for a graph of that size in `--machines` parts: the nodes with a neighbour in another part, and the pairs of
+neighbouring parts. Known: the bytes of every message (wire.codec).
 
-Modelled, for `--far` nodes on so many machines: the CPU of a machine is that of its share of the nodes. Where nodes lie
-next to each other (grid) the border of a part grows with the root of its size, elsewhere with its size. Not in the
-model: what it costs to send and to take in bytes, which `python -m benchmarks.shards` measures, and waiting.
+Modelled, for `--far` nodes on the same number of machines: the CPU time of a machine is that of its share of the nodes.
+In a grid, the border of a part grows with the root of its size; in other graphs, it grows with its size. The model
+leaves out the cost to send and to receive bytes, which `python -m benchmarks.shards` measures, and waiting.
 """
 
 from __future__ import annotations
@@ -33,30 +33,30 @@ from hedgerow.topologies.schema import Topology
 from hedgerow.wire.codec import REPORT_ROWS, encode_input, encode_state, telemetry_bytes
 
 GRAPHS = {"grid": 0.5, "random_regular": 1.0}
-"""By graph: the power of its size that the border of a part grows with."""
+"""By graph: the exponent of a part's size in the size of its border."""
 STEPS, WARM_UP = 13, 3
 
 
 class Step(NamedTuple):
-    """CPU seconds of a step."""
+    """The CPU seconds of a step."""
 
     plant: float
     agents: float
 
 
 class Border(NamedTuple):
-    """Where parts of a graph meet, on average over the parts."""
+    """The borders between parts of a graph, as means over the parts."""
 
     nodes: float
-    """of a part that have a neighbour in another"""
+    """the nodes of a part with a neighbour in another part"""
     parts: float
-    """that are its neighbours"""
+    """the number of its neighbouring parts"""
     said: float
-    """nodes that stand in its link messages, once for each part that hears them"""
+    """the nodes in its link messages, counted once for each receiving part"""
 
 
 def network(graph: str, nodes: int, folder: Path) -> Topology:
-    """A network with three candidates and a sinusoid a node."""
+    """Return a network with three candidates and a sinusoid per node."""
     file = folder / f"{graph}.yaml"
     degree = ", degree: 3" if graph == "random_regular" else ""
     file.write_text(
@@ -68,7 +68,7 @@ def network(graph: str, nodes: int, folder: Path) -> Topology:
 
 
 def step(truth: Truth, view: View) -> Step:
-    """What plant and agents spend on a step, in this process."""
+    """Return the CPU seconds of plant and agents for a step, in this process."""
     world, shard = World(truth), Shard(view)
     spent = np.zeros(2)
     for t in range(truth.steps):
@@ -88,7 +88,7 @@ def step(truth: Truth, view: View) -> Step:
 
 
 def border(graph: Graph, parts: Sequence[np.ndarray]) -> Border:
-    """What crosses between the parts."""
+    """Return the sizes of the borders between the parts."""
     home = np.empty(graph.n, dtype=np.int64)
     for p, nodes in enumerate(parts):
         home[nodes] = p
@@ -110,7 +110,7 @@ def main() -> None:
     n, far, machines = known.nodes, known.far, known.machines
     nothing = np.zeros(1)
     header = len(encode_state(0, nothing, b"")) - 8
-    # Edges of the far network do not lengthen what has nothing wrong to tell.
+    # In a quiet step, the edges of the far network do not lengthen a message.
     told = 8
     said = len(encode_input(0, nothing, np.zeros((REPORT_ROWS, 1)), b"")) - header
     seen = telemetry_bytes(1, 0) - header
@@ -122,7 +122,7 @@ def main() -> None:
             cost = step(truth_of(topology, whole), views_of(topology, whole)[0])
             met = border(topology.graph, partition(topology.graph, machines))
         grown = (far / n) ** power
-        # Link messages carry x and u of a node; a plant that is cut up needs u alone, once for each part.
+        # Link messages carry x and u of a node; a divided plant needs only u, once for each part.
         crossing_bytes = met.said * grown * (16 + 8)
         columns.append(
             {

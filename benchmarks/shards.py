@@ -2,10 +2,10 @@
 
 The engine is `hedgerow.orchestrator.runs.reference`: plant and agents in one process, without an observer. The shards
 are the plant and the agents as `orchestrator up` starts them. The benchmark receives telemetry and computes nothing
-from it: it measures the loop with its messages, and no metrics.
-Both give the same last state, bit for bit, which is checked.
+from it: it measures the loop with its messages, without metrics. Both give the same last state, bit for bit; the
+benchmark checks this.
 
-Every round runs each in turn; the table gives medians over the rounds, of wall time, and of the ratios within a round.
+Every round runs each in turn. The table gives medians over the rounds, of wall time and of the ratios within a round.
 """
 
 from __future__ import annotations
@@ -45,9 +45,9 @@ from hedgerow.wire.stream import Inbox
 
 SIZES = [10**2, 10**3, 10**4, 10**5, 10**6]
 NODE_STEPS = 4_000_000
-"""how many nodes times steps a measurement lasts"""
+"""the number of nodes times steps of a measurement"""
 WARM_UP = 4
-"""steps that are not counted: memory is found for the first time, and loops are loaded"""
+"""the number of steps that are not counted: they allocate memory and load loops"""
 DEADLINE_S = 300.0
 
 
@@ -69,7 +69,7 @@ def network_of(kind: str, nodes: int, steps: int, folder: Path, unequal: bool = 
 
 
 def engine(truth: Truth, views: Sequence[View]) -> tuple[float, Array]:
-    """Steps per second of the in-process engine, and the last state."""
+    """Return the steps per second of the in-process engine, and the last state."""
     began, x = 0.0, truth.x0
     for row in reference.run(truth, views):
         if row.t == WARM_UP - 1 and isinstance(row, Telemetry):
@@ -79,16 +79,16 @@ def engine(truth: Truth, views: Sequence[View]) -> tuple[float, Array]:
 
 
 class Apart(NamedTuple):
-    """What a run in processes of their own came to."""
+    """The results of a run in separate processes."""
 
     steps_per_s: float
     x: Array
     cpu_ms: Sequence[float]
-    """a step: of the plant, of the agents' processes, and of who takes telemetry in"""
+    """the CPU time per step of the plant, of the agents' processes, and of the receiver of telemetry"""
 
 
 def shards(truth: Truth, views: Sequence[View], folder: Path) -> Apart:
-    """The same of processes: the plant, and one for each view."""
+    """Return the same for separate processes: the plant, and one for each view."""
     endpoint = f"unixsock-stream/{folder / 'router.sock'}"
     truth.write(folder / "plant.npz")
     commands = [["plant", str(folder / "plant.npz"), "--listen", endpoint]]
@@ -108,13 +108,13 @@ def shards(truth: Truth, views: Sequence[View], folder: Path) -> Apart:
         return _observe(endpoint, truth.steps, len(truth.ids), [psutil.Process(pid) for pid in pids])
     finally:
         for command, process in zip(commands, processes, strict=True):
-            _, said = process.communicate()  # its lifeline is cut, should it still be there
+            _, said = process.communicate()  # this closes its lifeline, in case it still runs
             if process.returncode:
                 print(f"{' '.join(command)}: {said.decode()}", file=sys.stderr)
 
 
 def _observe(endpoint: str, steps: int, n: int, processes: Sequence[psutil.Process]) -> Apart:
-    """Take everything in, and say so, until the end."""
+    """Receive and acknowledge all messages, until the end."""
     keep_memory()
     inbox, something = Inbox(), threading.Event()
 
@@ -155,7 +155,7 @@ def _observe(endpoint: str, steps: int, n: int, processes: Sequence[psutil.Proce
 
 
 def measure(nodes: int, processes: int, rounds: int) -> dict[str, float]:
-    """One row of the table."""
+    """Return one row of the table."""
     steps = WARM_UP + max(10, min(3000, NODE_STEPS // nodes))
     runs = []
     with tempfile.TemporaryDirectory(prefix="hedgerow-") as scratch:

@@ -1,11 +1,12 @@
-"""`python -m benchmarks.suite`: the same loop as ours beside what others would build it with.
+"""`python -m benchmarks.suite`: our loop and the same loop with other libraries.
 
-Every peer (benchmarks/peers/) runs the same network in the same steps: a process for every node and one for the plant,
-x_i down, u_i up, (x, u) to the neighbours, in lockstep, with the same law. Its trajectory is compared with that of the
-in-process reference. Rounds are interleaved: a ratio is to the pyzmq loop of the same round, and the table has medians.
+Every peer (benchmarks/peers/) runs the same network in the same steps. It has a process for every node and one for the
+plant; x_i goes down, u_i up, and (x, u) to the neighbours, in lockstep and with the same law. Its trajectory is
+compared with that of the in-process reference. Rounds are interleaved: a ratio is to the pyzmq loop of the same round,
+and the table has medians.
 
-A peer that is not installed is passed over by name: `pip install -e '.[peers]'` has them all. After a run, and after
-Ctrl-C, no process of a peer is left.
+The name of a missing peer is printed: `pip install -e '.[peers]'` installs all. After a run, and after Ctrl-C, no
+process of a peer remains.
 """
 
 from __future__ import annotations
@@ -44,14 +45,14 @@ from hedgerow.wire.runtime import runtime_environment
 
 HERE = Path(__file__).parent
 BESIDE = "pyzmq"
-"""whose loop ratios are to"""
+"""the peer that ratios refer to"""
 NODES = (7, 20, 60)
 STEPS = {7: 2000, 20: 800, 60: 300}
-"""by the number of nodes; the least number of a network with more"""
+"""the number of steps by the number of nodes; a larger network has the smallest one"""
 OURS = ("ours", "ours-2", "simulate")
 QUICK_STEPS = 20
 FASTER = {"numpy": 10, "datagrams": 2, "simulate": 2}
-"""who takes so many times the steps, to last as long as the others"""
+"""peers with this multiple of the steps, to last as long as the others"""
 DEADLINE_S = 300.0
 
 
@@ -68,14 +69,14 @@ class Round:
     first_step_s: float | None = None
     pss_mb: float | None = None
     equal: bool | None = None
-    """whether its trajectory is that of the reference, to the bit"""
+    """True if its trajectory equals that of the reference, bit for bit"""
     off_by: float | None = None
-    """the greatest difference of a state or an input, if not"""
+    """the largest difference of a state or an input, if not"""
     failure: str = ""
 
 
 def network_of(nodes: int, folder: Path) -> Network:
-    """paper7 for seven nodes, else a ring."""
+    """Return paper7 for seven nodes, otherwise a ring."""
     file = "paper7" if nodes == 7 else ring(nodes, folder)
     topology = resolve(load(file))
     own = topology.nodes.values()
@@ -98,7 +99,7 @@ def _components(disturbance: Any) -> list[dict[str, Any]]:
 
 
 def reference(network: Network, steps: int) -> tuple[Array, Array]:
-    """x(0) .. x(T - 1) and u(0) .. u(T - 1) of the in-process reference, (T, n) both."""
+    """Return x(0) to x(T - 1) and u(0) to u(T - 1) of the in-process reference, (T, n) both."""
     topology = resolve(load(network.file).model_copy(update={"steps": steps}))
     everybody = [range(len(network))]
     rows = in_process.run(truth_of(topology, everybody), views_of(topology, everybody))
@@ -107,13 +108,13 @@ def reference(network: Network, steps: int) -> tuple[Array, Array]:
 
 
 def adopt_orphans() -> None:
-    """Make processes whose parents end children of this one (Linux), so that `end_all` finds them."""
+    """Adopt processes after the end of their parents (Linux), so that `end_all` finds them."""
     pr_set_child_subreaper = 36
     ctypes.CDLL(None).prctl(pr_set_child_subreaper, 1)
 
 
 def end_all() -> None:
-    """Kill all processes that this one, or a process below it, has started."""
+    """Kill all processes that this one, or a descendant, has started."""
     while children := psutil.Process().children(recursive=True):
         for child in children:
             with contextlib.suppress(psutil.NoSuchProcess):
@@ -122,7 +123,7 @@ def end_all() -> None:
 
 
 def run_once(peer: str, network: Network, steps: int, number: int) -> Round:
-    """One run in processes of its own, none of which is left."""
+    """Return one run in separate processes; none of them remains."""
     with tempfile.TemporaryDirectory(prefix="hedgerow-") as scratch:
         folder = Path(scratch)
         network.write(folder / "network.json")
@@ -149,14 +150,14 @@ def run_once(peer: str, network: Network, steps: int, number: int) -> Round:
 
 
 def steps_of(peer: str, nodes: int, quick: bool) -> int:
-    """How many steps a peer makes with so many nodes."""
+    """Return the number of steps of a peer with this number of nodes."""
     if quick:
         return QUICK_STEPS
     return STEPS.get(nodes, min(STEPS.values())) * FASTER.get(peer, 1)
 
 
 def measure(peers: Sequence[str], sizes: Sequence[int], rounds: int, quick: bool) -> list[Round]:
-    """All runs: for every size, in every round, each peer in turn."""
+    """Return all runs: for every size, in every round, each peer in turn."""
     done = []
     with tempfile.TemporaryDirectory(prefix="hedgerow-") as scratch:
         for nodes in sizes:
@@ -178,14 +179,14 @@ class Row:
     nodes: int
     steps_per_s: float
     ratio: float | None
-    """to BESIDE in the same round; None where that did not run"""
+    """the ratio to BESIDE in the same round; None if that did not run"""
     first_step_s: float
     pss_mb: float
     equal: bool
 
 
 def medians(rounds: Sequence[Round]) -> list[Row]:
-    """A row for each peer and size, of the rounds that did not fail."""
+    """Return one row for each peer and size, from the rounds that did not fail."""
     ran = [one for one in rounds if not one.failure]
     beside = {(one.nodes, one.round): one.steps_per_s for one in ran if one.peer == BESIDE}
     rows = []
@@ -212,7 +213,7 @@ def medians(rounds: Sequence[Round]) -> list[Row]:
 
 
 def table(rows: Sequence[Row], failed: Sequence[Round], skipped: Sequence[str]) -> str:
-    """The rows as a table in Markdown, and then who is missing."""
+    """Return the rows as a table in Markdown, and the names of missing peers."""
     sizes = sorted({row.nodes for row in rows})
     most = max(sizes, default=0)
     head = ["loop"] + [f"N = {n} [steps/s]" for n in sizes] + [f"ratio at {n}" for n in sizes]
@@ -237,7 +238,7 @@ def table(rows: Sequence[Row], failed: Sequence[Round], skipped: Sequence[str]) 
 
 
 def machine() -> dict[str, Any]:
-    """What it ran on."""
+    """Return the facts of this machine."""
     return {
         "machine": platform.machine(),
         "cores": os.cpu_count(),
@@ -248,7 +249,7 @@ def machine() -> dict[str, Any]:
 
 
 def commit() -> str:
-    """The commit that ran, `+` where the files are not those of it; empty outside a repository."""
+    """Return the commit that ran, with `+` if the files differ from it; empty outside a repository."""
     command = ["git", "-C", str(HERE), "describe", "--always", "--dirty=+", "--exclude=*"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     return done.stdout.strip()
@@ -277,7 +278,7 @@ def _arguments() -> argparse.Namespace:
 
 
 def _of_all(known: argparse.Namespace) -> bool:
-    """Whether all peers are measured at the sizes of the table in docs/performance.md."""
+    """Return True if all peers are measured at the sizes of the table in docs/performance.md."""
     return known.only is None and known.nodes == ",".join(map(str, NODES))
 
 
@@ -315,7 +316,7 @@ def _run(known: argparse.Namespace) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Measure, print the table, and write what was measured; exit code 1 if a peer failed or is not equal."""
+    """Measure, print the table, and write the measurements; exit code 1 if a peer failed or is not equal."""
     known = _arguments()
     result = json.loads(known.result.read_text(encoding="utf-8")) if known.result else _run(known)
     if known.results and not known.result:

@@ -1,4 +1,4 @@
-"""What a benchmark measured: a row a size, printed as soon as it is known, or all as JSON."""
+"""The results of a benchmark: one row per size, printed as soon as it is known, or all as JSON."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 
 
 def show(measured: Iterable[Mapping[str, float]], width: int, as_json: bool) -> None:
-    """Print rows with the same columns, each so many characters wide."""
+    """Print rows with the same columns, each with this width."""
     rows = []
     for row in measured:
         rows.append(row)

@@ -1,4 +1,4 @@
-"""Make docs/images/paper7.gif: a run of paper7 over Zenoh, as the viewer shows it while it happens.
+"""Make docs/images/paper7.gif: a run of paper7 over Zenoh, as the viewer shows it live.
 
     python docs/animation.py
 
@@ -32,7 +32,7 @@ FAULTS = [
 ]
 SIZE = (1280, 720)
 CROP = (0, 36, 1280, 690)
-"""without the bars of the viewer's window"""
+"""the viewer's window without its bars"""
 WIDTH = 960
 FRAME_MS = 125
 LAST_MS = 2500
@@ -40,7 +40,7 @@ IMAGE = Path(__file__).parent / "images" / "paper7.gif"
 
 
 def pictures(folder: Path) -> list[Image.Image]:
-    """Run the network and return what the viewer showed, one picture after the other, without repetitions."""
+    """Run the network and return the pictures of the viewer in order, without repetitions."""
     viewer = native("--headless", "--window-size", f"{SIZE[0]}x{SIZE[1]}")
     assert viewer.process is not None
     try:
@@ -70,7 +70,8 @@ def main() -> None:
         frames = pictures(Path(folder))
     height = round(WIDTH * frames[0].height / frames[0].width)
     small = [frame.resize((WIDTH, height), Image.Resampling.LANCZOS) for frame in frames]
-    # One palette for all frames: else each frame shifts the colours of what did not change, and the file grows.
+    # Use one palette for all frames: otherwise each frame would change the colours of unchanged parts, and the file
+    # would grow.
     sheet = Image.new("RGB", (WIDTH, height * 4))
     for k in range(4):
         sheet.paste(small[(k + 1) * len(small) // 5], (0, k * height))

@@ -1,7 +1,7 @@
 """The settings of the site: `sphinx-build -W docs BUILD` writes its pages.
 
-The pages are Markdown. The command line is described by the program itself, and the Python interface by its
-docstrings, so both are read anew at every build. Nothing is fetched: the build works without a network.
+The pages are Markdown. The program itself describes the command line, and the docstrings describe the Python interface,
+so both are read again at every build. Nothing is fetched: the build works without a network.
 """
 
 from __future__ import annotations

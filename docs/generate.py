@@ -1,9 +1,9 @@
-"""Writes docs/topology.md from docs/topology.md.in, the schema, the bundled files, and what the command prints.
+"""Write docs/topology.md from docs/topology.md.in, the schema, the bundled files, and the output of commands.
 
     python docs/generate.py           write it
     python docs/generate.py --check   exit with 1 when it is stale
 
-A line `<!-- generate: NAME ARGUMENT -->` of the template is replaced by what the function of that name returns.
+The result of the function NAME replaces a line `<!-- generate: NAME ARGUMENT -->` of the template.
 """
 
 from __future__ import annotations
@@ -25,9 +25,11 @@ import yaml
 from pydantic import AfterValidator
 from pydantic.fields import FieldInfo
 
+from hedgerow.topologies import disturbances as disturbance_models
 from hedgerow.topologies import faults, generators, schema
-from hedgerow.topologies.base import Model
+from hedgerow.topologies.base import Model, Uniform
 from hedgerow.topologies.load import bundled, find, load, parse
+from hedgerow.topologies.record import Record
 from hedgerow.topologies.resolve import resolve
 
 DOCS = Path(__file__).parent
@@ -46,7 +48,7 @@ WRITTEN = {
     "faults": "list of [faults](#faults)",
     "record": "[mapping](#recorded-rows)",
 }
-"""What the types of the whole file cannot say in plain words."""
+"""Plain words for types of the whole file."""
 OF_RECORD = {"nodes": "list of node ids, whole number (at least 0) or `all`"}
 OF_FAULTS = {
     **dict.fromkeys(("link", "edge"), "pair of node ids"),
@@ -54,8 +56,8 @@ OF_FAULTS = {
     "groups": "list of lists of node ids",
     "steps": "pair of whole numbers",
 }
-"""What the types of a fault cannot say in plain words."""
-TYPED: dict[type[Model], dict[str, str]] = {schema.Topology: WRITTEN, schema.Record: OF_RECORD}
+"""Plain words for types of a fault."""
+TYPED: dict[type[Model], dict[str, str]] = {schema.Topology: WRITTEN, Record: OF_RECORD}
 VALIDATED = {"_one_line_name": "name"}
 """Types that a validator narrows, by the validator's name."""
 PLAIN = {float: "number", int: "whole number", bool: "`true` or `false`", str: "text", Any: "anything"}
@@ -116,7 +118,7 @@ GRAPH_EXAMPLES: dict[str, dict[str, Any]] = {
 
 
 def words(hint: Any, where: Sequence[Any] = ()) -> str:
-    """A type in plain words; `where` are the limits that surround it."""
+    """Return a type in plain words; `where` are the limits around it."""
     origin, inside = get_origin(hint), get_args(hint)
     if origin is Annotated:
         return words(inside[0], [*where, *_flat(inside[1:])])
@@ -154,7 +156,7 @@ def _power(value: float) -> str:
 
 
 def flow(value: Any) -> str:
-    """A value as it stands in a file, on one line."""
+    """Return a value as in a file, on one line."""
     if isinstance(value, Model):
         value = value.model_dump()
         value = value["kind"] if list(value) == ["kind"] else value
@@ -162,9 +164,9 @@ def flow(value: Any) -> str:
 
 
 def keys(model: type[Model], hide: Sequence[str] = (), default: Callable[[str], str] | None = None) -> str:
-    """The table of a model's keys."""
+    """Return the table of a model's keys."""
     hints = typing.get_type_hints(model, include_extras=True)
-    rows = ["| key | type | default | what it says |", "|---|---|---|---|"]
+    rows = ["| key | type | default | description |", "|---|---|---|---|"]
     for name, field in model.model_fields.items():
         if name in hide:
             continue
@@ -185,7 +187,7 @@ def keys(model: type[Model], hide: Sequence[str] = (), default: Callable[[str], 
 
 
 def topology() -> str:
-    """The keys of a whole file."""
+    """Return the keys of a whole file."""
     return keys(schema.Topology, default=lambda name: _default_of_file(schema.Topology.model_fields[name]))
 
 
@@ -194,13 +196,13 @@ def _default_of_file(field: FieldInfo) -> str:
         return "required"
     return (
         "—"
-        if isinstance(field.default, schema.Settings | schema.Record) or field.default in (None, (), {})
+        if isinstance(field.default, schema.Settings | Record) or field.default in (None, (), {})
         else f"`{flow(field.default)}`"
     )
 
 
 def node() -> str:
-    """The keys of a node, with what holds where neither the node nor `defaults:` says anything."""
+    """Return the keys of a node, with the built-in defaults."""
     return keys(schema.Node, default=_default_of_node)
 
 
@@ -210,8 +212,8 @@ def _default_of_node(name: str) -> str:
 
 
 def _kinds() -> list[type[Model]]:
-    """Every model that has a `kind`, in the order of the schema."""
-    models = [one for one in vars(schema).values() if isinstance(one, type) and issubclass(one, Model)]
+    """Return every model that has a `kind`, in the order of the schema."""
+    models = [one for one in vars(disturbance_models).values() if isinstance(one, type) and issubclass(one, Model)]
     kinds = [one for one in models if "kind" in one.model_fields]
     if missing := {one.model_fields["kind"].default for one in kinds} - EXAMPLES.keys():
         raise SystemExit(f"no example of {', '.join(missing)}: add one to EXAMPLES in docs/generate.py")
@@ -219,13 +221,13 @@ def _kinds() -> list[type[Model]]:
 
 
 def disturbances() -> str:
-    """Each kind of disturbance: its formula, an example that was read, its keys."""
+    """Return each kind of disturbance: its formula, an example that was read, its keys."""
     parts = []
     for model in _kinds():
         kind = model.model_fields["kind"].default
         example = EXAMPLES[kind]
         network: dict[str, Any] = {"name": "one", "b": 0.1, "steps": 3, "nodes": [1, 2], "edges": [[1, 2]]}
-        if model is schema.WorstCase:
+        if model is disturbance_models.WorstCase:
             network["disturbance"] = example
         else:
             network["defaults"] = {"disturbance": example}
@@ -238,7 +240,7 @@ def disturbances() -> str:
 
 
 def graphs() -> str:
-    """Each kind of graph: what it makes, an example that was read, its keys."""
+    """Return each kind of graph: its edges, an example that was read, its keys."""
     common = [*generators.Generator.model_fields]
     rows = [keys(generators.Generator)]
     for kind, model in generators.GENERATORS.items():
@@ -255,7 +257,7 @@ def graphs() -> str:
 
 
 def of_faults() -> str:
-    """Each kind of fault: what happens, examples that were read, its keys."""
+    """Return each kind of fault: its effect, examples that were read, its keys."""
     if missing := faults.KINDS.keys() - FAULT_EXAMPLES.keys():
         raise SystemExit(f"no example of {', '.join(missing)}: add one to FAULT_EXAMPLES in docs/generate.py")
     tree = load("paper7")
@@ -274,10 +276,10 @@ def of_faults() -> str:
 
 
 def random() -> str:
-    """The models that leave something to chance, and the keys under which each may stand."""
-    rows = ["| written | may stand at | what is drawn |", "|---|---|---|"]
+    """Return the models of random values, and the keys that accept them."""
+    rows = ["| written | valid at | drawn value |", "|---|---|---|"]
     owners: list[type[Model]] = [schema.Node, *_kinds()]
-    for model in (schema.Drawn, schema.Uniform, schema.NonNegativeUniform):
+    for model in (schema.Drawn, Uniform, disturbance_models.NonNegativeUniform):
         inside = "M" if model is schema.Drawn else "[low, high]"
         places = []
         for owner in owners:
@@ -295,7 +297,7 @@ def _place(owner: type[Model], name: str) -> str:
 
 
 def _members(hint: Any) -> Iterator[Any]:
-    """The members of a union, not what stands inside lists or models."""
+    """Yield the members of a union, not those inside lists or models."""
     if get_origin(hint) is Annotated:
         yield from _members(get_args(hint)[0])
     elif get_origin(hint) in (Union, types.UnionType):
@@ -306,7 +308,7 @@ def _members(hint: Any) -> Iterator[Any]:
 
 
 def bundled_files() -> str:
-    """The topologies that ship with the package, and how each of their files begins."""
+    """Return the topologies in the package, each with the start of its file."""
     rows = ["| name | nodes | edges | steps | what it is |", "|---|---|---|---|---|"]
     for name in bundled():
         network, comment = load(name), []
@@ -320,19 +322,19 @@ def bundled_files() -> str:
 
 
 class Scratch:
-    """A folder in which the commands of the document run, one after the other."""
+    """A folder for the commands of the document, which run one after another."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
 
     def file(self, name: str) -> str:
-        """A file of docs/examples, shown; the commands after it find it beside them."""
+        """Return a file of docs/examples, and put it into the folder for later commands."""
         text = (DOCS / "examples" / name).read_text(encoding="utf-8")
         (self.folder / name).write_text(text, encoding="utf-8")
         return f"```{Path(name).suffix.removeprefix('.')} {name}\n{text}```"
 
     def console(self, command: str) -> str:
-        """What `orchestrator` prints, all of it, and the code that it exits with."""
+        """Return the output of `orchestrator`, and its exit code."""
         arguments = command.split()
         ran = subprocess.run(
             [sys.executable, "-P", "-m", *arguments],
@@ -348,7 +350,7 @@ class Scratch:
         return f"```console\n$ {command}{claim}\n{printed}\n```"
 
     def resolved(self, file: str) -> str:
-        """The resolved form of a file, as a run leaves it."""
+        """Return the resolved form of a file, as in a run folder."""
         arguments = ["simulate", file, "--no-record", "--run-dir", "drawn"]
         subprocess.run(
             [sys.executable, "-P", "-m", "hedgerow.orchestrator", *arguments],
@@ -360,7 +362,7 @@ class Scratch:
 
 
 def generate() -> str:
-    """The whole document."""
+    """Return the whole document."""
     with tempfile.TemporaryDirectory() as folder:
         scratch = Scratch(Path(folder))
         makers: dict[str, Callable[..., str]] = {
@@ -369,7 +371,7 @@ def generate() -> str:
             "disturbances": disturbances,
             "faults": of_faults,
             "graphs": graphs,
-            "record": lambda: keys(schema.Record),
+            "record": lambda: keys(Record),
             "random": random,
             "bundled": bundled_files,
             "file": scratch.file,

@@ -1,6 +1,6 @@
-"""Makes the pictures and the numbers of docs/gallery.md: python docs/make_gallery.py FOLDER [PACKAGE ...]
+"""Make the pictures and the numbers of docs/gallery.md: python docs/make_gallery.py FOLDER [PACKAGE ...]
 
-It needs the extras `water` and `power`, and the package topohub, which ship the networks. PACKAGE restricts it to the
+It needs the extras `water` and `power`, and the package topohub, which contain the networks. PACKAGE restricts it to the
 networks of some packages.
 """
 
@@ -25,7 +25,7 @@ from hedgerow.topologies.importing.written import import_file
 
 
 class Shown(NamedTuple):
-    """A network of the gallery: where it lies, and how it is imported."""
+    """A network of the gallery: its file, and its import options."""
 
     name: str
     package: str

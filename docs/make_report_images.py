@@ -28,15 +28,15 @@ from hedgerow.topologies.resolve import resolve
 
 IMAGES = Path(__file__).parent / "images"
 PICTURES = {
-    "report-paper7": ("paper7", ("2", "3", "4", "5")),
-    "report-authors7": ("authors7", ("2", "3", "4", "5")),
+    "report-paper7": ("paper7", ("paper",)),
+    "report-authors7": ("authors7", ("paper",)),
     "report-paper7-ours": ("paper7", ("estimates", "regret", "cost", "gain")),
 }
-DPI, GAP, COLOURS = 200, 24, 64
+DPI, GAP, COLOURS = 180, 24, 48
 
 
 def ran(name: str, scratch: Path) -> Run:
-    """A bundled network, run in this process."""
+    """Run a bundled network in this process, and return the run."""
     topology = resolve(load(name))
     folder = create(topology, scratch / name)
     simulate_into(topology, folder, layout(topology, 1), Watching(record=False), Quiet())
@@ -44,29 +44,35 @@ def ran(name: str, scratch: Path) -> Run:
 
 
 def picture(run: Run, keys: tuple[str, ...]) -> Image.Image:
-    """Four figures, two beside each other."""
+    """Return one figure, or four in two columns."""
     drawn = []
     for kind in FIGURES:
         if kind.key in keys:
             png = io.BytesIO()
             kind.draw([run]).savefig(png, format="png", dpi=DPI)
             drawn.append(Image.open(png).convert("RGB"))
-    heights = [max(one.height for one in row) for row in (drawn[:2], drawn[2:])]
-    whole = Image.new("RGB", (2 * drawn[0].width + GAP, sum(heights) + GAP), "white")
-    for k, one in enumerate(drawn):
-        whole.paste(one, (k % 2 * (one.width + GAP), k // 2 * (heights[0] + GAP)))
+    if len(drawn) == 1:
+        return drawn[0]
+    columns = drawn[::2], drawn[1::2]
+    height = max(sum(one.height for one in column) for column in columns) + GAP
+    whole = Image.new("RGB", (2 * drawn[0].width + GAP, height), "white")
+    for k, column in enumerate(columns):
+        below = 0
+        for one in column:
+            whole.paste(one, (k * (one.width + GAP), below))
+            below += one.height + GAP
     return whole
 
 
 def numbers(run: Run) -> str:
-    """What a picture was drawn of, so that a stale one is known."""
+    """Return the numbers behind a picture, to detect an outdated one."""
     metrics = run.verdict.content["metrics"]
     said = f"{run.topology.name}: D {metrics['regret']:.6g}, nominal {metrics['regret_nominal']:.6g}"
     return said + f", gain {metrics['gain']:.6g}, {metrics['nodes_right']} right"
 
 
 def main(images: Path, pictures: Sequence[str]) -> None:
-    """Draw and write the pictures, and say of which numbers."""
+    """Draw and write the pictures, and print their numbers."""
     with tempfile.TemporaryDirectory() as scratch, look():
         runs = {name: ran(name, Path(scratch)) for name in sorted({PICTURES[file][0] for file in pictures})}
         for file in pictures:

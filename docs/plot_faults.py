@@ -1,4 +1,4 @@
-"""Make docs/images/faults.png: node 3 of docs/examples/faulty.yaml, with its faults and without them.
+"""Make docs/images/faults.png: node 3 of docs/examples/faulty.yaml, with and without its faults.
 
 python docs/plot_faults.py [IMAGE]
 """
@@ -25,23 +25,23 @@ NODE = 2  # the position of node 3
 WINDOWS = {
     (0, 12): "drop\nmessages between 2 and 3 are lost",
     (22, 32): "cut\nnothing flows between 3 and 4",
-    (42, 52): "crash\nagent 3 is dead",
+    (42, 52): "crash\nagent 3 is absent",
 }
 NOTES = (
-    (1, 6, 0.15, "no samples:\nits first candidate stays"),
-    (1, 13.5, 0.62, "back-filled: as if\nnothing was lost"),
+    (1, 6, 0.15, "no samples:\nthe first candidate stays"),
+    (1, 13.5, 0.62, "back-filled: as\nwithout the fault"),
     (1, 27, 0.73, "this flow is known to be 0:\nno sample is lost"),
-    (1, 47, 0.79, "nobody estimates"),
-    (1, 52.2, 0.62, "what it would\nhave had"),
+    (1, 47, 0.79, "no estimate"),
+    (1, 52.2, 0.62, "as without\nthe fault"),
     (2, 14.6, 2.2, "a wrong estimate costs regret"),
-    (2, 37, 0.35, "the oracle's twin has the same edges closed: no regret"),
+    (2, 37, 0.35, "the oracle has the same edges closed: no regret"),
 )
 """(panel, step, height, text)"""
-FAULTY, WITHOUT, SHADE = "#c2410c", "#475569", "#e8edf3"
+FAULTY, WITHOUT, SHADE = "#D55E00", "#555555", "#e8edf3"
 
 
 def ran(*overrides: str) -> tuple[Observer, Batch]:
-    """The network's run in this process, and all metrics of it."""
+    """Return the run of the network in this process, with all of its metrics."""
     network = resolve(load(str(HERE / "examples/faulty.yaml"), overrides))
     shards = layout(network, None)
     *rows, end = run(truth_of(network, shards), views_of(network, shards))
@@ -53,9 +53,12 @@ def ran(*overrides: str) -> tuple[Observer, Batch]:
 
 
 def draw(axes: np.ndarray[tuple[int], np.dtype[np.object_]], faulty: Batch, without: Batch) -> None:
-    """State, estimate and regret of the node, one below the other."""
+    """Draw state, estimate and regret of the node, in three rows."""
     state, estimate, regret = axes
-    for batch, colour, label, width in ((without, WITHOUT, "without faults", 1.2), (faulty, FAULTY, "with them", 2.0)):
+    for batch, colour, label, width in (
+        (without, WITHOUT, "without faults", 1.2),
+        (faulty, FAULTY, "with faults", 2.0),
+    ):
         style = {"color": colour, "lw": width, "label": label, "ls": "--" if batch is without else "-"}
         state.plot(batch.t, batch.x[:, NODE], **style)
         estimate.step(batch.t, batch.ahat[:, NODE], where="post", **style)
@@ -76,7 +79,7 @@ def draw(axes: np.ndarray[tuple[int], np.dtype[np.object_]], faulty: Batch, with
 
 
 def shade(axis: Axes) -> None:
-    """Show when a fault holds."""
+    """Mark the steps of a fault."""
     for start, stop in WINDOWS:
         axis.axvspan(start, stop, color=SHADE, zorder=0, lw=0)
     axis.spines[["top", "right"]].set_visible(False)

@@ -2,9 +2,9 @@
 
     python docs/screenshot.py
 
-The first is a run of 60 steps; the second is taken in the middle of one whose nodes 2 and 4 do not hear each other,
-while the edge between 3 and 5 is cut. Needs a graphics driver, no display: on Debian,
-`apt-get install mesa-vulkan-drivers ca-certificates`.
+The first is a run of 60 steps. The second is taken in the middle of a run, while nodes 2 and 4 receive no messages from
+each other and the edge between 3 and 5 is cut. Needs a graphics driver, no display: on Debian, `apt-get install
+mesa-vulkan-drivers ca-certificates`.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ STEPS = 60
 IMAGES = Path(__file__).parent / "images"
 FAULTS = "[{kind: drop, link: [2, 4], steps: [0, 50]}, {kind: cut, edge: [3, 5], steps: [28, 50]}]"
 DURING = 40
-"""how many steps are shown of the run with faults"""
+"""the number of steps shown of the run with faults"""
 DEADLINE_S = 60.0
 QUIET_S = 8.0
 
@@ -47,7 +47,7 @@ def stream(rerun: RerunStream, observer: Observer, steps: int) -> None:
 
 
 def settle(client: ViewerClient, image: Path) -> None:
-    """Save pictures until none has changed for QUIET_S: the viewer's notices at its start have gone by then."""
+    """Save pictures until none has changed for QUIET_S: the viewer's initial notices have gone by then."""
     now = began = changed = time.monotonic()
     before = b""
     while now < changed + QUIET_S:
@@ -77,7 +77,7 @@ def make(image: Path, faults: str, steps: int) -> None:
 
 
 def main() -> None:
-    """Both pictures."""
+    """Make both pictures."""
     make(IMAGES / "paper7.png", "[]", STEPS)
     make(IMAGES / "paper7-faults.png", FAULTS, DURING)
 

@@ -84,7 +84,7 @@ __all__ = [
 NEEDED = frozenset(
     (
         *("clarabel", "cryptography", "matplotlib", "networkx", "psutil", "pyarrow", "pydantic", "pymetis", "rerun"),
-        *("rich", "scipy", "typer", "yaml"),
+        *("rich", "scipy", "tomlkit", "typer", "yaml"),
     )
 )
 """Packages that every part except a lone agent or plant needs; pyproject.toml lists them with their versions."""

@@ -21,15 +21,17 @@ from hedgerow.orchestrator.experiments.compare import compare as run_comparison
 from hedgerow.orchestrator.experiments.compare.plan import comparison
 from hedgerow.orchestrator.experiments.worst import Found
 from hedgerow.orchestrator.experiments.worst import worst as search
+from hedgerow.orchestrator.ground import law_source
 from hedgerow.orchestrator.ground.laws import checked
 from hedgerow.orchestrator.launch import simulation
 from hedgerow.orchestrator.launch.running import Running, run_to_the_end
+from hedgerow.orchestrator.metrics.gain_bound import Method
 from hedgerow.orchestrator.metrics.guarantee import Guarantee
 from hedgerow.orchestrator.runs.folder import RunFolder, new_folder, reserve, withdraw
 from hedgerow.orchestrator.runs.reader import load_run
 from hedgerow.orchestrator.runs.run import Run
 from hedgerow.topologies.errors import Code, HedgerowError, UserError, check_options
-from hedgerow.topologies.named import Named, resolved
+from hedgerow.topologies.named import Named, resolved, text_of
 from hedgerow.topologies.paths import user_path
 from hedgerow.topologies.regular_file import read_regular
 from hedgerow.topologies.resolve import to_yaml
@@ -55,15 +57,21 @@ def load(network: Named, *settings: str, **overrides: object) -> Topology:
     return resolved(network, [*settings, *_settings(overrides)])
 
 
-def simulate(network: Named, *settings: str, run_dir: str | Path | None = None, **overrides: object) -> Run:
+def simulate(
+    network: Named,
+    *settings: str,
+    run_dir: str | Path | None = None,
+    kept_law: bool = False,
+    **overrides: object,
+) -> Run:
     """Run a network in this process, without Zenoh, and return the run.
 
     `network`, `settings` and `overrides` are those of `load`. If the file of a law changed since it was loaded, it is
     loaded again. `run_dir` is a new folder for the run, by default one in runs/. Warns if `network` is the folder of a
-    run that kept another source of the law. Raises UserError for a mistake, LawError if the law fails, and
-    HedgerowError if no step was made.
+    run that kept another source of the law; with `kept_law`, the law is loaded from that folder. Raises UserError for a
+    mistake, LawError if the law fails, and HedgerowError if no step was made.
     """
-    return simulation.simulate(network, *settings, *_settings(overrides), run_dir=run_dir)
+    return simulation.simulate(network, *settings, *_settings(overrides), run_dir=run_dir, kept=kept_law)
 
 
 def run(
@@ -74,23 +82,26 @@ def run(
     record: bool = False,
     viewer: str = "none",
     run_dir: str | Path | None = None,
+    kept_law: bool = False,
     **overrides: object,
 ) -> Run:
     """Run a network as real processes over Zenoh to its end, as `orchestrator up` does, and return the run.
 
     `network`, `settings` and `overrides` are those of `load`; `processes=3` packs the nodes into 3 processes. `rate`
     is in steps per second, 0 for as fast as possible. `verify` repeats the run in one process and compares all bits.
-    `record` writes run.rrd, and `viewer` is `native`, `web`, `none` or a URL. Ctrl-C ends the network.
+    `kept_law` loads the law from the folder of a run that `network` is. `record` writes run.rrd, and `viewer` is
+    `native`, `web`, `none` or a URL. Ctrl-C ends the network.
     Raises UserError for a mistake, and HedgerowError if the run has no verdict.
     """
     topology = _importable(load(network, *settings, **overrides))
     options = [*_options(rate, record, viewer), *(["--verify"] if verify else [])]
-    with _folder(topology, run_dir) as folder:
+    kept = law_source.kept_law(text_of(network)[2] / law_source.FOLDER) if kept_law else contextlib.nullcontext()
+    with kept, _folder(topology, run_dir) as folder:
         return run_to_the_end(topology, folder.path, *options)
 
 
 class _Started(Running):
-    """A running network whose folder goes if the network does not start."""
+    """A running network; its folder is removed if the network does not start."""
 
     def __init__(self, topology: Topology, run_dir: str | Path | None, options: Sequence[str]) -> None:
         self._run_dir = run_dir
@@ -137,9 +148,9 @@ def sweep(
 
     `network` is that of `load`; give the file rather than a Topology if each seed is to draw its own numbers. Each
     setting is `path=values`, as for `--set` on the command line: `"nodes.2.x0=1,2"`. Each keyword is a top-level key
-    with a value or a list of values: `law=["minimax", "nominal"]`. `seeds` is a range with stride 1. Runs that `out`
-    already holds are not repeated; the default is a folder in sweeps/. `jobs` is the number of runs at a time.
-    Raises UserError for a mistake, and HedgerowError if the sweep was interrupted.
+    with a value or a list of values: `law=["minimax", "nominal"]`. `seeds` is a range with stride 1. Runs in `out` are
+    not repeated; the default is a folder in sweeps/. `jobs` is the number of runs at a time. Raises UserError for a
+    mistake, and HedgerowError if the sweep was interrupted.
     """
     import pyarrow.parquet as pq  # noqa: PLC0415 (Arrow takes a while to load)
 
@@ -181,7 +192,7 @@ def report(
 
 @contextlib.contextmanager
 def _folder(topology: Topology, run_dir: str | Path | None) -> Iterator[RunFolder]:
-    """Yield the folder for a run; if the block raises before the run has begun, the folder goes."""
+    """Yield the folder for a run; remove it if the block raises an error before the run begins."""
     if run_dir is None:
         folder = reserve(topology.name)
     else:
@@ -203,13 +214,15 @@ def _options(rate: float, record: bool, viewer: str) -> list[str]:
     return ["--rate", str(rate), "--viewer", viewer, "--record" if record else "--no-record"]
 
 
-def bound(network: Named, *settings: str, full: bool = False, **overrides: object) -> Guarantee:
+def bound(network: Named, *settings: str, full: bool = False, split: bool = False, **overrides: object) -> Guarantee:
     """Return gamma* of a network, and upper bounds on the gain of the adaptive law.
 
-    `network`, `settings` and `overrides` are those of `load`. `full` seeks a full storage matrix, for up to 30 nodes. A
-    bound that cannot be computed is in `not_computed`, with the reason.
+    `network`, `settings` and `overrides` are those of `load`. `full` seeks a full storage matrix, for up to 30 nodes.
+    `split` uses one small matrix per node at any size, which may take minutes. A bound that cannot be computed is in
+    `not_computed`, with the reason.
     """
-    return bounds.bound(load(network, *settings, **overrides), full=full)
+    method = Method.FULL if full else Method.SPLIT if split else None
+    return bounds.bound(load(network, *settings, **overrides), method)
 
 
 def worst(
@@ -281,7 +294,7 @@ def _listed(value: object) -> Sequence[object]:
 
 
 def _importable(topology: Topology) -> Topology:
-    """Return a topology whose law another process can import. Raises UserError."""
+    """Return a topology with a law that another process can import. Raises UserError."""
     law = topology.law
     if isinstance(law, str) and law.startswith("__main__:"):
         name = law.partition(":")[2]

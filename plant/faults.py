@@ -26,7 +26,8 @@ class Lots:
     strike independently, and a fault elsewhere changes nothing.
     """
 
-    def __init__(self, graph: Graph, ids: Sequence[int | str] | NDArray[Any], seed: int) -> None:
+    def __init__(self, graph: Graph, ids: Sequence[int | str] | NDArray[Any], seed: int | lots.Words) -> None:
+        """`seed` is one, or one per node, (n,)."""
         self._graph, self._ids, self._seed = graph, ids, seed
         self._turns: Counter[tuple[str, int]] = Counter()
         self._keys: dict[tuple[int, str, Sequence[int]], lots.Words] = {}
@@ -42,7 +43,7 @@ class Lots:
             keys = np.empty(len(targets), dtype=np.uint64)
             for turn in np.unique(turns).tolist():
                 here = turns == turn
-                keys[here] = lots.keys(self._seed, f"{effect.kind}.{turn}", words[here])
+                keys[here] = lots.keys(self._seeds(effect.kind, targets[here]), f"{effect.kind}.{turn}", words[here])
             self._turns.update((effect.kind, target) for target in effect.targets)
             self._keys[_name(effect)] = keys
 
@@ -54,6 +55,13 @@ class Lots:
         if kind == "cut":
             return lots.edges_of(*(self._nodes(end) for end in graph.edges[targets].T))
         return self._nodes(targets)
+
+    def _seeds(self, kind: str, targets: Index) -> int | lots.Words:
+        """Return the seed of each target; both ends of an edge have the same."""
+        if isinstance(self._seed, int):
+            return self._seed
+        ends = {"drop": self._graph.node, "delay": self._graph.node, "cut": self._graph.edges[:, 0]}
+        return self._seed[ends[kind][targets] if kind in ends else targets]
 
     def _nodes(self, nodes: Index) -> lots.Words:
         if isinstance(self._ids, np.ndarray):
@@ -104,7 +112,7 @@ class Faults:
     """The faults of a run; faults may be added and ended during the run."""
 
     def __init__(
-        self, effects: Iterable[Effect], graph: Graph, ids: Sequence[int | str] | NDArray[Any], seed: int
+        self, effects: Iterable[Effect], graph: Graph, ids: Sequence[int | str] | NDArray[Any], seed: int | lots.Words
     ) -> None:
         self._graph, self._chance = graph, Lots(graph, ids, seed)
         self._sizes = {"lost": len(graph.node), "cut": len(graph.edges), "blind": graph.n, "mute": graph.n}

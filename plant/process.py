@@ -426,7 +426,9 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     where.add_argument("--listen", help="be the router of the run, on a Zenoh endpoint")
     where.add_argument("--connect", help="the router, a Zenoh endpoint")
     parser.add_argument("--rate", type=float, default=0.0, help="steps per second; 0 for as fast as possible")
-    parser.add_argument("--deadline", type=float, default=10.0, help="seconds to wait for an input before going on")
+    parser.add_argument(
+        "--deadline", type=float, default=10.0, help="seconds to wait for an input before the step is made without it"
+    )
     parser.add_argument("--start", type=float, default=START_DEADLINE_S, help="time for all processes to join [s]")
     parser.add_argument("--network", default="", help="the fingerprint that each joining process must have")
     parser.add_argument("--credentials", type=user_path, help="the folder with its certificate")

@@ -140,5 +140,5 @@ def entry(request: Request) -> Mapping[str, Any]:
 def shard(who: str, shards: int) -> int:
     """Return the number of the asking shard, from the last chunk of its key."""
     if not who.isascii() or not who.isdecimal() or len(who) > 9 or int(who) >= shards:
-        raise UserError(f"{shortened(who)} is none of the {shards} agent processes", code=Code.OPTION)
+        raise UserError(f"{shortened(who)} is not one of the {shards} agent processes", code=Code.OPTION)
     return int(who)

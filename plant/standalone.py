@@ -52,7 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
                 stack.callback(close, session)
                 stack.enter_context(room(session, config.namespace, LOG.warning))
             plant = Plant(truth, session, known.rate, known.deadline, known.wait, config.network)
-            stack.enter_context(stopped_by(plant.stop))  # the agents receive END; they may be far away
+            stack.enter_context(stopped_by(plant.stop))  # the agents receive END, even on other machines
             plant.run()
 
     standalone.main(find, known, body)

@@ -27,7 +27,8 @@ class Truth:
     """Pairs of positions in `ids`, (E, 2)."""
     disturbance: Sequence[Group]
     steps: int
-    seed: int
+    seed: int | NDArray[np.uint64]
+    """one, or for networks side by side that of each node, (n,)"""
     shards: Sequence[Index]
     """Per agent process: the positions of its nodes, ascending."""
     effects: Sequence[Mapping[str, Any]]

@@ -279,7 +279,7 @@ class World:
     def account(self, report: Array, took: Sequence[Buffer]) -> Telemetry:
         """Return the telemetry of the step that `advance` made last, even if the next one has begun.
 
-        report (REPORT_ROWS, n) and, by shard, the Flag bits taken in are in the order of the shards.
+        report (REPORT_ROWS, n) and, by shard, the Flag bits of the used inputs are in the order of the shards.
         """
         t, x, u, w, edge_open, deliveries, gone, now = self._made
         if not self._in_order:

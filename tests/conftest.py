@@ -1,4 +1,4 @@
-"""What all tests share: a place of their own, and how examples are tried."""
+"""The common setup of all tests: a temporary folder, and the settings of hypothesis."""
 
 from collections import Counter
 from pathlib import Path
@@ -11,7 +11,7 @@ from tests.tools.leftovers import nothing_lives_on
 
 __all__ = ["nothing_lives_on"]
 
-# How long an example may take says nothing on a busy machine: no deadline, unless a test is about time.
+# The time of an example means nothing on a busy machine: no deadline, unless a test is about time.
 settings.register_profile("hedgerow", deadline=None, max_examples=50, print_blob=True)
 settings.load_profile("hedgerow")
 

@@ -1,6 +1,6 @@
 """The loops beside ours: a hand-written one makes our trajectory to the bit, and the one command runs them.
 
-Peers that are large are not installed where the tests run: the suite says so, and goes on.
+Large peers are not installed where the tests run: the suite names them, and continues.
 """
 
 import importlib.util
@@ -37,7 +37,7 @@ def test_the_minds_of_the_peers_make_our_trajectory_however_messages_are_ordered
     for t in range(steps):
         said = {}
         states = [(i, (-1, t, plant.x[i], 0.0)) for i in range(7)]
-        # Odd steps: what was said at t - 1 comes after the states of t; even steps: before them.
+        # Odd steps: messages of t - 1 come after the states of t; even steps: before them.
         for i, message in states + links if t % 2 else links + states:
             if (now := ends[i].take(*message)) is not None:
                 said[i] = now
@@ -48,7 +48,7 @@ def test_the_minds_of_the_peers_make_our_trajectory_however_messages_are_ordered
         assert [said[i][2] for i in range(7)] == u[t].tolist()
 
 
-def test_one_command_runs_the_hand_written_loops_to_the_bit_and_leaves_what_was_measured(tmp_path: Path) -> None:
+def test_one_command_runs_the_hand_written_loops_bit_for_bit_and_saves_the_results(tmp_path: Path) -> None:
     if importlib.util.find_spec("zmq") is None:
         pytest.skip("pyzmq is not installed")
     plot = tmp_path / "plot.svg"
@@ -109,7 +109,7 @@ def test_ratios_are_to_the_loop_of_the_same_round() -> None:
     assert (pyzmq.ratio, ours.ratio, ours.steps_per_s) == (1.0, 0.5, 50.0)
 
 
-def test_a_trajectory_that_is_not_ours_and_a_failure_are_said() -> None:
+def test_a_different_trajectory_and_a_failure_are_reported() -> None:
     rounds = [
         Round("datagrams", 7, 0, 10, 100.0, 1.0, 10.0, equal=False, off_by=0.5),
         Round("datagrams", 20, 0, 10, failure="TimeoutExpired"),

@@ -1,4 +1,4 @@
-"""The documents say what the code does: their tables equal it, and what they show is run.
+"""The documents agree with the code: their tables equal it, and their commands are run.
 
 In a fenced block of README.md or docs/*.md
 
@@ -65,15 +65,15 @@ SLOW = {
     "your-network.md",
     "zoo.md",
 }
-"""Documents whose blocks take more than five seconds."""
+"""Documents with blocks that take more than five seconds."""
 GENERATED = "topology.md"
-"""Its commands are run by docs/generate.py, which writes down what they print: test_topology_md_is_fresh."""
+"""docs/generate.py runs its commands and writes their output: test_topology_md_is_fresh."""
 COMMAND_DEADLINE_S = 120.0
 
 
 @dataclass(frozen=True)
 class Block:
-    """One fenced block: its language, the file name behind it, the line it starts on, and what stands in it."""
+    """One fenced block: its language, the file name after it, its first line, and its content."""
 
     language: str
     name: str
@@ -82,7 +82,9 @@ class Block:
 
 
 def blocks(document: Path) -> Iterator[Block]:
-    """The fenced blocks of a document, in order; a block of output right behind a block is told by its line."""
+    """Yield the fenced blocks of a document, in order; a block of output right after a block is recognised by its
+    line.
+    """
     fence = re.compile(r"^```(\w+)?[ ]*(\S*)[^\n]*\n(.*?)^```$", re.MULTILINE | re.DOTALL)
     text = document.read_text(encoding="utf-8")
     for found in fence.finditer(text):
@@ -91,12 +93,12 @@ def blocks(document: Path) -> Iterator[Block]:
 
 
 def follows(before: Block, block: Block) -> bool:
-    """Whether nothing but an empty line stands between two blocks."""
+    """Return True if only an empty line separates two blocks."""
     return block.line == before.line + before.text.count("\n") + 3
 
 
 def commands(console: str) -> Iterator[tuple[str, int, str]]:
-    """Each command to run, the code that it should exit with, and the output that is shown."""
+    """Yield each command to run, its expected exit code, and its output on the page."""
     for part in re.split(r"^\$ ", console, flags=re.MULTILINE)[1:]:
         command, _, shown = part.partition("\n")
         command, _, comment = command.partition("#")
@@ -107,13 +109,13 @@ def commands(console: str) -> Iterator[tuple[str, int, str]]:
 
 
 def same_output(shown: str, printed: str) -> bool:
-    """Whether what is shown was printed, up to blanks and with `...` for anything."""
+    """Return True if the shown output was printed, up to blanks and with `...` for any text."""
     flags = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
     return doctest.OutputChecker().check_output(shown.strip(), printed.strip(), flags)
 
 
 class Scratch:
-    """The folder of a document: nothing outside it is written, nobody outside it is seen."""
+    """The folder of a document: no command writes or reads outside of it."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -147,8 +149,8 @@ def document_parameters() -> list[Any]:
 
 
 @pytest.mark.parametrize("document", document_parameters())
-def test_a_document_shows_what_happens(document: Path, tmp_path: Path) -> None:
-    """Every command exits as claimed, every program runs, and what is shown of either is what it prints."""
+def test_a_document_shows_the_real_output(document: Path, tmp_path: Path) -> None:
+    """Every command exits as claimed, every program runs, and their outputs equal those on the page."""
     scratch = Scratch(tmp_path)
     program: tuple[Block, str] | None = None
     for block in blocks(document):
@@ -175,13 +177,13 @@ def test_a_document_shows_what_happens(document: Path, tmp_path: Path) -> None:
 
 
 def test_there_is_something_to_run() -> None:
-    """A fence that is never recognised would make the test above pass."""
+    """An unrecognised fence would make the test above pass."""
     shown = [(block.language, *commands(block.text)) for path in DOCS for block in blocks(path)]
     assert sum(language == "console" and bool(rest) for language, *rest in shown) > 10
     assert sum(language == "python" for language, *_ in shown) > 5
 
 
-def test_every_example_stands_in_a_document() -> None:
+def test_every_example_is_in_a_document() -> None:
     """A block with the name of a file in docs/examples is that file, and no file there is shown nowhere."""
     shown = {block.name: block.text for path in DOCS for block in blocks(path) if block.name}
     examples = {
@@ -192,7 +194,7 @@ def test_every_example_stands_in_a_document() -> None:
 
 @pytest.mark.slow
 def test_topology_md_is_fresh() -> None:
-    """docs/topology.md is what docs/generate.py writes."""
+    """docs/topology.md is the output of docs/generate.py."""
     ran = subprocess.run(
         [sys.executable, str(ROOT / "docs/generate.py"), "--check"], capture_output=True, text=True, check=False
     )
@@ -200,7 +202,7 @@ def test_topology_md_is_fresh() -> None:
 
 
 def test_the_picture_of_faults_is_fresh(tmp_path: Path) -> None:
-    """docs/plot_faults.py draws, and the picture that stands in docs/faults.md was drawn from the same numbers."""
+    """docs/plot_faults.py draws, and the picture in docs/faults.md has the same numbers."""
     image = tmp_path / "faults.png"
     ran = subprocess.run(
         [sys.executable, "-W", "error", str(ROOT / "docs/plot_faults.py"), str(image)],
@@ -243,7 +245,7 @@ def headings(document: Path) -> set[str]:
 
 
 def table(document: str, heading: str, number: int = 0) -> list[dict[str, str]]:
-    """The rows of the given table of a section, by column name; backquotes are left out."""
+    """Return the rows of a table of a section, by column name, without backquotes."""
     text = (ROOT / "docs" / document).read_text(encoding="utf-8")
     section = re.split(r"^#+ ", text.split(f"# {heading}\n", 1)[1], maxsplit=1, flags=re.MULTILINE)[0]
     found = re.findall(r"(?:^\|.*\|\n)+", section, flags=re.MULTILINE)[number]
@@ -255,7 +257,7 @@ def table(document: str, heading: str, number: int = 0) -> list[dict[str, str]]:
 K, M, N, E, T, S = 3, 5, 4, 2, 7, 2
 BACK = np.array([True, False, True])
 R, D = 2, 3
-"""The nodes that come back, and their incidences."""
+"""The returning nodes, and their incidences."""
 ARRAYS = {
     name: np.arange(1.0, 1 + size).reshape(shape) / 7 + offset
     for offset, (name, size, shape) in enumerate(
@@ -334,7 +336,7 @@ def test_the_byte_tables_are_the_codec(name: str) -> None:
     assert packed_by(name, values, len(TEXT) if name == "event" else S) == message
 
 
-def test_what_is_left_out_and_what_goes_in_a_batch() -> None:
+def test_optional_parts_of_messages_and_of_a_batch() -> None:
     """A state may end before its spans, or before its flags, and others before their bits; a batch has one message, or
     several, in one part or in more."""
     whole, _ = MESSAGES["state"]
@@ -360,7 +362,7 @@ def test_every_message_has_a_table() -> None:
 
 
 def test_the_keys_are_those_of_the_code() -> None:
-    """Each key of wire.keys has a row in docs/wire.md, and no other has."""
+    """Each key of wire.keys has a row in docs/wire.md, and there are no further rows."""
     patterns = {
         "state": keys.state(0).replace("0", "{p}"),
         "input_": keys.input_(0).replace("0", "{p}"),
@@ -378,18 +380,18 @@ def test_the_keys_are_those_of_the_code() -> None:
 
 
 def test_the_commands_and_events_are_those_of_the_code() -> None:
-    """Each command that the plant answers, each event that it tells, and no other, has a row in docs/wire.md."""
+    """Each command that the plant answers, each event that it reports, and no other, has a row in docs/wire.md."""
     files = ("control", "process", "shards")
     control, process, shards = ((ROOT / f"plant/{name}.py").read_text(encoding="utf-8") for name in files)
     commands = set(re.findall(r'"(\w+)": self\._\w+,', control))
-    # Who joins has a key of its own for it.
+    # A process that joins has a separate key.
     assert commands == {row["command"] for row in table("wire.md", "Commands")} == {*keys.COMMANDS, "join"}
     events = set(re.findall(r'\._?tell\(\s*"(\w+)"', control + process + shards))
     assert events == {row["event"] for row in table("wire.md", "event", 1)}
 
 
 def test_the_deadlines_are_those_of_the_code() -> None:
-    """Each constant that docs/wire.md names has the value that it says."""
+    """Each constant in docs/wire.md has the value on the page."""
     for row in table("wire.md", "Deadlines"):
         names = row["constant"].split(".")
         depth = next(k for k, name in enumerate(names) if not name.islower())
@@ -401,14 +403,14 @@ def test_the_deadlines_are_those_of_the_code() -> None:
 
 
 def test_the_session_settings_are_those_of_the_code() -> None:
-    """Each setting that docs/wire.md lists is what sessions are opened with."""
+    """Each setting in docs/wire.md is a setting of the sessions."""
     config = session._config(None, {})
     for row in table("wire.md", "Router and sessions"):
         assert config.get_json(row["setting"]) == row["value"], row["setting"]
 
 
 def test_every_error_code_is_in_errors_md() -> None:
-    """Each code has a row, and no other has."""
+    """Each code has a row, and there are no further rows."""
     assert [row["code"] for row in table("errors.md", "Codes")] == [*Code]
 
 
@@ -425,8 +427,8 @@ def test_every_kind_of_fault_is_in_faults_md() -> None:
     assert fields == {*counted, "beyond"}
 
 
-def test_every_metric_is_where_theory_md_says() -> None:
-    """Fields, columns and entities exist; and no metric of a verdict, no entity of Rerun, is left out."""
+def test_every_metric_is_in_the_place_that_theory_md_gives() -> None:
+    """Fields, columns and entities exist; the page has every metric of a verdict and every entity of Rerun."""
     topology = resolve(load("paper7"))
     observer, batch = observe(topology, simulate(topology))
     rows = table("theory.md", "Metrics")
@@ -455,7 +457,7 @@ def orchestrator(scratch: Scratch, *arguments: str) -> subprocess.Popen[str]:
 
 
 def test_the_run_folder_is_as_described(tmp_path: Path) -> None:
-    """Every file, every column and its type, every field of the verdict, and nothing that is not said."""
+    """Every file, every column and its type, and every field of the verdict is on the page, and nothing is missing."""
     scratch = Scratch(tmp_path)
     code, printed = scratch.run("orchestrator", "up", "paper7", "--viewer", "none", "--run-dir", "run")
     assert code == 0, printed
@@ -488,7 +490,7 @@ def test_the_run_folder_is_as_described(tmp_path: Path) -> None:
 
 
 def test_the_sign_of_an_edge_input() -> None:
-    """u_edge of the edge (i, j) is u_j - u_i, as docs/run-folder.md says."""
+    """u_edge of the edge (i, j) is u_j - u_i, as in docs/run-folder.md."""
     topology = read("{name: pair, b: 0.1, steps: 3, defaults: {x0: 5}, nodes: {1: {}, 2: {x0: 1}}, edges: [[2, 1]]}")
     _, batch = observe(topology, simulate(topology))
     np.testing.assert_array_equal(batch.u_edge[:, 0], batch.u[:, 0] - batch.u[:, 1])
@@ -507,7 +509,7 @@ def started(scratch: Scratch) -> subprocess.Popen[str]:
     raise AssertionError("the run ended before its first step")
 
 
-def test_ctrl_c_leaves_a_whole_folder(tmp_path: Path) -> None:
+def test_ctrl_c_leaves_a_complete_folder(tmp_path: Path) -> None:
     """Exit code 3, the verdict unknown, and tables that can be read."""
     process = started(Scratch(tmp_path))
     process.send_signal(signal.SIGINT)

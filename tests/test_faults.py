@@ -1,4 +1,4 @@
-"""Faults in one process: what they do to the plant, to what nodes know, and to nothing else."""
+"""Faults in one process: their effects on the plant and on the knowledge of nodes, and no others."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_faults_mean_the_same_in_every_layout(topology: Topology, history: int, 
 
 
 def harsh(seed: int) -> list[str]:
-    """For paper7: agents that die and come back while messages on several links are lost or late."""
+    """Random faults of paper7: agents die and return while messages on several links are lost or late."""
     lots = random.Random(seed)
 
     def steps(longest: int) -> str:
@@ -61,7 +61,7 @@ def harsh(seed: int) -> list[str]:
 
 @pytest.mark.parametrize("history", [10, 30, 100_000])
 @pytest.mark.parametrize("seed", range(12))
-def test_who_comes_back_while_others_wait_changes_nothing_for_them(seed: int, history: int) -> None:
+def test_a_returning_node_changes_nothing_for_waiting_ones(seed: int, history: int) -> None:
     """In a process of several nodes, each is learned again from its own gap, and from rows that were meant for it."""
     topology = resolve(load("paper7", ["steps=60", f"history={history}", f"faults=[{', '.join(harsh(seed))}]"]))
     alone = simulate(topology, layout(topology, 7))
@@ -69,7 +69,7 @@ def test_who_comes_back_while_others_wait_changes_nothing_for_them(seed: int, hi
 
 
 def test_rows_that_are_for_one_node_leave_those_of_another() -> None:
-    """4 and 5 share a process: what it says again for 4 has nothing in 5's place, which 3 has heard long ago."""
+    """4 and 5 share a process. Its repeated rows for 4 have nothing for 5, and 3 has received those of 5 long ago."""
     crashes = [
         f"{{kind: crash, node: {node}, at: {at}, restart_after: {pause}}}"
         for node, at, pause in ((4, 31, 10), (5, 33, 9))
@@ -79,8 +79,8 @@ def test_rows_that_are_for_one_node_leave_those_of_another() -> None:
     assert simulate(topology, layout(topology, 3)).same_bits(simulate(topology, layout(topology, 7)))
 
 
-def test_a_neighbour_that_says_more_than_it_should_speaks_for_itself_alone() -> None:
-    """Every link message from node 1 brings the row before as well: to node 2 that is nobody else's, and no harm."""
+def test_additional_rows_of_a_neighbour_affect_only_its_own() -> None:
+    """Every link message from node 1 also brings the row before: node 2 alone receives it, without harm."""
     view = views_of(resolve(load("paper7")), layout(resolve(load("paper7")), 7))[1]
     told, misled = Shard(view), Shard(view)
     lots = np.random.default_rng(0)
@@ -97,7 +97,7 @@ def test_a_neighbour_that_says_more_than_it_should_speaks_for_itself_alone() -> 
 
 
 @given(faulty())
-def test_every_node_knows_what_the_plain_rules_say(topology: Topology) -> None:
+def test_every_node_knows_the_rows_of_the_plain_rules(topology: Topology) -> None:
     """Estimates after every gap, late message, crash and restart are those of the same samples without the gap."""
     ran = simulate(topology)
     np.testing.assert_array_equal(ran.report[:, 0], Plain(topology, ran).ahat())
@@ -149,15 +149,15 @@ def test_a_long_outage_under_random_losses_is_made_up_for(outage: dict[str, Any]
     assert forgetful.same_bits(simulate(short, layout(short, 1)))
 
 
-def test_what_the_estimator_knows_at_the_end_is_what_it_knows_without_losses() -> None:
+def test_the_final_knowledge_of_the_estimator_is_the_same_as_without_losses() -> None:
     """Dropped messages touch no actuator under one candidate a node: so the same x, and after them the same report."""
     steady = read(PAPER, "law=hinf")
     lossless, lossy = simulate(steady), simulate(with_faults(steady, LOSSY))
     assert (lossless.x == lossy.x).all()
 
 
-def test_without_back_filling_what_was_missed_stays_missed() -> None:
+def test_without_back_filling_missed_rows_stay_missed() -> None:
     topology = with_faults(read(PAPER), [{"kind": "drop", "link": [3, 5], "steps": [0, 160]}], backfill=False)
     ran = simulate(topology)
     np.testing.assert_array_equal(ran.report[:, 0], Plain(topology, ran).ahat())
-    assert (ran.report[:, 0, 4] == ran.report[0, 0, 4]).all()  # node 5 hears nobody: it never learns
+    assert (ran.report[:, 0, 4] == ran.report[0, 0, 4]).all()  # node 5 receives no messages: it never learns

@@ -1,7 +1,7 @@
-"""Files and messages as no one should write them: refused in words, or good all the way; never a traceback or a hang.
+"""Damaged files and messages: each is refused with a message or fully accepted; never a traceback or a hang.
 
-CI tries FILES and PAYLOADS of them. `python -m tests.tools.fuzz` tries 10,000 of each, and docs/reliability.md says
-what came of it. Here stand the stories too: a law is code, a disk is full, a clock jumps.
+CI tries FILES and PAYLOADS of them. `python -m tests.tools.fuzz` tries 10,000 of each; docs/reliability.md has the
+results. Special cases follow: a law is code, a disk is full, a clock jumps.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def test_nothing_that_is_read_shows_a_traceback_or_hangs(kind: str, cases: int) 
 
 
 def test_an_exception_a_hang_and_a_death_are_findings() -> None:
-    """The fuzzer itself: what it looks for, planted."""
+    """The fuzzer itself, with planted findings."""
     counts, findings = fuzz("planted", SEED, range(6))
     assert [(one.number, one.what.partition(":")[0]) for one in findings] == [
         (1, "KeyError"),
@@ -54,7 +54,7 @@ RUN = ("--viewer", "none", "--no-record")
 
 
 def test_a_file_that_is_only_looked_at_runs_no_law(here: Path) -> None:
-    """Neither the file nor the run that came of it: somebody else's folder can be looked at, drawn and exported."""
+    """This holds for the file and for its run: a foreign folder can be inspected, drawn and exported."""
     (here / "trap.py").write_text(TRAP)
     assert orchestrator("check", "paper7", "--law", "trap:Minimax").returncode == 0
     assert orchestrator("schema").returncode == 0
@@ -84,7 +84,7 @@ def test_check_loads_the_law_when_it_is_asked_to(here: Path) -> None:
 # ---- files that are no files, or not ours to read
 
 
-def test_a_loop_of_links_and_a_link_to_nowhere_are_said(here: Path) -> None:
+def test_a_loop_of_links_and_a_broken_link_are_reported(here: Path) -> None:
     for name, target in (("loop.yaml", "loop.yaml"), ("nowhere.yaml", "gone.yaml"), ("zero.yaml", "/dev/zero")):
         (here / name).symlink_to(target)
         done = orchestrator("check", name)
@@ -93,7 +93,7 @@ def test_a_loop_of_links_and_a_link_to_nowhere_are_said(here: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["topology.yaml", "verdict.json", "events.jsonl", "telemetry.parquet"])
-def test_what_came_to_harm_in_a_runs_folder_is_named(name: str, here: Path) -> None:
+def test_a_damaged_file_of_a_run_folder_is_named(name: str, here: Path) -> None:
     assert orchestrator("simulate", "paper7", "--no-record", "--run-dir", "run").returncode == 0
     (here / "run" / name).write_bytes(b"{]\n\xff\n")
     with pytest.raises(UserError, match=name):
@@ -105,7 +105,7 @@ def test_what_came_to_harm_in_a_runs_folder_is_named(name: str, here: Path) -> N
 
 
 def test_a_verdict_that_lacks_a_number_is_read_without_it(here: Path) -> None:
-    """What the numbers are is in the tables, too."""
+    """The numbers are also in the tables."""
     assert orchestrator("simulate", "paper7", "--no-record", "--run-dir", "run").returncode == 0
     file = here / "run/verdict.json"
     verdict = json.loads(file.read_text())
@@ -115,13 +115,13 @@ def test_a_verdict_that_lacks_a_number_is_read_without_it(here: Path) -> None:
     assert {name: metrics(load_run("run"))[name] for name in METRICS} == pytest.approx(whole)
 
 
-def test_a_recording_of_nothing_is_said(tmp_path: Path) -> None:
+def test_an_empty_recording_is_reported(tmp_path: Path) -> None:
     file = tmp_path / "run.rrd"
     rrb.Blueprint().save("nothing", str(file))
     assert _unreadable([file]) == "run.rrd cannot be read (it holds no recording)"
 
 
-def test_a_folder_that_may_not_be_read_is_said(here: Path) -> None:
+def test_an_unreadable_folder_is_reported(here: Path) -> None:
     if os.geteuid() == 0:
         pytest.skip("root may read everything")
     assert orchestrator("simulate", "paper7", "--no-record", "--run-dir", "run").returncode == 0
@@ -131,12 +131,14 @@ def test_a_folder_that_may_not_be_read_is_said(here: Path) -> None:
     assert "Permission denied" in done.stderr
 
 
-# ---- a disk that is full
+# ---- a full disk
 
 
 @pytest.mark.parametrize("record", [True, False])
-def test_a_disk_that_fills_up_ends_the_run_with_what_was_recorded(record: bool, here: Path) -> None:
-    """Over the wire, with the recording and without: it says so, ends with `unknown`, and what is there can be read."""
+def test_a_full_disk_ends_the_run_with_the_recorded_steps(record: bool, here: Path) -> None:
+    """Over Zenoh, with the recording and without: the run reports it, ends with `unknown`, and its steps can be
+    read.
+    """
     command = ["up", "paper7", "--steps", "100000", "--viewer", "none", "--run-dir", "run"]
     done = orchestrator(*command, *([] if record else ["--no-record"]), largest=300_000)
     assert done.returncode == 3, done.stdout + done.stderr
@@ -163,9 +165,9 @@ WALL_CLOCK = {
     "orchestrator/launch/running.py": "an entry of the registry",
     "orchestrator/cli/main.py": "since when a network runs, for people",
 }
-"""Who may look at the wall clock, and what for: nobody waits by it."""
+"""The permitted uses of the wall clock: no code waits by it."""
 BY_DATE = {"orchestrator/launch/certificates.py"}
-"""whose dates are compared: a certificate holds until its own"""
+"""modules that compare dates: a certificate is valid until its own date"""
 WALL = {("time", "time"), ("time", "time_ns"), ("time", "strftime"), ("datetime", "now"), ("time", "localtime")}
 
 
@@ -175,7 +177,7 @@ def sources() -> Iterator[Path]:
 
 
 def wall_clock(node: ast.AST) -> bool:
-    """Whether an expression looks at the wall clock."""
+    """Return True if an expression reads the wall clock."""
     return any(
         isinstance(inside, ast.Attribute)
         and isinstance(inside.value, ast.Name)
@@ -184,8 +186,8 @@ def wall_clock(node: ast.AST) -> bool:
     )
 
 
-def test_nobody_waits_by_a_clock_that_may_jump() -> None:
-    """Deadlines and pauses go by time.monotonic(): a wall clock is read to be shown, and compared with nothing."""
+def test_no_code_waits_by_a_clock_that_may_jump() -> None:
+    """Deadlines and pauses use time.monotonic(): a wall clock is only shown, and never compared."""
     for path in sources():
         tree = ast.parse(path.read_text(encoding="utf-8"))
         name = str(path.relative_to(ROOT))
@@ -198,7 +200,7 @@ def test_nobody_waits_by_a_clock_that_may_jump() -> None:
                 assert not looked or name in BY_DATE, f"{name}:{node.lineno}"
 
 
-def test_the_command_line_is_what_is_fuzzed() -> None:
+def test_the_fuzzer_runs_the_command_line() -> None:
     """Should a command be added that reads files, the fuzzer is to know it."""
     names = {command.name or getattr(command.callback, "__name__", "") for command in cli.app.registered_commands}
     reading = {"check", "simulate", "up", "export", "report", "open", "watch", "soak", "import", "runs"}

@@ -15,7 +15,7 @@ SPEEDS = st.floats(1e-3, 1e6)
 
 
 @given(factor=st.floats(0.1, 10), speeds=st.lists(SPEEDS, min_size=2, max_size=10))
-def test_a_constant_factor_is_found_whatever_the_load(factor: float, speeds: list[float]) -> None:
+def test_a_constant_factor_is_found_under_any_load(factor: float, speeds: list[float]) -> None:
     one = ratio([(speed, factor * speed) for speed in speeds])
     assert one.mean == pytest.approx(factor)
     assert one.low == pytest.approx(factor) == pytest.approx(one.high)
@@ -33,7 +33,7 @@ def test_the_interval_holds_the_mean_and_the_other_way_round_is_the_inverse(pair
     ("speeds", "expected"),
     [([0.8, 0.81, 0.79], True), ([0.8, 0.81], False), ([0.8, 1.3, 0.7], False), ([1.0, 0.99, 1.02], False)],
 )
-def test_speed_is_lost_only_if_the_whole_interval_says_so(speeds: list[float], expected: bool) -> None:
+def test_speed_is_lost_only_if_the_whole_interval_shows_it(speeds: list[float], expected: bool) -> None:
     assert lost(ratio([(1.0, speed) for speed in speeds]), 0.9) is expected
 
 

@@ -1,4 +1,4 @@
-"""A part of the table of docs/reliability.md, tried anew each time: every process, signal and time occurs in it."""
+"""A part of the table of docs/reliability.md, tried again each time: every process, signal and time occurs in it."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ def test_the_part_has_something_of_everything() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("cell", TRIED, ids=str)
-def test_whoever_is_killed_leaves_nothing_but_what_was_recorded(cell: Cell, tmp_path: Path) -> None:
+def test_after_any_kill_only_the_recorded_steps_remain(cell: Cell, tmp_path: Path) -> None:
     outcome = run_cell(cell, tmp_path)
     assert not wrong(cell, outcome), outcome
 
 
-def test_the_table_of_the_docs_is_whole_and_clean() -> None:
+def test_the_table_of_the_docs_is_complete_and_clean() -> None:
     lines = DOCUMENT.read_text(encoding="utf-8").partition(BEGIN)[2].partition(END)[0].splitlines()[2:]
     rows = [tuple(line.strip("| ").split(" | ")) for line in lines]
     assert [row[:4] for row in rows] == [cell.columns for cell in CELLS]

@@ -1,4 +1,4 @@
-"""A pytest that is killed leaves no network behind, not even one in the background."""
+"""A killed pytest leaves no network behind, not even a detached one."""
 
 from __future__ import annotations
 

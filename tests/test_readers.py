@@ -120,5 +120,5 @@ def test_a_direct_read_is_found(text: str) -> None:
 
 
 @pytest.mark.parametrize("text", ["open(path, 'wb')", "path.open('w')", "json.loads(text)", "os.open(path, 0)"])
-def test_nothing_else_is_found(text: str) -> None:
+def test_other_code_is_not_found(text: str) -> None:
     assert not list(direct_reads(text))

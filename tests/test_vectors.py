@@ -55,7 +55,7 @@ def test_a_run_gives_the_numbers_of_the_vector(path: Path, processes: int | None
 
 @pytest.mark.parametrize("path", VECTORS, ids=lambda path: path.stem)
 def test_the_last_sample_gives_the_last_j(path: Path) -> None:
-    """A law that is fed the T samples of the run ends with the vector's J(T), and its choice."""
+    """After the T samples of the run, a law has the vector's J(T), and its choice."""
     topology, expected = from_vector(path)
     ran = simulate(topology)
     law = Minimax(topology.network.b, candidates_of(topology))

@@ -53,6 +53,8 @@ def _one_line_name(value: str) -> str:
 Number = Annotated[float, BeforeValidator(number)]
 NonNegative = Annotated[float, Field(ge=0), BeforeValidator(number)]
 Positive = Annotated[float, Field(gt=0, lt=LARGEST), BeforeValidator(number)]
+Steps = Annotated[StrictInt, Field(ge=1, le=2**40)]
+Seed = Annotated[StrictInt, Field(ge=0, lt=2**63)]
 
 
 def _printable(value: str) -> str:
@@ -99,8 +101,8 @@ _WHOLE = re.compile(r"0|-?[1-9][0-9]{0,3999}")
 def node_id(value: Any) -> Any:
     """Return the node id in a text: an integer if the text is the shortest form of one, otherwise the text.
 
-    Keys of JSON, headers of CSV files and words of the command line are always text. Only the shortest form becomes an
-    integer, so every id has exactly one text: `7` is an integer, and `007` is a text.
+    Keys in JSON, headers of CSV files and arguments on the command line are always text. Only the shortest form becomes
+    an integer, so every id has exactly one text: `7` is an integer, and `007` is a text.
     """
     return int(value) if isinstance(value, str) and _WHOLE.fullmatch(value) else value
 

@@ -58,13 +58,13 @@ _answers: TextIO | None = None
 
 
 def answers() -> TextIO:
-    """Return the stream of what a command answers: standard output."""
+    """Return the stream of a command's answer: standard output."""
     return _answers or sys.stdout
 
 
 @contextlib.contextmanager
 def answers_alone() -> Iterator[None]:
-    """Lead what others print to standard error while the block lasts, so that standard output has the answer alone.
+    """Redirect other prints to standard error while the block lasts, so that standard output has only the answer.
 
     A law may print. A program that reads JSON could not read those lines.
     """
@@ -87,7 +87,7 @@ def echo(text: object, *, error: bool = False, end: str = "\n") -> None:
 
 
 class EscapedStream:
-    """Standard output or error of a process, whose text is escaped, whatever code writes it.
+    """The standard output or error of a process, with escaped text from any code.
 
     A law that prints, a warning and the traceback of a thread do not pass through `echo`.
     """

@@ -28,5 +28,5 @@ def _kernels(name: str = "kernels") -> ModuleType | None:
         return importlib.import_module(f"hedgerow.topologies.{name}")  # slow to load
     except Exception as error:  # no numba, one that fails on this machine, or no folder for the compiled code
         if not (isinstance(error, ModuleNotFoundError) and error.name == "numba"):
-            LOG.warning("compiled loops are left out, numpy gives the same bits: %s: %s", type(error).__name__, error)
+            LOG.warning("without compiled loops (numpy gives the same bits): %s: %s", type(error).__name__, error)
         return None

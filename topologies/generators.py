@@ -134,7 +134,7 @@ def _keys(pairs: Index, n: int) -> Index:
 
 
 def _repeats(key: Index) -> Index:
-    """Return the places of all numbers that an earlier place holds too, in any order."""
+    """Return the places of numbers that repeat an earlier one, in any order."""
     # np.unique with the places takes several times as long.
     order = key.argsort(kind="stable")
     there = key[order]
@@ -242,7 +242,7 @@ class RandomTree(Generator):
     @model_validator(mode="after")
     def _room(self) -> Self:
         if self.max_degree == 1 and self.nodes > 2:
-            raise PydanticCustomError("graph", "is no tree with at most one neighbour a node; allow 2 or more")
+            raise PydanticCustomError("graph", "is no tree with at most one neighbour a node; allow at least 2")
         return self
 
     def _make(self, stream: np.random.Generator) -> Index:

@@ -5,11 +5,7 @@ from __future__ import annotations
 import contextlib
 import copy
 import difflib
-import functools
-import json
-import operator
-import re
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
 from importlib import resources
@@ -21,14 +17,10 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from hedgerow.topologies import budget, table
-from hedgerow.topologies.base import Model, kind_of, node_id
-from hedgerow.topologies.cures import cure_of_number, cure_of_text
-from hedgerow.topologies.edges import Edge
+from hedgerow.topologies.base import node_id
 from hedgerow.topologies.errors import Code, FileRefusedError, Problem, Problems, TopologyError, UserError
-from hedgerow.topologies.faults import KINDS, known_keys
-from hedgerow.topologies.generators import GENERATORS
-from hedgerow.topologies.graph import LARGEST
 from hedgerow.topologies.law_choice import LawChoice
+from hedgerow.topologies.mistakes import UNSPACED, as_written, in_words, sampled
 from hedgerow.topologies.nodes import Edges, Nodes
 from hedgerow.topologies.odd import no_id, odd_numbers
 from hedgerow.topologies.override import next_key, origin_of, split_setting, steps_of
@@ -36,11 +28,8 @@ from hedgerow.topologies.paths import user_path
 from hedgerow.topologies.piecewise import LENGTHS, errors, is_length, trace
 from hedgerow.topologies.regular_file import check_regular, read_regular
 from hedgerow.topologies.rules import broken_rules
-from hedgerow.topologies.schema import COMPONENTS, Defaults, Node, Record, Topology
-from hedgerow.topologies.source import BYTES_PER_FAULT, MAX_BYTES, Mark, Path, Source, place_of, read_source
-
-_SHOWN = 60
-_UNSPACED = re.compile(r"[A-Za-z_]\w*:[^\s:/]")
+from hedgerow.topologies.schema import Topology
+from hedgerow.topologies.source import BYTES_PER_FAULT, MAX_BYTES, Mark, Path, Source, read_source
 
 
 def bundled() -> list[str]:
@@ -121,7 +110,7 @@ def parse(
     if isinstance(found, Topology):
         return found
     if overrides and not all(problem.origin for problem in found) and _is_good(name, text, folder):
-        # The file is valid without the options, so the options cause the mistake, wherever it shows.
+        # The file is valid without the options, so the options cause the mistake, even if it shows elsewhere.
         blamed = " ".join(map(origin_of, overrides))
         found = Problems(problem if problem.origin else replace(problem, origin=blamed) for problem in found)
     raise TopologyError(name, found)
@@ -141,9 +130,9 @@ def _read(source: Source, name: str, folder: FilePath, overrides: Sequence[str])
         cure = "start from a bundled one, such as topologies/paper7.yaml"
         raise TopologyError(name, [Problem(0, "", "the file is empty", cure, Code.FILE_FORMAT)])
     if not isinstance(source.value, dict):
-        found = f"a topology is a mapping, this is {_shown(source.value)}"
+        found = f"a topology is a mapping, this is {as_written(source.value)}"
         text = source.value if isinstance(source.value, str) else ""
-        cure = "write a space after each colon" if _UNSPACED.match(text) else "start with `name: …`"
+        cure = "write a space after each colon" if UNSPACED.match(text) else "start with `name: …`"
         raise TopologyError(name, [Problem(1, "", found, cure, Code.FILE_FORMAT)])
     _nodes_as_mapping(source)
     for override in overrides:
@@ -289,7 +278,7 @@ def _nodes_as_mapping(source: Source) -> None:
         node = node_id(written)
         if not (isinstance(node, str) or type(node) is int):
             text = mark.text if listed else mark.key
-            what, cure, code = no_id(node, text, _shown(node))
+            what, cure, code = no_id(node, text, as_written(node))
             source.problems.append(source.problem(at, what, cure, code, "nodes"))
         elif node in mapping:
             what = f"{node!r} occurs twice (first on line {marks['nodes', node].line})"
@@ -310,37 +299,6 @@ def _nodes_as_mapping(source: Source) -> None:
 
 _MANY = 2000
 """the maximum number of mistakes of a schema; above it, equal ones are only counted, and the rules are skipped"""
-_EACH = 100
-"""the maximum number of mistakes of one kind that get a sentence"""
-
-
-def _sampled(source: Source, found: Iterable[ErrorDetails]) -> Problems:
-    """Return very many mistakes of the schema: a sentence for the first of each kind, a count for the others."""
-    problems, seen = Problems(), Counter[Any]()
-    last: dict[Any, Problem] = {}
-    for details in found:
-        like = _like(details)
-        seen[like] += 1
-        if seen[like] <= _EACH:
-            last[like] = _in_words(source, details)
-            problems.append(last[like])
-        else:
-            problems.count_more(last[like])
-    return problems
-
-
-def _like(details: ErrorDetails) -> tuple[Any, ...]:
-    """Return the common part of mistakes that differ only in an index, a node or an unknown key."""
-    loc: list[Any] = ["" if isinstance(step, int) else step for step in details["loc"]]
-    if details["type"] == "extra_forbidden":
-        loc[-1] = ""
-    if "nodes" in loc[:2]:  # the keys of `nodes:` and `lots: nodes:` are ids
-        loc[loc.index("nodes") + 1 : loc.index("nodes") + 2] = [""]
-    return details["type"], *loc
-
-
-def _in_words(source: Source, details: ErrorDetails) -> Problem:
-    return (_no_fault if details["type"] == "fault" else _problem)(source, details)
 
 
 def _validate(source: Source) -> tuple[Topology | None, Iterable[Problem]]:
@@ -349,7 +307,7 @@ def _validate(source: Source) -> tuple[Topology | None, Iterable[Problem]]:
     """
     in_pieces = errors(Topology, source.value)
     if len(first := [*islice(in_pieces, _MANY + 1)]) > _MANY:
-        return None, _sampled(source, chain(first, in_pieces))
+        return None, sampled(source, chain(first, in_pieces))
     try:
         return Topology.model_validate(source.value), []
     except ValidationError as error:
@@ -358,10 +316,10 @@ def _validate(source: Source) -> tuple[Topology | None, Iterable[Problem]]:
         one for one in found if one["type"] not in LENGTHS or not is_length(one, trace(source.value, one["loc"])[1])
     ]
     if len(found) > _MANY:
-        return None, _sampled(source, found)
+        return None, sampled(source, found)
     if any(problem.place == "nodes" for problem in source.problems):  # the nodes that were left out are not missing
         found = [one for one in found if (one["loc"], one["type"]) != (("nodes",), "too_short")]
-    problems = [_in_words(source, details) for details in found]
+    problems = [in_words(source, details) for details in found]
     if not isinstance(source.value.get("nodes", {}), dict) or any(
         details["loc"][:1] == ("graph",) for details in found
     ):
@@ -405,138 +363,3 @@ def _without(value: dict[str, Any], found: Iterable[ErrorDetails]) -> dict[str, 
     for key, stand_in in _STAND_INS.items():
         kept.setdefault(key, stand_in)
     return kept
-
-
-def _problem(source: Source, details: ErrorDetails) -> Problem:
-    path, at, _ = trace(source.value, details["loc"])
-    kind, last = details["type"], details["loc"][-1]
-    if kind == "budget":
-        return source.problem(path, details["msg"], code=Code.FILE_TOO_LARGE)
-    shown = _shown(at, source.written(path))
-    if kind == "missing":
-        of_pair = f"{shown} has too few members", "a pair has two"
-        return source.problem(
-            path, *(of_pair if isinstance(last, int) else (f"`{last}:` is missing", f"add `{last}: …`"))
-        )
-    if kind == "invalid_key":
-        path, at, _ = trace(source.value, details["loc"][:-1])
-        key = next((key for key in at if str(key) == str(last)), last)
-        names = ", ".join(_known_keys(source, path))
-        cure = f"known keys are {names}" if names else "remove it"
-        key_path = (*path, key)
-        shown = _shown(key, source.mark(key_path).key)
-        return source.problem(key_path, f"{shown} is no key", cure, place=place_of(path))
-    if kind == "literal_error" and last == "kind":
-        return source.problem(
-            path,
-            f"{shown} is no disturbance of a whole network",
-            "write `worst_case`, or give it to the nodes or under `defaults:`",
-        )
-    if kind == "extra_forbidden":
-        return source.problem(path, f"unknown key `{last}`", _near(source, path), place=place_of(path[:-1]))
-    context = details.get("ctx", {})
-    what, cure = {
-        "finite_number": ("is not a finite number", "write a finite number"),
-        "huge": (f"is beyond {LARGEST:g}, where sums of squares overflow", "choose a smaller one"),
-        "greater_than": (f"is not above {context.get('gt', 0):g}", "choose a larger one"),
-        "greater_than_equal": (f"is below {context.get('ge', 0):g}", "choose a larger one"),
-        "less_than": (f"is not below {context.get('lt', 0):g}", "choose a smaller one"),
-        "less_than_equal": (f"is above {context.get('le', 0):g}", "choose a smaller one"),
-        "int_type": ("is not a whole number", cure_of_number(at, whole=True)),
-        "bool_type": ("is neither true nor false", "write one of the two"),
-        "window": ("holds no step", "write [from, to): the first step, and the one after the last"),
-        "empty": ("is empty", "put the lower bound first"),
-        "number": ("is not a number", _cure_of_gain(shown) if path == ("b",) and _random(at) else cure_of_number(at)),
-        "literal_error": ("is neither a number nor `random`", "write one of the two"),
-        "string_type": ("is not text", cure_of_text(at, source.written(path))),
-        "too_short": ("has too few members", f"at least {context.get('min_length')} are needed"),
-        "too_long": ("has too many members", f"at most {context.get('max_length')} are allowed"),
-        "tuple_type": ("is not a list", "write [ … ]"),
-        "dict_type": ("is not a mapping", "write key: value"),
-        "model_type": ("is not a mapping", "write {key: value}"),
-    }.get(kind, (details["msg"][0].lower() + details["msg"][1:], ""))
-    return source.problem(path, f"{shown} {what}" if kind in _ABOUT_VALUE else f"{what} (found {shown})", cure)
-
-
-_ABOUT_VALUE = frozenset(
-    (
-        *("finite_number", "huge", "greater_than", "greater_than_equal", "less_than", "less_than_equal"),
-        *("int_type", "number", "empty", "literal_error", "string_type", "too_short", "too_long"),
-        *("tuple_type", "dict_type", "model_type", "bool_type", "window"),
-    )
-)
-
-
-def _random(value: Any) -> bool:
-    return isinstance(value, dict) and "random" in value
-
-
-def _cure_of_gain(shown: str) -> str:
-    return f"write a number here, and `defaults: {{b: {shown}}}` for gains that are drawn per node"
-
-
-def _no_fault(source: Source, details: ErrorDetails) -> Problem:
-    """Return the problem of an entry in `faults:` without a valid `kind`."""
-    path, written, _ = trace(source.value, details["loc"])
-    kinds = f"kinds are {', '.join(KINDS)}"
-    if not isinstance(written, dict):
-        shown = _shown(written, source.written(path))
-        unspaced = isinstance(written, str) and _UNSPACED.match(written)
-        cure = "write a space after the colon: {kind: …}" if unspaced else "write {kind: …}"
-        return source.problem(path, f"{shown} is not a mapping", cure)
-    if "kind" not in written:
-        return source.problem(path, "`kind:` is missing", kinds)
-    near = difflib.get_close_matches(str(written["kind"]), KINDS, 1, 0.5)
-    cure = f"did you mean `{near[0]}`? {kinds}" if near else kinds
-    path = (*path, "kind")
-    return source.problem(path, f"{_shown(written['kind'], source.written(path))} is no kind of fault", cure)
-
-
-def _near(source: Source, path: Path) -> str:
-    """Return the likely correction of the unknown key at the end of `path`."""
-    known = _known_keys(source, path[:-1])
-    listed = f"known keys are {', '.join(known)}" if known else "remove it"
-    if path[0] != "faults":
-        near = difflib.get_close_matches(str(path[-1]), known, 1, 0.5)
-        return f"did you mean `{near[0]}`?" if near else listed
-    # The keys of a fault are few and alike: a key that is already there is not the intended one.
-    others = [key for key in known if key not in source.value["faults"][path[1]]]
-    near = difflib.get_close_matches(str(path[-1]), others, 1, 0.5)
-    return f"did you mean `{near[0]}`? {listed}" if near else listed
-
-
-def _known_keys(source: Source, path: Path) -> list[str]:
-    kind = kind_of(functools.reduce(operator.getitem, path, source.value)) or ""
-    model: type[Model] | None = None
-    match path:
-        case ():
-            model = Topology
-        case ("graph",):
-            model = GENERATORS.get(kind)
-        case ("record",):
-            model = Record
-        case ("edges", _):
-            model = Edge
-        case ("faults", _):
-            model = KINDS.get(kind)
-        case ("defaults",):
-            model = Defaults
-        case ("nodes", _):
-            model = Node
-        case (*_, "disturbance") | (*_, "disturbance", _):
-            model = COMPONENTS.get(kind)
-    return known_keys(model) if model is not None else []
-
-
-def _shown(value: Any, text: str | None = None) -> str:
-    """Return a value as the user wrote it: `text` if that is known, otherwise as JSON, which YAML reads."""
-    if text is not None:
-        return (text if len(text) <= _SHOWN else text[: _SHOWN - 1] + "…") or "an empty value"
-    if isinstance(value, dict | list) and len(value) > 8:
-        kind = "mapping" if isinstance(value, dict) else "list"
-        return f"a {kind} of {len(value)}"
-    try:
-        text = json.dumps(value, ensure_ascii=False, default=str)
-    except ValueError:  # a whole number with more digits than Python prints
-        return "a huge number"
-    return text if len(text) <= _SHOWN else text[: _SHOWN - 1] + "…"

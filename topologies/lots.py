@@ -50,9 +50,9 @@ def mix(words: Words) -> Words:
 def words_of(ids: Sequence[int | str] | NDArray[Any]) -> Words:
     """Return the word of each id, (n,).
 
-    A whole number of 64 bits and the text that spells it have the same word: 7 and "7" do, "007" and "+7" do not.
-    Files that name one node in different formats then give it the same lots. A larger number has the word of its
-    decimal digits as a text. The word of a text is the mix of its code points one after the other.
+    A whole number of 64 bits and its decimal text have the same word: 7 and "7" do, "007" and "+7" do not. Files that
+    name one node in different formats then give it the same lots. A larger number has the word of its decimal digits as
+    a text. The word of a text is the mix of its code points one after the other.
     """
     if isinstance(ids, range):
         return mix(np.arange(ids.start, ids.stop, ids.step, dtype=np.int64).astype(np.uint64))
@@ -68,7 +68,7 @@ def words_of(ids: Sequence[int | str] | NDArray[Any]) -> Words:
 
 
 def _canonical(node: int | str) -> int | str:
-    """Return a whole number of 64 bits as one, whether it is spelled out or not, and all else as text."""
+    """Return a whole number of 64 bits, or its decimal text, as an integer, and any other id as text."""
     if isinstance(node, str):
         if not _WHOLE.fullmatch(node):
             return str(node)
@@ -80,7 +80,7 @@ def _of_texts(texts: Sequence[str]) -> Words:
     found = np.full(len(texts), _TEXT)
     if not len(texts):
         return found
-    # Code points, with zeros behind the end of a shorter text: no id holds a zero.
+    # The code points, with zeros after the end of a shorter text: no id contains a zero.
     points = np.array(texts, dtype=np.str_)[:, None].view(np.uint32)
     for column in points.T:
         found = np.where(column != 0, mix(found ^ column.astype(np.uint64)), found)

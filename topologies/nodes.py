@@ -7,9 +7,10 @@ from typing import Any, overload
 
 import numpy as np
 
+from hedgerow.topologies.disturbances import COMPONENTS, Component, Nothing
 from hedgerow.topologies.edges import Edge, Ends
 from hedgerow.topologies.network import Group, Network
-from hedgerow.topologies.schema import COMPONENTS, Component, Node, Nothing
+from hedgerow.topologies.schema import Node
 
 SPELLED_OUT = 1_000
 """Up to this number of nodes, a resolved file lists each of them; more nodes are in a table beside it."""

@@ -23,7 +23,7 @@ _BESIDE, _SAMPLE, _LEVELS = 64, 8, 4
 
 
 def errors(model: type[BaseModel], value: Any, piece: int = PIECE) -> Iterator[ErrorDetails]:
-    """Yield what `model` finds wrong in a large value, with the locations of the whole value.
+    """Yield the mistakes that `model` finds in a large value, with the locations of the whole value.
 
     A value of one piece yields nothing. Rules about all members of a large collection together are not checked.
     """
@@ -182,7 +182,7 @@ def _size(value: Any) -> int:
 def _with(collection: Any, members: dict[Any, Any]) -> Any:
     """Return a copy of a collection with these members; of a mapping also a little of its other keys.
 
-    A key beside them can decide how they are read, such as `kind`.
+    Another key, such as `kind`, can determine how they are read.
     """
     if isinstance(collection, list):
         return list(members.values())

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from hedgerow.topologies import lots, table
 from hedgerow.topologies.base import Uniform
+from hedgerow.topologies.disturbances import Confuse, Disturbance, Nothing, Samples
 from hedgerow.topologies.edges import Edge
 from hedgerow.topologies.errors import Code, HedgerowError, TopologyError
 from hedgerow.topologies.faults import Crash, Fault, Jump
@@ -27,21 +28,10 @@ from hedgerow.topologies.network import PARAMETERS, Group, Network, gains, label
 from hedgerow.topologies.nodes import SPELLED_OUT, Edges, Nodes
 from hedgerow.topologies.partition import layout_of
 from hedgerow.topologies.reading import Reading
+from hedgerow.topologies.record import SAMPLED, WHOLE
 from hedgerow.topologies.rules import broken_faults
 from hedgerow.topologies.samples import columns
-from hedgerow.topologies.schema import (
-    PER_NODE,
-    SAMPLED,
-    WHOLE,
-    Confuse,
-    Defaults,
-    Disturbance,
-    Drawn,
-    Node,
-    Nothing,
-    Samples,
-    Topology,
-)
+from hedgerow.topologies.schema import PER_NODE, Defaults, Drawn, Node, Topology
 from hedgerow.topologies.source import FLOAT
 from hedgerow.topologies.table import Table
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from hedgerow.topologies.base import node_id
 from hedgerow.topologies.coupling import Couplings, largest_couplings, largest_gains
+from hedgerow.topologies.disturbances import Samples
 from hedgerow.topologies.errors import Code, FileRefusedError, Problem
 from hedgerow.topologies.faults import Crash, Cut, Delay, Drop, Fault, Jump, Partition
 from hedgerow.topologies.graph import Index
@@ -20,7 +21,7 @@ from hedgerow.topologies.hinf import allowed_interval, satisfies_condition
 from hedgerow.topologies.nodes import Edges, Nodes
 from hedgerow.topologies.reading import Reading
 from hedgerow.topologies.samples import columns
-from hedgerow.topologies.schema import Samples, Topology
+from hedgerow.topologies.schema import Topology
 from hedgerow.topologies.source import Path, Source, place_of
 from hedgerow.topologies.table import broken
 

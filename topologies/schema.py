@@ -25,7 +25,6 @@ from pydantic import (
     StrictInt,
     Tag,
     WithJsonSchema,
-    model_validator,
 )
 from pydantic_core import PydanticCustomError
 
@@ -34,24 +33,29 @@ from hedgerow.topologies.base import (
     Model,
     Name,
     NodeId,
-    NonNegative,
     Number,
     Positive,
+    Seed,
+    Steps,
     TrueA,
-    Uniform,
-    kind_of,
     number,
 )
+from hedgerow.topologies.disturbances import (
+    Disturbance,
+    Nothing,
+    Value,
+    WorstCase,
+    bare_kind,
+    mapping_or,
+)
 from hedgerow.topologies.edges import Edge, Ends, PositiveValue, WrittenEdge, ends_of, weight_of, weights_of
-from hedgerow.topologies.effects import FOREVER
 from hedgerow.topologies.faults import Fault
 from hedgerow.topologies.generators import GraphRule
 from hedgerow.topologies.graph import Gain, Graph, Index
-from hedgerow.topologies.header import Header
 from hedgerow.topologies.law_choice import NAMES, LawChoice
 from hedgerow.topologies.network import Network, gains, groups_of, labels, padded, positions
 from hedgerow.topologies.partition import parts_of
-from hedgerow.topologies.reading import Reading, Times
+from hedgerow.topologies.record import Record
 from hedgerow.topologies.table import NodesBy, Table
 
 LAWS = ("minimax", "hinf", "nominal")
@@ -85,196 +89,16 @@ def _law(value: Any) -> Any:
     return str(choice)
 
 
-Steps = Annotated[StrictInt, Field(ge=1, le=2**40)]
-Seed = Annotated[StrictInt, Field(ge=0, lt=2**63)]
-
-
-class NonNegativeUniform(Uniform):
-    """A random number of at least 0: drawn uniformly from [low, high)."""
-
-    random: tuple[NonNegative, NonNegative] = Field(description="[low, high]")
-
-
 class Drawn(Model):
     """Random candidates: this many, drawn uniformly from the interval that condition (3) allows."""
 
     random: Annotated[StrictInt, Field(ge=1, le=1000)] = Field(description="the number of candidates, the paper's M")
 
 
-def _mapping_or(other: str) -> Discriminator:
-    return Discriminator(lambda value: "random" if isinstance(value, dict | Model) else other)
-
-
-Value = Annotated[
-    Annotated[Number, Tag("number")] | Annotated[Uniform, Tag("random")],
-    _mapping_or("number"),
-]
 Candidates = Annotated[
     Annotated[Annotated[tuple[Number, ...], Field(min_length=1)], Tag("list")] | Annotated[Drawn, Tag("random")],
-    _mapping_or("list"),
+    mapping_or("list"),
 ]
-
-
-class Sinusoid(Model):
-    """w(t) = amplitude * sin(omega * t + phase)."""
-
-    kind: Literal["sinusoid"] = "sinusoid"
-    amplitude: Value = Field(description="peak, in units of the state per step")
-    omega: Value = Field(description="angular frequency [rad/step]")
-    phase: Value = Field(0.0, description="phase at t = 0 [rad]")
-
-
-class Constant(Model):
-    """w(t) = value."""
-
-    kind: Literal["constant"] = "constant"
-    value: Value = Field(description="the disturbance at every step")
-
-
-class White(Model):
-    """Gaussian white noise, a function of (seed, node id, step)."""
-
-    kind: Literal["white"] = "white"
-    std: Annotated[
-        Annotated[NonNegative, Tag("number")] | Annotated[NonNegativeUniform, Tag("random")],
-        _mapping_or("number"),
-    ] = Field(description="standard deviation")
-
-
-class AR1(Model):
-    """Coloured Gaussian noise, w(t) = phi w(t - 1) + sqrt(1 - phi^2) std e(t) with e(t) white and w(0) = std e(0).
-
-    A function of (seed, node id, step), stationary from t = 0.
-    """
-
-    kind: Literal["ar1"] = "ar1"
-    phi: Annotated[float, Field(gt=-1, lt=1), BeforeValidator(number)] = Field(
-        description="correlation of two successive steps"
-    )
-    std: Annotated[
-        Annotated[NonNegative, Tag("number")] | Annotated[NonNegativeUniform, Tag("random")],
-        _mapping_or("number"),
-    ] = Field(description="standard deviation of w(t)")
-
-
-class Confuse(Model):
-    """w_i(t) = (candidate - a_i) x_i(t): the node moves exactly as if `candidate` were its true a.
-
-    It depends on the state, so w differs from law to law. From x(0) = 0 it is 0 forever, unless another disturbance
-    moves x.
-    """
-
-    kind: Literal["confuse"] = "confuse"
-    candidate: Annotated[
-        Annotated[float, Field(gt=0, lt=1), BeforeValidator(number), Tag("number")]
-        | Annotated[Literal["random"], Tag("word")],
-        Discriminator(lambda value: "word" if isinstance(value, str) else "number"),
-    ] = Field(description="the a that appears true; or `random`: a wrong candidate of the node, drawn")
-
-
-class Impulse(Model):
-    """w(at) = value, and 0 at every other step."""
-
-    kind: Literal["impulse"] = "impulse"
-    at: Annotated[StrictInt, Field(ge=0, le=FOREVER)] = Field(description="the step of the impulse")
-    value: Value = Field(description="the disturbance at that step")
-
-
-class Samples(Model):
-    """w(t) = values[t], inline or a column of a CSV file."""
-
-    kind: Literal["samples"] = "samples"
-    values: tuple[Number, ...] | None = Field(None, description="one value per step")
-    file: str | None = Field(
-        None,
-        description="a CSV or Parquet file beside the topology, one column per node: by node ids, or in CSV in their"
-        " order",
-    )
-    header: Header | None = Field(
-        None, description="the first row of `file`: `ids`, or `none` if it holds samples; for ambiguous files"
-    )
-    time: str | None = Field(None, description="the column of `file` that holds times, numbers or dates, which ascend")
-    step: Positive | None = Field(
-        None,
-        description="the time of one step, in the unit of `time`, seconds for dates; the first difference if absent",
-    )
-    resample: Literal["hold", "linear", "mean"] | None = Field(
-        None, description="the rule for steps between two times: `hold` (default), `linear` or `mean`"
-    )
-
-    @property
-    def reading(self) -> Reading:
-        """Return the settings that determine how the file is read."""
-        times = None if self.time is None else Times(self.time, self.step, self.resample)
-        return Reading(self.file or "", self.header, times)
-
-    @model_validator(mode="after")
-    def _one_of_both(self) -> Self:
-        if self.header is not None and self.file is None:
-            raise PydanticCustomError("samples", "`header:` is about a `file:`; remove it, or give the file")
-        if self.file is None and (self.time, self.step, self.resample) != (None, None, None):
-            raise PydanticCustomError("samples", "`time:`, `step:` and `resample:` are about a `file:`; give the file")
-        if self.time is None and (self.step is not None or self.resample is not None):
-            raise PydanticCustomError("samples", "`step:` and `resample:` are about times; name their column, `time:`")
-        if (self.values is None) == (self.file is None):
-            raise PydanticCustomError("samples", "samples have either `values:` or `file:`; give exactly one of them")
-        return self
-
-
-class Nothing(Model):
-    """w(t) = 0."""
-
-    kind: Literal["none"] = "none"
-
-
-def _bare_kind(value: Any) -> Any:
-    """Return `none` and `worst_case` with the braces that a file may omit."""
-    return {"kind": value} if isinstance(value, str) else value
-
-
-Component = Annotated[
-    Annotated[Sinusoid, Tag("sinusoid")]
-    | Annotated[Constant, Tag("constant")]
-    | Annotated[White, Tag("white")]
-    | Annotated[AR1, Tag("ar1")]
-    | Annotated[Confuse, Tag("confuse")]
-    | Annotated[Impulse, Tag("impulse")]
-    | Annotated[Samples, Tag("samples")]
-    | Annotated[Nothing, Tag("none")],
-    Discriminator(
-        kind_of,
-        custom_error_type="kind",
-        custom_error_message="a disturbance has `kind:` sinusoid, constant, white, ar1, confuse, impulse, samples"
-        " or none",
-    ),
-    BeforeValidator(
-        _bare_kind,
-        json_schema_input_type=Sinusoid
-        | Constant
-        | White
-        | AR1
-        | Confuse
-        | Impulse
-        | Samples
-        | Nothing
-        | Literal["none"],
-    ),
-]
-COMPONENTS: dict[str, type[Sinusoid | Constant | White | AR1 | Confuse | Impulse | Samples | Nothing]] = {
-    model.model_fields["kind"].default: model
-    for model in (Sinusoid, Constant, White, AR1, Confuse, Impulse, Samples, Nothing)
-}
-Disturbance = Annotated[
-    Annotated[Component, Tag("one")] | Annotated[tuple[Component, ...], Tag("sum")],
-    Discriminator(lambda value: "sum" if isinstance(value, list | tuple) else "one"),
-]
-
-
-class WorstCase(Model):
-    """The constant disturbance along Q's smallest eigenvector, with the highest cost for the optimal controller."""
-
-    kind: Literal["worst_case"] = "worst_case"
-    energy: NonNegative = Field(1.0, description="|w(t)|^2, summed over the nodes, at every step")
 
 
 class Settings(Model):
@@ -317,7 +141,7 @@ def _nodes(value: Any) -> Any:
         return {node: {} for node in value if isinstance(node, int | str)}
     if isinstance(value, dict):
         return {node: {} if settings is None else settings for node, settings in value.items()}
-    raise PydanticCustomError("nodes", "expects a list of node ids, or a mapping from ids to what they override")
+    raise PydanticCustomError("nodes", "expects a list of node ids, or a mapping from ids to their settings")
 
 
 def _process_count(value: Any) -> Any:
@@ -337,44 +161,6 @@ Processes = Annotated[
     Discriminator(lambda value: "word" if isinstance(value, str) else "number"),
     BeforeValidator(_process_count),
 ]
-EVERY_NODE = "all"
-WHOLE = 10_000
-"""Up to this number of nodes, all nodes have rows by default."""
-SAMPLED = 1_000
-"""The number of nodes with rows in a larger network."""
-
-
-def _all_nodes(value: Any) -> Any:
-    if isinstance(value, str) and value != EVERY_NODE:
-        raise PydanticCustomError("recorded", "is neither `all`, nor how many, nor a list of node ids")
-    return value
-
-
-class Record(Model):
-    """The nodes with rows in telemetry; metrics, checks and the verdict always cover all nodes and steps."""
-
-    every: Steps = Field(1, description="N: nodes and edges have rows at every Nth step, and at the last")
-    nodes: (
-        Annotated[
-            Annotated[Annotated[StrictInt, Field(ge=0)], Tag("number")]
-            | Annotated[tuple[NodeId, ...], Tag("list")]
-            | Annotated[Literal["all"], Tag("word")],
-            Discriminator(
-                lambda value: (
-                    "word" if isinstance(value, str) else "list" if isinstance(value, list | tuple) else "number"
-                )
-            ),
-            BeforeValidator(_all_nodes),
-        ]
-        | None
-    ) = Field(
-        None,
-        description="the nodes that have rows, with their edges: a list of ids; a number, evenly spread over the order"
-        " of the file; or `all`. If absent, all of up to 10,000 nodes, and 1000 of more",
-    )
-    summary: StrictBool = Field(True, description="one row per step with the facts of the whole network")
-
-
 _FIELD = r"a|b|x0|candidates|disturbance\.[0-9]{1,3}\.[a-z]+"
 Lot = Annotated[float, Field(ge=0, lt=1), BeforeValidator(number)]
 
@@ -455,7 +241,7 @@ class Topology(Model):
         None, description="the way the table names nodes: `positions` or `ids`; for ambiguous tables"
     )
     disturbance: (
-        Annotated[WorstCase, BeforeValidator(_bare_kind, json_schema_input_type=WorstCase | Literal["worst_case"])]
+        Annotated[WorstCase, BeforeValidator(bare_kind, json_schema_input_type=WorstCase | Literal["worst_case"])]
         | None
     ) = Field(
         None,

@@ -143,7 +143,7 @@ def _layout(text: bytes, line: int) -> str:
 
 
 def _refuse(source: Source, line: int, what: str, cure: str, column: int = 0, code: Code = Code.FILE_FORMAT) -> None:
-    # The code shows a caller that memory was the reason, whatever other mistakes the file has.
+    # The code shows a caller that memory was the reason, even if the file has other mistakes.
     others: Iterable[Problem] = [] if code == Code.FILE_TOO_LARGE else source.problems
     raise TopologyError(source.name, [*others, Problem(line, "", what, cure, code, column)]) from None
 
@@ -159,7 +159,7 @@ class _Open:
     has_key: bool = False
     size: int = 1
     bare: bool = False
-    """True if the key is plain text with a colon in it, as of {kind:drop}"""
+    """True if the key is plain text with a colon in it, such as {kind:drop}"""
 
     @property
     def next_path(self) -> Path:

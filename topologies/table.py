@@ -176,7 +176,7 @@ def _size(arrays: archive.Arrays) -> int:
             return len(arrays[name])
     edges = arrays["edges"]
     if edges.dtype.kind not in "iu" or not edges.size:
-        raise ValueError("does not say how many nodes there are; give it `ids`")
+        raise ValueError("does not give the number of nodes; add `ids`")
     return int(edges.max()) + 1
 
 
@@ -226,7 +226,7 @@ def _by_position(arrays: archive.Arrays, ids: Sequence[int | str], named_by: Nod
         strange = [node for node in np.unique(array).tolist() if node_id(node) not in places]
         if strange and named_by == "ids":
             raise FileRefusedError(
-                f"`{name}` names {strange[0]!r}, which is none of `ids`", "add it to `ids`, or correct it"
+                f"`{name}` names {strange[0]!r}, which is not in `ids`", "add it to `ids`, or correct it"
             )
         if named_by is None and not strange:
             raise FileRefusedError(
@@ -312,7 +312,7 @@ def _groups(arrays: archive.Arrays, n: int) -> Iterator[Group]:
     for name, array in arrays.items():
         match = _GROUP.fullmatch(name)
         if match is None or (kind := match[2]) not in PARAMETERS or match[3] not in ("nodes", *PARAMETERS[kind]):
-            raise ValueError(f"has a column `{name}`, which means nothing; docs/topology.md lists what does")
+            raise ValueError(f"has a column `{name}`, which is unknown; docs/topology.md lists the columns")
         found.setdefault((int(match[1]), kind), {})[match[3]] = array
     for (number, kind), columns in sorted(found.items(), key=lambda item: item[0]):
         name = f"w {number} {kind}"

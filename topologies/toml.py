@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import re
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 from hedgerow.topologies import budget
@@ -13,24 +12,19 @@ from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.json_file import memory
 
 _HEAD = re.compile(r"^[^=\n#]*", re.MULTILINE)
-_BARE = re.compile(r"[A-Za-z0-9_-]+")
 
 
 def dumps(settings: Mapping[str, Any]) -> str:
-    """Return `settings` as TOML; numbers return bit for bit, and None is left out.
+    """Return settings as TOML. Numbers come back bit for bit; a key with the value None is left out."""
+    import tomlkit  # noqa: PLC0415 (an agent on a small computer reads TOML, and does not have this package)
 
-    Single values come first; a mapping becomes a table, and a list of mappings an array of tables, one level deep.
-    """
-    lines, tables = [], []
-    for key, value in settings.items():
-        if isinstance(value, Mapping):
-            tables += ["", f"[{_key(key)}]", *_lines(value)]
-        elif _is_list(value) and value and all(isinstance(one, Mapping) for one in value):
-            for one in value:
-                tables += ["", f"[[{_key(key)}]]", *_lines(one)]
-        else:
-            lines += _lines({key: value})
-    return "\n".join([*lines, *tables]) + "\n"
+    return tomlkit.dumps(_without_none(settings))
+
+
+def _without_none(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _without_none(one) for key, one in value.items() if one is not None}
+    return [*map(_without_none, value)] if isinstance(value, list | tuple) else value
 
 
 def loads(text: str, source: str) -> dict[str, Any]:
@@ -54,25 +48,3 @@ def _parsed(text: str) -> int:
     dots: list[int] = [head.count(".") for head in _HEAD.findall(text)]
     tables = sum(dots) + text.count("\n[")
     return 300 * text.count("=") + 1300 * tables + 8 * sum(parts * parts for parts in dots)
-
-
-def _lines(settings: Mapping[str, Any]) -> list[str]:
-    return [f"{_key(key)} = {_value(value)}" for key, value in settings.items() if value is not None]
-
-
-def _is_list(value: Any) -> bool:
-    return isinstance(value, Sequence) and not isinstance(value, str)
-
-
-def _key(key: str) -> str:
-    return key if _BARE.fullmatch(key) else json.dumps(key)
-
-
-def _value(value: Any) -> str:
-    if isinstance(value, Mapping):
-        return "{" + ", ".join(_lines(value)) + "}"
-    if _is_list(value):
-        return "[" + ", ".join(map(_value, value)) + "]"
-    if isinstance(value, float):
-        return repr(value)  # nan and inf are valid TOML too
-    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -86,7 +86,7 @@ def run_alone(body: Callable[[], None], logged: bool = False) -> NoReturn:
     with StderrRelay():
         code = _run(body, logged, ends)
     for stream in (sys.stdout, sys.stderr):
-        with contextlib.suppress(OSError, ValueError):  # nobody reads it
+        with contextlib.suppress(OSError, ValueError):  # standard error has no reader
             stream.flush()
     # Not sys.exit: Zenoh's threads may outlive a session that was not closed, and must not hold the process.
     os._exit(code)

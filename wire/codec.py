@@ -57,7 +57,7 @@ class Kind(IntEnum):
 class Flag(IntEnum):
     """The flag bits of one incidence in a state message.
 
-    In an input message, OPEN and HEAR mark the inputs of t - 1 that the node used.
+    In an input message, `OPEN` and `HEAR` mark the inputs of t - 1 that the node used.
 
     In an input message, the six bits above these two count the late and back-filled rows that arrived.
     """

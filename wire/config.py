@@ -47,7 +47,7 @@ class Config:
         missing = [key for key, value in head.items() if not isinstance(value, str)]
         if missing:
             raise UserError(
-                f"{source}: does not say {', '.join(missing)}; take what `orchestrator bundle` wrote",
+                f"{source}: lacks {', '.join(missing)}; use the file that `orchestrator bundle` wrote",
                 code=Code.FILE_FORMAT,
             )
         return cls(**head, credentials=str(told.pop("credentials", "")), told=told)

@@ -57,7 +57,7 @@ def room(
     never disturbed.
     """
     ours, shown = keys.alive(keys.ROOM, f"{secrets.randbelow(10**10):010d}"), None
-    there, by, said = f"a plant is there already at {namespace}", time.monotonic() + LEASE_S, False
+    there, by, said = f"another plant already runs at {namespace}", time.monotonic() + LEASE_S, False
     try:
         while not stopped():
             others = _there(session) - {ours}

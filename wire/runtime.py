@@ -31,7 +31,7 @@ def one_network_thread() -> None:
     """Make Zenoh do all its work on one thread, in a process that has not used it yet.
 
     A received message and its answer then wake up one thread, not three. But a call on that thread that waits for its
-    own message to leave waits forever. So another thread must send what is long, and a router, which forwards long
+    own message to leave waits forever. So another thread must send long messages. A router, which forwards long
     messages, cannot use this.
     """
     os.environ[_RUNTIME] = _threads(dict.fromkeys(_DUTIES, "handover: app") | {"app": "worker_threads: 1"})

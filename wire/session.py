@@ -151,7 +151,7 @@ def _rules_in(credentials: Path) -> Mapping[str, object]:
 
     Without rules, every client could read and write everything.
     """
-    whole = "take the folder `router`, whole, with --credentials"
+    whole = "give the complete folder `router` with --credentials"
     try:
         rules: Any = read_json(credentials / ACCESS)
     except (OSError, UserError) as error:
@@ -162,7 +162,7 @@ def _rules_in(credentials: Path) -> Mapping[str, object]:
         isinstance(control, dict) and control.get("enabled") is True and control.get("default_permission") == "deny"
     ):
         raise UserError(
-            f"{credentials / ACCESS}: does not refuse what it does not allow (`access_control`); {whole}",
+            f"{credentials / ACCESS}: permits messages outside its rules (`access_control`); {whole}",
             code=Code.FILE_FORMAT,
         )
     return cast("Mapping[str, object]", rules)

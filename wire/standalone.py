@@ -44,13 +44,15 @@ class _Parser(argparse.ArgumentParser):
 def options(program: str, what: str) -> argparse.ArgumentParser:
     """Return a parser with the options that agents and plants share."""
     parser = _Parser(prog=program, description=what)
-    parser.add_argument("--config", type=user_path, help="what `orchestrator bundle` wrote for it [$HEDGEROW_CONFIG]")
+    parser.add_argument(
+        "--config", type=user_path, help="the config that `orchestrator bundle` wrote [$HEDGEROW_CONFIG]"
+    )
     parser.add_argument("--router", metavar="ENDPOINT", help="in place of the config's router, e.g. tcp/bench:7447")
     parser.add_argument(
         "--credentials", type=user_path, metavar="DIR", help="its keys in a secure network, in place of the config's"
     )
     parser.add_argument("--wait", type=float, default=WAIT_S, metavar="S", help="seconds to wait for all others [600]")
-    parser.add_argument("--check", action="store_true", help="say whether it takes part, by the exit code, and leave")
+    parser.add_argument("--check", action="store_true", help="probe whether the process takes part; see the exit code")
     return parser
 
 
@@ -87,7 +89,7 @@ def told(config: Config, read: Callable[[dict[str, Any]], Any]) -> Any:
     except (KeyError, TypeError, ValueError) as error:
         problem = f"{type(error).__name__}: {error}"
         raise UserError(
-            f"config of {config.process}: {problem}; take the file that `orchestrator bundle` wrote for it, whole",
+            f"config of {config.process}: {problem}; use the complete file that `orchestrator bundle` wrote",
             code=Code.FILE_FORMAT,
         ) from None
 

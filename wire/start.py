@@ -42,7 +42,9 @@ def needs(command: str) -> Iterator[None]:
     except ModuleNotFoundError as error:
         if error.name not in ("numpy", "zenoh"):
             raise
-        print(f"error: {command} needs {error.name}. Install it with: pip install numpy eclipse-zenoh", file=sys.stderr)
+        from hedgerow.topologies.escape import echo  # noqa: PLC0415
+
+        echo(f"error: {command} needs {error.name}. Install it with: pip install numpy eclipse-zenoh", error=True)
         sys.exit(2)
 
 

@@ -15,11 +15,11 @@ from hedgerow.topologies.escape import EscapedStream, escape
 class StderrRelay:
     """File descriptor 2, escaped while the block runs: a panic in a thread of Zenoh is written there.
 
-    Text of Python goes straight to standard error, so that its order stays, and a terminal is known as one.
+    Text of Python goes directly to standard error, which preserves its order and shows if it is a terminal.
     """
 
     JOIN_S = 0.5
-    """seconds to wait for what is still in the pipe; a child process may hold the other end for longer"""
+    """the time to wait for data still in the pipe [s]; a child process may hold the other end for longer"""
 
     def __init__(self) -> None:
         self._thread: threading.Thread | None = None
@@ -59,5 +59,5 @@ class StderrRelay:
     def _relay(self, reads: int) -> None:
         decode = codecs.getincrementaldecoder("utf-8")("replace").decode
         while data := os.read(reads, 2**16):
-            with contextlib.suppress(OSError):  # nobody reads it
+            with contextlib.suppress(OSError):  # it has no reader
                 os.write(self._real, escape(decode(data)).encode(errors="backslashreplace"))

@@ -25,7 +25,7 @@ LAWS: dict[str, str] = {
 
 
 def law_of_name(name: str) -> type[Law]:
-    """Return the class of a law of the project; KeyError if there is none of that name."""
+    """Return the class of a law of the project; raise KeyError for an unknown name."""
     attribute = LAWS[name]
     law: type[Law] = getattr(import_module(f"{__name__}.{name.replace('-', '_')}"), attribute)
     return law

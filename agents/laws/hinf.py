@@ -3,8 +3,8 @@
     u_i = b x_i / (a_i - 1)
 
 Lidström and Rantzer, "Optimal H-infinity State Feedback for Systems with Symmetric and Hurwitz State Matrix", ACC 2016.
-It is the oracle: the operator gives every node its true a as the only candidate. It is right as long as that a is. It
-fails after the truth jumps, because it does not learn.
+It is the oracle: the operator gives every node its true a as the only candidate. It is right while that a is the truth.
+It fails after the truth jumps, because it does not learn.
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ from hedgerow.agents.local import Heard
 from hedgerow.topologies.graph import Gain, Mask
 
 TINY = 1e-290
-"""a square below it is taken for 0, so that no quotient overflows"""
+"""a smaller square counts as 0, so that no quotient overflows"""
 LAGS = 6
 """rows for x and y of the last two samples, the step of the last one, and how many of them are consecutive"""
 
@@ -43,7 +43,7 @@ def notched(memory: Array, candidates: Array, x: Array, y: Array, t: int) -> Non
 
 
 def _regress(J: Array, c: Array, S0: Array, v: Array, z: Array, whole: Mask) -> None:
-    """Add v and z to the regression v = c z, in the columns that are `whole`; all else is (M, k)."""
+    """Add v and z to the regression v = c z, in the columns that are `whole`; all arrays are (M, k)."""
     squared = z * z
     none = squared < TINY
     if none.any():
@@ -66,7 +66,7 @@ def _regress(J: Array, c: Array, S0: Array, v: Array, z: Array, whole: Mask) -> 
 
 
 class Notch(Listed):
-    """The least residual behind a notch filter of the best frequency."""
+    """The candidate with the smallest residual after a notch filter of the best frequency."""
 
     equation: ClassVar[str] = "J = min_c sum (r_t - c r_{t-1} + r_{t-2})^2"
 

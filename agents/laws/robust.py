@@ -2,8 +2,8 @@
 
     u_i = b x_i / (theta - 1),    theta = argmin over theta of max over a in the lists of the gain from w
 
-Zhou, Doyle and Glover, Robust and Optimal Control, Prentice-Hall 1996, for the worst case over a set of plants. It is
-the price of not learning: right if nothing can be learned in time, and beaten by a law that learns if something can.
+Zhou, Doyle and Glover, Robust and Optimal Control, Prentice-Hall 1996, for the worst case over a set of plants. It
+shows the price of not learning: it is right if nothing can be learned in time; otherwise, a learning law is better.
 `theta` is a number of the whole network, so the operator computes it and gives it as a parameter. If a file leaves it
 out, the operator computes it at the start of the run.
 """
@@ -19,7 +19,7 @@ from hedgerow.topologies.graph import Gain
 
 
 class Robust:
-    """Equation (6) on one number, whatever happens."""
+    """Equation (6) with one fixed number."""
 
     equation: ClassVar[str] = "ahat = theta, of the least worst gain over the lists"
 
@@ -32,6 +32,13 @@ class Robust:
         k = candidates.shape[1]
         self._report = np.stack([np.full(k, float(theta)), np.full(k, np.nan)])
         self.memory = np.empty((0, k))
+
+    @classmethod
+    def of_nodes(cls, b: Gain, thetas: Array) -> Robust:
+        """Return the law of networks side by side, with the theta of each node's own network, (k,)."""
+        law = cls(b, thetas[None], theta=float(thetas[0]))
+        law._report[0] = thetas
+        return law
 
     def act(self, x: Array) -> Array:
         """Return the inputs of equation (6)."""

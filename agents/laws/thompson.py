@@ -5,8 +5,8 @@
 Source: Thompson, "On the likelihood that one unknown probability exceeds another in view of the evidence of two
 samples", Biometrika 25, 1933. See also: Abeille and Lazaric, "Improved Regret Bounds for Thompson Sampling in Linear
 Quadratic Control Problems", ICML 2018. It is right if acting on an uncertain model teaches something. Here it does not,
-because x_i excites J whatever the model is: sampling only adds switches. It needs the sigma of white noise, and fails
-as `bayes` does. The draw of a step is a function of (seed, node, step).
+because x_i excites J under any model: sampling only adds switches. It needs the sigma of white noise, and fails as
+`bayes` does. The draw of a step is a function of (seed, node, step).
 """
 
 from __future__ import annotations

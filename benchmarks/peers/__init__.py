@@ -1,4 +1,4 @@
-"""The same loop as ours, by other means: a file each, with one function `run(network, steps) -> Done`."""
+"""The same loop with other libraries: one file each, with one function `run(network, steps) -> Done`."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ class Peer:
 
     title: str
     links: str
-    """how neighbours hear each other"""
+    """the transport between neighbours"""
     module: str
-    """in this package"""
+    """the module in this package"""
     needs: str = "numpy"
     """the package that it imports"""
     distributions: tuple[str, ...] = ("numpy",)
-    """whose versions are told"""
+    """the packages with reported versions"""
     variant: str = ""
-    """given to `run`, where a file has several"""
+    """passed to `run`, if a file has several variants"""
 
     @property
     def installed(self) -> bool:
-        """Whether it can run here."""
+        """Return True if it can run here."""
         return importlib.util.find_spec(self.needs) is not None
 
     def run(self, network: Network, steps: int) -> Done:
@@ -51,7 +51,7 @@ PEERS = {
     "dora": Peer("dora", "by its daemon", "dora_loop", "dora", ("dora-rs", "dora-rs-cli")),
     "ray": Peer("Ray compiled graph", "agent to agent", "ray_loop", "ray", ("ray",)),
     "mango": Peer("mango", "agent to agent", "mango_loop", "mango", ("mango-agents",)),
-    "ours": Peer("Hedgerow, a process a node", "by its router", "ours", distributions=_OURS, variant=_PER_NODE),
+    "ours": Peer("Hedgerow, one process per node", "by its router", "ours", distributions=_OURS, variant=_PER_NODE),
     "ours-2": Peer("Hedgerow, two processes", "by its router", "ours", distributions=_OURS, variant="up --processes 2"),
     "simulate": Peer("Hedgerow, in-process engine", "arrays", "ours", variant="simulate"),
 }

@@ -1,4 +1,4 @@
-"""`python -m benchmarks.peers NAME NETWORK STEPS FOLDER`: one run of one peer; what is left goes to the folder."""
+"""`python -m benchmarks.peers NAME NETWORK STEPS FOLDER`: one run of one peer; the folder receives the results."""
 
 from __future__ import annotations
 

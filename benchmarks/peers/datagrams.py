@@ -1,7 +1,7 @@
-"""Unix datagrams by hand: one socket a process, messages straight from agent to agent.
+"""Unix datagrams by hand: one socket per process, messages straight from agent to agent.
 
-A datagram is sent or the sender waits: nothing is lost, and nobody waits in a circle, since the plant always takes in
-and an agent has at most two messages of each neighbour before it. Processes are forked from the plant.
+A datagram is sent, or the sender waits, so nothing is lost. There is no circular wait, because the plant always reads
+and an agent has at most two unread messages of each neighbour. Processes are forked from the plant.
 """
 
 from __future__ import annotations

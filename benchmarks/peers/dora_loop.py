@@ -1,7 +1,7 @@
-"""dora: a node a process, messages through its daemon, which `dora run` has; one more process than the others.
+"""dora: one node per process, messages through its daemon, which `dora run` starts; one more process than the others.
 
-The plant is a node as well. An output is one for all who listen: (x, u) goes to neighbours and plant at once, and
-every agent has an output of the plant's of its own.
+The plant is a node as well. An output reaches all of its subscribers: (x, u) goes to neighbours and plant at once, and
+the plant has one output for each agent.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from dora import Node
 from benchmarks.peers.network import MESSAGE, PLANT, Agent, Done, Lockstep, Network, Plant
 
 SAID = "said"
-"""the output of an agent, and the input that it is, with the agent's number behind"""
+"""the output of an agent, and the input at its receivers, followed by the agent's number"""
 STATE = "x"
-"""the output of the plant, with the agent's number behind, and the input that it is"""
+"""the output of the plant, followed by the agent's number, and the input at the agent"""
 QUEUE = 16
-"""messages of one input that may wait: more than there ever are, so that none is dropped"""
+"""the queue length of one input: longer than needed, so that no message is dropped"""
 
 
 def _send(node: Node, output: str, *message: float) -> None:
@@ -82,7 +82,7 @@ def _dataflow(network: Network, steps: int, folder: str) -> dict[str, object]:
 
 
 def run(network: Network, steps: int) -> Done:
-    """Run a dataflow with the daemon of its own."""
+    """Run a dataflow with a separate daemon."""
     with tempfile.TemporaryDirectory(prefix="hedgerow-") as folder:
         file = Path(folder) / "dataflow.yml"
         file.write_text(json.dumps(_dataflow(network, steps, folder)), encoding="utf-8")

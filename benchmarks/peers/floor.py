@@ -1,4 +1,4 @@
-"""The floor: the law of all nodes at once as arrays in one process, no message, nothing kept beside the trajectory."""
+"""The floor: the law of all nodes at once as arrays in one process, without messages; it stores only the trajectory."""
 
 from __future__ import annotations
 

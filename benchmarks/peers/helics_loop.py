@@ -1,7 +1,7 @@
-"""HELICS: a federate a process, values by publications; the broker stands in the plant's process.
+"""HELICS: one federate per process, values by publications; the broker is in the plant's process.
 
-Time does the lockstep: the plant is at whole steps, the agents half a step later, so that at t + 1/2 an agent has
-x(t) and what its neighbours published at t - 1/2. An agent publishes (x, u) once, for neighbours and plant alike.
+Time makes the lockstep: the plant is at whole steps, the agents half a step later. So at t + 1/2 an agent has x(t) and
+the publications of its neighbours at t - 1/2. An agent publishes (x, u) once, for both neighbours and plant.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ import helics as h
 from benchmarks.peers.network import Agent, Done, Network, Plant
 
 CORE = os.environ.get("HEDGEROW_BENCHMARK_HELICS", "zmq")
-"""the core type: HELICS's default; tcp and tcp_ss did not end in time with 20 nodes on a busy machine"""
+"""the core type: the default of HELICS; tcp and tcp_ss did not end in time with 20 nodes on a busy machine"""
 PATIENT = "--networktimeout=60s --timeout=120s"
 """many processes start at once, on few cores"""
 LATER = 0.5
-"""when agents act, in steps"""
+"""the offset of the agents, in steps"""
 
 
 def _free_port() -> int:

@@ -1,6 +1,6 @@
-"""mango: a TCP container with one agent a process, messages straight from container to container.
+"""mango: one TCP container with one agent per process, messages straight from container to container.
 
-Messages are pickled, which is quicker than mango's JSON. Processes are forked from the plant's.
+Messages are pickled, which is faster than mango's JSON. Processes are forked from the plant's.
 """
 
 from __future__ import annotations
@@ -20,31 +20,31 @@ from mango.messages.codecs import Codec
 from benchmarks.peers.network import PLANT, STOP, Agent, Done, Lockstep, Network, Plant
 
 NAME = "node"
-"""of the one agent of a container"""
+"""the name of the one agent of a container"""
 Message = tuple[int, int, float, float]
 
 
 class Pickle(Codec):
-    """Messages as Python pickles them."""
+    """The codec of messages: Python's pickle."""
 
     def encode(self, data: Any) -> bytes:
-        """Bytes of a message."""
+        """Return the bytes of a message."""
         return pickle.dumps(data, protocol=pickle.HIGHEST_PROTOCOL)
 
     def decode(self, data: bytes) -> Any:
-        """A message of bytes."""
+        """Return the message in bytes."""
         return pickle.loads(data)
 
 
 class Inbox(mango.Agent):
-    """What comes in, until it is asked for."""
+    """The queue of received messages."""
 
     def __init__(self) -> None:
         super().__init__()
         self.messages: asyncio.Queue[Message] = asyncio.Queue()
 
     def handle_message(self, content: Message, meta: dict[str, Any]) -> None:  # noqa: ARG002  (mango asks for the name)
-        """Keep a message."""
+        """Store a message."""
         self.messages.put_nowait(content)
 
 

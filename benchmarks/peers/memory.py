@@ -1,4 +1,4 @@
-"""What a process and all those below it keep in memory."""
+"""The memory of a process and all of its descendants."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import psutil
 
 
 def pss_of(root: int) -> float:
-    """The proportional set size [MB] of a process and its descendants: what is shared is counted once."""
+    """Return the proportional set size [MB] of a process and its descendants: shared pages are counted once."""
     tree = psutil.Process(root)
     total = 0
     for process in (tree, *tree.children(recursive=True)):

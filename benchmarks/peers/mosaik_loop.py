@@ -1,8 +1,8 @@
-"""mosaik: a simulator a process, values through its scheduler, which has the plant in its own process.
+"""mosaik: one simulator per process, values through its scheduler, which also contains the plant.
 
-At time t the plant takes u(t - 1) and gives x(t); an agent takes x(t) and what its neighbours gave at t - 1, and
-gives (x, u). All are time-based simulators with a step of 1; what is of the step before travels over time-shifted
-connections. Messages are JSON over TCP, which brings a float back to the bit.
+At time t the plant reads u(t - 1) and gives x(t). An agent reads x(t) and the values of its neighbours at t - 1, and
+gives (x, u). All are time-based simulators with a step of 1; values of the step before travel over time-shifted
+connections. Messages are JSON over TCP, which preserves every bit of a float.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ def _meta(model: str, parameters: list[str], attributes: list[str]) -> dict[str,
 
 
 class AgentSimulator(mosaik_api_v3.Simulator):
-    """One agent."""
+    """The simulator of one agent."""
 
     def __init__(self) -> None:
         super().__init__(_meta("Agent", ["me"], ["x", "heard", "said"]))
 
     def create(self, num: int, model: str, me: int) -> list[dict[str, Any]]:
-        """The one entity of the process."""
+        """Create the one entity of the process."""
         assert num == 1
         self._agent = Agent(Network.read(os.environ[NETWORK]), me)
         return [{"eid": str(me), "type": model}]
 
     def step(self, time: int, inputs: dict[str, Any], max_advance: int) -> int:  # noqa: ARG002  (mosaik asks for the name)
-        """One step of the agent."""
+        """Make one step of the agent."""
         ((self._me, own),) = inputs.items()
         (x,) = own["x"].values()
         heard = {int(sender.split(".")[1]): said for sender, said in own["heard"].items()} if time else {}
@@ -45,7 +45,7 @@ class AgentSimulator(mosaik_api_v3.Simulator):
         return time + 1
 
     def get_data(self, _: dict[str, list[str]]) -> dict[str, Any]:
-        """What it says to plant and neighbours."""
+        """Return the message to plant and neighbours."""
         return {self._me: {"said": self._said}}
 
 
@@ -56,12 +56,12 @@ class PlantSimulator(mosaik_api_v3.Simulator):
         super().__init__(_meta("Node", ["plant", "left"], ["x", "said"]))
 
     def create(self, num: int, model: str, plant: Plant, left: list[Done]) -> list[dict[str, Any]]:
-        """All nodes; `left` is given what is left of the run."""
+        """Create all nodes; `left` receives the result of the run."""
         self._plant, self._left, self._names = plant, left, [str(i) for i in range(num)]
         return [{"eid": name, "type": model} for name in self._names]
 
     def step(self, time: int, inputs: dict[str, Any], max_advance: int) -> int:  # noqa: ARG002  (mosaik asks for the name)
-        """One step of all nodes; at the first, nobody has said anything yet."""
+        """Make one step of all nodes; at the first, there are no inputs yet."""
         if time:
             said = [next(iter(inputs[name]["said"].values())) for name in self._names]
             if not self._plant.step([u for _, u in said]):
@@ -70,7 +70,7 @@ class PlantSimulator(mosaik_api_v3.Simulator):
         return time + 1
 
     def get_data(self, outputs: dict[str, list[str]]) -> dict[str, Any]:
-        """The states of the nodes that are asked for."""
+        """Return the states of the requested nodes."""
         return {name: {"x": self._x[name]} for name in outputs}
 
 

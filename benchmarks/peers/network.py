@@ -1,7 +1,7 @@
-"""What every peer is given: the network, one node's mind, the plant, and the clock that times them all alike.
+"""The common parts of all peers: the network, the law of one node, the plant, and the clock.
 
-The law is the project's own, and so are dynamics and disturbances: peers differ in how messages travel, and in
-nothing else, so that a trajectory that is not ours to the bit is a fault of the loop.
+The law, the dynamics and the disturbances are those of the project. Peers differ only in the transport of messages, so
+a trajectory with different bits is a fault of the loop.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ PLANT = -1
 STOP = -1
 """the step of the last message, which ends an agent"""
 MESSAGE = struct.Struct("<iqdd")
-"""sender, t, x, u: a state (u = 0), an input, or what is said to a neighbour"""
+"""sender, t, x, u: a state (u = 0), an input, or a message to a neighbour"""
 BEGAN = "HEDGEROW_BENCHMARK_BEGAN"
-"""the variable of the environment with the monotonic time of the command"""
+"""the environment variable with the start time of the command, monotonic"""
 
 
 @dataclass(frozen=True)
@@ -51,35 +51,35 @@ class Network:
     disturbance: Sequence[Sequence[dict[str, Any]]]
     seed: int
     saved: str = ""
-    """the file that `read` read"""
+    """the file that `read` has read"""
 
     def __len__(self) -> int:
         return len(self.a)
 
     def neighbours(self, i: int) -> list[int]:
-        """The neighbours of a node, ascending: the order in which a flow is summed."""
+        """Return the neighbours of a node, ascending: the order in which a flow is summed."""
         return sorted(b if a == i else a for a, b in self.edges if i in (a, b))
 
     def write(self, path: Path) -> None:
-        """Write the network where `read` finds it."""
+        """Write the network to a file for `read`."""
         path.write_text(json.dumps(asdict(self)), encoding="utf-8")
 
     @classmethod
     def read(cls, path: str | Path) -> Network:
-        """The network that `write` wrote; a float comes back to the bit."""
+        """Return the network that `write` wrote; floats keep every bit."""
         return cls(**json.loads(Path(path).read_text(encoding="utf-8")) | {"saved": str(path)})
 
 
 @dataclass(frozen=True)
 class Done:
-    """What a run of `steps` steps leaves."""
+    """The results of a run of `steps` steps."""
 
     steps_per_s: float
-    """from the end of the first step to the end of the last"""
+    """the rate from the end of the first step to the end of the last"""
     first_step_s: float
-    """from the command to the end of the first step"""
+    """the time from the command to the end of the first step"""
     pss_mb: float
-    """proportional set size of all its processes together, when all of them are up"""
+    """proportional set size of all its processes together, when all are running"""
     x: Array
     """(steps + 1, n)"""
     u: Array
@@ -96,7 +96,9 @@ class Agent:
         self._law = Minimax(network.b, padded([network.candidates[i]]))
 
     def step(self, x: float, heard: Iterable[float]) -> float:
-        """u(t) from x(t) and the neighbours' u(t - 1), in the order of `neighbours`; at t = 0 nothing is heard."""
+        """Return u(t) from x(t) and the neighbours' u(t - 1), in the order of `neighbours`; at t = 0 `heard` is
+        empty.
+        """
         now = np.array([x])
         if self._x is not None:
             flow = 0.0
@@ -109,7 +111,7 @@ class Agent:
 
 
 class Lockstep:
-    """An agent whose messages come in any order: it acts when state(t) and every neighbour's (x, u) of t - 1 are in."""
+    """An agent with messages in any order: it acts when state(t) and every neighbour's (x, u) of t - 1 have arrived."""
 
     def __init__(self, agent: Agent) -> None:
         self._agent = agent
@@ -117,7 +119,7 @@ class Lockstep:
         self._t, self._x = -1, 0.0
 
     def take(self, sender: int, t: int, x: float, u: float) -> tuple[int, float, float] | None:
-        """(t, x, u) of the state that is waiting, if this message was the last it waited for."""
+        """Return (t, x, u) of the waiting state, if this was the last missing message."""
         if sender == PLANT:
             self._t, self._x = t, x
         else:
@@ -131,7 +133,7 @@ class Lockstep:
 
 
 class Plant:
-    """The true network in motion, what was, and how long it took."""
+    """The true network in motion, its trajectory, and its time."""
 
     def __init__(self, network: Network, steps: int) -> None:
         self.t, self.steps = 0, steps
@@ -143,7 +145,7 @@ class Plant:
         self._first = self._last = 0.0
 
     def step(self, u: Sequence[float] | Array) -> bool:
-        """Equation (1): from t to t + 1 under u(t), (n,); whether there is another step to make."""
+        """Make the step from t to t + 1 under u(t), (n,), equation (1); return True if there is another step."""
         inputs = self._us[self.t]
         inputs[:] = u
         w = self._disturbance.at(self.t)
@@ -156,7 +158,7 @@ class Plant:
         return self.t < self.steps
 
     def done(self, root: int | None = None) -> Done:
-        """What is left of the run, while all processes, those below `root` [this process], are still there."""
+        """Return the results, while all processes, those below `root` [this process], still exist."""
         return Done(
             steps_per_s=(self.t - 1) / (self._last - self._first),
             first_step_s=self._first - float(os.environ[BEGAN]),

@@ -1,6 +1,6 @@
-"""Hedgerow as a user runs it: telemetry, metrics, twins, checks, deadlines and the verdict, all on; run.rrd is not.
+"""Hedgerow as a user runs it, with telemetry, metrics, twins, checks, deadlines and the verdict, but without run.rrd.
 
-Memory is that of a second run at an easy rate, so that nobody looks at the processes of the one that is timed.
+Memory is measured in a second run at a slow rate, so that the timed run is not disturbed.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from hedgerow.orchestrator.runs.reader import load_run
 
 SLOW = ("--steps", "1000000", "--rate", "20")
 SETTLED = "step "
-"""how a line of progress begins: a second or so after the first step"""
+"""the start of a line of progress, which appears about a second after the first step"""
 
 
 def _command(how: str, network: Network, folder: str, *options: str) -> list[str]:

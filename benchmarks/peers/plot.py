@@ -1,4 +1,4 @@
-"""The medians of the suite as one picture: how fast each loop is beside the one that ratios are to."""
+"""The medians of the suite as one picture: the speed of each loop relative to the reference loop."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ MARKS = "os^Dvp"
 
 
 def draw(ratios: Mapping[str, Mapping[int, float]], ours: Sequence[str], beside: str, file: Path) -> None:
-    """Draw ratios by title and number of nodes, one line a title, those in `ours` in blue; an .svg or .png file."""
+    """Draw ratios by title and number of nodes, one line per title, those in `ours` in blue; an .svg or .png file."""
     sizes = sorted({n for own in ratios.values() for n in own})
     with look():
         figure = sheet(0.6 + ROW_IN * len(ratios))

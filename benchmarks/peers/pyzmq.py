@@ -1,6 +1,6 @@
-"""pyzmq by hand: one PULL socket a process, a PUSH socket for everyone it speaks to, over ipc.
+"""pyzmq by hand: one PULL socket per process, and a PUSH socket for each receiver, over ipc.
 
-Processes are forked from the plant before it makes its context.
+Processes are forked from the plant before it creates its context.
 """
 
 from __future__ import annotations

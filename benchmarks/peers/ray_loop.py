@@ -1,7 +1,7 @@
-"""Ray: an actor a process, one compiled graph, whose every execution is a step; the driver is the plant.
+"""Ray: one actor per process, one compiled graph with one execution per step; the driver is the plant.
 
-An actor acts on its x, and takes in what its neighbours say when they act, straight from their processes through
-shared memory. It answers the plant after that, so that the graph has one leaf an actor.
+An actor acts on its x. It reads the messages of its neighbours straight from their processes, through shared memory. It
+answers the plant after that, so the graph has one leaf per actor.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ class Actor:
         self._heard: tuple[float, ...] = ()
 
     def ready(self) -> int:
-        """Say so."""
+        """Report that the actor has started."""
         return self._me
 
     def act(self, x: float) -> tuple[float, float]:
-        """(x, u) of this step."""
+        """Return (x, u) of this step."""
         return x, self._agent.step(x, self._heard)
 
     def hear(self, own: tuple[float, float], *said: tuple[float, float]) -> float:
-        """Keep what the neighbours say until the next step; its own u for the plant."""
+        """Store the neighbours' messages for the next step; return its own u for the plant."""
         self._heard = tuple(u for _, u in said)
         return own[1]
 

@@ -1,7 +1,7 @@
-"""Zenoh by hand: the same sessions, keys and router as ours, and nothing of what ours does beside the loop.
+"""Zenoh by hand: the same sessions, keys and router as ours, and only the loop.
 
-One more process than the others: a router, as ours has. The plant and the agents answer on Zenoh's own thread.
-(`benchmarks/bare.py` is the floor below: it has no law and no plant.)
+There is one more process than in the others: a router, as in ours. The plant and the agents answer on Zenoh's own
+thread. (`benchmarks/bare.py` is the floor below: it has no law and no plant.)
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Pages of the site that the program writes: its commands, and the docstrings of its Python interface."""
+"""The generated pages of the site: the commands, and the docstrings of the Python interface."""
 
 from __future__ import annotations
 
@@ -63,14 +63,16 @@ def _row(parameter: Any) -> str:
 
 
 def write(_: Sphinx) -> None:
-    """Write the page of the commands; a file that did not change is left alone, so that it is not built again."""
+    """Write the page of the commands, unless it is unchanged: an unchanged file is not built again."""
     page, text = Path(__file__).parents[1] / PAGE, commands()
     if not page.exists() or page.read_text(encoding="utf-8") != text:
         page.write_text(text, encoding="utf-8")
 
 
 def plain_to_rst(app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
-    """Rewrite a docstring in place: ours are plain text with `code` in single backticks and indented equations."""
+    """Rewrite a docstring in place: our docstrings are plain text with `code` in single backticks and indented
+    equations.
+    """
     del app, what, name, obj, options
     written: list[str] = []
     literal = False

@@ -20,7 +20,7 @@ Disturbances = Annotated[
     str,
     typer.Option(
         metavar="NAME,...",
-        help="file, sinusoid, white, ar1, constant, confuse or none, or {kind: ...}; names joined by + are summed",
+        help="file, sinusoid, white, ar1, constant, confuse or none, or {kind: ...}; names joined by + are added",
     ),
 ]
 Seeds = Annotated[str, typer.Option(metavar="FIRST:STOP", help="every seed from FIRST up to, and without, STOP")]

@@ -22,6 +22,6 @@ def running(incomplete: str) -> list[str]:
 
 
 def runs(incomplete: str) -> list[str]:
-    """Return the run folders in runs/ whose names begin with the incomplete word, newest first."""
+    """Return the run folders in runs/ with names that begin with the incomplete word, newest first."""
     folders = (path for path in Path("runs").glob("*") if (path / "topology.yaml").exists())
     return sorted((path.name for path in folders if path.name.startswith(incomplete)), reverse=True)

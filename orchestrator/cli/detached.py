@@ -27,14 +27,11 @@ def end_with_standard_input() -> None:
 
 _VARIABLE = "HEDGEROW_DETACHED"
 _END_DEADLINE_S = 30.0
-"""Seconds for a network to end after Ctrl-C during its start."""
+"""The time for a network to end after Ctrl-C during its start [s]."""
 
 
 def start_detached() -> int:
-    """Run the same command in a session of its own, and return the exit code.
-
-    Until its first step, this process relays its output to the terminal, and Ctrl-C to it.
-    """
+    """Run the same command in a separate session, and return the exit code."""
     asked: list[int] = []
     process = None
 
@@ -88,7 +85,8 @@ def release_terminal(log: Path) -> None:
     sys.stdout.flush()
     descriptor = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
     os.dup2(descriptor, 1)
-    # Not descriptor 2: what libraries write to it is escaped on its way to this one (wire/stderr_relay.py).
+    # Do not redirect descriptor 2: the output of libraries on it is escaped on its way to this one
+    # (wire/stderr_relay.py).
     os.dup2(descriptor, sys.stderr.fileno())
 
 

@@ -23,14 +23,14 @@ if TYPE_CHECKING:
     from hedgerow.orchestrator.views.screen import Screen
 
 FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
-"""Where standard output leads, no more can be written."""
+"""The errors of a standard output that accepts no more data."""
 
 
 def run_to_exit_code(command: Callable[[], int]) -> int:
     """Run `command` and return the exit code of this process."""
     try:
         code = command()
-        with contextlib.suppress(BrokenPipeError):  # a reader who has left has read enough
+        with contextlib.suppress(BrokenPipeError):  # the reader of the pipe has left
             sys.stdout.flush()
     except TopologyError as error:
         _complain(f"{error}\n{error.summary}")
@@ -43,24 +43,24 @@ def run_to_exit_code(command: Callable[[], int]) -> int:
         code = Exit.CRASH if error.code == Code.CRASH else Exit.UNKNOWN
     except (typer.Abort, KeyboardInterrupt):
         code = start.INTERRUPTED
-    except BaseException as error:  # a panic of a Rust library is no Exception
+    except BaseException as error:  # a panic of a Rust library is not an Exception
         code = _unexpected(error)
     return code
 
 
 def _unexpected(error: BaseException) -> int:
-    """Say in one line what ended the command that is none of our own errors; the exit code."""
+    """Report in one line an unexpected error that ended the command; return the exit code."""
     if isinstance(error, OSError | SystemExit) and _nobody_reads():
-        return Exit.VALID  # a reader who has left has read enough; click makes a SystemExit of it
+        return Exit.VALID  # the reader has left; click turns this into a SystemExit
     if isinstance(error, SystemExit):
         return error.code if isinstance(error.code, int) else 0 if error.code is None else Exit.UNKNOWN
     if isinstance(error, OSError) and error.errno in FULL:
-        _complain(f"error: what was to be written is lost: {error.strerror}; make room, or write it elsewhere")
+        _complain(f"error: the output is incomplete: {error.strerror}; free space, or choose another place")
         return Exit.USER_MISTAKE
     if isinstance(error, Exception) and hasattr(error, "show"):
         with contextlib.suppress(OSError):
             said = io.StringIO()
-            error.show(file=said)  # a wrong option or argument, in the words of the command line library
+            error.show(file=said)  # a wrong option or argument, with the message of the command line library
             echo(said.getvalue(), error=True, end="")
         return Exit.USER_MISTAKE
     reached = limit_reached(error)
@@ -69,7 +69,7 @@ def _unexpected(error: BaseException) -> int:
 
 
 def _nobody_reads() -> bool:
-    """Return True if standard output leads to a pipe whose reader has left, or to a terminal that was closed."""
+    """Return True if standard output is a pipe without a reader, or a terminal that was closed."""
     poll = select.poll()
     with contextlib.suppress(OSError, ValueError):
         poll.register(sys.stdout.fileno(), 0)
@@ -78,7 +78,7 @@ def _nobody_reads() -> bool:
 
 
 def code_of_run(verdict: Verdict, display: Screen) -> int:
-    """Return the exit code of a run; a valid one whose verdict could not be shown is unknown to its user."""
+    """Return the exit code of a run; it is unknown if the verdict of a valid run could not be shown."""
     if (lost := display.outlet.incomplete) is not None and verdict.exit_code == Exit.VALID:
         _complain(f"error: standard output: the verdict was not shown: {lost.strerror}. Read it in verdict.json.")
         return Exit.UNKNOWN
@@ -91,8 +91,8 @@ def _complain(text: str) -> None:
 
 
 def leave(code: int) -> NoReturn:
-    """End this process, whatever threads of a stalled viewer there are."""
-    # Not sys.exit: a stalled viewer's threads must not hold the process (orchestrator.views.rerun.stream).
+    """End this process, even with threads of a stalled viewer."""
+    # Do not use sys.exit: the threads of a stalled viewer must not block the process (orchestrator.views.rerun.stream).
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError):
             stream.flush()

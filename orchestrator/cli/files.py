@@ -1,4 +1,4 @@
-"""The commands that read what a run left."""
+"""The commands that read a run folder."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Out = Annotated[
     Path | None,
     typer.Option(parser=user_path, metavar="PATH", help="the folder of the tables, or the file [RUN-FORM/, RUN.FORM]"),
 ]
-Force = Annotated[bool, typer.Option("--force", help="replace files that are there")]
+Force = Annotated[bool, typer.Option("--force", help="replace existing files")]
 
 
 def register(app: typer.Typer) -> None:
@@ -29,7 +29,7 @@ def register(app: typer.Typer) -> None:
 
 
 def export(to: To, run: Run = "runs/latest", out: Out = None, force: Force = False) -> int:
-    """Write a run, over or not, into files that other tools open."""
+    """Write a run, finished or not, into files for other tools."""
     from hedgerow.orchestrator.runs import export as exports  # noqa: PLC0415
     from hedgerow.orchestrator.runs.reader import load_run  # noqa: PLC0415
 

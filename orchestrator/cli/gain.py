@@ -11,11 +11,12 @@ import typer
 
 from hedgerow.orchestrator.cli.names import EXPERIMENT
 from hedgerow.orchestrator.cli.options import AsJson, File, Law, NoProgress, Sets
-from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.escape import echo
 from hedgerow.topologies.paths import user_path
 
 Full = Annotated[bool, typer.Option("--full", help="a full storage matrix P, for networks of up to 30 nodes")]
+Split = Annotated[bool, typer.Option("--split", help="one small matrix per node at any size, which may take minutes")]
 Budget = Annotated[str, typer.Option(metavar="TIME", help="how long to search, as 90, 60s or 5m")]
 Faults = Annotated[bool, typer.Option("--faults", help="search cuts and drops too")]
 SearchSeed = Annotated[int, typer.Option("--seed", min=0, help="seed of the search")]
@@ -31,12 +32,16 @@ def register(app: typer.Typer) -> None:
     app.command(rich_help_panel=EXPERIMENT)(worst)
 
 
-def bound(file: File, full: Full = False, sets: Sets = None, as_json: AsJson = False) -> int:
+def bound(file: File, full: Full = False, split: Split = False, sets: Sets = None, as_json: AsJson = False) -> int:
     """Compute upper bounds on the gain of the adaptive law that hold under faults, each with a certificate."""
     from hedgerow.orchestrator.cli.topology import read  # noqa: PLC0415
     from hedgerow.orchestrator.experiments.bounds import bound as bounds_of  # noqa: PLC0415
+    from hedgerow.orchestrator.metrics.gain_bound import Method  # noqa: PLC0415
 
-    found = bounds_of(read(file, sets), full=full)
+    if full and split:
+        raise UserError("--split: contradicts --full. Choose one of them.", code=Code.OPTION)
+    method = Method.FULL if full else Method.SPLIT if split else None
+    found = bounds_of(read(file, sets), method)
     echo(json.dumps(found.to_dict()) if as_json else found.text())
     return 0
 
@@ -53,7 +58,7 @@ def worst(
     quiet: NoProgress = False,
     as_json: AsJson = False,
 ) -> int:
-    """Search the disturbance with the largest gain, and write a network whose run repeats it; run again to go on."""
+    """Search for the disturbance with the largest gain; write a network that repeats it. Run it again to continue."""
     from hedgerow.orchestrator.cli.topology import read  # noqa: PLC0415
     from hedgerow.orchestrator.experiments.worst import worst as search  # noqa: PLC0415
     from hedgerow.orchestrator.ground.laws import checked  # noqa: PLC0415

@@ -1,4 +1,4 @@
-"""The command that makes a topology of a file of another tool."""
+"""The command that makes a topology from a file of another tool."""
 
 from __future__ import annotations
 
@@ -54,10 +54,10 @@ def import_(
     steps: Annotated[int | None, typer.Option(help="steps of the run [300]")] = None,
     seed: Seed = None,
     name: Annotated[str | None, typer.Option(help="the name of the run [that of the file]")] = None,
-    force: Annotated[bool, typer.Option("--force", help="replace files that are there")] = False,
+    force: Annotated[bool, typer.Option("--force", help="replace existing files")] = False,
 ) -> int:
-    """Make a topology of a file of another tool, and report what was read, assumed and changed."""
-    # What a topology needs takes most of a second to load.
+    """Make a topology from a file of another tool; report the contents, the assumptions and the changes."""
+    # Loading the topology modules takes most of a second.
     from hedgerow.topologies.importing.options import Options  # noqa: PLC0415
     from hedgerow.topologies.importing.written import import_file  # noqa: PLC0415
 
@@ -79,7 +79,7 @@ def import_(
     network = import_file(file, options)
     target = out or Path(f"{network.content['name']}.yaml")
     if not network.arrays:
-        network.topology(target)  # before anything is written
+        network.topology(target)  # check before anything is written
     written = network.save(target, force)
     if network.arrays:
         network.topology(target)

@@ -1,4 +1,4 @@
-"""The commands about who may say and hear what: the matrix, and the keys that a router elsewhere needs."""
+"""The commands for the access rules: the matrix of permitted messages, and the keys for a separate router."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from hedgerow.wire.access import Place
 
 MATRIX_MOST = 16
-"""processes that a matrix is drawn for; of more, a line each"""
+"""the maximum number of processes for a matrix; larger networks get one line each"""
 
 
 def register(app: typer.Typer) -> None:
@@ -43,7 +43,7 @@ def keys(
     processes: Processes = None,
     days: Annotated[float, typer.Option(metavar="N", min=0.01, max=366, help="how long the certificates hold")] = 7,
 ) -> int:
-    """Make the keys of a secure network whose router stands elsewhere: a folder for each process, and the router's."""
+    """Make the keys of a secure network with a separate router: a folder for each process, and the router's."""
     from hedgerow.orchestrator.launch.certificates import CONFIGURATION, to_carry  # noqa: PLC0415
     from hedgerow.orchestrator.launch.endpoints import namespace_of  # noqa: PLC0415
     from hedgerow.wire.session import check_endpoint  # noqa: PLC0415
@@ -66,7 +66,9 @@ def audit(
     ] = False,
     as_json: AsJson = False,
 ) -> int:
-    """Show who may hear whom: a row a process, and in it what it hears from the process of the column."""
+    """Show the permitted messages: one row per process, with the messages that it receives from the process of each
+    column.
+    """
     from rich.console import Console  # noqa: PLC0415
     from rich.table import Table  # noqa: PLC0415
 
@@ -97,7 +99,7 @@ def audit(
         table = Table("process", "hears")
         for listener in names:
             table.add_row(listener, ", ".join(cells[pair] for pair in cells if pair[0] == listener))
-    # A key that is cut short says nothing: a narrow terminal wraps the lines instead.
+    # Never cut a key: a narrow terminal wraps the lines instead.
     wide = Console(width=10_000).measure(table).maximum
     Console(width=wide).print(table)
     return 0

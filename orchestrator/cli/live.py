@@ -1,4 +1,4 @@
-"""The commands that speak to a running network: faults that come and go, and its clock."""
+"""The commands for a running network: its faults, and its clock."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ Run = Annotated[
     typer.Option("--run", metavar="RUN", help="a running network's name [the only one, or that of this folder]"),
 ]
 _Link = Annotated[str, typer.Argument(metavar="I-J", help="two neighbours; I,J where a '-' is part of a name")]
-_Chance = Annotated[float, typer.Option(metavar="P", help="of striking, at each step and for each message")]
-_For = Annotated[int | None, typer.Option("--for", metavar="N", min=1, help="how many steps it holds [until healed]")]
-_Back = Annotated[int | None, typer.Option(metavar="N", help="how many steps it misses [until healed]")]
+_Chance = Annotated[float, typer.Option(metavar="P", help="its probability at each step, for each message")]
+_For = Annotated[int | None, typer.Option("--for", metavar="N", min=1, help="number of steps [until healed]")]
+_Back = Annotated[int | None, typer.Option(metavar="N", help="number of steps that it misses [until healed]")]
 _Process = Annotated[int | None, typer.Option(metavar="P", help="kill this process with all its agents")]
-_NODE_OR_PROCESS = Annotated[str | None, typer.Argument(metavar="[NODE]", help="the node whose agent dies")]
+_NODE_OR_PROCESS = Annotated[str | None, typer.Argument(metavar="[NODE]", help="the node of the agent")]
 _REQUIRED = inspect.Parameter.empty
 _ARGUMENTS: dict[str, tuple[Any, Any]] = {
     "link": (_Link, _REQUIRED),
@@ -44,13 +44,13 @@ _ARGUMENTS: dict[str, tuple[Any, Any]] = {
     "node": (Annotated[str, typer.Argument(metavar="NODE", help="the id of a node")], _REQUIRED),
     "process": (_Process, None),
     "to": (Annotated[float, typer.Option(metavar="A", help="the new truth, one of the node's candidates")], _REQUIRED),
-    "by": (Annotated[int, typer.Option(metavar="N", min=1, help="how many steps late")], _REQUIRED),
+    "by": (Annotated[int, typer.Option(metavar="N", min=1, help="delay in steps")], _REQUIRED),
     "cut": (Annotated[bool, typer.Option("--cut", help="cut the edges between them too")], False),
     "one_way": (Annotated[bool, typer.Option("--one-way", help="only the messages from I to J")], False),
     "probability": (_Chance, 1.0),
     "steps": (_For, None),
     "restart_after": (_Back, None),
-    "after": (Annotated[int, typer.Option("--after", metavar="N", min=0, help="how many steps to let pass before")], 0),
+    "after": (Annotated[int, typer.Option("--after", metavar="N", min=0, help="number of steps to wait first")], 0),
     "run": (Run, None),
     "as_json": (AsJson, False),
 }
@@ -66,7 +66,7 @@ def register(app: typer.Typer) -> None:
 
 
 def _with(run: str | None, as_json: bool, ask: Callable[[Live], tuple[str, dict[str, Any]]]) -> int:
-    """Ask a network something, and print its name and the answer, in a line or as JSON."""
+    """Send a request to a network, and print its name and the answer, in one line or as JSON."""
     from hedgerow.orchestrator.launch.live import Live  # noqa: PLC0415
 
     with Live(run) as live:
@@ -132,7 +132,7 @@ for _verb in VERBS:
 
 @faults.command(name="list")
 def list_(run: Run = None, as_json: AsJson = False) -> int:
-    """List the faults of the file and those that were added."""
+    """List the faults of the file and the added ones."""
     from hedgerow.topologies.describe import describe, window  # noqa: PLC0415
 
     def when(fault: Fault, step: int) -> str:
@@ -161,32 +161,34 @@ def heal(number: Number = None, run: Run = None, as_json: AsJson = False) -> int
 
 
 def pause(run: Run = None, as_json: AsJson = False) -> int:
-    """Hold a running network before its next step."""
+    """Pause a running network before its next step."""
     return _clock(run, as_json, lambda live: live.pause(), "paused before step {}")
 
 
 def resume(run: Run = None, as_json: AsJson = False) -> int:
-    """Let a paused network go on."""
-    return _clock(run, as_json, lambda live: live.resume(), "goes on from step {}")
+    """Resume a paused network."""
+    return _clock(run, as_json, lambda live: live.resume(), "continues from step {}")
 
 
 def step(
-    steps: Annotated[int, typer.Argument(metavar="[N]", min=1, help="how many steps")] = 1,
+    steps: Annotated[int, typer.Argument(metavar="[N]", min=1, help="number of steps")] = 1,
     run: Run = None,
     as_json: AsJson = False,
 ) -> int:
-    """Let a network make so many steps, and pause."""
+    """Make a number of steps, then pause."""
     return _clock(
         run, as_json, lambda live: live.step(steps), f"{steps} step{'s' * (steps > 1)} from step {{}}, then paused"
     )
 
 
 def rate(
-    per_second: Annotated[float, typer.Argument(metavar="R", min=0, help="steps a second, 0 for as fast as possible")],
+    per_second: Annotated[
+        float, typer.Argument(metavar="R", min=0, help="steps per second, 0 for as fast as possible")
+    ],
     run: Run = None,
     as_json: AsJson = False,
 ) -> int:
-    """Set how fast a running network goes."""
+    """Set the rate of a running network."""
     fast = f"{per_second:g} steps/s" if per_second else "as fast as possible"
     return _clock(run, as_json, lambda live: live.rate(per_second), f"{fast} from step {{}}")
 

@@ -1,4 +1,4 @@
-"""Commands for networks on many machines: bundle, compose."""
+"""The commands for networks on many machines: bundle, compose."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def bundle(
     law: Law = None,
     sets: Sets = None,
 ) -> int:
-    """Write what each process is told, a file each, to carry to other machines, and how to start them there."""
+    """Write one config file for each process, for other machines, with the commands that start them there."""
     from hedgerow.orchestrator.cli.topology import read  # noqa: PLC0415
     from hedgerow.orchestrator.deploy.bundle import write, write_secure  # noqa: PLC0415
     from hedgerow.orchestrator.ground.assignment import layout, places, views_of  # noqa: PLC0415
@@ -70,7 +70,7 @@ def bundle(
                 write(part, topology, told)
     except OSError as error:
         raise UserError(f"--out {out}: {error.strerror}; choose another folder", code=Code.OUTPUT) from None
-    echo(f"{out}: {len(told)} processes; {out / 'README.md'} says how to start them")
+    echo(f"{out}: {len(told)} processes; {out / 'README.md'} explains the start")
     return 0
 
 
@@ -80,7 +80,7 @@ def _refuse_days(secure: bool, days: float | None) -> None:
 
 
 class Format(StrEnum):
-    """What runs the containers."""
+    """The engine that runs the containers."""
 
     COMPOSE = "compose"
     KUBERNETES = "kubernetes"
@@ -97,7 +97,7 @@ def compose(
     keys: Annotated[
         Path | None,
         typer.Option(
-            parser=user_path, metavar="DIR", help="its folder of keys, made if it is not there [keys, beside FILE]"
+            parser=user_path, metavar="DIR", help="its folder of keys, made if it does not exist [keys, beside FILE]"
         ),
     ] = None,
     days: Days = None,
@@ -123,12 +123,6 @@ def compose(
 
     check_options(rate=rate)
     topology = read(file, sets, steps=steps, seed=seed, law=law, processes=processes, secure=secure)
-    if ":" in topology.law:
-        raise UserError(
-            f"law {topology.law}: the images of these containers hold the laws of the project only. Choose one of them,"
-            " or carry the network with `orchestrator bundle`, which takes the source of the law along.",
-            code=Code.LAW,
-        )
     shards = layout(topology, topology.process_count)
     meet, docker, folder = namespace_of(topology) if namespace is None else namespace, form is Format.COMPOSE, None
     check_namespace(meet)
@@ -144,6 +138,13 @@ def compose(
     most = MOST_BYTES if docker else MOST_MAP_BYTES
     one = containers(topology, shards, meet, rate, most, folder, registry)
     text = to_compose(one, beside) if docker else to_kubernetes(one)
+    if docker and one.law.files:
+        try:
+            one.law.write(beside / one.law_folder)
+        except OSError as error:
+            raise UserError(
+                f"{beside / one.law_folder}: {error.strerror}. Choose another --out.", code=Code.OUTPUT
+            ) from None
     if out is None:
         echo(text, end="")
         return 0

@@ -33,7 +33,19 @@ from hedgerow.orchestrator.cli import sweep as cli_sweep
 from hedgerow.orchestrator.cli import watch as cli_watch
 from hedgerow.orchestrator.cli.exit_code import code_of_run, leave, run_to_exit_code
 from hedgerow.orchestrator.cli.names import EXPERIMENT, INSPECT, RUN, WATCH, Commands
-from hedgerow.orchestrator.cli.options import AsJson, File, Law, NoProgress, Quiet, RunDir, Running, Seed, Sets, Steps
+from hedgerow.orchestrator.cli.options import (
+    AsJson,
+    File,
+    KeptLaw,
+    Law,
+    NoProgress,
+    Quiet,
+    RunDir,
+    Running,
+    Seed,
+    Sets,
+    Steps,
+)
 from hedgerow.orchestrator.cli.topology import importable, read
 from hedgerow.orchestrator.launch.fork_client import ForkClient
 from hedgerow.topologies.errors import Code, DeadlineError, UserError, check_options
@@ -43,7 +55,7 @@ from hedgerow.wire.child import escape_warnings
 from hedgerow.wire.runtime import let_numbers_overflow
 from hedgerow.wire.stderr_relay import StderrRelay
 
-# A topology takes most of a second to load: each command imports what it needs itself.
+# Loading the topology modules takes most of a second: each command imports what it needs.
 if TYPE_CHECKING:
     from hedgerow.orchestrator.ground.assignment import Layout
     from hedgerow.orchestrator.launch.external_agents import External
@@ -110,6 +122,7 @@ def up(
     steps: Steps = None,
     seed: Seed = None,
     law: Law = None,
+    kept_law: KeptLaw = False,
     rate: Annotated[float, typer.Option(metavar="R", help="steps per second, 0 for as fast as possible")] = 0.0,
     run_dir: RunDir = None,
     sets: Sets = None,
@@ -169,7 +182,8 @@ def up(
 
     check_options(rate=rate, deadline=deadline, wait=wait)
     count_of: object = int(processes) if processes and processes.lstrip("-").isdecimal() else processes
-    topology = importable(read(file, sets, steps=steps, seed=seed, law=law, processes=count_of, secure=secure), file)
+    drawn = read(file, sets, steps=steps, seed=seed, law=law, processes=count_of, secure=secure)
+    topology = importable(drawn, file, kept_law)
     shards = layout(topology, topology.process_count)
     where = places(views_of(topology, shards))
     check_security(topology.secure, router, keys, where, external is not None, listen, namespace)
@@ -208,7 +222,7 @@ def up(
 
 
 def _keeps(keep: bool | None, display: Screen) -> bool:
-    """Return True if a page stays after the run: as asked, else if a terminal can send Ctrl-C."""
+    """Return True if a page stays after the run: as requested, or by default if a terminal can send Ctrl-C."""
     return keep if keep is not None else display.interactive or _is_terminal(sys.stdin)
 
 
@@ -282,6 +296,7 @@ def simulate(
     steps: Steps = None,
     seed: Seed = None,
     law: Law = None,
+    kept_law: KeptLaw = False,
     run_dir: RunDir = None,
     sets: Sets = None,
     viewer: Viewer = "none",
@@ -299,7 +314,7 @@ def simulate(
     from hedgerow.orchestrator.runs.selection import told  # noqa: PLC0415
     from hedgerow.orchestrator.views.screen import screen  # noqa: PLC0415
 
-    topology = importable(read(file, sets, steps=steps, seed=seed, law=law), file)
+    topology = importable(read(file, sets, steps=steps, seed=seed, law=law), file, kept_law)
     folder = folders.create(topology, run_dir)
     viewer = _viewer(viewer)
     with contextlib.closing(screen(topology, as_json, plain, quiet, watched=viewer != "none")) as display:

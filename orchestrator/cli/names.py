@@ -1,4 +1,4 @@
-"""The names of commands, with those that users try for them."""
+"""The names of commands, and the words that users try instead."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ _MEANT = {
 
 
 RUN, WATCH, INSPECT, EXPERIMENT, DEPLOY = "Run", "Watch and control", "Inspect", "Experiment", "Deploy"
-"""The panels of the help text, in its order."""
+"""The panels of the help text, in order."""
 
 
 class Commands(typer.core.TyperGroup):
     """A group of commands in panels, which also knows the command that a wrong word means.
 
-    Close spelling alone would suggest `heal` for `help`.
+    The closest spelling alone would suggest `heal` for `help`.
     """
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
@@ -44,7 +44,7 @@ class Commands(typer.core.TyperGroup):
                 with formatter.section(panel):
                     formatter.write_dl(commands)
 
-    # Some releases of typer bring a click of their own, so that no type of click fits all of them.
+    # Some releases of typer contain their own click, so no type of click fits all of them.
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Return the command that the first word names; a wrong word ends with the command that was meant."""
         word = args[0] if args else ""

@@ -1,4 +1,4 @@
-"""Options that several commands have, so that they are called and explained the same everywhere."""
+"""The options that several commands share, with one name and one explanation."""
 
 from __future__ import annotations
 
@@ -29,6 +29,9 @@ Sets = Annotated[list[str] | None, typer.Option("--set", metavar="PATH=VALUE", h
 Steps = Annotated[int | None, typer.Option(help="replace `steps:`")]
 Seed = Annotated[int | None, typer.Option(help="replace `seed:`")]
 Law = Annotated[str | None, typer.Option(help="replace `law:`")]
+KeptLaw = Annotated[
+    bool, typer.Option("--kept-law", help="FILE is the folder of a run: load the law from its copy there")
+]
 RunDir = Annotated[
     Path | None, typer.Option(parser=user_path, metavar="DIR", help="the run's folder, new or empty [runs/NAME-TIME]")
 ]

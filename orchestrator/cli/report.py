@@ -1,4 +1,4 @@
-"""The command that draws what a run left, for a paper and for a reader."""
+"""The command that draws the figures of runs, for a paper and for a page."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Figures = Annotated[str | None, typer.Option(metavar="2,4,...", help="only these
 Width = Annotated[float | None, typer.Option(metavar="IN", help="width of a figure in inches [3.5, one column]")]
 Style = Annotated[str | None, typer.Option(metavar="FILE", help="a .mplstyle file, or a style of matplotlib, on top")]
 Formats = Annotated[str, typer.Option("--format", metavar="pdf,...", help="formats of the figures: pdf, png, svg, pgf")]
-Force = Annotated[bool, typer.Option("--force", help="replace a report that is there")]
+Force = Annotated[bool, typer.Option("--force", help="replace an existing report")]
 
 
 def register(app: typer.Typer) -> None:
@@ -40,7 +40,7 @@ def report(
     style: Style = None,
     formats: Formats = "pdf,png",
 ) -> int:
-    """Draw the figures of a run, and a page with all of it; of several runs, beside each other."""
+    """Draw the figures of a run, and a page with all numbers; show several runs beside each other."""
     from hedgerow.orchestrator.report import report as write  # noqa: PLC0415
     from hedgerow.orchestrator.runs.reader import load_run  # noqa: PLC0415
 

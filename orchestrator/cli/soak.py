@@ -1,4 +1,4 @@
-"""The command that runs a network for long, and says whether it stays as it was."""
+"""The command for a long run that checks that memory, threads, open files and speed stay flat."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Minutes = Annotated[float, typer.Option(metavar="N", help="for how long")]
 Rate = Annotated[float, typer.Option(metavar="R", min=0, help="steps per second, 0 for as fast as possible")]
 Processes = Annotated[int | None, typer.Option(metavar="P", min=1, help="agent processes [one a node]")]
 Record = Annotated[bool, typer.Option("--record/--no-record", help="write run.rrd")]
-Faults = Annotated[bool, typer.Option("--faults/--no-faults", help="let things go wrong all the time")]
+Faults = Annotated[bool, typer.Option("--faults/--no-faults", help="add random faults to the whole run")]
 
 
 def register(app: typer.Typer) -> None:
@@ -36,7 +36,9 @@ def soak(
     faults: Faults = True,
     quiet: Quiet = False,
 ) -> int:
-    """Run a network for long under faults; exit code 1 if memory, threads, open files or pace do not stay flat."""
+    """Run a network for a long time under faults; exit code 1 if memory, threads, open files or speed do not stay
+    flat.
+    """
     from hedgerow.orchestrator.cli.topology import read  # noqa: PLC0415
     from hedgerow.orchestrator.experiments.soak import LEAST_MINUTES, LEAST_WARM_UP_S, run_soak  # noqa: PLC0415
     from hedgerow.topologies.errors import UserError, check_options  # noqa: PLC0415

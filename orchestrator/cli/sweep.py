@@ -19,7 +19,9 @@ Seeds = Annotated[str, typer.Option(metavar="FIRST:STOP", help="every seed from 
 Sets = Annotated[
     list[str] | None, typer.Option("--set", metavar="PATH=VALUE,...", help="the values that a key of the file takes")
 ]
-Engine = Annotated[str, typer.Option(metavar="in-process|zenoh", help="in one process a run, or one an agent")]
+Engine = Annotated[
+    str, typer.Option(metavar="in-process|zenoh", help="in-process: one process per run; zenoh: one process per agent")
+]
 Out = Annotated[
     Path | None,
     typer.Option(parser=user_path, metavar="DIR", help="the sweep's folder, new or of this sweep [sweeps/NAME-HASH]"),
@@ -43,7 +45,7 @@ def sweep(
     on: On = None,
     quiet: Quiet = False,
 ) -> int:
-    """Run a network under many seeds and settings, into one table; the same command goes on where it was stopped."""
+    """Run a network under many seeds and settings, into one table; the same command continues a stopped sweep."""
     from hedgerow.orchestrator.experiments.sweep import sweep as run  # noqa: PLC0415
     from hedgerow.orchestrator.experiments.sweep.plan import plan  # noqa: PLC0415
 

@@ -1,4 +1,4 @@
-"""The topology that the arguments of a command describe."""
+"""The topology from the arguments of a command."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from hedgerow.topologies.escape import echo
 
-# A topology takes most of a second to load: each function imports what it needs itself.
+# Loading a topology takes most of a second: each function imports what it needs.
 if TYPE_CHECKING:
     from hedgerow.topologies.schema import Topology
 
@@ -21,15 +21,18 @@ def read(file: str, sets: list[str] | None, **replace: object) -> Topology:
     return resolve(load(file, [*options, *(sets or [])]), find(file).parent)
 
 
-def importable(topology: Topology, file: str = "") -> Topology:
+def importable(topology: Topology, file: str = "", kept: bool = False) -> Topology:
     """Return the topology with a checked law: a law that cannot be loaded ends the command before a run.
 
     `file` is the name of the topology. Print a line if it is the folder of a run that kept another source of the law.
+    If `kept`, load the law from that folder, here and in every process of the run.
     """
-    from hedgerow.orchestrator.ground.law_source import FOLDER, differs  # noqa: PLC0415
+    from hedgerow.orchestrator.ground.law_source import FOLDER, differs, use_kept  # noqa: PLC0415
     from hedgerow.orchestrator.ground.laws import checked  # noqa: PLC0415
     from hedgerow.topologies.load import find  # noqa: PLC0415
 
-    if file and ":" in topology.law and (difference := differs(topology.law, find(file).parent / FOLDER)):
+    if kept:
+        use_kept(find(file).parent / FOLDER)
+    elif file and ":" in topology.law and (difference := differs(topology.law, find(file).parent / FOLDER)):
         echo(difference, error=True)
     return checked(topology)

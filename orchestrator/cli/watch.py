@@ -1,4 +1,4 @@
-"""The commands that show runs in a viewer: those that are going on, and those that are over."""
+"""The commands that show running and finished runs in a viewer."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def register(app: typer.Typer) -> None:
 
 
 def watch(run: Running = None, viewer: Viewer = "auto") -> int:
-    """Show a running network from its first step, whenever it began, and follow it; it costs the run nothing."""
+    """Show a running network from its first step and follow it; this costs the run nothing."""
     from hedgerow.orchestrator.runs import registry  # noqa: PLC0415
     from hedgerow.orchestrator.views.rerun.viewer import choose_one  # noqa: PLC0415
 
@@ -39,7 +39,7 @@ def watch(run: Running = None, viewer: Viewer = "auto") -> int:
     except UserError as error:
         hint = "`orchestrator open` shows runs that are over, and those of `simulate`"
         raise UserError(f"{error}\n{hint}", code=error.code) from None
-    choice = choose_one(viewer, f"`{command(['orchestrator', 'status', entry.run])}` says how far it is")
+    choice = choose_one(viewer, f"`{command(['orchestrator', 'status', entry.run])}` shows its step")
     from hedgerow.orchestrator.views.rerun.watch import watch as follow  # noqa: PLC0415
 
     echo(f"{entry.run}: running in {entry.folder}")
@@ -48,7 +48,7 @@ def watch(run: Running = None, viewer: Viewer = "auto") -> int:
 
 
 def open_(runs: Runs = None, viewer: Viewer = "auto") -> int:
-    """Show runs that are over in a viewer, several on the same axes."""
+    """Show finished runs in a viewer; several share the same axes."""
     from hedgerow.orchestrator.runs.files import find_run  # noqa: PLC0415
     from hedgerow.orchestrator.views.rerun.viewer import choose_one  # noqa: PLC0415
 

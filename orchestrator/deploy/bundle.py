@@ -1,4 +1,4 @@
-"""A folder to carry away: what each process of a network is told, and the commands that start them."""
+"""A folder for other machines: the config of each process of a network, and the commands that start them."""
 
 from __future__ import annotations
 
@@ -106,7 +106,9 @@ def write(folder: Path, topology: Topology, configs: Sequence[Config]) -> None:
 def write_secure(
     folder: Path, topology: Topology, configs: Sequence[Config], places: Sequence[Place], days: float
 ) -> None:
-    """Write the same with everybody's keys, a folder each; raises OSError, and UserError where no keys can be made."""
+    """Write the same with the keys of all processes, one folder each; raise OSError, or UserError if no keys can be
+    made.
+    """
     first = configs[0]
 
     def tell(part: Path) -> None:
@@ -142,7 +144,7 @@ def _write_rest(
 
 
 def release() -> str:
-    """Our own version."""
+    """Return our own version."""
     from hedgerow.wire.handshake import introduction  # noqa: PLC0415
 
     return str(introduction("")["hedgerow"])

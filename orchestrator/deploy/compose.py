@@ -1,4 +1,4 @@
-"""A network as a Compose file, with all that each process is told in it; Docker's Compose and Swarm read the same."""
+"""A network as a Compose file, with the config of each process in it, for Docker Compose and Docker Swarm."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from hedgerow.orchestrator.deploy.containers import (
     CREDENTIALS,
     HOMES,
     KEYS,
+    LAW,
     OBSERVER_MEMORY,
     OBSERVERS,
     PAGE_CHECK,
@@ -36,23 +37,23 @@ from hedgerow.wire.access import ROUTER
 from hedgerow.wire.config import VARIABLE, Config
 
 MOST_BYTES = 100_000
-"""What one environment variable may hold; the kernel's limit is 128 KB."""
+"""The maximum length of one environment variable; the kernel's limit is 128 KB."""
 
 
 def to_compose(one: Containers, folder: Path) -> str:
-    """A Compose file, which `docker compose up` and `docker stack deploy` take, to be written into `folder`."""
+    """Return a Compose file for `docker compose up` and `docker stack deploy`, to be written into `folder`."""
     services = [_service(one, config) for config in one.configs]
-    return "\n".join([_head(one), *services, _observer(one), *_all_secrets(one, folder)])
+    return "\n".join([_head(one), *services, _observer(one), *_law_files(one), *_all_secrets(one, folder)])
 
 
 HEAD = """\
-# {name}: a router, the plant, {agents} agents, and the observer, who serves the viewer's page.
-# Made by `orchestrator compose`; with it, and the Dockerfile beside it:
+# {name}: a router, the plant, {agents} agents, and the observer, which serves the viewer's page.
+# Made by `orchestrator compose`. Commands, with the Dockerfile beside this file:
 #   docker compose up       the page is at http://localhost:{page}; the run's folder is in the volume `runs`
-#   docker compose down     ends it and leaves nothing but that volume (`down --volumes`: not that either)
+#   docker compose down     ends it and keeps only that volume (`down --volumes`: not even that)
 #   docker stack deploy -c THIS-FILE {name}       once the images are built and pushed
-# Everybody waits for everybody else, so the order of starting does not matter. An agent that dies is started again and
-# goes on where it would be; the plant and the observer are the run, and end with it.
+# All processes wait for each other, so the order of their start does not matter. An agent that dies is restarted and
+# rejoins the run. The plant and the observer end with the run.
 {secure}
 x-agent: &agent
   image: {image}
@@ -63,7 +64,7 @@ x-agent: &agent
   depends_on: [router, plant]
   restart: on-failure
   deploy: {{restart_policy: {{condition: on-failure, delay: 1s}}, {agent_limits}}}
-{confined_agent}  stop_grace_period: 5s
+{confined_agent}{law}  stop_grace_period: 5s
 {user}  healthcheck: &takes-part
     test: {check}
     interval: 10s
@@ -93,13 +94,13 @@ services:
       start_period: 10s
 """
 HEAD_SECURE = """\
-# Secure: every service has its own keys out of {keys}/ and nobody else's, and runs as who made them.
+# Secure: every service has only its own keys from {keys}/, and runs as the user who made them.
 """
 AGENT = """\
   {process}:
     <<: *agent
 {own_keys}    environment:
-      {variable}: |
+{law_path}      {variable}: |
 {text}
 """
 PLANT = """\
@@ -143,8 +144,8 @@ OBSERVER = """\
       timeout: 10s
       retries: 3
       start_period: {start}s
-{own_keys}    environment:
-      HEDGEROW_TOPOLOGY: |
+{law}{own_keys}    environment:
+{law_path}      HEDGEROW_TOPOLOGY: |
 {text}
 """
 
@@ -169,6 +170,7 @@ def _head(one: Containers) -> str:
         router_keys=_own_keys(one, ROUTERS, f"    {_user()}    working_dir: {KEYS}/{ROUTER}\n"),
         secure=HEAD_SECURE.format(keys=escape(str(one.keys), keep="")) if one.keys else "",
         user=f"  {_user()}" if one.keys else "",
+        law=_law(one, "  "),
     )
 
 
@@ -176,6 +178,7 @@ def _service(one: Containers, config: Config) -> str:
     form = PLANT if config.process == keys.PLANT else AGENT
     return form.format(
         process=config.process,
+        law_path=_law_path(one),
         confined=_confined("    "),
         limits=_limits(PLANT_MEMORY),
         image=one.image("hedgerow-agent"),
@@ -191,6 +194,8 @@ def _observer(one: Containers) -> str:
     return OBSERVER.format(
         image=one.image("hedgerow"),
         command=command(one.observer("runs/topology.yaml")).replace("$", "$$"),
+        law=_law(one, "    "),
+        law_path=_law_path(one),
         own_keys=_own_keys(one, OBSERVERS, f"    {_user()}"),
         page=PAGE_PORT,
         check=_test(PAGE_CHECK),
@@ -214,17 +219,17 @@ def _confined(indent: str, more: Sequence[str] = ()) -> str:
 
 
 def _limits(megabytes: int) -> str:
-    """Return the limits of a container, which Compose and Swarm both take from `deploy`."""
+    """Return the limits of a container, which both Compose and Swarm read in `deploy`."""
     return f"resources: {{limits: {{memory: {megabytes}M, cpus: '{CPUS}'}}}}"
 
 
 def _user() -> str:
-    """A container can read the files of who made them, with Docker Compose; Swarm lets everybody in it read them."""
+    """Return the user of a container: the owner of the key files; Swarm lets every user in it read them."""
     return f'user: "{os.getuid()}:{os.getgid()}"\n'
 
 
 def _own_keys(one: Containers, files: Files, more: str) -> str:
-    """What a service says of its keys, and `more`."""
+    """Return the secrets of a service, and `more`."""
     if one.keys is None:
         return ""
     lines = [
@@ -236,7 +241,7 @@ def _own_keys(one: Containers, files: Files, more: str) -> str:
 
 
 def _all_secrets(one: Containers, beside: Path) -> list[str]:
-    """Where the keys of all services lie, as who reads the file looks for them: from the folder that it is in."""
+    """Return the places of all keys, relative to the folder of the file."""
     if one.keys is None:
         return []
     folder = one.keys if one.keys.is_absolute() else f"./{os.path.relpath(one.keys, beside)}"
@@ -249,8 +254,25 @@ def _all_secrets(one: Containers, beside: Path) -> list[str]:
     return ["\n".join(["secrets:", *lines, ""])]
 
 
+def _law(one: Containers, indent: str) -> str:
+    """Return the files of a law of the user's own that a container has."""
+    places = [_path(f"{LAW}/{file}") for file in one.law.files]
+    lines = [f"{indent}  - {{source: law-{k}, target: {place}}}\n" for k, place in enumerate(places)]
+    return "".join([f"{indent}configs:\n", *lines]) if lines else ""
+
+
+def _law_path(one: Containers) -> str:
+    return f"      PYTHONPATH: {LAW}\n" if one.law.files else ""
+
+
+def _law_files(one: Containers) -> list[str]:
+    """Return where these files lie, from the folder of the Compose file."""
+    lines = [f"  law-{k}: {{file: {_path(f'./{one.law_folder}/{file}')}}}" for k, file in enumerate(one.law.files)]
+    return ["\n".join(["configs:", *lines, ""])] if lines else []
+
+
 def _path(path: str) -> str:
-    """Return a path as a value of a Compose file, in which $ is written twice; raises UserError if it is not text."""
+    """Return a path as a value of a Compose file, which writes $ twice; raise UserError if it is not text."""
     try:
         path.encode()
     except UnicodeEncodeError:
@@ -260,7 +282,7 @@ def _path(path: str) -> str:
 
 
 def _words(words: Sequence[str]) -> str:
-    """A list on one line."""
+    """Return a list on one line."""
     text: str = yaml.safe_dump(list(words), default_flow_style=True, width=10**6)
     return text.strip()
 
@@ -270,5 +292,5 @@ def _test(words: Sequence[str]) -> str:
 
 
 def _block(text: str) -> str:
-    """A text as a block of a Compose file, in which $ is written twice."""
+    """Return a text as a block of a Compose file, which writes $ twice."""
     return "\n".join(f"        {line}".rstrip() for line in text.replace("$", "$$").splitlines())

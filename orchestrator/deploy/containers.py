@@ -1,16 +1,17 @@
-"""A network cut into containers: what each runs, is told, and has of keys, whatever engine runs them.
+"""A network divided into containers: the command, the config and the keys of each, for any container engine.
 
-The order of starting is the processes' own affair: each waits for the router, an agent for the plant, the plant for
-all agents and the observer (docs/wire.md). So nothing sleeps.
+The processes themselves determine the order of their start. Each waits for the router, an agent for the plant, and the
+plant for all agents and the observer (docs/wire.md). So no container sleeps.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from hedgerow.agents.law_source import LawSource, source_of
 from hedgerow.orchestrator.deploy.bundle import release
 from hedgerow.orchestrator.ground.assignment import Layout
 from hedgerow.orchestrator.launch.certificates import CONFIGURATION, LIFE_DAYS, SETTINGS, carried, to_carry
@@ -36,10 +37,10 @@ ROUTER_COMMAND = (
     f"--cfg=transport/link/tx/lease:{base_settings()['transport/link/tx/lease']}",
 )
 SECURE_ROUTER_COMMAND = (f"--config={CONFIGURATION}",)
-"""In the folder of its keys; without the web interface, which asks nobody for a certificate."""
+"""Runs in the folder of its keys; without the web interface, which does not ask for a certificate."""
 SECURE_ROUTER_CHECK = ("nc", "-z", "127.0.0.1", str(ROUTER_PORT))
 KEYS = "/keys"
-"""The folder of keys in a container, with the folders of its own processes alone."""
+"""The folder of keys in a container, with the folders of its processes alone."""
 ROUTER_CHECK = ("wget", "-q", "-O", "/dev/null", "http://127.0.0.1:8000/@/local/router")
 PAGE_CHECK = (
     "python",
@@ -47,18 +48,20 @@ PAGE_CHECK = (
     f"import urllib.request as r; r.urlopen('http://127.0.0.1:{PAGE_PORT}/re_viewer.js', timeout=5)",
 )
 WAIT_S = 600
-"""How long everybody waits for all others: images may have to be pulled."""
+"""The time that each process waits for the others [s]: the engine may have to pull images."""
 START_S = 120
-"""How long a health check may fail before it counts: a container that never takes part is unhealthy after that."""
+"""The time that a health check may fail at the start [s]; after it, the container counts as unhealthy."""
 AGENT_MEMORY, PLANT_MEMORY, ROUTER_MEMORY, OBSERVER_MEMORY = 1024, 2048, 1024, 4096
 """Memory limits [MB]; an agent of paper7 uses 44 MB (docs/security.md). The rest is room for large networks."""
 CPUS, PIDS = 1, 256
 """Limits of each container; Docker refuses more cores than the machine has."""
 TEMPORARY = "/tmp"
+LAW = "/law"
+"""The folder of a law of the user's own in the containers of the agents and the observer."""
 HOMES = tuple(f"/home/hedgerow/{name}" for name in (".cache", ".config", ".local"))
-"""Where the viewer keeps its settings; nothing else but volumes can be written to."""
+"""The folders of the viewer's settings; only these and the volumes are writable."""
 MOST_SECRET_BYTES = 500_000
-"""What one secret may hold, of Docker Swarm; in Kubernetes it is twice as much."""
+"""The maximum size of a secret in Docker Swarm; Kubernetes permits twice as much."""
 
 Files = Mapping[str, Sequence[str]]
 """Files in the folder of keys, by the folder in it."""
@@ -69,40 +72,47 @@ ROUTERS: Files = {ROUTER: (*CREDENTIALS, CONFIGURATION)}
 
 @dataclass(frozen=True)
 class Containers:
-    """A network, cut into containers."""
+    """A network divided into containers."""
 
     topology: Topology
     configs: Sequence[Config]
-    """the plant's first"""
+    """the config of the plant first"""
     rate: float
     services: Mapping[str, str]
-    """what they are called here, by what they are called in the folder of keys"""
+    """the names of the services, by the names in the folder of keys"""
     keys: Path | None = None
-    """that folder, where the network is secure"""
+    """that folder, in a secure network"""
     registry: str = ""
     """where the images are, e.g. registry.example/team; on the machine itself if it is empty"""
+    law: LawSource = field(default_factory=LawSource)
+    """the source of a law of the user's own"""
+
+    @property
+    def law_folder(self) -> str:
+        """Return the name of the folder beside the Compose file that holds the source of the law."""
+        return f"law-{self.law.digest}"
 
     @property
     def namespace(self) -> str:
-        """Where all meet."""
+        """Return the namespace of the network."""
         return self.configs[0].namespace
 
     def image(self, name: str) -> str:
-        """One of the two of the Dockerfile, `hedgerow` or `hedgerow-agent`."""
+        """Return one of the two images of the Dockerfile, `hedgerow` or `hedgerow-agent`."""
         return f"{self.registry}{'/' if self.registry else ''}{name}:{release()}"
 
     def command(self, config: Config) -> list[str]:
-        """What the container of a plant or an agent runs."""
+        """Return the command of the container of a plant or an agent."""
         if config.process == keys.PLANT:
             return ["hedgerow-plant", "--rate", f"{self.rate:g}", "--wait", str(WAIT_S)]
         return ["hedgerow-agent", "--wait", str(WAIT_S)]
 
     def check(self, config: Config) -> list[str]:
-        """How that container asks its process whether it takes part."""
+        """Return the command by which that container probes its process."""
         return [self.command(config)[0], "--check"]
 
     def observer(self, file: str) -> list[str]:
-        """What the observer's container runs."""
+        """Return the command of the observer's container."""
         return [
             *("orchestrator", "up", file, "--external", "plant,all", "--namespace", self.namespace, "--plain"),
             *("--router", self.configs[0].router, "--wait", str(WAIT_S), "--viewer", f"http://0.0.0.0:{PAGE_PORT}"),
@@ -110,17 +120,17 @@ class Containers:
         ]
 
     def own(self, config: Config) -> Files:
-        """The keys of a plant or an agent."""
+        """Return the keys of a plant or an agent."""
         return {home: CREDENTIALS for home, service in self.services.items() if service == config.process}
 
     @property
     def router_command(self) -> Sequence[str]:
-        """What the router's container runs."""
+        """Return the command of the router's container."""
         return SECURE_ROUTER_COMMAND if self.keys else ROUTER_COMMAND
 
     @property
     def router_check(self) -> Sequence[str]:
-        """How that container asks whether it runs."""
+        """Return the command by which that container probes the router."""
         return SECURE_ROUTER_CHECK if self.keys else ROUTER_CHECK
 
 
@@ -129,11 +139,11 @@ _REGISTRY = re.compile(r"[A-Za-z0-9][A-Za-z0-9.-]*(:[0-9]{1,5})?(/[a-z0-9]+([._-
 
 
 def provide_keys(folder: Path, places: Sequence[Place], namespace: str, days: float | None) -> None:
-    """Make the keys of a network in containers, if `folder` is not there; UserError if it holds others."""
+    """Make the keys of a network in containers, if `folder` does not exist; raise UserError if it has other keys."""
     if not folder.exists():
         to_carry(folder, places, namespace, SECURE_ROUTER, days or LIFE_DAYS)
     elif days is not None:
-        raise UserError(f"--days {days:g}: the keys in {folder} are there already; name a new folder, --keys DIR")
+        raise UserError(f"--days {days:g}: the keys in {folder} already exist; name a new folder, --keys DIR")
     made_for = carried(folder, places)
     if made_for != (SECURE_ROUTER, namespace):
         raise UserError(
@@ -151,7 +161,9 @@ def containers(
     folder: Path | None = None,
     registry: str = "",
 ) -> Containers:
-    """The containers of a network, with keys out of `folder`; UserError where one would be told over `most_bytes`."""
+    """Return the containers of a network, with keys from `folder`; raise UserError if a config is larger than
+    `most_bytes`.
+    """
     if registry and not _REGISTRY.fullmatch(registry):
         raise UserError(
             f"--registry {registry}: is no prefix of an image. Write HOST[:PORT]/PATH in lower case.", code=Code.OPTION
@@ -173,16 +185,23 @@ def containers(
     )
     if size > most_bytes:
         raise UserError(
-            f"{topology.name}: {largest} is told {size} bytes, and a container at most {most_bytes}: use more"
-            " --processes, or `orchestrator bundle`, whose files can be of any size",
+            f"{topology.name}: {largest} needs {size} bytes, and a container accepts at most {most_bytes}: use more"
+            " --processes, or `orchestrator bundle`, with files of any size",
             code=Code.TOPOLOGY,
         )
+    law = source_of(topology.law)
+    if (size := sum(map(len, law.files.values()))) > MOST_SECRET_BYTES:
+        raise UserError(
+            f"law {topology.law}: its source has {size} bytes, and a container takes at most {MOST_SECRET_BYTES}. Use"
+            " `orchestrator bundle`, whose files can be of any size.",
+            code=Code.LAW,
+        )
     services = dict(zip(homes, (one.process for one in told), strict=True))
-    return Containers(topology, told, rate, services, folder, registry.rstrip("/"))
+    return Containers(topology, told, rate, services, folder, registry.rstrip("/"), law)
 
 
 def _named(config: Config) -> Config:
-    """The same, under a name that every engine takes: of lower case, without dots and underscores."""
+    """Return the same config under a name that every engine accepts: lower case, without dots and underscores."""
     if re.fullmatch(r"[a-z0-9]([-a-z0-9]*[a-z0-9])?", config.process):
         return config
     return replace(config, process=keys.shard_name(config.told["shard"]))

@@ -1,4 +1,4 @@
-"""A network as Kubernetes manifests, with all that each process is told in them."""
+"""A network as Kubernetes manifests, with the config of each process in them."""
 
 from __future__ import annotations
 
@@ -10,11 +10,13 @@ from typing import Any
 
 import yaml
 
+from hedgerow.agents.law_source import LawSource
 from hedgerow.orchestrator.deploy.containers import (
     AGENT_MEMORY,
     CPUS,
     HOMES,
     KEYS,
+    LAW,
     OBSERVER_MEMORY,
     OBSERVERS,
     PAGE_CHECK,
@@ -33,17 +35,20 @@ from hedgerow.topologies.resolve import to_yaml
 from hedgerow.wire import keys
 from hedgerow.wire.access import ROUTER
 
+NO_LAW = LawSource()
 MOST_MAP_BYTES = 1_000_000
-"""What one ConfigMap may hold; Kubernetes' limit is 1 MiB."""
+"""The maximum size of a ConfigMap; the limit of Kubernetes is 1 MiB."""
 USER_ID = 10001
 """The user in both images (Dockerfile)."""
 
 
 def to_kubernetes(one: Containers) -> str:
-    """Kubernetes manifests: a Deployment and a Service for the router, a Job and a ConfigMap for each process."""
+    """Return Kubernetes manifests: a Deployment and a Service for the router, a Job and a ConfigMap for each
+    process.
+    """
     name = one.topology.name
     originals = {service: home for home, service in one.services.items()}
-    documents: list[Mapping[str, Any]] = [*_secrets(one, name, ROUTERS), *_router(one, name)]
+    documents: list[Mapping[str, Any]] = [*_secrets(one, name, ROUTERS), *_router(one, name), *_law(one, name)]
     for config in one.configs:
         again, own = config.process != keys.PLANT, one.own(config)
         mounted = _mounted(one, own)
@@ -59,6 +64,7 @@ def to_kubernetes(one: Containers) -> str:
                 again,
                 mounted,
                 originals[config.process],
+                one.law if again else NO_LAW,
             ),
         ]
     check = list(PAGE_CHECK)
@@ -67,7 +73,7 @@ def to_kubernetes(one: Containers) -> str:
         *_secrets(one, name, OBSERVERS),
         _config_map(name, "orchestrator", "topology.yaml", to_yaml(one.topology)),
         _volume_claim(name),
-        _job(name, "orchestrator", one.image("hedgerow"), command, check, False, _mounted(one, OBSERVERS)),
+        _job(name, "orchestrator", one.image("hedgerow"), command, check, False, _mounted(one, OBSERVERS), law=one.law),
         _page(name),
     ]
     return HEAD_KUBERNETES.format(name=label(name), page=PAGE_PORT) + yaml.safe_dump_all(
@@ -102,10 +108,10 @@ def _temporary(paths: Sequence[str]) -> tuple[list[dict[str, Any]], list[dict[st
 
 
 def label(text: str) -> str:
-    """Return a name for `text` that Kubernetes takes everywhere: an RFC 1123 label of 1 to 63 characters.
+    """Return a name for `text` that Kubernetes accepts everywhere: an RFC 1123 label of 1 to 63 characters.
 
-    A text that is such a label stays as it is. Another one ends with a hash of it, so that two texts never get one
-    name. `default` and `kube-…` are namespaces of Kubernetes' own, which our instructions would delete.
+    A text that is such a label remains unchanged. Another text gets a hash at its end, so two texts never get one name.
+    `default` and `kube-…` are namespaces of Kubernetes itself, which our instructions would delete.
     """
     if _LABEL.fullmatch(text) and text != "default" and not text.startswith("kube-"):
         return text
@@ -122,7 +128,7 @@ _NOT_OF_LABELS = re.compile(r"[^a-z0-9]+")
 
 
 def _meta(network: str, process: str, original: str = "") -> dict[str, Any]:
-    """Return the name and the labels of an object, and what they stand for where they had to be changed."""
+    """Return the name and the labels of an object, with the original texts of changed ones."""
     names = {"hedgerow/network": (network, label(network)), "hedgerow/process": (original or process, label(process))}
     changed = {key: text for key, (text, name) in names.items() if text != name}
     annotations = {"annotations": changed} if changed else {}
@@ -138,7 +144,7 @@ def _labels(network: str, process: str) -> dict[str, str]:
 
 
 Keys = Mapping[str, str]
-"""The folders of keys that a container has, and the Secrets that hold them."""
+"""The folders of keys in a container, and the Secrets that hold them."""
 
 
 def _mounted(one: Containers, files: Files) -> Keys:
@@ -146,7 +152,7 @@ def _mounted(one: Containers, files: Files) -> Keys:
 
 
 def _secrets(one: Containers, network: str, files: Files) -> Iterator[Mapping[str, Any]]:
-    """A Secret for each of the folders of keys."""
+    """Yield a Secret for each of the folders of keys."""
     for home, secret in _mounted(one, files).items():
         assert one.keys is not None
         held = {file: base64.b64encode(read_regular(one.keys / home / file)).decode() for file in files[home]}
@@ -154,7 +160,7 @@ def _secrets(one: Containers, network: str, files: Files) -> Iterator[Mapping[st
 
 
 def _key_volumes(own: Keys) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """What a container mounts, and the volumes of its pod; nobody but it and its group reads them."""
+    """Return the mounts of a container, and the volumes of its pod; only it and its group can read them."""
     mounts = [
         {"name": label(f"keys-{secret}"), "mountPath": f"{KEYS}/{home}", "readOnly": True}
         for home, secret in own.items()
@@ -211,6 +217,13 @@ def _config_map(network: str, process: str, file: str, text: str, original: str 
     return {"apiVersion": "v1", "kind": "ConfigMap", "metadata": meta, "data": {file: text}}
 
 
+def _law(one: Containers, network: str) -> Iterator[Mapping[str, Any]]:
+    """Yield a ConfigMap with the files of the user's law, if there are any."""
+    if one.law.files:
+        data = {f"file-{k}": base64.b64encode(text).decode() for k, text in enumerate(one.law.files.values())}
+        yield {"apiVersion": "v1", "kind": "ConfigMap", "metadata": _meta(network, "law"), "binaryData": data}
+
+
 def _volume_claim(network: str) -> Mapping[str, Any]:
     spec = {"accessModes": ["ReadWriteOnce"], "resources": {"requests": {"storage": "1Gi"}}}
     return {"apiVersion": "v1", "kind": "PersistentVolumeClaim", "metadata": _meta(network, "runs"), "spec": spec}
@@ -225,8 +238,10 @@ def _job(
     again: bool,
     own: Keys,
     original: str = "",
+    law: LawSource = NO_LAW,
 ) -> Mapping[str, Any]:
-    """One process: started `again` when it fails, or not; each is told what its own ConfigMap holds and no more.
+    """Return the job of one process, with a restart after a failure if `again`; its ConfigMap holds only its own
+    config.
 
     `own` are its folders of keys, `original` is the name of the process outside of Kubernetes.
     """
@@ -248,6 +263,11 @@ def _job(
         "resources": _resources(memory),
     }
     volumes: list[dict[str, Any]] = [{"name": "told", "configMap": {"name": label(process)}}, *key_volumes, *temporary]
+    if law.files:
+        container["env"] = [{"name": "PYTHONPATH", "value": LAW}]
+        container["volumeMounts"].append({"name": "law", "mountPath": LAW, "readOnly": True})
+        items = [{"key": f"file-{k}", "path": path} for k, path in enumerate(law.files)]
+        volumes.append({"name": "law", "configMap": {"name": "law", "items": items}})
     if observer:
         container["ports"] = [{"containerPort": PAGE_PORT}]
         container["volumeMounts"].append({"name": "runs", "mountPath": "/home/hedgerow/runs"})

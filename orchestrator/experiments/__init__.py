@@ -1,1 +1,1 @@
-"""Many runs: sweeps, random faults, long runs."""
+"""Experiments with many runs: sweeps, comparisons, random faults, long runs."""

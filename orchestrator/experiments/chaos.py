@@ -1,7 +1,7 @@
-"""Random networks under random faults, over Zenoh: whatever is drawn must run to its end and equal the reference.
+"""Random networks under random faults, over Zenoh: every run must reach its end and equal the reference.
 
-A trial is a function of its seed. One that fails is made smaller, as long as it still fails, and what is left is a
-topology file that anybody can run.
+A trial is a function of its seed. A failing trial is reduced while it still fails; the result is a topology file that
+everyone can run.
 """
 
 from __future__ import annotations
@@ -35,15 +35,15 @@ from hedgerow.topologies.schema import Topology
 
 MAX_STEPS = 30
 SHRINK_S = 120.0
-"""how long a failing trial is made smaller"""
+"""the time limit for the reduction of a failing trial [s]"""
 
 Raw = dict[str, Any]
-"""A topology as a file holds it."""
+"""A topology as in a file."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """A trial that failed, as small as it could be made."""
+    """A failing trial, reduced as far as possible."""
 
     seed: int
     wrong: str
@@ -51,10 +51,10 @@ class Finding:
 
 
 def drawn(seed: int, most: int = 12) -> Raw:
-    """A network of 2 to `most` nodes and some faults, as a file spells them: a function of `seed`."""
+    """Return a network of 2 to `most` nodes with some faults, as a file spells them: a function of `seed`."""
     lots = np.random.default_rng(seed)
     n, steps = int(lots.integers(2, most + 1)), int(lots.integers(8, MAX_STEPS + 1))
-    edges = [[int(lots.integers(j)), j] for j in range(1, n)]  # a tree, and some edges more
+    edges = [[int(lots.integers(j)), j] for j in range(1, n)]  # a tree, and some additional edges
     for i, j in lots.integers(n, size=(n // 3, 2)).tolist():
         if i != j and [min(i, j), max(i, j)] not in edges:
             edges.append([min(i, j), max(i, j)])
@@ -104,7 +104,7 @@ def _fault(lots: np.random.Generator, nodes: Mapping[int, Raw], edges: list[list
 
 
 def read(raw: Raw) -> Topology:
-    """The resolved topology that `raw` describes; TopologyError if it describes none."""
+    """Return the resolved topology in `raw`; raise TopologyError if it is invalid."""
     return resolve(parse(_json(raw), "chaos", Path()))
 
 
@@ -113,7 +113,7 @@ def _json(raw: Raw) -> bytes:
 
 
 def trial(topology: Topology, folder: Path, fork_client: ForkClient) -> str:
-    """Run a network over Zenoh; what is wrong with the run, or nothing."""
+    """Run a network over Zenoh; return the problem of the run, or an empty text."""
     options = Options(watching=Watching(record=False), verify=True)
     shards = layout(topology, topology.process_count)
     before = _children()
@@ -136,7 +136,7 @@ def _children() -> set[int]:
 
 
 def smaller(raw: Raw) -> Iterator[Raw]:
-    """Topologies a little simpler than this one, the boldest first."""
+    """Yield slightly simpler topologies, the boldest first."""
     faults = raw.get("faults", [])
     for k in range(len(faults)):
         yield {**raw, "faults": faults[:k] + faults[k + 1 :]}
@@ -173,7 +173,7 @@ def _simpler(fault: Raw) -> Iterator[Raw]:
 
 
 def shrunk(raw: Raw, wrong: str, fails: Callable[[Raw], str]) -> tuple[Raw, str]:
-    """The smallest topology found that still fails, and how."""
+    """Return the smallest topology found that still fails, and its problem."""
     by = time.monotonic() + SHRINK_S
     again = True
     while again and time.monotonic() < by:
@@ -192,7 +192,7 @@ def shrunk(raw: Raw, wrong: str, fails: Callable[[Raw], str]) -> tuple[Raw, str]
 
 
 def hunt(seeds: Iterable[int], most: int, scratch: Path, say: Callable[[str], None]) -> Finding | None:
-    """Run a trial a seed until one fails; that one, made smaller, or None."""
+    """Run one trial per seed until one fails; return that one, reduced, or None."""
     count = itertools.count(1)
     with contextlib.closing(ForkClient()) as fork_client:
 
@@ -217,5 +217,5 @@ def _sketch(raw: Raw) -> str:
 
 
 def write(finding: Finding, path: Path) -> None:
-    """Leave the topology of a finding in a file, with what is wrong in its first line."""
+    """Write the topology of a finding to a file, with the problem in its first line."""
     path.write_text(f"# seed {finding.seed}: {finding.wrong}\n{to_yaml(finding.topology)}", encoding="utf-8")

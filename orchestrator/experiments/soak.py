@@ -1,7 +1,7 @@
-"""Whether a network that runs for long stays as it was: memory, threads and descriptors of every process, and its pace.
+"""The soak test: a network runs for a long time, and memory, threads, open files and speed must stay flat.
 
-The network runs as any other, `orchestrator up` in a process of its own, with faults on: messages lost and late, edges
-closed, readings and inputs lost, and an agent killed and started again every CRASH_EVERY_S.
+The network runs as usual, with `orchestrator up` in a separate process and with faults. Messages are lost and late,
+edges closed, readings and inputs lost. An agent is killed and restarted every CRASH_EVERY_S.
 """
 
 from __future__ import annotations
@@ -39,55 +39,58 @@ Array = NDArray[np.float64]
 _FAULT: TypeAdapter[Fault] = TypeAdapter(Fault)
 
 STEPS = 10**9
-"""more than any soak makes"""
+"""more than any soak test makes"""
 SAMPLES = 240
-"""about so many looks at the processes, but no two within EVERY_S"""
+"""the approximate number of samples of the processes, at least EVERY_S apart"""
 EVERY_S = 0.5
 CRASH_EVERY_S = 15.0
 CRASHED_STEPS = 5
 WARM_UP = 0.25
-"""This part of the time is left out, but at least and at most so long."""
+"""The share of the time that is left out, within these limits."""
 LEAST_WARM_UP_S, LONGEST_WARM_UP_S = 10.0, 120.0
 LEAST_MINUTES = 0.25
-"""In less there is nothing to draw a line through."""
+"""A shorter test has too few samples for a line."""
 YOUNG_S = 5.0
-"""A process that took another's place is not judged before it has taken part for so long: until then it learns."""
+"""A restarted process is judged only after this time: until then it learns [s]."""
 ALONE = ("up", "fork server", "plant")
 HISTORY = 1000
-"""Past steps that are kept for back-filling: with the 100,000 of a file that says nothing, memory grows until there are
-so many."""
+"""The number of past steps stored for back-filling.
+
+With the default of 100,000, memory would grow until the history is full.
+"""
 START_DEADLINE_S = 60.0
 END_DEADLINE_S = 30.0
 
 GROWTH, GROWTH_MB = 0.03, 2.0
-"""A process is flat if the line through its sizes rises by less than this part of their mean, or by less than so many
-MB, over the time that counts."""
+"""A process is flat if the line through its sizes rises, over the judged time, by less than this share of their mean or
+this number of MB.
+"""
 MORE = 2.0
-"""The same of its threads and of its descriptors."""
+"""The maximum rise of the line through its numbers of threads and of open files."""
 SLOWER = 0.2
-"""The steps/s are flat if the line through them falls by less than this part of their mean."""
+"""The speed is flat if the line through it falls by less than this share of its mean."""
 
 
 @dataclass(frozen=True)
 class Sample:
-    """One look at one process."""
+    """One sample of one process."""
 
     t_s: float
-    """since the first step"""
+    """the time since the first step [s]"""
     step: int
     process: str
     pid: int
     pss_mb: float
-    """its share of the memory that is resident, where the kernel tells (Linux); else all of it"""
+    """its share of the resident memory, if the kernel reports it (Linux); otherwise all of it"""
     rss_mb: float
-    """resident memory, of which some is shared: unlike its share, it does not depend on who else is there"""
+    """resident memory, including shared pages: unlike the share, it does not depend on other processes"""
     threads: int
     descriptors: int
 
 
 @dataclass(frozen=True)
 class Trend:
-    """A line through what was measured of one thing: its mean, and what it grows by in a minute and in all."""
+    """A line through the samples of one quantity: its mean, its growth per minute and in total."""
 
     what: str
     unit: str
@@ -95,7 +98,7 @@ class Trend:
     per_minute: float
     grown: float
     allowed: float
-    """by how much it may grow; below 0: may fall"""
+    """the permitted growth; below 0: the permitted fall"""
 
     @property
     def flat(self) -> bool:
@@ -108,7 +111,7 @@ class Trend:
 
 
 def with_faults(topology: Topology) -> Topology:
-    """The resolved network with faults that strike by chance for as long as it runs; its own go on as they are."""
+    """Return the resolved network with additional random faults during the whole run; its own faults remain."""
     edges, nodes = topology.pairs, topology.ids
     added: list[dict[str, Any]] = [
         {"kind": "sensor", "node": nodes[0], "probability": 0.02},
@@ -126,10 +129,10 @@ def with_faults(topology: Topology) -> Topology:
 def run_soak(
     topology: Topology, directory: Path, minutes: float, faults: bool, options: Sequence[str], say: Say
 ) -> tuple[str, int]:
-    """Run a resolved network for so long and judge it; return the verdict in a line and the exit code.
+    """Run a resolved network for `minutes` and judge it; return the verdict in one line and the exit code.
 
-    The new folder gets soak.csv and soak.png. `options` are more of `orchestrator up`. The exit code is 0 if the run
-    is flat, 1 if it is not or is INVALID, 3 if it ended early. Raises HedgerowError.
+    The new folder gets soak.csv and soak.png. `options` are further options of `orchestrator up`. The exit code is 0 if
+    the run is flat, 1 if it is not or is INVALID, 3 if it ended early. Raises HedgerowError.
     """
     folder = RunFolder(directory.resolve())
     folder.path.parent.mkdir(parents=True, exist_ok=True)
@@ -142,7 +145,7 @@ def run_soak(
         say(f"run folder {folder.path}")
         entry = _entry(up, folder, records="--no-record" not in options)
         samples = list(_samples(up, entry, minutes * 60, faults, lambda s: wake.wait(s) or interrupts.count > 0))
-        up.terminate()  # a SIGINT may be ignored: a background job inherits it so
+        up.terminate()  # a SIGINT may be ignored: a background job inherits that
         with contextlib.suppress(subprocess.TimeoutExpired):
             up.wait(END_DEADLINE_S)
     _write(folder.path / "soak.csv", samples)
@@ -165,7 +168,7 @@ def run_soak(
 
 @contextlib.contextmanager
 def _up(file: Path, folder: RunFolder, topology: Topology, options: Sequence[str]) -> Iterator[subprocess.Popen[bytes]]:
-    """`orchestrator up` of that network, which ends with us however we end."""
+    """Run `orchestrator up` for that network; it ends with this process, for any reason."""
     file.write_text(to_yaml(topology), encoding="utf-8")
     command = [sys.executable, "-P", "-m", "hedgerow.orchestrator", "up", str(file), "--run-dir", str(folder.path)]
     fixed = ["--viewer", "none", "--lifeline", "--plain"]
@@ -191,7 +194,7 @@ def _up(file: Path, folder: RunFolder, topology: Topology, options: Sequence[str
 
 
 def _entry(up: subprocess.Popen[bytes], folder: RunFolder, records: bool) -> registry.Entry:
-    """The run among those that run, once it has made a step and all of it is loaded."""
+    """Return the registry entry of the run, once it has made a step and is fully loaded."""
     until = time.monotonic() + START_DEADLINE_S
     while not (
         any(event["event"] == "first_step" for event in load_events(folder.path))
@@ -213,7 +216,7 @@ def _samples(
     crashes: bool,
     interrupted: Callable[[float], bool],
 ) -> Iterator[Sample]:
-    """Look at every process again and again, and kill an agent now and then, until the time is over or the run is."""
+    """Sample every process repeatedly, and kill an agent from time to time, until the time or the run is over."""
     every = max(EVERY_S, seconds / SAMPLES)
     began = time.monotonic()
     crash_at = began
@@ -225,7 +228,7 @@ def _samples(
                 if crashes and time.monotonic() > crash_at:
                     crash_at += CRASH_EVERY_S
                     live.fault.crash(process=last, at=1, restart_after=CRASHED_STEPS)
-            except WireError:  # it is over, or busy
+            except WireError:  # it has ended, or is busy
                 status = None
             if status is not None:
                 looks = look(psutil.Process(up.pid), time.monotonic() - began, int(status["step"]))
@@ -236,7 +239,7 @@ def _samples(
 
 
 def look(up: psutil.Process, t_s: float, step: int) -> Iterator[Sample]:
-    """Look at `up` and at every process of its run; one that has ended, and that nobody has asked yet how, is none."""
+    """Yield a sample of `up` and of every process of its run; skip processes that have ended."""
     for process in (up, *up.children(recursive=True)):
         with contextlib.suppress(psutil.NoSuchProcess, psutil.AccessDenied, psutil.ZombieProcess):
             memory = process.memory_full_info()
@@ -256,7 +259,7 @@ def _write(path: Path, samples: Sequence[Sample]) -> None:
 
 
 def trends_of(samples: Sequence[Sample]) -> list[Trend]:
-    """A line through each thing that was measured, after the warm-up; none where there is too little of it."""
+    """Return a line through each quantity, after the warm-up; none if there are too few samples."""
     if not samples:
         return []
     later = [one for one in _grown(samples) if one.t_s >= warm_up_s(samples[-1].t_s)]
@@ -274,7 +277,7 @@ def trends_of(samples: Sequence[Sample]) -> list[Trend]:
 
 
 def _grown(samples: Sequence[Sample]) -> list[Sample]:
-    """Without the looks at a process that had just taken another's place."""
+    """Return the samples without those of recently restarted processes."""
     seen: dict[int, float] = {}
     for one in samples:
         seen.setdefault(one.pid, one.t_s)
@@ -283,12 +286,14 @@ def _grown(samples: Sequence[Sample]) -> list[Sample]:
 
 
 def warm_up_s(seconds: float) -> float:
-    """How much of so long a soak is not judged."""
+    """Return the part of the time that is not judged [s]."""
     return min(max(WARM_UP * seconds, LEAST_WARM_UP_S), LONGEST_WARM_UP_S)
 
 
 def worth_saying(trends: Sequence[Trend]) -> list[Trend]:
-    """Those that are not flat, those of what there is one of, and of the agents' the ones that grow the most."""
+    """Return the trends to report: those that are not flat, those of single processes, and the largest of the
+    agents.
+    """
     of_agents: dict[str, list[Trend]] = {}
     said = []
     for trend in trends:
@@ -301,7 +306,7 @@ def worth_saying(trends: Sequence[Trend]) -> list[Trend]:
 
 
 def pace_of(samples: Sequence[Sample]) -> tuple[Array, Array]:
-    """Steps/s between each two looks, and when."""
+    """Return the steps/s between successive samples, and the times."""
     looks = np.array(list({one.t_s: one.step for one in samples}.items()), dtype=float).reshape(-1, 2)
     t = (looks[1:, 0] + looks[:-1, 0]) / 2
     return t, np.diff(looks[:, 1]) / np.diff(looks[:, 0])
@@ -315,7 +320,7 @@ def _trend(what: str, unit: str, t: Array, values: Array, allowed: float) -> lis
 
 
 def _draw(folder: Path, samples: Sequence[Sample], say: Say) -> None:
-    """soak.png and soak.pdf, if there is matplotlib."""
+    """Draw soak.png and soak.pdf, if matplotlib is installed."""
     try:
         from hedgerow.orchestrator.report.style import look, save, sheet  # noqa: PLC0415
     except ModuleNotFoundError:
@@ -347,7 +352,7 @@ def _lines(series: Mapping[float, float]) -> tuple[Array, Array]:
 
 
 def _sizes(samples: Sequence[Sample]) -> dict[str, dict[float, float]]:
-    """Of each process that there is one of, its size at each look; of the agents, their mean."""
+    """Return the size of each single process at each sample; for the agents, their mean."""
     looks: dict[str, dict[float, list[float]]] = {}
     for one in samples:
         name = one.process if one.process in ALONE else "an agent"

@@ -1,1 +1,1 @@
-"""What every part of the operator stands on: assignment, signals, the background thread."""
+"""The base of the operator: assignment, signals, the background thread."""

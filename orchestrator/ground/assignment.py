@@ -1,4 +1,6 @@
-"""Who is told what: a resolved topology cut into the plant's truth and each agent process's local view."""
+"""The knowledge of each process: a resolved topology divided into the plant's truth and the local views of the
+agents.
+"""
 
 from __future__ import annotations
 
@@ -23,13 +25,13 @@ Layout = Sequence[Sequence[int] | Index]
 """Per agent process: the positions of its nodes, ascending."""
 
 WORD_BYTES = 1024
-"""what a process says of a channel in its last word, or has around its numbers, at most"""
+"""the maximum size of a channel in a final report, and of the parts of a message beside its numbers [bytes]"""
 HISTORY_BYTES = 2**28
-"""What the histories of a network may take, all processes together, as a rough measure."""
+"""The maximum memory for the histories of all processes together, as a rough estimate [bytes]."""
 
 
 def layout(topology: Topology, processes: int | None) -> Layout:
-    """Nodes over `processes` agent processes, cut where few edges cross; None is one process a node."""
+    """Return the nodes of each of `processes` agent processes, cut at few edges; None is one process per node."""
     n = len(topology.ids)
     if processes is not None and not 1 <= processes <= n:
         raise UserError(f"--processes {processes}: {n} nodes run in 1 to {n} processes")
@@ -37,7 +39,7 @@ def layout(topology: Topology, processes: int | None) -> Layout:
 
 
 def truth_of(topology: Topology, shards: Layout) -> Truth:
-    """What the plant is told of a resolved topology."""
+    """Return the plant's knowledge of a resolved topology."""
     network = topology.network
     return Truth(
         ids=id_array(network.ids),
@@ -57,16 +59,18 @@ def truth_of(topology: Topology, shards: Layout) -> Truth:
 
 
 def history_of(topology: Topology) -> int:
-    """How many past steps every process keeps for back-filling: as many as the file says and memory has room for."""
-    graph = topology.network.graph
+    """Return the number of past steps that every process stores for back-filling: that of the file, limited by the
+    memory.
+    """
+    graph = topology.graph
     row = 8 * (3 * graph.n + 2 * len(graph.edges))
     return min(topology.history, max(1, HISTORY_BYTES // row)) if topology.backfill else 0
 
 
 def candidates_of(topology: Topology) -> Array:
-    """The models that each node chooses among under the topology's law, a column a node, NaN-padded, (M, n).
+    """Return the models of each node under the topology's law, one column per node, padded with NaN, (M, n).
 
-    hinf has the truth only, nominal its nominal value.
+    hinf has the truth alone, nominal its nominal value.
     """
     network = topology.network
     match topology.law:
@@ -78,23 +82,27 @@ def candidates_of(topology: Topology) -> Array:
             return network.candidates
 
 
-def law_seed(topology: Topology) -> int:
+def law_seed(topology: Topology, seed: int | None = None) -> int:
     """Return the seed of the laws: a function of the seed of the run, from which the truth cannot be found.
 
-    It is 0 for the laws of the paper, which draw nothing: an agent is given what its law may need, and no more.
+    `seed` stands for that of the topology if it is given. It is 0 for the laws of the paper, which draw nothing: an
+    agent is given what its law may need, and no more.
     """
     if topology.law in LAWS:
         return 0
-    return int(lots.keys(topology.seed, "law", lots.words_of(["seed"]))[0] >> np.uint64(1))
+    return int(lots.keys(topology.seed if seed is None else seed, "law", lots.words_of(["seed"]))[0] >> np.uint64(1))
 
 
 def law_of(topology: Topology) -> str:
-    """The law that the agents run: hinf and nominal are minimax, with one candidate a node."""
+    """Return the law that the agents run: hinf and nominal are minimax with one candidate per node."""
     return "minimax" if topology.law in ("hinf", "nominal") else topology.law
 
 
-def views_of(topology: Topology, shards: Layout) -> list[View]:
-    """What each agent process is told: its own nodes and who their neighbours are, never the truth or the graph."""
+def views_of(topology: Topology, shards: Layout, source: str = "") -> list[View]:
+    """Return the local view of each agent process: its nodes and their neighbours, but never the truth or the graph.
+
+    `source` is the digest of the source of the law, for processes that load it themselves.
+    """
     graph, ids, candidates = topology.network.graph, id_array(topology.ids), candidates_of(topology)
     b, law, history = topology.network.b, law_of(topology), history_of(topology)
     home = np.empty(graph.n, dtype=np.int64)
@@ -108,7 +116,7 @@ def views_of(topology: Topology, shards: Layout) -> list[View]:
         row, neighbour = np.searchsorted(nodes, graph.node[own]), graph.neighbour[own]
         column = np.searchsorted(nodes, neighbour)
         outside = home[neighbour] != p
-        # By shard and then by node: the order in which both ends list what is in a link message.
+        # By shard and then by node: both ends use this order in a link message.
         shard, beside = home[neighbour[outside]] * graph.n, neighbour[outside]
         heard, place = np.unique(shard + beside, return_inverse=True)
         column[outside] = len(nodes) + place
@@ -132,30 +140,31 @@ def views_of(topology: Topology, shards: Layout) -> list[View]:
                 heard=ids[heard % graph.n],
                 history=history,
                 seed=law_seed(topology),
+                law_source=source,
             )
         )
     return views
 
 
 def process_name(view: View) -> str:
-    """What the process of a view is called: in `ps`, by its log, and in its certificate."""
+    """Return the name of the process of a view: in `ps`, in its log, and in its certificate."""
     return _name(view.shard, view.ids)
 
 
 def process_names(topology: Topology) -> list[str]:
-    """What the agent processes of a network are called, by shard."""
+    """Return the names of the agent processes of a network, by shard."""
     shards, ids = layout(topology, topology.process_count), id_array(topology.ids)
     return [_name(p, ids[np.asarray(nodes, dtype=np.int64)]) for p, nodes in enumerate(shards)]
 
 
 def _name(shard: int, ids: Ids) -> str:
     name = f"agent-{ids[0]}"
-    # A certificate holds a name of 64 letters at most.
+    # A certificate holds a name of at most 64 letters.
     return name if len(ids) == 1 and len(name) <= 64 else keys.shard_name(shard)
 
 
 def places(views: Sequence[View]) -> list[Place]:
-    """Where each process stands: all that the rules of access need to know of a network."""
+    """Return the place of each process: the data for the rules of access."""
     return [
         Place(process_name(view), view.shard, [peer.shard for peer in view.peers], _largest(view), len(view.row))
         for view in views
@@ -163,12 +172,16 @@ def places(views: Sequence[View]) -> list[Place]:
 
 
 def _largest(view: View) -> int:
-    """Bytes of the largest message that a process ever says, at most: its last word, or all that a peer has missed."""
+    """Return an upper bound of the largest message of a process [bytes]: its final report, or all rows that a peer has
+    missed.
+    """
     row = max((len(peer.say) for peer in view.peers), default=0)
     input_ = 8 * view.k * (1 + REPORT_ROWS) + len(view.row)
     return WORD_BYTES * (1 + len(view.peers)) + max(16 * row * (view.history + 1), input_)
 
 
 def _without_padding(candidates: Array) -> Array:
-    """Less the rows that no node of the shard has a candidate in: it is not told how many others have."""
+    """Return the array without rows in which the shard has no candidate: it must not reveal how many other shards
+    have.
+    """
     return np.ascontiguousarray(candidates[~np.isnan(candidates).all(axis=1)])

@@ -1,4 +1,4 @@
-"""A thread for jobs that the loop does not wait for; it yields the processor to other threads."""
+"""A thread for jobs beside the loop; it has a lower priority than the other threads."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from collections.abc import Callable
 Job = Callable[[], None]
 
 WAITING, WAITING_BYTES = 4, 2**27
-"""Limits on the number and size of waiting jobs, at least one; a caller with one more waits."""
+"""The maximum number and size of waiting jobs; one job is always accepted, and a caller with more must wait."""
 NICE = 3
-"""Half of the share of other threads. More would delay a thread that waits for Python's lock."""
+"""Half of the share of other threads. A lower priority would delay a thread that waits for Python's lock."""
 
 
 class BackgroundThread:
-    """Does jobs in the order in which they come.
+    """A thread that does jobs in the order of their arrival.
 
-    After an error no job is done any more, and `failed` has been called with it, on this thread.
+    An error ends the jobs, and is passed to `failed` on this thread.
     """
 
     def __init__(self, name: str, failed: Callable[[BaseException], object]) -> None:
@@ -32,11 +32,11 @@ class BackgroundThread:
         self._thread.start()
 
     def do(self, job: Job, size: int = 0) -> None:
-        """Hand over a job that holds on to so many bytes."""
+        """Queue a job that needs this memory [bytes]."""
         self._put(job, size)
 
     def close(self) -> None:
-        """Return when all is done."""
+        """Wait until all jobs are done."""
         self._put(None, 0)
         self._thread.join()
 
@@ -59,13 +59,13 @@ class BackgroundThread:
         return job
 
     def _run(self) -> None:
-        if sys.platform == "linux":  # elsewhere all threads of a process are as nice
+        if sys.platform == "linux":  # on other systems, all threads of a process have one priority
             os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
             os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICE)
         while (job := self._take()) is not None:
             if not self._over:
                 try:
                     job()
-                except BaseException as error:  # a panic of a Rust library is no Exception
+                except BaseException as error:  # a panic of a Rust library is not an Exception
                     self._over = True
                     self._failed(error)

@@ -1,4 +1,4 @@
-"""What a library writes to file descriptor 2, such as a panic of Rust: escaped, like all foreign text."""
+"""The output of libraries to file descriptor 2, such as a panic of Rust: escaped, like all foreign text."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from collections.abc import Iterator
 from hedgerow.topologies.escape import echo
 
 MOST_BYTES = 2**14
-"""of what was written, the last ones are shown"""
+"""the maximum output that is shown, from the end"""
 
 
 @contextlib.contextmanager
 def foreign_stderr() -> Iterator[None]:
-    """Hold back what is written to file descriptor 2 while the block runs; then show it escaped.
+    """Collect the output to file descriptor 2 while the block runs; then show it escaped.
 
-    A panic can quote a stranger's file. Nothing is held back if no temporary file can be made.
+    A panic can quote a stranger's file. Nothing is collected if no temporary file can be made.
     """
     with contextlib.ExitStack() as stack:
         try:

@@ -11,6 +11,7 @@ import typing
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import numpy as np
 from pydantic import ConfigDict, TypeAdapter, ValidationError, create_model
 
 from hedgerow.agents.contract import Trial, check_law
@@ -25,7 +26,7 @@ from hedgerow.topologies.schema import LAWS, Topology
 
 
 def checked(topology: Topology) -> Topology:
-    """Return a topology whose law names all of its parameters, the defaults included.
+    """Return a topology with a law that names all of its parameters, defaults included.
 
     If the file of the law changed since it was loaded, it is loaded again. Raises UserError if the class cannot be
     loaded, or a parameter is unknown, missing or of the wrong type. The message names the file and line. Raises
@@ -73,13 +74,13 @@ _KEPT: dict[tuple[type[Law], str, bytes], None] = {}
 
 def _keeps_contract(law: type[Law], choice: LawChoice, topology: Topology) -> None:
     """Raise LawError if a law breaks its contract on nodes of this network, or of a default one before it is drawn."""
-    if _lacks_theta(choice):  # numbers are still left to chance, and the test needs it
+    if _lacks_theta(choice):  # some numbers are still random, and the test needs theta
         return
     trial = Trial.default()
     if topology.is_drawn:
         network = topology.network
-        trial = Trial.of(network.ids, network.b, network.candidates)
-    key = law, str(choice), trial.candidates.tobytes()
+        trial = Trial.of(network.ids, network.b, network.candidates, network.graph.weight is not None)
+    key = law, str(choice), trial.candidates.tobytes() + np.asarray(trial.b).tobytes() + bytes([trial.weighted])
     if key not in _KEPT:
         name = str(choice)
         _within_deadline(law, name, lambda called: check_law(law, trial, choice.parameters, name, on_call=called))
@@ -91,7 +92,7 @@ def _lacks_theta(choice: LawChoice) -> bool:
 
 
 def completed(topology: Topology) -> Topology:
-    """Return a topology whose law has the parameters that the operator computes, once all numbers are drawn.
+    """Return a topology with the parameters of its law that the operator computes, once all numbers are drawn.
 
     This is theta of the law `robust`, unless the file gives it.
     """
@@ -105,11 +106,11 @@ def completed(topology: Topology) -> Topology:
 
 
 CALL_DEADLINE_S = 10.0
-"""time that one call of a law may take in the contract test"""
+"""the maximum time of one call of a law in the contract test"""
 
 
 def _within_deadline(law: type[Law], name: str, test: Callable[[Callable[[], None]], None]) -> None:
-    """Make a test of a law on another thread; LawError with its line if one call takes longer than the deadline."""
+    """Run a test of a law on another thread; raise LawError with its line if one call exceeds the deadline."""
     began, failure = [time.monotonic()], list[BaseException]()
 
     def called() -> None:

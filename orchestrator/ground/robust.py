@@ -1,9 +1,9 @@
-"""The one fixed model of least worst gain, for the law `robust`: a number of the whole network.
+"""The one fixed model with the smallest worst-case gain, for the law `robust`: one number for the whole network.
 
-With u = theta_b x, theta_b = b / (theta - 1) at every node, the loop is x+ = M x + w and the cost is x' W x, with
-M = A - B B' / (1 - theta), W = I + B B' / (1 - theta)^2 and B B' = diag(b) L diag(b). Its gain at z is the largest
-singular value of W^(1/2) (z I - M)^-1. The worst truth is sought among the smallest and the largest candidate of every
-node, one node at a time from the largest of all: a lower bound on the worst case, found by search and not proved.
+Let u = theta_b x, theta_b = b / (theta - 1) at every node. The loop is then x+ = M x + w with the cost x' W x. Here M =
+A - B B' / (1 - theta), W = I + B B' / (1 - theta)^2 and B B' = diag(b) L diag(b). Its gain at z is the largest singular
+value of W^(1/2) (z I - M)^-1. The search for the worst truth uses the smallest and the largest candidate of every node,
+one node at a time, from the largest of all. It is a lower bound on the worst case, found by search and not proved.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from hedgerow.topologies.graph import Array
 from hedgerow.topologies.network import Network
 
 MOST = 200
-"""nodes; the search makes a dense matrix of each truth"""
+"""the maximum number of nodes; the search makes a dense matrix of each truth"""
 GRID = 25
-"""numbers that are tried first"""
+"""the number of initial values"""
 DIGITS = 4
-"""of theta: fewer than any two machines differ in"""
+"""digits of theta: fewer than the difference between two machines"""
 
 
 def theta_of(network: Network) -> float:
-    """Return theta; UserError if the network is too large to compute it."""
+    """Return theta; raise UserError if the network is too large to compute it."""
     if (n := len(network.ids)) > MOST:
         what = f"law robust: theta is computed for up to {MOST} nodes, and there are {n}"
         raise UserError(f"{what}. Give it: robust(theta=0.5).", code=Code.LAW)
@@ -37,7 +37,7 @@ def theta_of(network: Network) -> float:
     def worst(theta: float) -> float:
         return worst_gain(float(theta), low, high, coupling)
 
-    # The worst gain has several local minima: a grid comes first.
+    # The worst gain has several local minima: start with a grid.
     grid = np.linspace(low.min(), high.max(), GRID)
     best = int(np.argmin([worst(theta) for theta in grid]))
     around = float(grid[max(best - 1, 0)]), float(grid[min(best + 1, GRID - 1)])

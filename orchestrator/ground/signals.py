@@ -1,4 +1,4 @@
-"""Ctrl-C and its kin: asked once, a run ends cleanly; asked twice, at once."""
+"""Ctrl-C and similar signals: the first ends a run cleanly, the second ends it at once."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 class EndNowError(HedgerowError):
-    """The user asked a second time."""
+    """The second request of the user to end."""
 
 
 class Interrupts:
-    """While the block runs, counts signals that ask for the end; the second raises EndNowError in the main thread.
+    """A counter of signals that ask for the end while the block runs; the second raises EndNowError in the main thread.
 
-    A signal that was ignored before the block stays ignored: nohup has it so for SIGHUP, a background job for SIGINT.
+    A signal that was ignored before the block stays ignored: SIGHUP under nohup, SIGINT in a background job.
     """
 
     def __init__(self, notify: Callable[[], None] = lambda: None) -> None:

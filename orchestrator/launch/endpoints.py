@@ -113,7 +113,7 @@ def check(
         certificates.host_of(listen, "--listen")
     if external and keys is None:
         raise UserError(
-            "--external: who is started elsewhere needs its keys there: `orchestrator bundle FILE --secure --router"
+            "--external: a separate process needs its keys: `orchestrator bundle FILE --secure --router"
             " tls/THIS-MACHINE:7447 --out DIR` makes them, and --keys DIR uses them here"
         )
     if router is not None:
@@ -121,8 +121,8 @@ def check(
         if keys is None:
             made = command(["orchestrator", "keys", "FILE", "--router", router, "--out", "DIR"])
             raise UserError(
-                f"--router {router}: it must know who may connect; `{made}`"
-                " makes its configuration and everybody's keys, and --keys DIR uses them"
+                f"--router {router}: it must know the permitted clients; `{made}`"
+                " makes its configuration and the keys of all processes, and --keys DIR uses them"
             )
     if keys is None:
         certificates.Authority()

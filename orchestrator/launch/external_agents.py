@@ -16,6 +16,7 @@ from pathlib import Path
 
 import zenoh
 
+from hedgerow.agents.law_source import source_digest
 from hedgerow.orchestrator.ground.assignment import Layout, process_name, truth_of, views_of
 from hedgerow.orchestrator.launch.control import ask
 from hedgerow.orchestrator.launch.endpoints import Connection
@@ -116,13 +117,13 @@ def chosen(
     wanted = set(range(len(shards))) if "all" in words else {home[word] for word in words if word != keys.PLANT}
     plant = keys.PLANT in words
     if plant and router is None:
-        raise UserError("--external plant: say where it is with --router, e.g. --router tcp/bench:7447")
+        raise UserError("--external plant: give its router, e.g. --router tcp/bench:7447")
     if plant and listen:
-        raise UserError("--listen is for our own plant: give it to the plant that is started elsewhere")
+        raise UserError("--listen is for our own plant: give it to the separate plant")
     if router is None and listen is None:
         raise UserError(
-            "--external: how do they reach us? --listen tcp/0.0.0.0:7447 opens a port on this machine, and"
-            " --router tcp/host:7447 uses a Zenoh router that is there"
+            "--external: the separate processes need an address. --listen tcp/0.0.0.0:7447 opens a port on this"
+            " machine, and --router tcp/host:7447 uses an existing Zenoh router"
         )
     return External(
         frozenset(wanted),
@@ -146,7 +147,8 @@ def configs(topology: Topology, shards: Layout, router: str, namespace: str) -> 
     """Return the config of each process, the plant first; see `orchestrator bundle`."""
     network = fingerprint(topology)
     told = {keys.PLANT: truth_of(topology, shards).to_dict()}
-    told |= {process_name(view): view.to_dict() for view in views_of(topology, shards)}
+    views = views_of(topology, shards, source_digest(topology.law))
+    told |= {process_name(view): view.to_dict() for view in views}
     return [Config(name, namespace, router, network, one) for name, one in told.items()]
 
 
@@ -213,8 +215,13 @@ class Meeting:
             # One of our own processes with a separate neighbour waits for that neighbour.
             others = [who for p, who in absent.items() if p in self._external]
             if others or waited_s > OWN_START_S:
-                names = ", ".join((others or list(absent.values()))[:8]) or "nobody is missing, yet the first step is"
-                self.reason = f"{names} not there after {self._external.wait_s:g} s; who starts them?"
+                names = (
+                    ", ".join((others or list(absent.values()))[:8])
+                    or "all processes are present, but the first step is missing"
+                )
+                self.reason = (
+                    f"{names} not there after {self._external.wait_s:g} s. Start them, or give a longer --wait"
+                )
         return bool(self.reason)
 
     def _absent(self) -> dict[int, str]:

@@ -21,11 +21,11 @@ T_co = TypeVar("T_co", covariant=True)
 
 
 class FaultVerbs(ABC, Generic[T_co]):
-    """Every kind of fault as a method; `steps` is a range or (from, to), and every step if left out."""
+    """Every kind of fault as a method; `steps` is a range or (from, to), and every step if omitted."""
 
     @abstractmethod
     def inject(self, fault: Fault | Mapping[str, Any]) -> T_co:
-        """Any fault: a model of `hedgerow.topologies.faults`, or a mapping as a file spells it."""
+        """Add any fault: a model of `hedgerow.topologies.faults`, or a mapping as in a file."""
 
     def _inject(self, kind: str, **keys: Any) -> T_co:
         return self.inject({"kind": kind} | {key: value for key, value in keys.items() if value is not None})
@@ -41,7 +41,7 @@ class FaultVerbs(ABC, Generic[T_co]):
     ) -> T_co:
         """Lose the messages of a link; with `one_way`, only those from the first node to the second.
 
-        `at` alone lists, by step, the pairs (from, to) whose message is lost.
+        `at` alone lists, by step, the pairs (from, to) that lose their message.
         """
         return self._inject("drop", **_ends(link, one_way), steps=window_of(steps), probability=probability, at=at)
 

@@ -109,7 +109,7 @@ class ForkClient:
         with self._changed:
             ok = self._changed.wait_for(lambda: set(names) <= self.pids.keys() or self.codes, FORK_DEADLINE_S)
         if not ok:
-            raise DeadlineError(f"no process of its own for {names[0]} after {FORK_DEADLINE_S:g} s")
+            raise DeadlineError(f"no process for {names[0]} after {FORK_DEADLINE_S:g} s")
 
     def kill(self, name: str) -> None:
         """Kill a process, if it runs."""

@@ -38,7 +38,7 @@ from hedgerow.wire.session import Receiver, Sender
 from hedgerow.wire.stream import Inbox, rows_ahead
 
 WAKE_ROWS = 512
-"""Rows that are taken in at once, or half of those that the plant waits for, whichever is less."""
+"""The number of rows per reading, unless half of the rows that the plant waits for is less."""
 
 
 class Intake:
@@ -65,7 +65,7 @@ class Intake:
         self.first_at: float | None = None
         """the arrival of the first step, by time.monotonic()"""
         self._repeated = False
-        """the plant has sent again a batch that we have"""
+        """True if the plant has sent a batch again that we have"""
         self._refused = 0
         """messages on `telemetry` that no plant sends"""
 
@@ -75,9 +75,9 @@ class Intake:
         return self._receiver
 
     def _put(self, whole: bytes) -> None:
-        """Take a batch, on the network thread, and wake up for what should not wait for the next tick."""
+        """Accept a batch on the network thread, and wake up the main thread for anything urgent."""
         messages = self._inbox.put(whole)
-        if not messages:  # what we said to have seen was lost
+        if not messages:  # our acknowledgement was lost
             self._repeated = True
         kinds = set(map(kind_of, messages))
         if Kind.TELEMETRY in kinds and self.first_at is None:
@@ -114,9 +114,9 @@ class Intake:
         return True
 
     def _refuse(self, error: MessageError) -> None:
-        """Report the first message on `telemetry` that no plant sends; the run goes on without it."""
+        """Report the first message on `telemetry` that no plant sends; the run continues without it."""
         if not self._refused:
-            self._screen.say(f"{keys.TELEMETRY}: refused: {error}; somebody else writes there")
+            self._screen.say(f"{keys.TELEMETRY}: refused: {error}; another process writes there")
             self._folder.event("refused_message", why=str(error))
         self._refused += 1
 
@@ -131,11 +131,11 @@ class Intake:
         run.warn(self._screen)
 
     def _take_event(self, processes: Processes, event: dict[str, Any]) -> None:
-        """Act on what the plant says between two steps, write it down, and keep the resolved file true."""
+        """Act on an event of the plant between two steps, record it, and update the resolved file."""
         run, step = self._run, event["step"]
         topology = run.topology
         details = {key: value for key, value in event.items() if key != "event"}
-        if "fault" in event:  # people count from 1
+        if "fault" in event:  # users count from 1
             details["fault"] += 1
         if event["event"] != "heard":  # verdict.json has it
             self._folder.event(event["event"], **details)

@@ -22,7 +22,7 @@ class Fates(NamedTuple):
     dead: Sequence[Dead] = ()
     """those that ended the run"""
     down: Sequence[Dead] = ()
-    """agents that stayed down while the run went on"""
+    """agents that stayed down while the run continued"""
     slow_law: str = ""
     """the law that an agent was busy with at the end"""
 

@@ -1,4 +1,4 @@
-"""The start of a run over Zenoh: the processes, the observer's session, and those that start elsewhere."""
+"""The start of a run over Zenoh: the processes, the observer's session, and the processes that start separately."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pathlib import Path
 
 import zenoh
 
+from hedgerow.agents.law_source import source_digest
 from hedgerow.orchestrator.ground.assignment import Layout, places, truth_of, views_of
 from hedgerow.orchestrator.ground.signals import Interrupts
 from hedgerow.orchestrator.launch.certificates import host_of
@@ -33,7 +34,7 @@ from hedgerow.wire.session import CONNECT_TIMEOUT_S, RefusedError, WireError, cl
 ROUTER_FILES = 24
 """Open files of a plant that is the router, besides one per agent process."""
 LOOK_S = 1.0
-"""The time of one attempt to open our own session; after it we check that there is still a router to meet."""
+"""The time of one try to open our own session [s]; then we check that there is still a router to wait for."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,7 @@ class Launch:
         """`wake` is called when a process ends."""
         self._topology, self._folder, self._shards, self._options = topology, folder, shards, options
         self._screen, self._fork_client, self._wake = screen, fork_client, wake
-        self.views = views_of(topology, shards)
+        self.views = views_of(topology, shards, source_digest(topology.law))
         """the local view of every agent process"""
         self.connection = self._wire()
         """the router's endpoint, the namespace and the credentials"""
@@ -82,7 +83,7 @@ class Launch:
     def announced(self) -> contextlib.AbstractContextManager[Path]:
         """List the run in the registry while the block lasts."""
         self._fork_client.on_end = self._wake
-        # Register the traces before they exist: whenever we are killed, nothing of them stays.
+        # Register the files before they exist: if this process is killed, none of them remains.
         self._fork_client.leave_no([registry.entry_path(self._folder.name), *self.connection.traces])
         connection = self.connection
         return registry.announced(
@@ -103,10 +104,10 @@ class Launch:
         if connection.listens:  # without this, agents that the router cannot accept would be restarted for a minute
             need_open_files(len(self.views) + ROUTER_FILES, f"a plant with {len(self.views)} agent processes")
         external, meeting, fleet = self._options.external, None, None
-        # Nobody need be started for a router that is not there.
+        # Start no process if there is no router.
         session = None if connection.listens else self._connect(processes, interrupts, stack)
         if external is None or not external.plant:
-            if session is not None:  # nor for one where another network runs
+            if session is not None:  # nor if another network runs there
                 stack.enter_context(room(session, connection.namespace, self._screen.say, lambda: interrupts.count > 0))
                 if interrupts.count:
                     raise HedgerowError(interrupts.name)
@@ -136,11 +137,14 @@ class Launch:
         return Launched(processes, session, meeting, fleet)
 
     def _connect(self, processes: Processes, interrupts: Interrupts, stack: contextlib.ExitStack) -> zenoh.Session:
-        """Our own session while `stack` lasts; HedgerowError if no router comes in time, or who would be it died."""
+        """Return our own session while `stack` lasts; raise HedgerowError if no router comes in time, or our router
+        died.
+        """
         connection, external = self.connection, self._options.external
         wait_s = external.wait_s if external and external.plant else CONNECT_TIMEOUT_S
         by = time.monotonic() + wait_s
-        own = Credentials.read(connection.own) if connection.own else None  # once: what is wrong with them is told once
+        # Read them once, to report a problem only once.
+        own = Credentials.read(connection.own) if connection.own else None
         while True:
             try:
                 session = open_client(connection.endpoint, connection.namespace, own, LOOK_S)

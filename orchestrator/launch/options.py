@@ -12,20 +12,20 @@ from hedgerow.orchestrator.launch.recording import Watching
 
 @dataclass(frozen=True)
 class Options:
-    """How a network is run; nothing here changes its trajectory, unless an agent is late by more than the deadline."""
+    """The options of a run; none of them changes its trajectory, unless an agent misses the deadline."""
 
     rate: float = 0.0
     """steps per second, 0 for as fast as possible"""
     deadline_s: float = 10.0
-    """how long the plant waits for an input before it goes on without that agent"""
+    """the time that the plant waits for an input before it continues without that agent [s]"""
     router: str | None = None
-    """an existing router's endpoint; None for one of our own"""
+    """the endpoint of an existing router; None for our own"""
     keys: Path | None = None
-    """credentials made beforehand, for a secure run over a router that is there"""
+    """credentials for a secure run over an existing router"""
     external: External | None = None
-    """who is started elsewhere, if anybody"""
+    """the processes that start separately, if any"""
     ray: OnRay | None = None
-    """where Ray starts them"""
+    """the agents on Ray, if any"""
     watching: Watching = field(default_factory=Watching)
     verify: bool = False
     """compare with the in-process reference afterwards"""

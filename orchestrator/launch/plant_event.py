@@ -65,8 +65,8 @@ def checked(event: Mapping[str, Any], shards: int, faults: int) -> dict[str, Any
     kind = event.get("event")
     fields = _fields(shards, faults).get(kind) if isinstance(kind, str) else None
     if fields is None:
-        raise MessageError(f"an event {str(kind)[:40]!a}, which no plant tells")
+        raise MessageError(f"an event {str(kind)[:40]!a}, which no plant sends")
     for name, fits in fields.items():
         if not fits(event.get(name)):
-            raise MessageError(f"an event {kind} whose {name} is {str(event.get(name))[:40]!a}")
+            raise MessageError(f"an event {kind} with the {name} {str(event.get(name))[:40]!a}")
     return {"event": kind, "step": event["step"], **{name: event[name] for name in fields}}

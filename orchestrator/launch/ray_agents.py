@@ -3,7 +3,7 @@
 Ray chooses a machine for each agent, restarts it when it dies, and brings its log here. For the run it is a separate
 agent (launch/external_agents.py), with its config as an argument. Agents and plant exchange messages over Zenoh.
 
-A machine of the cluster loads this module and needs only what an agent needs: other imports are late.
+A machine of the cluster loads this module and needs only the packages of an agent: other imports are late.
 """
 
 from __future__ import annotations
@@ -244,9 +244,9 @@ def share_of(agents: int, free: float, machines: int) -> float:
     if share * MOST_PER_CPU < 1:
         most = int(free * MOST_PER_CPU) - machines
         raise UserError(
-            f"--on ray: {agents} agent process{'es' * (agents != 1)} are too many for a cluster with {free:g} free CPUs"
-            f" on {machines} machine{'s' * (machines != 1)}, {MOST_PER_CPU} a CPU at most: add machines, end what runs"
-            " there" + (f", or put several nodes in a process, --processes {most}" if most > 0 else ""),
+            f"--on ray: {agents} agent process{'es' * (agents != 1)} do not fit a cluster with {free:g} free CPUs"
+            f" on {machines} machine{'s' * (machines != 1)}, at most {MOST_PER_CPU} per CPU. Add machines, end other"
+            " programs there" + (f", or put several nodes in a process, --processes {most}" if most > 0 else ""),
             code=Code.OPTION,
         )
     return share

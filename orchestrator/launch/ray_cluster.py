@@ -96,6 +96,6 @@ def _way_to(address: str) -> str:
             return str(way.getsockname()[0])
     except OSError as error:
         raise UserError(
-            f"--on {address}: no cluster: {error.strerror or error}; is `ray start --head` running there? clients come"
-            f" in at port {CLIENT_PORT}, if its --ray-client-server-port says nothing else"
+            f"--on {address}: no cluster: {error.strerror or error}; is `ray start --head` running there? clients use"
+            f" port {CLIENT_PORT}, unless it has another --ray-client-server-port"
         ) from None

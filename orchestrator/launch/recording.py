@@ -35,10 +35,8 @@ if TYPE_CHECKING:
     from hedgerow.orchestrator.views.screen import Screen
 
 CLOSE_DEADLINE_S = 5.0
-CERTIFIED = 300
-"""The maximum number of nodes for a computation of the gain bounds beside the run, which takes seconds; the end of the
-run waits for it.
-"""
+CERTIFIED = 10_000
+"""The maximum number of nodes for a computation of the gain bounds beside the run. The end of the run waits for it."""
 TABLES = ("telemetry", "edges", "summary")
 """the names of the tables; `record:` can omit the summary"""
 
@@ -133,7 +131,7 @@ class Recording:
             return
         if self._replaying is None:
             self._replaying = BackgroundThread("replay", self._leave_out_replay)
-            first = self.topology  # the faults at the first step, whatever changes before the thread begins
+            first = self.topology  # the faults at the first step, before any later change
             self._replaying.do(lambda: self._begin_replay(first))
         self._replaying.do(lambda: self._take_replayed(rows), size)
 
@@ -222,7 +220,7 @@ class Recording:
             self.folder.event("fault", fault=number, entry=fault.written())
 
     def warn(self, screen: Screen) -> None:
-        """Print the warnings about the viewer that came since the last call."""
+        """Print the new warnings about the viewer."""
         while self.warnings:
             screen.say(self.warnings.popleft())
 
@@ -234,7 +232,7 @@ class Recording:
             self.viewer = start(self._watching.viewer)
         except (OSError, HedgerowError) as error:
             self.warnings.append(
-                f"no viewer: {str(limit_reached(error) or error).rstrip('.')}; the run goes on without it"
+                f"no viewer: {str(limit_reached(error) or error).rstrip('.')}; the run continues without it"
             )
         if path is None and self.viewer is None:
             return
@@ -269,7 +267,7 @@ class Recording:
         if not expected:
             why = crash.report(error, self.folder.logs / "orchestrator.log")
         what = "run.rrd is not complete" if self._watching.record else "the viewer is left out"
-        self.warnings.append(f"{what}: {why.rstrip('.')}; the run goes on without it")
+        self.warnings.append(f"{what}: {why.rstrip('.')}; the run continues without it")
 
     def _show(self, show: Callable[[RerunStream], object], size: int = 0) -> None:
         def job() -> None:

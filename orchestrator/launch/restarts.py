@@ -21,8 +21,8 @@ A router that is busy with 1000 bare connections accepts no agent for 103 s (doc
 class Restarts:
     """The unplanned deaths of one agent, over all its lives.
 
-    A life that never reached the router does not count as a restart. Otherwise, an outsider who keeps the router busy
-    could end an agent for good.
+    A life that never reached the router does not count as a restart. Otherwise, an outsider could
+    end an agent for good by keeping the router busy.
     """
 
     deaths: int = 0

@@ -79,7 +79,7 @@ class UpProcess:
         return run
 
     def _failure(self, how: str) -> HedgerowError:
-        """Return the error for a network that ended without a run; a mistake of the user has the words of `up`."""
+        """Return the error for a network that ended without a run; a mistake of the user has the message of `up`."""
         if self.process.poll() == Exit.USER_MISTAKE:
             refused = last_text(self._output).strip()
             return UserError(refused.removeprefix("error: "), code=Code.OPTION)

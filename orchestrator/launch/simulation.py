@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from hedgerow.agents.loading import LawError
 from hedgerow.orchestrator.ground.assignment import Layout, layout, truth_of, views_of
-from hedgerow.orchestrator.ground.law_source import FOLDER, differs
+from hedgerow.orchestrator.ground.law_source import FOLDER, differs, kept_law
 from hedgerow.orchestrator.ground.laws import checked
 from hedgerow.orchestrator.ground.signals import Interrupts
 from hedgerow.orchestrator.launch.recording import Recording, Watching
@@ -29,18 +29,21 @@ if TYPE_CHECKING:
     from hedgerow.orchestrator.runs.run import Run
 
 
-def simulate(network: Named, *settings: str, run_dir: str | Path | None = None) -> Run:
-    """Run a network in this process and return the run: `simulate("paper7", "steps=300", "law=hinf")`.
+def simulate(network: Named, *settings: str, run_dir: str | Path | None = None, kept: bool = False) -> Run:
+    """Run a network in this process, and read back what it left: `simulate("paper7", "steps=300", "law=hinf")`.
 
-    network: as in `topologies.named.text_of`. settings: `path=value`, as for `--set` on the command line. run_dir: a
-    new folder for the run; without it, a folder in runs/. Raise HedgerowError for a mistake, or if no step was made,
-    and LawError if the law fails. The `__cause__` of a LawError is the exception of the law, and the folder has the
-    steps before it.
+    network: as of `topologies.named.text_of`. settings: `path=value`, as for `--set` on the command line.
+    run_dir: a new folder for the run, else one in runs/. kept: load the law from its copy in the folder of the run
+    that `network` is. Raises HedgerowError for a mistake, or if no step was made,
+    and LawError if the law fails; its `__cause__` is the exception of the law, and the folder has the steps before it.
     """
     # `up` imports this module, and does not need the reader of runs.
     from hedgerow.orchestrator.runs.reader import load_run  # noqa: PLC0415
 
     topology = resolved(network, settings)
+    if kept:
+        with kept_law(text_of(network)[2] / FOLDER):
+            return simulate(topology, run_dir=run_dir)
     if isinstance(network, str | Path) and ":" in topology.law:
         _warn_of_another_source(topology.law, text_of(network)[2] / FOLDER)
     topology = checked(topology)  # find a mistake in its law before a folder exists

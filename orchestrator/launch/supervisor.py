@@ -12,6 +12,7 @@ from typing import Any
 from hedgerow.agents.process import SLOW_LAW
 from hedgerow.agents.view import View
 from hedgerow.orchestrator.ground.assignment import process_name
+from hedgerow.orchestrator.ground.law_source import kept_path
 from hedgerow.orchestrator.launch.endpoints import Connection
 from hedgerow.orchestrator.launch.external_agents import OWN_START_S, External
 from hedgerow.orchestrator.launch.fork_client import ForkClient
@@ -110,6 +111,8 @@ class Processes:
     def _start(self, name: str, module: str, options: Sequence[str]) -> None:
         file = self._folder.processes / f"{name}.npz"
         arguments = [str(file), "--namespace", self._connection.namespace, *options]
+        if module == "agents" and (path := kept_path()) is not None:
+            arguments += ["--law-path", str(path)]  # the fork server began before the path of modules changed
         credentials = self._connection.of(name)
         if credentials is not None:
             arguments += ["--credentials", str(credentials)]

@@ -32,11 +32,11 @@ from hedgerow.wire import keys
 from hedgerow.wire.session import WireError, has_router
 
 TICK_S = 0.2
-"""How often telemetry is taken in: in batches, off the loop's path."""
+"""The time between two readings of telemetry [s]; rows are read in batches, beside the loop."""
 PLANT_END_DEADLINE_S, AGENTS_END_DEADLINE_S = 5.0, 1.0
-"""How long the plant has to end by itself once told, and the agents after it: they have nothing to lose."""
+"""The time that the plant has to end by itself after END, and the agents after it [s]; agents have no data to save."""
 ROUTER_GONE_S = 3.0
-"""How long a router of the user's may be gone where no step is to be lost: before the first, and after the last."""
+"""The time without the user's router after which the run ends, before the first and after the last step [s]."""
 
 
 class Network:
@@ -52,22 +52,24 @@ class Network:
         fork_client: ForkClient,
         began: float,
     ) -> None:
-        """`began` is when the command was given, by time.monotonic(): the first step is counted from there."""
+        """Prepare a run; `began` is the start time of the command, by time.monotonic(), for the time to the first
+        step.
+        """
         self._topology, self._folder, self._shards, self._options = topology, folder, shards, options
         self._screen, self._began = screen, began
         self._ending = Ending(run=folder.name, engine="zenoh", processes=len(shards))
         self._wake = threading.Event()
-        """something should be looked at before the next tick"""
+        """set to check for news before the next tick"""
         self._launch = Launch(topology, folder, shards, options, screen, fork_client, self._wake.set)
         self._asked_at: float | None = None
-        """when the plant was first asked to stop"""
+        """the time of the first request to the plant to stop"""
         self._answered = False
         self._routed_at = time.monotonic()
-        """when we last had a router"""
+        """the last time with a router"""
         self._cut_off = False
-        """it has been gone for too long"""
+        """True if it has been absent for too long"""
         self.interrupted = False
-        """the user asked for the end"""
+        """True if the user asked for the end"""
 
     def run(
         self,
@@ -76,8 +78,8 @@ class Network:
     ) -> Verdict:
         """Launch, observe until the end or an interrupt, clean up, and judge.
 
-        `on_first_step` is called with the seconds from the command to the first step, once it is done. `at_last` is
-        left when all is over, while a signal still asks for no more than the end.
+        `on_first_step` receives the seconds from the command to the first step, after that step. `at_last` ends last,
+        while a signal still only asks for the end.
         """
         found = Fates()
         with Interrupts(self._wake.set) as interrupts, at_last, self._launch.announced():
@@ -89,13 +91,13 @@ class Network:
                     run.tell_faults()
                     try:
                         self._observe(run, launched, interrupts, on_first_step)
-                        if not self._cut_off:  # else no process knows of the end
+                        if not self._cut_off:  # otherwise no process knows of the end
                             launched.processes.wait(PLANT_END_DEADLINE_S, AGENTS_END_DEADLINE_S)
                     finally:
                         found = fates(launched, run, self._shards, self._ending)
             except (KeyboardInterrupt, SystemExit):
                 raise
-            except BaseException as error:  # a panic of a Rust library is no Exception
+            except BaseException as error:  # a panic of a Rust library is not an Exception
                 self._ending.end_by(error, self._folder.logs / "orchestrator.log")
             self.interrupted = interrupts.count > 0
             explain(found, run, self._folder, self._ending)
@@ -111,7 +113,9 @@ class Network:
         return verdict
 
     def _serve(self, viewer: Viewer, interrupts: Interrupts) -> None:
-        """Keep a web page until Ctrl-C if the command asks for it; a page that others open stays in any case."""
+        """Serve a web page until Ctrl-C if the command asks for it; a page that other machines open stays in any
+        case.
+        """
         stays = self._options.watching.keep or viewer.door is not None
         if viewer.link is not None and stays and not interrupts.count:
             self._screen.say(f"{viewer.link} stays until Ctrl-C")
@@ -127,7 +131,7 @@ class Network:
         interrupts: Interrupts,
         on_first_step: Callable[[float], None],
     ) -> None:
-        """Take telemetry in, batch by batch, until the plant's END or until there is no process to wait for."""
+        """Read telemetry in batches, until the plant's END or until there is no process to wait for."""
         processes, session = launched.processes, launched.session
         intake = Intake(run, self._folder, self._shards, self._launch.views, self._screen, self._ending, self._wake)
         with contextlib.closing(intake.open(session)):
@@ -166,7 +170,7 @@ class Network:
         return TICK_S if due is None else min(TICK_S, max(0.0, due - time.monotonic()))
 
     def _ask_to_stop(self, session: zenoh.Session, why: str) -> None:
-        """Ask the plant to end the run, again at every tick until it answers: it may not have begun yet."""
+        """Ask the plant to end the run, again at every tick until it answers: it may not have started yet."""
         if self._asked_at is None:
             self._asked_at = time.monotonic()
             self._ending.stopped = why
@@ -180,7 +184,7 @@ class Network:
         return self._asked_at is not None and time.monotonic() - self._asked_at > PLANT_END_DEADLINE_S
 
     def _is_cut_off(self, launched: Launched) -> bool:
-        """Whether a router of the user's is gone for too long; processes elsewhere are waited for longer (Meeting)."""
+        """Return True if the user's router is absent for too long; a meeting with separate processes waits longer."""
         now = time.monotonic()
         if self._launch.connection.listens or launched.meeting is not None or has_router(launched.session):
             self._routed_at = now
@@ -194,7 +198,7 @@ class Network:
         return self._cut_off
 
     def _nobody_comes(self, launched: Launched) -> bool:
-        """Whether those who are started elsewhere are not there, and will not be."""
+        """Return True if the separate processes are absent and will not come."""
         begun = self._ending.first_step_s is not None
         over = launched.meeting is not None and launched.meeting.is_over(begun)
         if over and launched.meeting is not None:

@@ -1,1 +1,1 @@
-"""From telemetry to metrics, checks and the verdict."""
+"""The metrics, the checks and the verdict, computed from telemetry."""

@@ -1,4 +1,4 @@
-"""What is checked at every step, and how near each check came to failing."""
+"""The checks of every step, with the smallest distance of each check from failure."""
 
 from __future__ import annotations
 
@@ -10,25 +10,25 @@ import numpy as np
 from hedgerow.topologies.graph import Array, Gain, Index, Mask
 
 TINY = 1e-300
-"""keeps 0 / 0 from being asked"""
+"""prevents 0 / 0"""
 ROUNDING = 1e-9
-"""Relative slack of inequalities that are exact only in exact arithmetic."""
+"""The relative tolerance of inequalities that are exact only without rounding."""
 
 
 @dataclass
 class Worst:
-    """One check over all steps: the largest excess seen, and the step where; a positive excess is a violation."""
+    """One check over all steps: the largest excess, and its step; a positive excess is a violation."""
 
     excess: float = -np.inf
     step: int = -1
     steps: int = 0
     node: int = -1
-    """the first node that breaks an exact claim at that step, -1 where no node is named"""
+    """the first node that breaks an exact claim at that step, -1 if no node is named"""
     why: str = ""
-    """what is wrong with it"""
+    """the problem of that node"""
 
     def see(self, excess: Array, steps: Index) -> None:
-        """Take in the excess at each of `steps`; NaN counts as a violation."""
+        """Record the excess at each of `steps`; NaN counts as a violation."""
         if len(excess):
             excess = np.where(np.isnan(excess), np.inf, excess)
             k = int(np.argmax(excess))
@@ -37,12 +37,12 @@ class Worst:
             self.steps += len(excess)
 
     def see_exact(self, holds: Mask, steps: Index) -> None:
-        """Take in a claim that holds at a step or does not."""
+        """Record if a claim holds at each step."""
         self.see(np.where(holds, -1.0, 1.0), steps)
 
 
 class _Due(NamedTuple):
-    """What some rows say of the state after each: the step, x (B, n) by equation (1), and the bound on its norm."""
+    """The prediction of some rows for the next state: the step, x (B, n) by equation (1), and the bound on its norm."""
 
     t: Index
     x: Array
@@ -56,23 +56,25 @@ class _Due(NamedTuple):
 
 
 def norms(x: Array, b: Gain) -> Array:
-    """The norm |x| = sum |x_i| min(b) / b_i of B vectors, (B,), in which any estimates contract; min(b) scales it."""
+    """Return |x| = sum |x_i| min(b) / b_i of B vectors, (B,); in this norm any estimates contract, and min(b) scales
+    it.
+    """
     if isinstance(b, np.ndarray):
         return np.asarray((np.abs(x) * (b.min() / b)).sum(axis=-1))
     return np.asarray(np.abs(x).sum(axis=-1))
 
 
 class DynamicsCheck:
-    """Equation (1) to the bit, and the contraction: from each row to the state after it, whatever lies between."""
+    """The check of equation (1), bit for bit, and of the contraction, from each row to the next state."""
 
     def __init__(self, b: Gain) -> None:
         self._b = b
         self.dynamics, self.contraction = Worst(), Worst()
         self._due: _Due | None = None
-        """of the last row"""
+        """the prediction of the last row"""
 
     def take(self, t: Index, x: Array, x_next: Array, bound: Array) -> None:
-        """Take in x (B, n) at steps t (B,), what follows each by equation (1), and the bound on the norm of that."""
+        """Record x (B, n) at steps t (B,), the next state of each by equation (1), and the bound on its norm."""
         due = _Due(t, x_next, bound)
         if self._due is not None:
             due = self._due.then(due)
@@ -81,12 +83,12 @@ class DynamicsCheck:
         self._compare(due.rows(slice(known)), t[len(t) - known :], x[len(t) - known :])
 
     def finish(self, t: int, x: Array) -> None:
-        """Take in the final state x (n,) at step t."""
+        """Record the final state x (n,) at step t."""
         if self._due is not None:
             self._compare(self._due, np.array([t]), x[None])
 
     def _compare(self, due: _Due, t: Index, x: Array) -> None:
-        """Where telemetry was lost, two rows that follow each other here are not of consecutive steps."""
+        """Compare predictions with states; after lost telemetry, successive rows are not successive steps."""
         follows = t == due.t + 1
         if not follows.all():
             due, x = due.rows(follows), x[follows]

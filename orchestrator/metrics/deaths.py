@@ -1,4 +1,4 @@
-"""The deaths of agent processes, as the system reports them, against the crash faults that should have caused them."""
+"""The deaths of agent processes, as the system reports them, compared with the crash faults that cause them."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from hedgerow.topologies.effects import Effect
 from hedgerow.topologies.faults import effects
 from hedgerow.topologies.schema import Topology
 
-CLAIM = "every agent process whose nodes all crash by a fault has ended, by the word of the operating system"
+CLAIM = "an agent process ends if faults crash all of its nodes, as the operating system reports"
 
 
 @dataclass(frozen=True)
 class Survivor:
-    """A process that should have ended, and did not."""
+    """A process that should have ended, but did not."""
 
     node: int | str
     """the id of its first node"""
@@ -31,7 +31,7 @@ class Survivor:
 def survivors(
     topology: Topology, shards: Layout, ended: Mapping[int, int], losses: Collection[int], steps: int
 ) -> list[Survivor]:
-    """Return the processes that ended less often than the faults of the first `steps` steps demand.
+    """Return the processes that ended less often than the faults of the first `steps` steps require.
 
     `ended` counts the deaths of each supervised shard. `losses` are the numbers, from 0, of the crash faults that only
     record a lost agent: such an agent may be silent and alive.
@@ -57,7 +57,7 @@ def survivors(
 
 
 def _begun(nodes: set[int], crashes: Sequence[Effect], steps: int) -> list[int]:
-    """The steps before `steps` from which on none of the nodes is there, and one was the step before."""
+    """Return the steps before `steps` at which the last present node of the set crashes."""
     turns = sorted({one.start for one in crashes if one.start < min(one.stop, steps)})
     return [t for t in turns if _all_gone(nodes, crashes, t) and not _all_gone(nodes, crashes, t - 1)]
 

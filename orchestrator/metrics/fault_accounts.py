@@ -1,17 +1,17 @@
-"""What became of every fault: an account each, kept from telemetry and from what the faults were to do.
+"""The outcome of every fault: one account each, from telemetry and from the schedule of the faults.
 
-An *instance* of a fault is one target at one step. It *fired* if it took effect, and was *masked* if there was
-nothing to lose. It was *seen* if the process that must miss something reports it:
+An *instance* of a fault is one target at one step. It *fired* if it took effect, and was *masked* if there was nothing
+to lose. It was *seen* if the process that must miss something reports it:
 
     kind         fired                    masked                            seen
-    drop, delay  the row did not cross    no sender, or nobody to listen    the receiver lacks it
-    cut          the edge is closed                                         both its ends say so
-    sensor       no input came            nobody there                      the node sent no input
-    actuator     no input came            nobody there, or no reading       both ends of all its edges say so
-    crash        no input came            nobody there the step before      nobody reports
-    jump         (1) holds under it                                         nobody can see it
+    drop, delay  the row did not cross    no sender, or no receiver          the receiver lacks it
+    cut          the edge is closed                                         both its ends report it
+    sensor       no input came            agent absent                      the node sent no input
+    actuator     no input came            agent absent, or no reading       both ends of all its edges report it
+    crash        no input came            agent absent the step before      no report arrives
+    jump         (1) holds under it                                         not visible
 
-What was taken in of a step is told with the next one, so that a step is judged when that is here.
+Telemetry reports the used inputs of a step in the next row, so a step is judged when that row is here.
 """
 
 from __future__ import annotations
@@ -30,29 +30,29 @@ _OPEN, _HEAR, _TAKEN = np.uint8(Flag.OPEN), np.uint8(Flag.HEAR), np.uint8(TAKEN)
 
 
 class Told(NamedTuple):
-    """What B rows of telemetry tell of inputs, edges and links."""
+    """The inputs, edges and links in B rows of telemetry."""
 
     t: Index
     missing: Mask
-    """no input came, (B, n)"""
+    """True if no input arrived, (B, n)"""
     silent: Mask
-    """no report either, (B, n)"""
+    """True if no report arrived either, (B, n)"""
     edge_open: Mask
     link_up: Mask
     took: Flags
-    """Flag bits of what was taken in of the step before, (B, 2E)"""
+    """Flag bits of the inputs of the step before that were used, (B, 2E)"""
 
     def rows(self, some: slice) -> Told:
-        """Some of them."""
+        """Return some of the rows."""
         return Told(*(getattr(self, name)[some] for name in self._fields))
 
     def then(self, later: Told) -> Told:
-        """These, and later ones."""
+        """Return these rows, followed by later ones."""
         return Told(*(np.concatenate([getattr(one, name) for one in (self, later)]) for name in self._fields))
 
     @property
     def whole(self) -> bool:
-        """Whether nothing is missing."""
+        """Return True if nothing is missing."""
         return bool(self.edge_open.all() and self.link_up.all()) and not self.missing.any()
 
 
@@ -66,7 +66,7 @@ class Judged(NamedTuple):
 
 
 class Account(NamedTuple):
-    """How often a fault was to strike at the steps that were judged, and what became of that."""
+    """The counts of a fault at the judged steps: how often it was scheduled, and the outcomes."""
 
     scheduled: int
     fired: int
@@ -76,14 +76,14 @@ class Account(NamedTuple):
 
 
 def at_ends(graph: Graph) -> Index:
-    """Per edge (i, j): the incidence at i, on which i hears j, and the one at j, (E, 2)."""
+    """Return, per edge (i, j), the incidence where i receives from j, and the one at j, (E, 2)."""
     ends = np.empty_like(graph.edges)
     ends[graph.edge, (graph.node != graph.edges[graph.edge, 0]).astype(np.int64)] = np.arange(len(graph.node))
     return ends
 
 
 class Accounts:
-    """The accounts of all faults of a run, and of what went missing."""
+    """The accounts of all faults of a run, and the counts of missing inputs and messages."""
 
     def __init__(self, graph: Graph, schedule: Schedule) -> None:
         self._graph, self._schedule = graph, schedule
@@ -92,21 +92,21 @@ class Accounts:
         """the last row, which is not judged yet"""
         self._ends = at_ends(graph)
         self.missing_inputs = 0
-        """(node, step) without an input"""
+        """the number of (node, step) without an input"""
         self.lost_messages = 0
-        """(link, step) whose row did not cross in its step"""
+        """the number of (link, step) with a row that was not delivered in its step"""
         self.checks = {"missing_inputs": Worst(), "links": Worst(), "faults": Worst()}
 
     def __iter__(self) -> Iterator[Account]:
         return (Account(*counts) for counts in self._counts.T.tolist())
 
     def change(self, schedule: Schedule) -> None:
-        """The faults are these from now on; the accounts of those there were go on."""
+        """Change the faults from now on; the accounts of earlier faults continue."""
         self._schedule = schedule
         self._counts = np.pad(self._counts, ((0, 0), (0, schedule.faults - self._counts.shape[1])))
 
     def take(self, told: Told) -> None:
-        """Take in the next rows, one or more."""
+        """Record the next rows, one or more."""
         flows: Mask = np.zeros(len(told.t), dtype=np.bool_)
         if told.missing.any():
             self.missing_inputs += int(told.missing.sum())
@@ -119,13 +119,13 @@ class Accounts:
             self._judge(told.rows(slice(-1)), told.took[1:], np.diff(told.t) == 1)
 
     def finish(self) -> None:
-        """No more rows come: of the last, nobody tells what was taken in."""
+        """Judge the last row, without a report on its used inputs."""
         if self._held is not None:
             self._judge(self._held, self._held.took, np.zeros(1, dtype=np.bool_))
             self._held = None
 
     def _judge(self, told: Told, took: Flags, followed: Mask) -> None:
-        """Judge P steps by what was taken in of them, (P, 2E); nobody knows where the row after is lost."""
+        """Judge P steps by their used inputs, (P, 2E); these are unknown if the next row is lost."""
         links, faults = self.checks["links"], self.checks["faults"]
         first, last = int(told.t[0]), int(told.t[-1])
         if told.whole and not self._schedule.between(first, last + 2) and (took[followed] == TAKEN).all():
@@ -138,25 +138,27 @@ class Accounts:
 
 
 class _Judgement:
-    """Some steps, what the faults were to do in them, and what was taken in of them."""
+    """The judgement of some steps: the scheduled faults, and the used inputs."""
 
     def __init__(self, graph: Graph, schedule: Schedule, ends: Index, told: Told, took: Flags, followed: Mask) -> None:
         self._graph, self._schedule, self._ends, self._told, self._took = graph, schedule, ends, told, took
         self._absent = schedule.absent(told.t)
         after = schedule.absent(told.t + 1)
         self._tells = followed[:, None] & ~after[:, graph.node]
-        """per incidence: whether its node tells what it took in, (P, 2E)"""
+        """per incidence: True if its node reports its used inputs, (P, 2E)"""
         self._crosses = ~(self._absent[:, graph.neighbour] | self._absent[:, graph.node])
-        """whether there is a sender, and somebody to listen, (P, 2E)"""
+        """per incidence: True if both the sender and the receiver are present, (P, 2E)"""
         self._lacks_hear, self._lacks_open = took & _HEAR == 0, took & _OPEN == 0
 
     def agreed(self) -> Mask:
-        """Whether all who tell took in what the plant says was open and crossed, (P,)."""
+        """Return True for steps in which all reporting nodes used what the plant reports as open and delivered,
+        (P,).
+        """
         expected = self._told.edge_open[:, self._graph.edge] * _OPEN | self._told.link_up * _HEAR
         return ~_any((expected != self._took & _TAKEN) & self._tells)
 
     def wrong(self, counts: Index) -> Mask:
-        """Whether a fault did not do what it should or something else happened, (P,); `counts` go on."""
+        """Return True for steps in which a fault had no effect or something else failed, (P,); update `counts`."""
         told, graph = self._told, self._graph
         links = self._scheduled("drop", "delay")
         cuts, sensors = self._scheduled("cut"), self._scheduled("sensor")
@@ -204,7 +206,7 @@ class _Judgement:
         return Judged(fired, np.zeros_like(fired), visible, seen)
 
     def _silenced(self, found: Instances, nobody: Mask, says_nothing: Mask) -> Judged:
-        """Of sensors and crashes: the node itself sends no input."""
+        """Judge sensor faults and crashes: the node itself sends no input."""
         at = found.row, found.target
         masked = nobody[at]
         fired = ~masked & self._told.missing[at]
@@ -221,19 +223,19 @@ class _Judgement:
         return Judged(fired, masked, visible, visible & ~self._at_node(says_open)[at])
 
     def _at_node(self, incidences: Mask) -> Mask:
-        """Whether any incidence of each node is marked, (P, n)."""
+        """Return True for each node with a marked incidence, (P, n)."""
         rows, n = len(incidences), self._graph.n
         place = self._graph.node + n * np.arange(rows)[:, None]
         return np.bincount(place[incidences], minlength=rows * n).reshape(rows, n) > 0
 
 
 def _any(marked: Mask) -> Mask:
-    """Whether anything is marked in each row."""
+    """Return True for each row with a mark."""
     return np.asarray(marked.any(axis=1))
 
 
 def _at_an_end(nodes: Mask, graph: Graph) -> Mask:
-    """Whether a node at either end of each edge is marked, (P, E)."""
+    """Return True for each edge with a marked node at either end, (P, E)."""
     return nodes[:, graph.edges[:, 0]] | nodes[:, graph.edges[:, 1]]
 
 

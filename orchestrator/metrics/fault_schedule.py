@@ -1,20 +1,24 @@
-"""What the faults of a run say of some of its steps: a function of the file alone, whatever happened."""
+"""The schedule of the faults at some steps: a function of the file alone, independent of the run."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from hedgerow.plant.faults import Lots
 from hedgerow.topologies.effects import FOREVER, Effect
 from hedgerow.topologies.faults import effects
-from hedgerow.topologies.graph import Index, Mask
+from hedgerow.topologies.graph import Graph, Index, Mask
+from hedgerow.topologies.lots import Words
 from hedgerow.topologies.schema import Topology
 
 
 class Instances(NamedTuple):
-    """What faults strike, a (target, step) each: which fault, at which of the steps asked for, and what, (K,)."""
+    """The scheduled instances of faults, one (target, step) each: the fault, the index of the step, and the target,
+    (K,).
+    """
 
     fault: Index
     row: Index
@@ -25,18 +29,27 @@ class Schedule:
     """The effects of all faults of a resolved topology."""
 
     def __init__(self, topology: Topology) -> None:
-        self._n = len(topology.ids)
-        self.faults = len(topology.faults)
-        self.effects = effects(topology.faults, topology) if topology.faults else []
-        self._lots = Lots(topology.graph, topology.ids, topology.seed)
+        found = effects(topology.faults, topology) if topology.faults else []
+        self._begin(topology.graph, topology.ids, topology.seed, len(topology.faults), found)
+
+    @classmethod
+    def of(cls, graph: Graph, ids: Any, seed: int | Words, faults: int, found: Sequence[Effect]) -> Schedule:
+        """Return the schedule of some effects; `seed` is one, or one per node, (n,)."""
+        schedule = cls.__new__(cls)
+        schedule._begin(graph, ids, seed, faults, found)
+        return schedule
+
+    def _begin(self, graph: Graph, ids: Any, seed: int | Words, faults: int, found: Sequence[Effect]) -> None:
+        self._n, self.faults, self.effects = graph.n, faults, list(found)
+        self._lots = Lots(graph, ids, seed)
         self._lots.take(self.effects)
 
     def between(self, first: int, stop: int) -> list[Effect]:
-        """The effects that hold at one of these steps or more."""
+        """Return the effects that are active at one of these steps or more."""
         return [one for one in self.effects if max(one.start, first) < min(one.stop, stop)]
 
     def instances(self, steps: Index, *kinds: str) -> Instances:
-        """All that faults of some kinds strike at some ascending steps; a crash and a jump strike as they start."""
+        """Return all instances of faults of some kinds at ascending steps; a crash and a jump count at their start."""
         found: list[Index] = [np.empty((3, 0), dtype=np.int64)]
         for effect in self.between(int(steps[0]), int(steps[-1]) + 1):
             if effect.kind in kinds:
@@ -45,7 +58,7 @@ class Schedule:
         return Instances(*np.concatenate(found, axis=1))
 
     def _struck(self, effect: Effect, steps: Index) -> tuple[Index, Index]:
-        """(row, target) of all that one effect strikes."""
+        """Return (row, target) of all instances of one effect."""
         if effect.table is not None:
             table = effect.table
             pairs = [(row, target) for row, t in enumerate(steps.tolist()) for target in table.get(t, ())]
@@ -59,7 +72,7 @@ class Schedule:
         return row, np.array(effect.targets, dtype=np.int64)[column]
 
     def absent(self, steps: Index) -> Mask:
-        """Whose agent is dead at each of some ascending steps, (S, n)."""
+        """Return a mask of the nodes without an agent at each of some ascending steps, (S, n)."""
         absent = np.zeros((len(steps), self._n), dtype=np.bool_)
         for one in self.between(int(steps[0]), int(steps[-1]) + 1):
             if one.kind == "crash":
@@ -68,11 +81,11 @@ class Schedule:
         return absent
 
     def jumps(self, since: int) -> list[Effect]:
-        """The jumps at step `since` and later, in the order in which they come true."""
+        """Return the jumps at step `since` and later, in the order of their steps."""
         return sorted((one for one in self.effects if one.kind == "jump" and one.start >= since), key=_start)
 
     def beyond(self, steps: int) -> list[int]:
-        """By fault: how many (target, step) of its window lie at `steps` or later; 0 for a window without an end."""
+        """Return, by fault, the number of (target, step) in its window at `steps` or later; 0 for an endless window."""
         beyond = [0] * self.faults
         for one in self.effects:
             if one.table is not None:
@@ -84,7 +97,9 @@ class Schedule:
         return beyond
 
     def idle(self, steps: int) -> dict[int, str]:
-        """The faults that cannot strike before `steps`, whatever is drawn, and why; not those that were healed."""
+        """Return the faults that cannot strike before `steps` for any draw, with the reason; not those that were
+        healed.
+        """
         able = {one.fault for one in self.effects if one.start >= one.stop or _strikes_before(one, steps)}
         late = {one.fault for one in self.effects if _strikes_before(one, FOREVER)}
         return {

@@ -1,7 +1,7 @@
 """Upper bounds on the gain of the adaptive law: semidefinite programs by clarabel, each answer proved by a Cholesky.
 
-With alpha_i = 1/(1 - lowest candidate), beta_i = 1/(1 - highest), z_i = x_i/(1 - ahat_i), B = diag(b) incidence
-diag(sqrt k) and edge inputs phi, find p, tau, nu, s >= 0 and the least g such that for all (x, z, w, phi, v)
+Notation: alpha_i = 1/(1 - lowest candidate), beta_i = 1/(1 - highest), z_i = x_i/(1 - ahat_i), B = diag(b) incidence
+diag(sqrt k), edge inputs phi. Find p, tau, nu, s >= 0 and the smallest g such that, for all (x, z, w, phi, v),
 
     sum p_i (x_i+)^2 - sum p_i x_i^2 + |x|^2 + |phi|^2 - g |w|^2 + sum tau_i (z_i - alpha_i x_i)(beta_i x_i - z_i)
         + sum nu_e phi_e ((B'z)_e - phi_e) + sum s_i (v_i - lowest_i x_i)(highest_i x_i - v_i) <= 0.
@@ -15,10 +15,11 @@ import math
 import time
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any
 
 import numpy as np
 
+from hedgerow.orchestrator.metrics.gain_plant import Plant
+from hedgerow.orchestrator.metrics.gain_uniform import uniform
 from hedgerow.orchestrator.metrics.semidefinite import Blocks, Form, NoBoundError, Program, Unknowns
 from hedgerow.topologies.graph import Array, Index
 
@@ -28,7 +29,7 @@ LARGE = 100
 WHOLE_LARGEST = 150
 """Size of the matrix up to which `whole` is chosen; it takes a second."""
 ATTEMPTS = 4
-"""An answer that is not proved is sought again with a larger margin, so many times in all."""
+"""The maximum number of tries, each with a larger margin, until an answer is proved."""
 FULL_LARGEST = 30
 """Number of nodes up to which a full P is sought."""
 HUB = 40
@@ -53,43 +54,14 @@ class Method(StrEnum):
     """one matrix of all nodes, diagonal P"""
     SPLIT = "split"
     """one small matrix per node; equal to `whole` on forests, and not less anywhere"""
+    UNIFORM = "uniform"
+    """one multiplier for all edges, in closed form; for networks of any size, and not less than `whole`"""
     FULL = "full"
     """one matrix of all nodes, full P"""
 
 
-@dataclass(frozen=True)
-class Plant:
-    """The numbers of a network that a bound depends on."""
-
-    a: Array
-    """the truth, (n,)"""
-    b: Array
-    """gains, (n,)"""
-    edges: Index
-    """pairs of nodes, (E, 2)"""
-    root_weights: Array
-    """sqrt(k_e), (E,)"""
-    lowest: Array
-    """the smallest candidate per node, (n,)"""
-    highest: Array
-    """the largest candidate per node, (n,)"""
-
-    @classmethod
-    def of(
-        cls, a: Array, b: float | Array, edges: Index, weights: Array | None, lowest: Array, highest: Array
-    ) -> Plant:
-        """Return the plant of a network with gains b (one, or one per node) and weights (None: all 1)."""
-        root = np.ones(len(edges)) if weights is None else np.sqrt(weights)
-        return cls(a, np.broadcast_to(np.asarray(b, dtype=float), a.shape), edges, root, lowest, highest)
-
-    @property
-    def n(self) -> int:
-        """Return the number of nodes."""
-        return len(self.a)
-
-    def permits(self, premise: Premise) -> bool:
-        """Return True if the truth is within the lists, which the premise `jumps` needs."""
-        return premise != Premise.JUMPS or bool(((self.lowest <= self.a) & (self.a <= self.highest)).all())
+SPLIT_LARGEST = {Premise.ESTIMATES: 1000, Premise.EDGES: 300, Premise.JUMPS: 300}
+"""Number of nodes up to which `split` is chosen. Beyond, `uniform` gives the same, except without closed edges."""
 
 
 @dataclass(frozen=True)
@@ -117,10 +89,12 @@ class Bound:
         return np.asarray(x * x @ self.p if self.p.ndim == 1 else ((x @ self.p) * x).sum(axis=-1))
 
 
-def method_for(plant: Plant) -> Method:
-    """Return the program that is exact, if it is quick: `split` on a forest, `whole` on few nodes, else `split`."""
-    small = 3 * plant.n + len(plant.edges) <= WHOLE_LARGEST
-    return Method.WHOLE if small and _has_cycle(plant) else Method.SPLIT
+def method_for(plant: Plant, premise: Premise) -> Method:
+    """Return the program that gives the least bound in about a second."""
+    if 3 * plant.n + len(plant.edges) <= WHOLE_LARGEST and _has_cycle(plant):
+        return Method.WHOLE
+    hub = int(np.bincount(plant.edges.ravel(), minlength=1).max()) > HUB
+    return Method.UNIFORM if hub or plant.n > SPLIT_LARGEST[premise] else Method.SPLIT
 
 
 def _has_cycle(plant: Plant) -> bool:
@@ -145,25 +119,47 @@ def bound(plant: Plant, premise: Premise, method: Method | None = None, time_lim
 
     Without a method, `method_for` chooses.
     """
-    began = time.monotonic()
-    method = method or method_for(plant)
-    if not plant.permits(premise):
+    until = time.monotonic() + time_limit_s
+    if not _permitted(plant, premise):
         raise NoBoundError("the true a of a node is outside its list")
+    if method is not None:
+        return _bound(plant, premise, method, until)
+    method = method_for(plant, premise)
+    try:
+        return _bound(plant, premise, method, until)
+    except NoBoundError:
+        if method == Method.UNIFORM:
+            raise
+    # The solver may fail where numbers are large, and the closed forms may not.
+    return _bound(plant, premise, Method.UNIFORM, until)
+
+
+def _permitted(plant: Plant, premise: Premise) -> bool:
+    """Return True if the truth is within the lists, which the premise `jumps` needs."""
+    return premise != Premise.JUMPS or bool(((plant.lowest <= plant.a) & (plant.a <= plant.highest)).all())
+
+
+def _bound(plant: Plant, premise: Premise, method: Method, until: float) -> Bound:
+    began = time.monotonic()
+    margin = MARGIN if plant.n <= LARGE else LARGE_MARGIN
+    if method == Method.UNIFORM:
+        # With every edge open nothing less is known in this form.
+        g, storage, magnitude = uniform(plant, premise == Premise.JUMPS, margin / 2, until)
+        return Bound(premise, method, g, storage, margin / 2, magnitude, time.monotonic() - began)
     if method == Method.FULL and plant.n > FULL_LARGEST:
         raise NoBoundError(f"a full P is sought for up to {FULL_LARGEST} nodes, and there are {plant.n}")
     if method == Method.SPLIT:
         program, p = _split(plant, premise)
     else:
         program, p = _whole(plant, premise, full=method == Method.FULL)
-    margin = MARGIN if plant.n <= LARGE else LARGE_MARGIN
     for _ in range(ATTEMPTS):
-        y = program.solve(margin, time_limit_s - (time.monotonic() - began))
-        # Half the margin is left to the solver, and half is proved.
-        if (magnitude := program.proof(y, margin / 2)) is not None:
+        y = program.solve(margin, until - time.monotonic())
+        # The solver needs half of the margin, and the other half is proved.
+        if (magnitude_ := program.proof(y, margin / 2)) is not None:
             storage = y[p]
             if method == Method.FULL:
                 storage = _symmetric(storage, plant.n)
-            return Bound(premise, method, float(y[0]), storage, margin / 2, magnitude, time.monotonic() - began)
+            return Bound(premise, method, float(y[0]), storage, margin / 2, magnitude_, time.monotonic() - began)
         # The solver's residual is relative to its largest unknown.
         margin = max(10 * margin, 1e-9 * float(np.abs(y).max()))
     raise NoBoundError("the solver's answer is not proved, even with a larger margin")
@@ -174,13 +170,6 @@ def _symmetric(upper: Array, n: int) -> Array:
     i, j = np.triu_indices(n)
     matrix[i, j] = matrix[j, i] = upper
     return matrix
-
-
-def _sector(blocks: Blocks, unknown: Any, z: Form, x: Form, low: Any, high: Any) -> None:
-    """Add unknown (z - low x)(high x - z)."""
-    blocks.add(unknown, z, z, -1.0)
-    blocks.add(unknown, z, x, low + high)
-    blocks.add(unknown, x, x, -low * high)
 
 
 def _whole(plant: Plant, premise: Premise, full: bool) -> tuple[Program, Index]:
@@ -227,10 +216,10 @@ def _whole(plant: Plant, premise: Premise, full: bool) -> tuple[Program, Index]:
         blocks.add(-1, x[i], x[i])
         blocks.add(0, w[i], w[i], -1.0)
         if not fixed[i]:
-            _sector(blocks, int(tau[i]), z[i], x[i], float(alpha[i]), float(beta[i]))
+            blocks.sector(int(tau[i]), z[i], x[i], float(alpha[i]), float(beta[i]))
         if not unmoved[i]:
             v = Form((int(place_v[i]),), (1.0,))
-            _sector(blocks, int(s[i]), v, x[i], float(plant.lowest[i]), float(plant.highest[i]))
+            blocks.sector(int(s[i]), v, x[i], float(plant.lowest[i]), float(plant.highest[i]))
     for k in range(e):
         blocks.add(-1, phi[k], phi[k])
         if edges:
@@ -306,8 +295,8 @@ def _split(plant: Plant, premise: Premise) -> tuple[Program, Index]:
         blocks.add(-1, x, x)
         blocks.add(0, w, w, -1.0)
         if has_z:
-            _sector(blocks, tau[nodes], z, x, low, high)
+            blocks.sector(tau[nodes], z, x, low, high)
         if has_v:
-            _sector(blocks, s[nodes], v, x, plant.lowest[nodes], plant.highest[nodes])
+            blocks.sector(s[nodes], v, x, plant.lowest[nodes], plant.highest[nodes])
         every.append(blocks)
     return unknowns.program(every), p

@@ -1,15 +1,15 @@
 """The certificate of the adaptive law: sum cost <= g sum |w|^2 + sum p_i x_i(0)^2 - sum p_i x_i(t+1)^2 at every step.
 
-There is one per premise of `gain_bound`. All of them run from t = 0, and each is claimed while its premise has held:
-no edge closed so far, no jump so far, every u within the sector of its node's list. None begins later. The bounds are
+There is one per premise of `gain_bound`. All of them start at t = 0. Each is claimed while its premise has held: no
+edge closed so far, no jump so far, every u within the sector of its node's list. None begins later. The bounds are
 solved beside the run: rows that come before them wait here.
 
 Rounding. With phi and z = -u/b of the recorded u, the state obeys x(t+1) = A x - B phi + w + e, and the inequality
-holds with w + e for w. Let r = (d + 4) u with d the largest degree and u the unit roundoff; then
-|e| <= r (|x| + |phi| + |w|), since |B| < 1. So g |w + e|^2 exceeds g |w|^2 by at most 5 g r (|x|^2 + |phi|^2 + |w|^2).
-z may lie outside its sector by SECTOR relative to it. The margin of the bound covers both if it is at least
-(5 r + 2 SECTOR) times the bound's magnitude, and g is not more than the magnitude. What is left is the rounding of the
-sums: each has one term per step, of n + E squares, so it errs by at most (t + n + E + 8) u times itself.
+holds with w + e for w. Let r = (d + 4) u with d the largest degree and u the unit roundoff; then |e| <= r (|x| + |phi|
++ |w|), since |B| < 1. So g |w + e|^2 exceeds g |w|^2 by at most 5 g r (|x|^2 + |phi|^2 + |w|^2). z may lie outside its
+sector by SECTOR relative to it. The margin of the bound covers both if it is at least (5 r + 2 SECTOR) times the
+bound's magnitude, and g is not more than the magnitude. The rounding of the sums remains. Each sum has one term per
+step, of n + E squares, so its error is at most (t + n + E + 8) u times itself.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hedgerow.orchestrator.metrics.checks import TINY, Worst
-from hedgerow.orchestrator.metrics.gain_bound import Bound, Plant, Premise
+from hedgerow.orchestrator.metrics.gain_bound import Bound, Premise
+from hedgerow.orchestrator.metrics.gain_plant import Plant
 from hedgerow.orchestrator.metrics.guarantee import Guarantee
 from hedgerow.orchestrator.metrics.semidefinite import UNIT
 from hedgerow.topologies.graph import Array, Index, Mask
@@ -29,14 +30,14 @@ from hedgerow.topologies.graph import Array, Index, Mask
 SECTOR = 16 * UNIT
 """A blend of a few inputs, each within the sector, may leave it by so much, relative to the largest."""
 WAITING_BYTES = 2**26
-"""The rows that wait for the bounds take at most this; what comes then is not checked before the bounds are there."""
+"""The maximum memory of the rows that wait for the bounds; later rows are not checked before the bounds are known."""
 CLAIMS = {
     Premise.ESTIMATES: "sum cost <= g sum |w|^2 + sum p_i x_i(0)^2 - sum p_i x_i(t+1)^2 at every step before the first"
-    " at which an edge is closed, an a jumps, or a u lies outside the sector of its list",
-    Premise.EDGES: "the same, with the g and p of any closed edges, before the first step at which an a jumps or a u"
-    " lies outside the sector of its list",
-    Premise.JUMPS: "the same, with the g and p of any a within its list, before the first step at which an a or a u"
-    " is outside its list",
+    " with a closed edge, a jump of a, or a u outside the sector of its list",
+    Premise.EDGES: "the same, with the g and p of any closed edges, before the first step with a jump of a, or with a u"
+    " outside the sector of its list",
+    Premise.JUMPS: "the same, with the g and p of any a within its list, before the first step with an a or a u"
+    " outside its list",
 }
 
 
@@ -84,9 +85,9 @@ class GainCertificate:
     def take(
         self, t: Index, x: Array, u: Array, after: Array, is_open: Mask, a: Mapping[int, Array], sums: Array
     ) -> tuple[Array, Array]:
-        """Take in B steps; return the bound on the gain that is claimed at each, and its slack, (B,), NaN where none.
+        """Record B steps; return the claimed bound on the gain at each, and its slack, (B,), NaN without a claim.
 
-        x, u and x(t + 1) are (B, n); `is_open` is True where every edge is open; `a` has by row what the truth becomes;
+        x, u and x(t + 1) are (B, n). `is_open` is True where every edge is open. `a` gives, by row, the new truth.
         sums, (B, 2), are of the cost and of |w|^2 up to each step.
         """
         premises = self._premises(t, x, u, is_open, a)
@@ -121,7 +122,7 @@ class GainCertificate:
             return dict.fromkeys(Premise, 0)
         # In the operations of `agents.law.control`, which round alike: an estimate of the list is never outside.
         low, high = (self._plant.b * x / (ends - 1.0) for ends in (self._plant.lowest, self._plant.highest))
-        # A missing input is NaN: its edges are closed, and any z of the sector stands for it.
+        # A missing input is NaN: its edges are closed, so any z in the sector may replace it.
         outside = (u - low) * (u - high) > SECTOR * high * high
         if outside.any():
             row = int(outside.any(axis=1).argmax())
@@ -176,7 +177,7 @@ class GainCertificate:
         return slack
 
     def covers_rounding(self, bound: Bound) -> bool:
-        """Return True if the margin of a bound is more than what rounding may cost in a step."""
+        """Return True if the margin of a bound covers the rounding errors of a step."""
         return bound.margin >= self._margin_needed * bound.magnitude
 
     def to_dict(self, n_steps: int) -> dict[str, Any]:

@@ -1,6 +1,6 @@
-"""Who heard what: every message of a run, counted where it is said and where it is heard.
+"""The audit of the messages of a run: each is counted at its sender and at its receiver.
 
-A message that its rightful sender did not say was said by somebody else, over however open a router it came.
+A message that its only permitted sender did not send came from an intruder, over any router.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ if TYPE_CHECKING:
     from hedgerow.wire.session import Receiver, Sender
     from hedgerow.wire.stream import Inbox
 
-CLAIM = "every message that a process took in was said to it, by the one process that may speak on its key"
+CLAIM = "every message that a process received was sent by the only process that may publish on its key"
 
 
 @dataclass(frozen=True)
 class Channel:
-    """One key: who may say something on it, to whom, and how many messages that were; None where nobody knows."""
+    """One key: its permitted sender, its receiver, and the numbers of messages; None for an unknown number."""
 
     key: str
     speaker: str
@@ -30,18 +30,18 @@ class Channel:
     said: int | None = None
     heard: int | None = None
     refused: int | None = None
-    """of those that came, how many were no message of this key"""
+    """the number of received messages that were not valid on this key"""
 
     @property
     def wrong(self) -> str:
-        """What is not as it may be, in words; empty where nothing is."""
+        """Return the discrepancy in words; empty if there is none."""
         if self.said is None or self.heard is None or self.heard <= self.said:
             return ""
-        return f"{self.listener} heard {self.heard} messages on {self.key}, of which {self.speaker} said {self.said}"
+        return f"{self.listener} received {self.heard} messages on {self.key}, but {self.speaker} sent {self.said}"
 
 
 def channels(places: Sequence[Place]) -> list[Channel]:
-    """Who may hear whom, of plant and agents: nothing else reaches any of them."""
+    """Return the channels between plant and agents: no other message reaches any of them."""
     names = {place.shard: place.name for place in places}
     found = []
     for name, p, peers, *_ in places:
@@ -57,38 +57,38 @@ OBSERVED = (Channel(keys.TELEMETRY, keys.PLANT, OBSERVER), Channel(keys.SEEN, OB
 
 @dataclass(frozen=True)
 class Audit:
-    """What became of the information structure in a run."""
+    """The result of the audit of a run."""
 
     channels: Sequence[Channel]
     strange: Mapping[str, Mapping[str, int]]
-    """by process: messages that came on keys of nobody"""
+    """by process: messages that arrived on unassigned keys"""
     silent: Sequence[str]
-    """processes that did not say at the end what they had said and heard"""
+    """processes that did not report their counts at the end"""
     observer: Sequence[Channel] = OBSERVED
     """the keys between plant and observer"""
 
     @property
     def wrong(self) -> list[str]:
-        """Who heard what should not have been heard."""
+        """Return the discrepancies in words."""
         strange = [
-            f"{name} was sent {number} messages on {key}, which is nobody's"
+            f"{name} received {number} messages on {key}, which no process uses"
             for name, some in self.strange.items()
             for key, number in some.items()
         ]
         return [why for channel in (*self.channels, *self.observer) if (why := channel.wrong)] + strange
 
     def to_dict(self) -> dict[str, Any]:
-        """As verdict.json holds it."""
+        """Return the audit as in verdict.json."""
         listed = [asdict(channel) for channel in self.channels]
         observer = [asdict(channel) for channel in self.observer]
         return {"channels": listed, "observer": observer, "strange": self.strange, "silent": self.silent}
 
 
 def audit(places: Sequence[Place], event: Mapping[str, Any], observed: Mapping[str, Any] | None = None) -> Audit:
-    """What the processes counted, as the plant's event `heard` tells it, and what the observer counted itself.
+    """Return the audit from the counts of the processes, in the plant's event `heard`, and from the observer's counts.
 
-    Who did not say a last word has died or hangs, and what it said before is not known; a process in its second life
-    knows only what it said and heard in that.
+    A process without a final report has died or hangs, so its counts are unknown. A restarted process knows only the
+    counts of its last life.
     """
     words = {keys.PLANT: event["plant"]}
     lives = {keys.PLANT: 0}
@@ -103,21 +103,21 @@ def audit(places: Sequence[Place], event: Mapping[str, Any], observed: Mapping[s
 
 
 def observed(seen: Sender, receiver: Receiver, inbox: Inbox) -> dict[str, Any]:
-    """What the observer said and heard until the plant told its own counts, as an agent's last word holds it."""
+    """Return the observer's counts at the time of the plant's counts, in the form of an agent's final report."""
     refused = {receiver.key: inbox.refused} if inbox.refused else {}
     heard = {receiver.key: inbox.arrived_at_event}
     return {"said": {seen.key: seen.said}, "heard": heard, "refused": refused, "strange": receiver.strange}
 
 
 STRANGE_KEYS = 16
-"""strange keys of one process that a verdict names"""
+"""the maximum number of unassigned keys per process that a verdict names"""
 _LARGEST_COUNT = 2**63 - 1
 
 
 def _shortened(strange: Mapping[str, int]) -> dict[str, int]:
-    """Return the first 16 keys of nobody, each in at most 80 characters, and the others as one sum.
+    """Return the first 16 unassigned keys, each in at most 80 characters, and the others as one sum.
 
-    An agent's last word is the text of another machine: it can hold any number of keys of any length.
+    The final report of an agent is a text from another machine: it can hold any number of keys of any length.
     """
     found: dict[str, int] = {}
     for k, (key, number) in enumerate(strange.items()):
@@ -140,7 +140,7 @@ def _counted(one: Channel, words: Mapping[str, Any], lives: Mapping[str, int]) -
 
 
 def is_counted(word: Any) -> bool:
-    """Return True if `word`, which came over the wire, is what a process says at its end."""
+    """Return True if `word`, from another process, is a valid final report."""
     tables = [word.get(name) for name in ("said", "heard", "refused", "strange")] if isinstance(word, dict) else [None]
     return all(
         isinstance(table, dict) and all(isinstance(number, int) for number in table.values()) for table in tables

@@ -1,4 +1,6 @@
-"""From telemetry to every metric of docs/theory.md: the twins, regret, costs and gains, as the run goes on."""
+"""The observer: it turns telemetry into every metric of docs/theory.md during the run: the twins, regret, costs and
+gains.
+"""
 
 from __future__ import annotations
 
@@ -28,12 +30,12 @@ Matrix = NDArray[np.float64]
 
 ROWS = 512
 BATCH_BYTES, ROW_BYTES = 2**26, 256
-"""what a batch may take, and what a row of it takes a node, about"""
+"""the maximum size of a batch, and the approximate size of a row per node [bytes]"""
 
 
 @dataclass(frozen=True)
 class Batch:
-    """What some consecutive steps brought: B rows, n nodes, E edges; sums run from step 0 to the row's own."""
+    """The metrics of consecutive steps: B rows, n nodes, E edges; sums run from step 0 to the row."""
 
     t: NDArray[np.int64]
     a: Matrix
@@ -45,18 +47,18 @@ class Batch:
     w: Matrix
     """disturbances, (B, n)"""
     ahat: Matrix
-    """estimates, NaN where nobody is there, (B, n)"""
+    """estimates, NaN where the node is absent, (B, n)"""
     index: NDArray[np.int32]
-    """which candidate ahat is, from 0 in list order, the first of equals, (B, n); -1 where it is none"""
+    """the index of the candidate that ahat equals, from 0, the first of equals, (B, n); -1 if there is none"""
     margin: Matrix
-    """J_(2) - J_(1), infinite without a rival, (B, n)"""
+    """J_(2) - J_(1), infinite for a single candidate, (B, n)"""
     a_ls: Matrix
-    """the least-squares a = sum x (a x + w) / sum x^2 over past samples, NaN before there is one, (B, n)"""
+    """the least-squares a = sum x (a x + w) / sum x^2 over past samples, NaN without a sample, (B, n)"""
     beta: Matrix
-    """a_LS less the truth, (B, n)"""
+    """a_LS minus the truth, (B, n)"""
     edge_open: NDArray[np.bool_]
     link_up: NDArray[np.bool_]
-    """whether the row of the step crossed the link of each incidence in that step, (B, 2E)"""
+    """True if the link of each incidence delivered the row of the step in that step, (B, 2E)"""
     u_edge: Matrix
     """u_j - u_i of each edge (i, j), 0 where closed, (B, E)"""
     x_oracle: Matrix
@@ -68,7 +70,7 @@ class Batch:
     regret_sum: Array
     """D = sum of r_i^2 so far, (B,)"""
     nominal_regret_sum: Array
-    """the same of the nominal twin, (B,)"""
+    """the same for the nominal twin, (B,)"""
     cost: Array
     """c = |x|^2 + sum_e k_e u_e^2, (B,)"""
     cost_oracle: Array
@@ -77,58 +79,58 @@ class Batch:
     energy_sum: Array
     """sum of |w|^2, (B,)"""
     slack: Array
-    """how far the oracle's certificate is from being violated, NaN where there is none, (B,)"""
+    """the slack of the oracle's certificate, NaN without a claim, (B,)"""
     right: NDArray[np.int64]
-    """nodes whose ahat is the truth, (B,)"""
+    """the number of nodes for which ahat is the truth, (B,)"""
     ceiling: Array
-    """the bound on the gain of the run that is claimed at the step, NaN where none is or none is known yet, (B,)"""
+    """the claimed bound on the gain of the run, NaN without a claim or before it is known, (B,)"""
     ceiling_slack: Array
-    """how far the certificate of that bound is from being violated, (B,)"""
+    """the slack of the certificate of that bound, (B,)"""
 
     @property
     def wrong(self) -> Mask:
-        """True where ahat is a candidate other than the truth, (B, n).
+        """Return True where ahat is a candidate other than the truth, (B, n).
 
-        An estimate that is no candidate is an estimate of a real number: it has an error, and no right or wrong.
+        An estimate that is not a candidate is a real number: it has an error, but is neither right nor wrong.
         """
         wrong: Mask = (self.index >= 0) & (self.ahat != self.a) & np.isfinite(self.ahat)
         return wrong
 
     @property
     def size(self) -> int:
-        """Bytes, about."""
+        """Return the approximate size [bytes]."""
         return sum(getattr(self, one.name).nbytes for one in fields(self))
 
     @property
     def cost_regret(self) -> Array:
-        """R = sum (c - c*), signed, (B,)."""
+        """Return R = sum (c - c*), signed, (B,)."""
         return self.cost_sum - self.cost_oracle_sum
 
     @property
     def ratio(self) -> Array:
-        """Sum c / sum c*, the hindsight ratio, (B,)."""
+        """Return sum c / sum c*, the hindsight ratio, (B,)."""
         with np.errstate(invalid="ignore", divide="ignore"):
             return self.cost_sum / self.cost_oracle_sum
 
     def gain(self, less: float = 0.0) -> Array:
-        """sqrt(max(0, sum c - less) / sum |w|^2), NaN until w is not 0, (B,)."""
+        """Return sqrt(max(0, sum c - less) / sum |w|^2), NaN until w is not 0, (B,)."""
         return gain(self.cost_sum, self.energy_sum, less)
 
 
 def gain(cost_sum: Array, energy_sum: Array, less: float = 0.0) -> Array:
-    """sqrt(max(0, sum c - less) / sum |w|^2), NaN until w is not 0."""
+    """Return sqrt(max(0, sum c - less) / sum |w|^2), NaN until w is not 0."""
     with np.errstate(invalid="ignore", divide="ignore"):
         found = np.sqrt(np.maximum(0.0, cost_sum - less) / energy_sum)
     return np.where(energy_sum > 0, found, np.nan)
 
 
 def rows_at_once(n: int) -> int:
-    """How many rows of n nodes are best taken in at once: what they bring must fit into memory."""
+    """Return the best number of rows in one call for n nodes: the results must fit into memory."""
     return max(1, min(ROWS, BATCH_BYTES // (ROW_BYTES * n)))
 
 
 class Observer:
-    """Takes telemetry in the order of its steps and computes all that is shown, recorded and judged."""
+    """The computer of all metrics that are shown, recorded and judged, from telemetry in the order of its steps."""
 
     def __init__(self, topology: Topology) -> None:
         network = topology.network
@@ -136,21 +138,21 @@ class Observer:
         self.graph: Graph = network.graph
         self.b, self._a0 = network.b, network.a
         self._a = self._a0
-        """the truth at the last step taken in"""
+        """the truth at the last recorded step"""
         self.x0, self.nominal = network.x0, network.nominal
         models = candidates_of(topology)
         self._largest = np.nanmax(models, axis=0)
         self.rho = float(self._contraction(self._a0))
-        """the largest that held so far"""
+        """the largest value so far"""
         self._models = models
-        """what each node chooses among under the law of the run, (M, n), NaN where there are fewer"""
+        """the models of each node under the law of the run, (M, n), padded with NaN"""
         self._twins = Twins(self.b, self.graph, self.x0, self._a0, self.nominal)
         self._certificate = Certificate(self._a0, self.b, self.graph, self.x0)
         self.v0 = self._certificate.v0
         self.adaptive: GainCertificate | None = None
-        """the certificate of the adaptive law, where the bounds are solved beside the run"""
-        self.not_certified = "the bounds are solved beside runs that leave a folder only"
-        """why there is none, where there is none"""
+        """the certificate of the adaptive law, if its bounds are computed beside the run"""
+        self.not_certified = "bounds are only computed for runs with a folder"
+        """the reason why there is no certificate"""
         self._dynamics = DynamicsCheck(self.b)
         self._estimates = Worst()
         self._sums = np.zeros(5)
@@ -159,14 +161,14 @@ class Observer:
         self._error = np.full(self.graph.n, np.nan)
         """|ahat - a| of every node at the last step, (n,)"""
         self.real_estimates = False
-        """some estimate is no candidate: the law estimates real numbers"""
+        """True if an estimate is not a candidate: the law estimates real numbers"""
         self.next_step = 0
         self.end: End | None = None
         self.x_oracle_end = self.x_nominal_end = self.x0
         self.lost: list[int] = []
-        """steps whose telemetry never came"""
+        """steps without telemetry"""
         self.refused = 0
-        """Rows of a step that was taken already."""
+        """The number of rows of steps that were recorded already."""
         self.schedule = Schedule(topology)
         self._jumps = deque(self.schedule.jumps(0))
         self._jumped = False
@@ -180,14 +182,14 @@ class Observer:
         }
 
     def change(self, topology: Topology) -> None:
-        """The faults are these from now on; the steps that were taken in are not judged again."""
+        """Change the faults from now on; earlier steps are not judged again."""
         self.topology = topology
         self.schedule = Schedule(topology)
         self._jumps = deque(self.schedule.jumps(self.next_step))
         self.accounts.change(self.schedule)
 
     def in_order(self, rows: Sequence[Telemetry]) -> list[Telemetry]:
-        """Return the rows that follow those already taken; refuse, and count, a row of an earlier step."""
+        """Return the rows that follow the recorded ones; refuse, and count, a row of an earlier step."""
         following, step = [], self.next_step
         for row in rows:
             if row.t < step:
@@ -198,7 +200,7 @@ class Observer:
         return following
 
     def take(self, rows: Sequence[Telemetry]) -> Batch:
-        """The metrics of some rows, at least one, which must follow those taken before."""
+        """Return the metrics of some rows, at least one, which must follow the recorded ones."""
         for row in rows:
             self._expect(row.t)
             self.next_step = row.t + 1
@@ -249,7 +251,7 @@ class Observer:
         )  # fmt: skip
 
     def finish(self, end: End) -> None:
-        """Take in the final state, and close the last checks."""
+        """Record the final state, and finish the last checks."""
         self.end = end
         self._expect(end.t)
         self.x_oracle_end, self.x_nominal_end = self._twins.x
@@ -268,34 +270,34 @@ class Observer:
         turns: dict[int, Array],
         sums: Matrix,
     ) -> tuple[Array, Array]:
-        """Return the bound on the gain that is claimed at each step, and the slack of its certificate, (B,)."""
+        """Return the claimed bound on the gain at each step, and the slack of its certificate, (B,)."""
         certificate = self.adaptive  # another thread may set it to None
         if certificate is None:
             return np.full(len(t), np.nan), np.full(len(t), np.nan)
         return certificate.take(t, x, u, x_next, is_open, turns, sums)
 
     def _expect(self, t: int) -> None:
-        """The next step to be taken in is t: all before it that were not are lost."""
+        """Expect step t next: all earlier steps that were not recorded are lost."""
         self.lost += range(self.next_step, t)
         self.next_step = t
 
     @property
     def gamma_star(self) -> float:
-        """Of the truth at t = 0."""
+        """Return gamma* of the truth at t = 0."""
         return self.topology.network.gamma_star
 
     @property
     def regret_sum(self) -> float:
-        """D at the last state, the final one included once it is known."""
+        """Return D at the last state, with the final one once it is known."""
         return float(self._sums[0])
 
     @property
     def nominal_regret_sum(self) -> float:
-        """The same of the nominal twin."""
+        """Return the same for the nominal twin."""
         return float(self._sums[1])
 
     def _truth(self, t: NDArray[np.int64]) -> tuple[Matrix, dict[int, Array]]:
-        """The true a at some steps, (B, n), and by row where it becomes another, (n,)."""
+        """Return the true a at some steps, (B, n), and the new a by row of a change, (n,)."""
         a, turns = np.broadcast_to(self._a, (len(t), self.graph.n)), {}
         while self._jumps and self._jumps[0].start <= t[-1]:
             jump = self._jumps.popleft()
@@ -307,11 +309,13 @@ class Observer:
         return a, turns
 
     def _contraction(self, a: Matrix) -> Array:
-        """The rho of each row of a; topologies.hinf.contraction."""
+        """Return the rho of each row of a; topologies.hinf.contraction."""
         return np.asarray(np.maximum(a, self._largest - a).max(axis=-1))
 
     def _least_squares(self, x: Matrix, w: Matrix, a: Matrix) -> tuple[Matrix, Matrix]:
-        """a_LS(t) and beta(t), by the samples before t, as ahat(t) is: what they exceed a(0) by, and a(t)."""
+        """Return a_LS(t) and beta(t), from the samples before t, like ahat(t): a(0) plus the excess, and that minus
+        a(t).
+        """
         moved = a - self._a0 if self._jumped else None
         sxx = running(self._sxx, x * x)
         sxd = running(self._sxd, x * w if moved is None else x * (moved * x + w))
@@ -322,7 +326,7 @@ class Observer:
         return self._a0 + excess, excess if moved is None else excess - moved
 
     def _named(self, ahat: Matrix) -> NDArray[np.int32]:
-        """Which candidate each ahat is, the first of equals; -1 where it is none."""
+        """Return the index of the candidate that each ahat equals, the first of equals; -1 if there is none."""
         index = np.full(ahat.shape, -1, dtype=np.int32)
         for m in reversed(range(len(self._models))):
             index[ahat == self._models[m]] = m
@@ -331,7 +335,7 @@ class Observer:
     def _check_estimates(
         self, t: NDArray[np.int64], x: Matrix, u: Matrix, ahat: Matrix, index: NDArray[np.int32]
     ) -> None:
-        """Of those who are there, every ahat is a candidate, and every u that came is equation (6) of it."""
+        """Check that every ahat of a present node is a candidate, and every u is equation (6) of it."""
         listed = index >= 0
         good = listed & (control(self.b, x, ahat) == u)
         if not good.all():
@@ -339,7 +343,7 @@ class Observer:
         self._estimates.see_exact(good.all(axis=1), t)
 
     def summary(self) -> dict[str, float | int | None]:
-        """The metrics at the end, as verdict.json holds them; None for what is undefined."""
+        """Return the metrics at the end as in verdict.json; None for undefined ones."""
         _, _, cost, cost_oracle, energy = (float(value) for value in self._sums)
         return {
             "regret": self.regret_sum,
@@ -365,15 +369,15 @@ def mean_error(error: Array) -> float:
 
 
 def _rows(rows: Sequence[Telemetry], name: str) -> NDArray[Any]:
-    """One array of all rows, (B, ...); that of a single one is not copied."""
+    """Return one array of all rows, (B, ...); a single row is not copied."""
     return getattr(rows[0], name)[None] if len(rows) == 1 else np.array([getattr(row, name) for row in rows])
 
 
 def _before(first: Array, sums: Matrix) -> Matrix:
-    """The sums up to each row, without it."""
+    """Return the sums up to each row, without the row."""
     return first[None] if len(sums) == 1 else np.vstack([first, sums[:-1]])
 
 
 def _energy(values: Matrix) -> Array:
-    """The sum of squares of each row."""
+    """Return the sum of squares of each row."""
     return np.asarray((values * values).sum(axis=1))

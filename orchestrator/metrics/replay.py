@@ -1,8 +1,8 @@
-"""The replay: the file's own plant and the law's own class, put at the recorded state of every step.
+"""The replay: the plant of the file and the class of the law, put into the recorded state of every step.
 
-Each row of telemetry gives x(t). From that, and from the faults of the file, `plant.world` plans what is open, what
-crosses a link and how late; `agents.shard` closes the sample of t - 1 and acts. All that the row holds must be that, to
-the bit. The first row that differs ends the replay: it names the step and the node.
+Each row of telemetry gives x(t). From x(t) and the faults of the file, `plant.world` determines open edges, deliveries
+and delays. `agents.shard` closes the sample of t - 1 and acts. All other numbers of the row must equal the results, bit
+for bit. The first row that differs ends the replay, which names the step and the node.
 """
 
 from __future__ import annotations
@@ -27,39 +27,39 @@ from hedgerow.topologies.schema import Topology
 from hedgerow.wire.codec import LATE, REPORT_ROWS, Flag, Flags, State, Telemetry, gather
 
 AUDITED = 20_000
-"""how many nodes are replayed at most; of a larger network a subset that the seed draws"""
+"""the maximum number of replayed nodes; in a larger network, a subset that the seed draws"""
 NAMED = 8
-"""how many differences of one step are told at most"""
+"""the maximum number of reported differences of one step"""
 PLAN, LAW = "plan", "law"
 CLAIMS = {
-    PLAN: "x(0), every w, and what is open, crosses a link or is missing at each step are those of the file and of the"
-    " recorded faults, to the bit",
-    LAW: "every u, ahat, margin and sample taken in is what the law's own class gives on the recorded x and u and on"
-    " the links by the faults, to the bit",
+    PLAN: "x(0), every w, and all open edges, deliveries and missing values are those of the file and of the recorded"
+    " faults, bit for bit",
+    LAW: "every u, ahat, margin and used input is that of the law's class for the recorded x and u and for the"
+    " deliveries under the faults, bit for bit",
 }
 
 
 class Finding(NamedTuple):
-    """The first differences from the replay: all of one step."""
+    """The first differences from the replay, all in one step."""
 
     check: str
     step: int
     node: int | str | None
-    """the id of the first node that differs; None where it is the whole row"""
+    """the id of the first node that differs; None if it is the whole row"""
     why: list[str]
-    """by difference: where it is, the recorded value and the replayed one"""
+    """by difference: its place, the recorded value and the replayed one"""
 
 
 class Replay:
-    """Replays telemetry in the order of its steps, and keeps the first difference."""
+    """The replay of telemetry in the order of its steps, with the first difference."""
 
     def __init__(self, topology: Topology, audited: int = AUDITED, receipts: bool = True) -> None:
-        """Without `receipts`, the rows do not tell what the nodes took in: tables do not keep that."""
+        """Prepare the replay. Without `receipts`, the rows have no used inputs, because tables do not contain them."""
         self._receipts = receipts
         network = topology.network
         self._topology, self._graph = topology, network.graph
         self._a = network.a.copy()
-        """the truth at the step replayed, of all nodes: a disturbance that sees the state sees it too"""
+        """the truth of all nodes at the replayed step: a disturbance that depends on the state depends on it too"""
         self._part = part = _Part(network.graph, topology.seed, audited)
         self._x0, self._disturbance = network.x0, Disturbance(network.disturbance, network.ids, topology.seed)
         history = history_of(topology)
@@ -97,22 +97,22 @@ class Replay:
             )
         )
         self.nodes = part.audited
-        """how many nodes are replayed"""
+        """the number of replayed nodes"""
         self.steps = 0
-        """how many rows were as they should be"""
+        """the number of equal rows"""
         self.finding: Finding | None = None
         self.doubt = ""
-        """why the replay ended before the run, if it did and nothing differed"""
+        """the reason why the replay ended before the run without a difference"""
         self.change(topology)
 
     def change(self, topology: Topology) -> None:
-        """Go by the faults of this topology from the next step on."""
+        """Use the faults of this topology from the next step on."""
         self._topology = topology
         faults = Faults(effects(topology.faults, topology), self._graph, topology.network.ids, topology.seed)
         self._faults, self._world.faults = faults, self._part.of(faults)
 
     def take(self, rows: Sequence[Telemetry]) -> None:
-        """Replay some rows, which follow those taken before."""
+        """Replay some rows, which follow the earlier ones."""
         with np.errstate(all="ignore"):
             for row in rows:
                 if self.finding is not None or self.doubt:
@@ -129,13 +129,13 @@ class Replay:
             return
         try:
             self._compare(row, self._expected(row))
-        except Exception as error:  # the law is its user's code
+        except Exception as error:  # the law is code of the user
             self.doubt = f"replayed up to step {t} only: {type(error).__name__}: {error}"
         else:
             self.steps += self.finding is None
 
     def _expected(self, row: Telemetry) -> Telemetry:
-        """What telemetry should hold of the replayed nodes, by the recorded x and all that was replayed before."""
+        """Return the expected telemetry of the replayed nodes, from the recorded x and all replayed steps."""
         world, shard, part = self._world, self._shard, self._part
         t, x = row.t, part.of_nodes(row.x)
         world.x = x
@@ -156,7 +156,7 @@ class Replay:
             report, took = shard.report, shard.took
         return world.follow(u, report, took, part.of_nodes(row.w))
 
-    # What differs.
+    # The differences.
 
     def _compare(self, row: Telemetry, expected: Telemetry) -> None:
         part, t = self._part, row.t
@@ -184,7 +184,7 @@ class Replay:
         said = ["has an input that a fault takes away", "has no input, and no fault takes it away"]
         found = [(k, said[int(missing[k])]) for k in np.flatnonzero(other).tolist()]
         self._find(PLAN, t, found, part.nodes)
-        # What a node took in of t - 1 comes before what it did at t.
+        # Compare first the used inputs of t - 1, and then the actions at t.
         self._find_flags(LAW, t - 1, ("counted for flow", "counted for none"), *took, Flag.OPEN)
         self._find_flags(LAW, t - 1, ("was taken in", "was not taken in"), *took, Flag.HEAR)
         self._find_late(t - 1, *took)
@@ -198,7 +198,7 @@ class Replay:
             self._find_numbers(LAW, t, name, np.where(own, seen, 0.0), np.where(own, right, 0.0), part.nodes)
 
     def _w(self, row: Telemetry) -> Array:
-        """Return w(t), (n,), on the recorded x(t)."""
+        """Return w(t), (n,), for the recorded x(t)."""
         if not self._disturbance.sees_state:
             return self._disturbance.at(row.t)
         for node, a in self._faults.jumps(row.t):
@@ -216,7 +216,7 @@ class Replay:
         self._find(check, t, found, nodes)
 
     def _find_flags(self, check: str, t: int, said: tuple[str, str], seen: Flags, right: Flags, bit: int) -> None:
-        """Find the incidences with another bit; `said` words a bit that is set and one that is not."""
+        """Find the incidences with another bit; `said` has the words for a set bit and a clear bit."""
         part, ids = self._part, self._topology.ids
         found = []
         for c in np.flatnonzero((seen ^ right) & bit).tolist():
@@ -227,7 +227,7 @@ class Replay:
         self._find(check, t, found, part.nodes)
 
     def _find_late(self, t: int, seen: Flags, right: Flags) -> None:
-        """Find the incidences over which another number of late rows came."""
+        """Find the incidences with another number of late rows."""
         part, ids = self._part, self._topology.ids
         came, due = seen >> LATE, right >> LATE
         found = []
@@ -247,7 +247,7 @@ class Replay:
         self._find(PLAN, t, found, part.nodes)
 
     def _find(self, check: str, t: int, found: Sequence[tuple[int, str]], nodes: Index | None = None) -> None:
-        """Keep the first difference, and further ones of the same kind and step."""
+        """Record the first difference, and further ones of the same kind and step."""
         if not found or self.finding is not None:
             return
         ids = self._topology.ids
@@ -260,11 +260,11 @@ class _Shadow(World):
 
     @property
     def quiet(self) -> bool:
-        """Whether nothing is wrong at t, was wrong at t - 1, or is to be made up for."""
+        """Return True if t has no fault, t - 1 had none, and nothing is to be back-filled."""
         return self._now.flags is None
 
     def pass_by(self, u: Array, report: Array) -> Telemetry:
-        """Make a quiet step under inputs that are all there."""
+        """Make a quiet step with complete inputs."""
         t, x = self.t, self.x
         self._record.append(x, u, self._all_open)
         self._open, self._heard = self._all_open, self._now.deliveries
@@ -272,13 +272,13 @@ class _Shadow(World):
         return Telemetry(t, x, u, x, report, self._all_open, self._all_up, self._all_taken)
 
     def follow(self, u: Array, report: Array, took: bytes, w: Array) -> Telemetry:
-        """Make any step under these inputs and the w that is recorded."""
+        """Make any step with these inputs and the recorded w."""
         self._next_w = w
         return self.step(u, report, [took])
 
 
 class _Part:
-    """The nodes that are replayed, all or some, and their neighbours: these act as recorded."""
+    """The replayed nodes, all or some, and their neighbours, which act as recorded."""
 
     def __init__(self, graph: Graph, seed: int, audited: int) -> None:
         self.whole = graph.n <= audited
@@ -288,7 +288,7 @@ class _Part:
             self.nodes: Index = np.arange(n)
             """positions in the network, ascending, (k,)"""
             self.own: Mask = np.ones(n, dtype=np.bool_)
-            """which of them are replayed, (k,)"""
+            """True for the replayed ones, (k,)"""
             self.graph = graph
             return
         chosen: Mask = np.zeros(n, dtype=np.bool_)
@@ -304,11 +304,11 @@ class _Part:
         self.graph = Graph(len(self.nodes), np.searchsorted(self.nodes, edges), weights)
 
     def of_nodes(self, values: Array) -> Array:
-        """Values of the network's nodes, (..., n), as those of the part, (..., k)."""
+        """Return values of the part's nodes, (..., k), from those of the network, (..., n)."""
         return values if self.whole else values[..., self.nodes]
 
     def of_row(self, row: Telemetry) -> Telemetry:
-        """A row of the network as one of the part."""
+        """Return a row of the network as one of the part."""
         nodes = (self.of_nodes(values) for values in (row.x, row.u, row.w, row.report))
         links = (bits[self._incidences] for bits in (row.link_up, row.took))
         x, u, w, report = nodes
@@ -316,19 +316,19 @@ class _Part:
         return Telemetry(row.t, x, u, w, report, row.edge_open[self._edges], link_up, took)
 
     def beyond(self, shard: Shard, u: Array, row: Telemetry) -> Array:
-        """Inputs of the part: the recorded ones where only the neighbours of a node are there."""
+        """Return the inputs of the part, with recorded ones for nodes that are only neighbours."""
         if self.whole:
             return u
         shard.u = np.where(self.own, u, self.of_nodes(row.u))
         return shard.u
 
     def of(self, faults: Faults) -> Faults:
-        """The faults of the network as those of the part."""
+        """Return the faults of the network as those of the part."""
         return faults if self.whole else _Some(faults, self._near, self._edges, self._incidences)
 
 
 class _Some(Faults):
-    """The faults of a network, of which some nodes, edges and incidences are told."""
+    """The faults of a network, restricted to some nodes, edges and incidences."""
 
     def __init__(self, whole: Faults, nodes: Mask, edges: Mask, incidences: Mask) -> None:
         self._whole = whole
@@ -350,7 +350,7 @@ class _Some(Faults):
         return None if absent is None else absent[self._kept["blind"]]
 
     def jumps(self, t: int) -> list[tuple[int, float]]:  # noqa: ARG002
-        """None: a part does not move by itself."""
+        """Return an empty list: a part does not move by itself."""
         return []
 
 

@@ -1,4 +1,4 @@
-"""What `orchestrator check` shows of a topology that passed."""
+"""The output of `orchestrator check` for a valid topology."""
 
 from __future__ import annotations
 
@@ -9,18 +9,19 @@ from rich.console import Console
 from rich.table import Table
 
 from hedgerow.orchestrator.ground.assignment import candidates_of
+from hedgerow.topologies.disturbances import Component
 from hedgerow.topologies.hinf import allowed_interval, contraction, gamma_star
 from hedgerow.topologies.law_choice import is_listed
 from hedgerow.topologies.network import span
 from hedgerow.topologies.partition import cut, cut_weight, pieces
 from hedgerow.topologies.resolve import truth
-from hedgerow.topologies.schema import Component, Topology
+from hedgerow.topologies.schema import Topology
 
 MAX_ROWS = 200
 
 
 def table(topology: Topology) -> str:
-    """A resolved topology as a table, a row a node, with gamma* and rho below."""
+    """Return a resolved topology as a table, one row per node, with gamma* and rho below."""
     graph, a, b = topology.graph, truth(topology), topology.network.b
     unequal = graph.weights is not None or not isinstance(b, float)
     rows = Table(box=None, pad_edge=False, header_style="bold")
@@ -68,7 +69,7 @@ def table(topology: Topology) -> str:
 
 
 def count(number: int, thing: str, plural: str = "s") -> str:
-    """A number of things, in words."""
+    """Return a number of things, in words."""
     return f"{number} {thing}{plural if number != 1 else ''}"
 
 

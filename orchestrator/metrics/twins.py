@@ -1,6 +1,6 @@
 """The twins of a run: the same network with the same w, x(0) and open edges, under other laws.
 
-The oracle acts on the true a (8), the nominal one on the nominal value. Neither needs an estimator.
+The oracle acts on the true a (8), the nominal controller on the nominal value. Neither needs an estimator.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from hedgerow.topologies.graph import Array, Gain, Graph, Mask
 
 
 class Twins:
-    """Both, side by side: first the oracle's, then the nominal one's."""
+    """Both twins: first the oracle, then the nominal controller."""
 
     def __init__(self, b: Gain, graph: Graph, x0: Array, a: Array, nominal: Array) -> None:
         self._b, self._graph, self._nominal = b, graph, nominal
@@ -24,11 +24,11 @@ class Twins:
         self._turn(a)
 
     def _turn(self, a: Array) -> None:
-        """The true a is this one from now on: both move by it, and the oracle knows."""
+        """Change the true a of both twins; the oracle knows it."""
         self._a, self._models = a, np.stack([a, self._nominal])
 
     def run(self, w: Array, edge_open: Mask | None, turns: Mapping[int, Array]) -> tuple[Array, Array]:
-        """Both over B steps: x and u, (2, B, n), from w (B, n), edges (B, E) and, by row, where a becomes another."""
+        """Run both twins over B steps; return x and u, (2, B, n), from w (B, n), edges (B, E) and, by row, a new a."""
         x, u = np.empty((2, *w.shape)), np.empty((2, *w.shape))
         for k, w_t in enumerate(w):
             if k in turns:

@@ -1,4 +1,4 @@
-"""What a run is worth: valid, INVALID or unknown, what was checked, and the numbers; all computed in that run."""
+"""The verdict of a run: valid, INVALID or unknown, with the checks and the numbers, all computed in that run."""
 
 from __future__ import annotations
 
@@ -36,17 +36,17 @@ VALID, INVALID, UNKNOWN = "valid", "INVALID", "unknown"
 EXIT_CODES = {VALID: Exit.VALID, INVALID: Exit.INVALID, UNKNOWN: Exit.UNKNOWN}
 
 CLAIMS = {
-    "dynamics": "every x(t+1) is equation (1) of x, u, w and the open edges, to the bit",
-    "estimates": "every ahat is one of its candidates, and every u that came is equation (6) of it, to the bit",
+    "dynamics": "every x(t+1) is equation (1) of x, u, w and the open edges, bit for bit",
+    "estimates": "every ahat is one of its candidates, and every received u is equation (6) of it, bit for bit",
     "contraction": "|x(t+1)| <= rho |x(t)| + |w(t)| at every step, |x| = sum abs(x_i) / b_i",
     "oracle_certificate": "sum (|x*|^2 + |u*_e|^2) <= sum w'Q^-1 w + V(x(0)) - V(x*(t+1)) at every step"
     " before the first at which an edge is closed or an a jumps",
     "missing_inputs": "an edge carries flow only where both its ends sent an input",
-    "links": "what every node says it took in of a step is what was open and crossed in that step",
+    "links": "every node reports the inputs of a step that were open and delivered in that step",
     "faults": "every fault fired as scheduled, was seen where it struck, and nothing else went wrong",
 }
 _OF_THE_LAW = {"estimates", "contraction"}
-"""Checks that hold for the laws that act by (6) on an estimate from the list, and not for any other."""
+"""Checks for laws that act by (6) on an estimate from the list, not for other laws."""
 
 
 @dataclass(frozen=True)
@@ -58,47 +58,47 @@ class Comparison:
     step: int | None = None
     """The first step that differs."""
     cause: str = ""
-    """The first difference, or why there was no comparison."""
+    """The first difference, or the reason why there was no comparison."""
 
 
 @dataclass
 class Ending:
-    """How a run came to its end, and in what circumstances."""
+    """The end of a run, and its circumstances."""
 
     run: str
     engine: str
     processes: int
     first_step_s: float | None = None
-    """from the start of the command to the arrival of the first telemetry"""
+    """the time from the start of the command to the first telemetry [s]"""
     stopped: str = ""
-    """why the run ended early; empty when it did not"""
+    """the reason for an early end; empty without one"""
     comparison: Comparison | None = None
-    """the comparison with the in-process reference; None where not asked"""
+    """the comparison with the in-process reference; None if not requested"""
     restarts: int = 0
-    """processes that were started again"""
+    """the number of restarts of processes"""
     replay: Replay | None = None
-    """the run replayed by the file and the law; None where that was not done"""
+    """the replay of the run by the file and the law; None without one"""
     not_replayed: str = ""
-    """why there is no replay, where there should be one"""
+    """the reason for a missing replay"""
     survivors: list[Survivor] | None = None
-    """processes that a crash fault should have ended; None where nothing is a process"""
+    """processes that a crash fault should have ended; None in a run without processes"""
     losses: set[int] = field(default_factory=set)
     """numbers, from 0, of the faults that record a lost agent"""
     audit: Audit | None = None
-    """who heard what; None where nobody counted"""
+    """the audit of the messages; None without counts"""
     round_trips: dict[str, dict[str, float | int | None]] | None = None
-    """how long each process took to answer; None where nothing crossed a wire"""
+    """the answer times of each process; None in a run without Zenoh"""
     down: list[str] = field(default_factory=list)
-    """processes that ended, unplanned, and were not started again, each in words"""
+    """processes that ended unplanned and stayed down, each in words"""
     crashed: bool = False
-    """the run ended by a defect of this project"""
+    """True if a defect of this project ended the run"""
     mistaken: bool = False
-    """the run ended by a mistake of the user, in the law"""
+    """True if a mistake of the user, in the law, ended the run"""
     error: HedgerowError | None = None
     """the error of the law that ended a run in this process"""
 
     def end_by(self, error: BaseException, log: Path) -> None:
-        """Record that an exception ended the run; the traceback of one that nobody expected goes to `log`."""
+        """Record the exception that ended the run; write the traceback of an unexpected one to `log`."""
         reached = limit_reached(error)
         if reached is None and not isinstance(error, HedgerowError | OSError):
             self.crashed = True
@@ -113,7 +113,7 @@ class Ending:
 
 @dataclass(frozen=True)
 class Verdict:
-    """The verdict as verdict.json holds it."""
+    """The verdict as in verdict.json."""
 
     verdict: str
     """`valid`, `INVALID` or `unknown`; empty if there is no verdict yet"""
@@ -124,11 +124,11 @@ class Verdict:
 
     @property
     def exit_code(self) -> int:
-        """The exit code of the command."""
+        """Return the exit code of the command."""
         return int(self.content["exit_code"])
 
     def line(self) -> str:
-        """The last line on the screen."""
+        """Return the last line on the screen."""
         c, m = self.content, self.content["metrics"]
         numbers = [f"{c['steps_done']} of {c['steps']} steps"]
         if c["steps_per_s"]:
@@ -141,7 +141,7 @@ class Verdict:
             if number := c[what]:
                 numbers.append(f"{number} {thing}{'s' if number > 1 else ''}")
         if m:
-            # What is no finite number grew too large; but of a disturbance that was 0 there is no gain.
+            # A number that is not finite grew too large; but with a zero disturbance, the gain is undefined.
             large = math.nan if m["disturbance_energy"] == 0 else math.inf
             gain, less = (large if m[name] is None else m[name] for name in ("gain", "gain_less_x0"))
             numbers += [
@@ -163,22 +163,22 @@ class Verdict:
 
 
 def estimates_text(real: bool, right: int, nodes: int, error: float | None) -> str:
-    """Return how good the estimates are: how many are right, or the mean error of a law that estimates real numbers."""
+    """Return the quality of the estimates in words: the number of right ones, or the mean error of real numbers."""
     if real and error is not None:
         return f"mean |ahat - a| {error:.4g}"
     return f"{right} of {nodes} estimates right"
 
 
 def ceiling(content: Mapping[str, Any]) -> float:
-    """Return the least bound on the gain whose premise held in the whole run; NaN if there is none."""
+    """Return the smallest bound on the gain with a premise that held in the whole run; NaN if there is none."""
     bounds = content["gain_bounds"].get("bounds", {})
     return min((told["gain"] for told in bounds.values() if told.get("held") and "gain" in told), default=math.nan)
 
 
 def gain_text(gain: float, less: float, gamma_star: float, faultless: bool, at_most: float = math.nan) -> str:
-    """Return the gain in words, with the gain `less` V(x(0)) where it differs, and gamma*, which holds without faults.
+    """Return the gain in words, with the gain `less` V(x(0)) if it differs, and gamma*, which holds without faults.
 
-    `at_most` is the bound on the law's own gain. Arguments are NaN where they are undefined or not known yet.
+    `at_most` is the bound on the gain of the law. Arguments are NaN where they are undefined or not known yet.
     """
     beside = [] if less == gain or math.isnan(gain) else [f"less V(x(0)): {less:.4g}"]
     if not math.isnan(gamma_star):
@@ -194,7 +194,9 @@ def _number(value: float | None, sign: str = "") -> str:
 
 
 def judge(topology: Topology, observer: Observer, ending: Ending) -> Verdict:
-    """The verdict of a run: INVALID if any check failed, unknown if it ended early or lost rows, else valid."""
+    """Return the verdict of a run: INVALID if a check failed, unknown after an early end or lost rows, otherwise
+    valid.
+    """
     claimed = {
         name: worst for name, worst in observer.checks.items() if is_listed(topology.law) or name not in _OF_THE_LAW
     }
@@ -205,8 +207,8 @@ def judge(topology: Topology, observer: Observer, ending: Ending) -> Verdict:
         checks["deaths"] = _deaths(ending.survivors)
     adaptive = observer.adaptive
     if adaptive is not None and adaptive.known is not None:
-        for premise, bound in adaptive.known.bounds.items():
-            if (track := adaptive.tracks[premise]).check.steps:
+        for premise, track in adaptive.tracks.items():  # not the order in which the bounds were found
+            if (bound := adaptive.known.bounds.get(premise)) is not None and track.check.steps:
                 checks[f"gain_{premise}"] = _gain(premise, track, bound)
     if ending.audit is not None:
         checks["information"] = {"ok": not ending.audit.wrong, "claim": CLAIM, "why": ending.audit.wrong}
@@ -236,13 +238,13 @@ def judge(topology: Topology, observer: Observer, ending: Ending) -> Verdict:
     doubts += _doubts_of(ending, observer)
     doubts += [f"stayed down: {one}" for one in ending.down]
     if observer.end is None and not doubts:
-        doubts.append("the final state never came")
+        doubts.append("the final state is missing")
     faults = _faults(topology, observer)
     doubts += [
         f"fault {k + 1} ({faults[k]['what']}) could not fire: {why}"
         for k, why in observer.schedule.idle(topology.steps).items()
     ]
-    # A defect of ours may fail a check as well, and says nothing about the run.
+    # After a defect of this project, a failed check proves nothing about the run.
     verdict = UNKNOWN if ending.crashed else INVALID if failed else UNKNOWN if doubts else VALID
     done = observer.end.t if observer.end is not None else observer.next_step
     elapsed_s = observer.end.elapsed_s if observer.end is not None else None
@@ -285,7 +287,7 @@ def judge(topology: Topology, observer: Observer, ending: Ending) -> Verdict:
 
 
 def _exit_code(verdict: str, ending: Ending) -> int:
-    """Return the exit code of a run; a law that failed is a mistake of its user."""
+    """Return the exit code of a run; a failed law is a mistake of its user."""
     if ending.crashed:
         return Exit.CRASH
     return Exit.USER_MISTAKE if ending.mistaken and verdict == UNKNOWN else EXIT_CODES[verdict]
@@ -299,7 +301,7 @@ def log_cause(error: BaseException, log: Path) -> None:
 
 
 def _faults(topology: Topology, observer: Observer) -> list[dict[str, Any]]:
-    """What became of each fault, as verdict.json holds it."""
+    """Return the outcome of each fault as in verdict.json."""
     if not topology.faults:
         return []
 
@@ -322,7 +324,7 @@ def _faults(topology: Topology, observer: Observer) -> list[dict[str, Any]]:
 
 
 def _first_of(check: dict[str, Any]) -> str:
-    """Why a check fails, for the line on screen: the first node where it names one; verdict.json has the others."""
+    """Return the reason for a failed check, for the screen: only the first node; verdict.json has the others."""
     why: list[str] = check["why"]
     if "node" not in check:
         return "; ".join(why[:8])
@@ -330,7 +332,7 @@ def _first_of(check: dict[str, Any]) -> str:
 
 
 def _replayed(name: str, replay: Replay) -> dict[str, Any]:
-    """A check of the replay: it ends at the first difference, of whichever check that is."""
+    """Return a check of the replay, which ends at the first difference in any of its checks."""
     finding = replay.finding if replay.finding is not None and replay.finding.check == name else None
     return {
         "ok": finding is None,
@@ -344,7 +346,7 @@ def _replayed(name: str, replay: Replay) -> dict[str, Any]:
 
 
 def _deaths(survivors: list[Survivor]) -> dict[str, Any]:
-    """The check that crash faults end processes."""
+    """Return the check that crash faults end processes."""
     first = min(survivors, key=lambda one: one.step) if survivors else None
     return {
         "ok": first is None,
@@ -356,7 +358,7 @@ def _deaths(survivors: list[Survivor]) -> dict[str, Any]:
 
 
 def _doubts_of(ending: Ending, observer: Observer) -> list[str]:
-    """Why not all steps were replayed; where telemetry is lost, that is said already."""
+    """Return the reasons why some steps were not replayed; lost telemetry is reported elsewhere."""
     replay = ending.replay
     if ending.not_replayed:
         return [f"not replayed: {ending.not_replayed}"]
@@ -368,7 +370,7 @@ def _doubts_of(ending: Ending, observer: Observer) -> list[str]:
 
 
 def _gain(premise: Premise, track: Track, bound: Bound) -> dict[str, Any]:
-    """The check of one certificate of the adaptive law, at the steps that its premise covers."""
+    """Return the check of one certificate of the adaptive law, at the steps that its premise covers."""
     worst = track.check
     return {
         "ok": bool(worst.excess <= 0),
@@ -394,5 +396,5 @@ def _check(name: str, worst: Worst, topology: Topology) -> dict[str, Any]:
 
 
 def _finite(value: float | int | None) -> float | int | None:
-    """A number that JSON can hold."""
+    """Return a number that JSON can hold, or None."""
     return value if value is not None and math.isfinite(value) else None

@@ -1,4 +1,4 @@
-"""The report of a run, or of several beside each other: figures for a paper, and one page with all of it."""
+"""The report of a run, or of several runs beside each other: figures for a paper, and one page with all numbers."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 PAGE = "report.html"
 RUNS = 7
-"""colours that can be told apart"""
+"""the maximum number of runs with distinct colours"""
 
 
 def report(
@@ -32,8 +32,8 @@ def report(
 
     `figures` picks some, as in "2,4,gain". `width_in` is the width of a figure [in], by default one column. `style` is
     a .mplstyle file, or the name of a style of matplotlib, on top of ours. `formats` are of pdf, png, svg and pgf. The
-    folder is there whole or not at all, and the same runs give the same bytes.
-    Raises UserError for a mistake, where matplotlib is missing, and where nothing can be written.
+    folder is complete or absent, and the same runs give the same bytes. Raise UserError for a mistake, without
+    matplotlib, and if nothing can be written.
     """
     if not 1 <= len(runs) <= RUNS:
         raise UserError(f"{len(runs)} runs: a report is of 1 to {RUNS}", code=Code.OPTION)
@@ -72,9 +72,9 @@ def report(
 
 
 def _chosen(known: Sequence[Kind], figures: str | None, runs: Sequence[Run]) -> list[Kind]:
-    """The figures asked for, in the order of the report; without asking, all of which there is something to show."""
+    """Return the requested figures in the order of the report; without a request, all figures with content."""
     if figures is None:
-        return [kind for kind in known if kind.has(runs)]
+        return [kind for kind in known if kind.has(runs) and not kind.on_request]
     asked = [key.strip() for key in figures.split(",")]
     there = [kind.key for kind in known]
     for key in asked:
@@ -103,4 +103,4 @@ def _refuse(out: Path, force: bool, own: set[str]) -> None:
             f"{out}: holds {strange[0]}, which is of no report; --out names another folder", code=Code.OUTPUT
         )
     if there and not force:
-        raise UserError(f"{out}: is there already; --force replaces it, --out names another folder", code=Code.OUTPUT)
+        raise UserError(f"{out}: already exists; --force replaces it, --out names another folder", code=Code.OUTPUT)

@@ -1,4 +1,4 @@
-"""What makes runs beside each other different, and whether their numbers may be compared at all."""
+"""The differences between runs, and whether their numbers are comparable."""
 
 from __future__ import annotations
 
@@ -13,7 +13,9 @@ from hedgerow.topologies.network import span
 
 
 def other_network(one: Run, other: Run) -> list[str]:
-    """In what the graphs of two runs differ: nodes, edges, weights, b; nothing where their numbers may be compared."""
+    """Return the differences between the graphs of two runs: nodes, edges, weights, b; none if the numbers are
+    comparable.
+    """
     weights, of_other = (_weights(run) for run in (one, other))
     said = []
     if set(one.ids) != set(other.ids):
@@ -40,7 +42,7 @@ def _gains(run: Run) -> dict[int | str, float]:
 
 
 def differences(one: Run, other: Run) -> list[str]:
-    """In what else two runs of one network differ, in words."""
+    """Return the other differences between two runs of one network, in words."""
     said = []
     if one.law != other.law:
         said.append(f"the law ({other.law}, not {one.law})")
@@ -63,7 +65,7 @@ def _settings(run: Run, name: str) -> dict[Any, Any]:
 
 
 def notices(runs: Sequence[Run]) -> tuple[bool, list[str]]:
-    """Whether all runs are of one network; and a sentence a run on how it differs from the first."""
+    """Return True if all runs have one network, and a sentence per run about its difference from the first."""
     comparable, said = True, []
     for place, run in enumerate(runs[1:], 1):
         name = letter(place)
@@ -74,7 +76,7 @@ def notices(runs: Sequence[Run]) -> tuple[bool, list[str]]:
             own_oracle = {"true a", "x(0)", "the disturbances"} & {*differing}
             said.append(
                 f"{name} differs from A in {' and '.join(differing)}."
-                + (" So its oracle is another: what is said of it is measured against that." if own_oracle else "")
+                + (" So it has a different oracle: its numbers are relative to that one." if own_oracle else "")
             )
         else:
             said.append(f"{name} repeats A: the same network, law, x(0), disturbances and faults.")

@@ -1,4 +1,6 @@
-"""How many nodes and many steps are drawn: a line a node while lines can be told apart, and never more than fits."""
+"""The reduction of many nodes and steps for a figure: one line per node for small networks, quantiles or bins for large
+ones.
+"""
 
 from __future__ import annotations
 
@@ -18,33 +20,33 @@ from hedgerow.orchestrator.runs.run import Run
 from hedgerow.topologies.graph import Array, Index
 
 NODES = 12
-"""larger networks are drawn as quantiles"""
+"""the maximum number of nodes for single lines; larger networks are drawn as quantiles"""
 STEPS = 1000
-"""longer runs are drawn in bins of steps"""
+"""the maximum number of steps for single points; longer runs are drawn in bins of steps"""
 BINS = 500
 UNSHOWN = 1e150
-"""what is larger has no place on an axis: its square is no number"""
+"""larger values are left out: their squares overflow"""
 _NAME = 16
-"""characters of a name that a legend has room for"""
+"""the maximum length of a name in a legend"""
 _LINE = 66
-"""characters that a line of a legend has room for, of which each handle takes _HANDLE"""
+"""the maximum length of a line in a legend, of which each handle takes _HANDLE"""
 _HANDLE = 5
 
 
 class Entries(NamedTuple):
-    """What a legend shows: handles, and what each stands for."""
+    """The content of a legend: handles, and their names."""
 
     handles: Sequence[Artist]
     names: Sequence[str]
 
 
 def bins(rows: int) -> list[Index]:
-    """Which rows are drawn as one: each alone, or the parts of a run that is too long."""
+    """Return the rows of each drawn point: one each, or the bins of a long run."""
     return np.array_split(np.arange(rows), BINS if rows > STEPS else rows)
 
 
 def thin(values: Array) -> tuple[Index, Array]:
-    """A series over its steps: all of it, or of each bin of steps the least and the largest value, in order."""
+    """Return a series over its steps: all of it, or the minimum and the maximum of each bin, in order."""
     t = np.arange(len(values))
     if len(t) <= STEPS:
         return t, values
@@ -57,7 +59,7 @@ def thin(values: Array) -> tuple[Index, Array]:
 
 
 def highest(values: Array) -> tuple[Index, Array]:
-    """A series over its steps: all of it, or of each bin of steps the largest value, where it was taken."""
+    """Return a series over its steps: all of it, or the maximum of each bin, at its step."""
     parts = bins(len(values))
     filled = np.where(np.isfinite(values), values, -np.inf)
     rows = [int(part[filled[part].argmax()]) for part in parts]
@@ -65,19 +67,19 @@ def highest(values: Array) -> tuple[Index, Array]:
 
 
 def extremes(*shown: Array | float) -> tuple[float, float]:
-    """The least and the largest number that an axis can show; a network that is not stable has others too."""
+    """Return the minimum and the maximum that an axis can show; an unstable network has larger values."""
     known = [some for one in shown if len(some := (values := np.atleast_1d(one))[np.abs(values) < UNSHOWN])]
     return min((float(one.min()) for one in known), default=0.0), max((float(one.max()) for one in known), default=0.0)
 
 
 def stairs(axis: Axes, values: Array, **style: Any) -> StepPatch:
-    """A series of which each value holds until the next step, the last one too."""
+    """Draw a series with values that hold until the next step, the last one too."""
     t, shown = thin(values)
     return axis.stairs(shown, np.append(t, len(values)), baseline=None, **style)
 
 
 def quantiles(values: Array, at: Sequence[float]) -> tuple[Index, Array]:
-    """Quantiles over the nodes, and over the steps of each bin, (S,) and (len(at), S); NaN where nothing is known."""
+    """Return quantiles over the nodes and over the steps of each bin, (S,) and (len(at), S); NaN without data."""
     parts, found = bins(len(values)), []
     for part in parts:
         known = values[part][np.isfinite(values[part])]
@@ -86,7 +88,9 @@ def quantiles(values: Array, at: Sequence[float]) -> tuple[Index, Array]:
 
 
 def draw_nodes(axis: Axes, run: Run, values: Array) -> Entries:
-    """Curves of all nodes, (S, n): a line each or, of too many nodes or steps that swing to and fro, quantiles."""
+    """Draw curves of all nodes, (S, n): one line each, or quantiles for many nodes or for many steps with both
+    signs.
+    """
     if not as_quantiles(run, values):
         lines = [axis.plot(*highest(of_node))[0] for of_node in values.T]
         return Entries(lines, ["node " * (k == 0) + plain(short(str(node))) for k, node in enumerate(run.ids)])
@@ -117,7 +121,7 @@ def zoom(axis: Axes, run: Run, values: Array) -> None:
     low, high = extremes(values[start:])
     if start < 2 or as_quantiles(run, values) or not 0 < DWARFED * max(-low, high) < np.nanmax(np.abs(values)):
         return
-    inset = axis.inset_axes((0.42, 0.42, 0.56, 0.52))
+    inset = axis.inset_axes((0.42, 0.42, 0.58, 0.52))
     for of_node in values.T:
         t, shown = highest(of_node)
         inset.plot(t, shown, lw=0.8)
@@ -129,51 +133,51 @@ def zoom(axis: Axes, run: Run, values: Array) -> None:
 
 
 def as_quantiles(run: Run, values: Array) -> bool:
-    """Whether there are too many nodes for a line each, or so many steps that the lines of signed values cover all."""
+    """Return True if there are too many nodes for lines, or too many steps for lines with both signs."""
     return len(run.ids) > NODES or (len(values) > STEPS and bool(np.nanmin(values) < 0))
 
 
 def legend(figure: Figure, entries: Entries) -> None:
-    """A legend above all axes, in as few lines as the names allow."""
+    """Draw a legend above all axes, in as few lines as the names allow."""
     names = entries.names
     fitting = [columns for columns in range(1, len(names) + 1) if _length(names, columns) <= _LINE]
     figure.legend(*entries, loc="outside upper center", ncols=max(fitting, default=1))
 
 
 def _length(names: Sequence[str], columns: int) -> int:
-    """How many characters wide a legend is; it is filled column by column."""
+    """Return the width of a legend in characters; it is filled column by column."""
     parts = np.array_split([len(re.sub(r"\\\w+|[${}^]", "", name)) for name in names], columns)
     return sum(_HANDLE + int(part.max()) for part in parts)
 
 
 def short(name: str) -> str:
-    """A name with its middle left out where it is too long for a legend."""
+    """Return a name, without its middle if it is too long for a legend."""
     half = _NAME // 2
     return name if len(name) <= _NAME else f"{name[:half]}…{name[1 - half :]}"
 
 
 def plain(text: str) -> str:
-    """Text in which no sign means mathematics."""
+    """Return a text with every mathematical sign escaped."""
     return text.replace("$", r"\$")
 
 
 def steps_axis(axis: Axes, runs: Sequence[Run]) -> None:
-    """The axis of time, from step 0 to the last."""
+    """Set the axis of time, from step 0 to the last."""
     axis.set_xlim(0, max(run.T for run in runs))
     axis.set_xlabel("step $t$")
     axis.xaxis.set_major_locator(MaxNLocator("auto", steps=[1, 2, 2.5, 5, 10], integer=True))
 
 
 def letter(place: int) -> str:
-    """What a run is called in a comparison."""
+    """Return the letter of a run in a comparison."""
     return chr(ord("A") + place)
 
 
 def law(run: Run) -> str:
-    """What a run's law is called: without the module that it is in."""
+    """Return the name of a run's law, without its module."""
     return plain(run.law.rpartition(":")[2])
 
 
 def called(place: int, run: Run) -> str:
-    """What a run of a comparison is called in a legend."""
+    """Return the name of a run in the legend of a comparison."""
     return f"{letter(place)}: {law(run)}"

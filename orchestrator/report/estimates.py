@@ -1,4 +1,4 @@
-"""Estimates against the truth: node by node while there is room, else how many are right, and how far off they are."""
+"""Estimates against the truth: node by node in a small network, otherwise the share of right ones and their errors."""
 
 from __future__ import annotations
 
@@ -17,16 +17,18 @@ from hedgerow.orchestrator.runs.run import Run
 from hedgerow.topologies.graph import Array
 
 _ROWS = 250
-"""rows of pixels that a heat map has room for"""
+"""the maximum number of rows of a heat map"""
 
 
 def has_estimates(runs: Sequence[Run]) -> bool:
-    """Whether the law of any run names estimates."""
+    """Return True if the law of any run reports estimates."""
     return any(np.isfinite(run.ahat).any() for run in runs)
 
 
 def draw_estimates(runs: Sequence[Run]) -> Figure:
-    """Of one small network each node's estimate; else shares of nodes, and of one network also a heat map."""
+    """Draw the estimate of each node of one small network; otherwise shares of nodes and, for one network, a heat
+    map.
+    """
     if len(runs) > 1:
         figure = sheet(2.1)
         _shares(figure.subplots(), runs, figure)
@@ -42,7 +44,7 @@ def draw_estimates(runs: Sequence[Run]) -> Figure:
 
 
 def _by_node(run: Run) -> Figure:
-    """A small panel a node, two beside each other."""
+    """Draw a small panel per node, two beside each other."""
     n = len(run.ids)
     figure = sheet(0.55 + 0.62 * -(-n // 2))
     axes = figure.subplots(-(-n // 2), 2, sharex=True, sharey=True, squeeze=False).ravel()
@@ -68,7 +70,7 @@ def _by_node(run: Run) -> Figure:
 
 
 def _mark_wrong(axis: Axes, run: Run, i: int, shown: dict[str, Artist]) -> None:
-    """A bar below where the estimate is wrong, which may be by too little to be seen; and by how much it ends so."""
+    """Mark wrong estimates by a bar below, because the error may be too small to see; write the final error."""
     off = run.ahat[:, i] - run.a[:, i]
     wrong = run.wrong[:, i]
     if wrong.any():
@@ -85,7 +87,7 @@ SHARES = (
 
 
 def _shares(axis: Axes, runs: Sequence[Run], figure: Figure) -> None:
-    """The share of nodes whose estimate is the truth, and what a blind choice from the lists would give."""
+    """Draw the share of nodes with a right estimate, and the share that a random choice from the lists would give."""
     legend(figure, draw_series(axis, runs, SHARES))
     axis.set_ylim(0, 1.03)
     axis.set_ylabel("estimates right\n[share of nodes]")
@@ -93,7 +95,7 @@ def _shares(axis: Axes, runs: Sequence[Run], figure: Figure) -> None:
 
 
 def _errors(axis: Axes, run: Run, figure: Figure) -> None:
-    """A heat map of the error, nodes by steps; a cell is the mean of all nodes and steps that it stands for."""
+    """Draw a heat map of the error, nodes by steps; a cell is the mean over its nodes and steps."""
     error, n = blocks(np.abs(run.ahat - run.a), _ROWS), len(run.ids)
     image = axis.imshow(
         error, cmap="Blues", vmin=0, aspect="auto", interpolation="nearest", extent=(0, run.T, n - 0.5, -0.5)
@@ -105,7 +107,9 @@ def _errors(axis: Axes, run: Run, figure: Figure) -> None:
 
 
 def blocks(values: Array, most: int) -> Array:
-    """Means over bins of steps and over neighbours in the file, at most `most` rows; values: (T, n), blocks: (m, S)."""
+    """Return means over bins of steps and over neighbours in the file, at most `most` rows; values: (T, n), blocks: (m,
+    S).
+    """
     known = np.isfinite(values)
     filled = np.where(known, values, 0.0)
     by_step = [part[0] for part in bins(len(values))]

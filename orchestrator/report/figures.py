@@ -1,4 +1,4 @@
-"""The figures of a report: the paper's by their numbers, ours by name; each of one run, or of several."""
+"""The figures of a report: the paper's by number, the others by name; each for one run, or for several."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Runs = Sequence[Run]
 
 @dataclass(frozen=True)
 class Kind:
-    """One figure: what `--figures` calls it, its files, what it shows, and whether some runs have any of that."""
+    """One figure: its key for `--figures`, its files, its content, and a test for runs with that content."""
 
     key: str
     file: str
@@ -26,17 +26,19 @@ class Kind:
     shows: str
     draw: Callable[[Runs], Figure]
     array: str = ""
-    """of which each node has a curve"""
+    """the array with a curve per node"""
     has: Callable[[Runs], bool] = lambda _: True
     more: Callable[[Runs], str] = lambda _: ""
-    """what is to be said of some runs in particular"""
+    """further sentences about some runs"""
+    on_request: bool = False
+    """True if only `--figures` with its key draws it"""
 
     def caption(self, runs: Runs) -> str:
-        """What it shows of some runs, and what was done to make that fit."""
+        """Return the caption for some runs, with the reductions that were made."""
         said = self.shows + self.more(runs)
         if self.array and any(as_quantiles(run, getattr(run, self.array)) for run in runs):
             said += (
-                " Quantiles over all nodes stand for lines that could not be told apart, in bins over their steps too."
+                " Quantiles over all nodes replace the lines, because these would overlap; bins also cover their steps."
             )
         if any(run.T > STEPS for run in runs):
             said += f" Runs beyond {STEPS} steps are drawn in {BINS} bins of steps, by the extremes of each."
@@ -48,7 +50,7 @@ FIGURES = (
         key="1",
         file="figure-1-network",
         title="Figure 1: network",
-        shows="The graph, and which nodes end with a wrong estimate.",
+        shows="The graph, and the nodes with a wrong estimate at the end.",
         draw=network.network,
         more=network.unnamed,
     ),
@@ -73,7 +75,7 @@ FIGURES = (
         key="4",
         file="figure-4-regret",
         title="Figure 4: trajectory regret",
-        shows="|x_i(t) − x_i*(t)|, how far every node is from where the oracle would have it; the axes are those of"
+        shows="|x_i(t) − x_i*(t)|, the distance of every node from its state under the oracle; the axes are those of"
         " figure 5.",
         draw=nodes.regret,
         array="regret",
@@ -83,18 +85,28 @@ FIGURES = (
         key="5",
         file="figure-5-nominal",
         title="Figure 5: nominal gap",
-        shows="|x_i*(t) − x_i^nom(t)|, how far the controller that assumes a fixed a is from the oracle; the axes are"
+        shows="|x_i*(t) − x_i^nom(t)|, the distance of the controller with a fixed a from the oracle; the axes are"
         " those of figure 4.",
         draw=nodes.nominal,
         array="nominal_gap",
         more=lambda runs: nodes.largest(runs, "nominal_gap"),
     ),
     Kind(
+        key="paper",
+        file="figures-2-to-5",
+        title="Figures 2 to 5",
+        shows="Figures 2 to 5 as the panels (a) to (d) of one figure, as wide as a page with two columns.",
+        draw=nodes.paper,
+        array="x",
+        has=lambda runs: len(runs) == 1,
+        on_request=True,
+    ),
+    Kind(
         key="estimates",
         file="estimates",
         title="Estimates and truth",
-        shows="Whether the estimates are the true a_i. They need not become so: under sinusoids least squares tend to"
-        " a_i + Σ x w / Σ x².",
+        shows="The estimates, compared with the true a_i. They need not converge: under sinusoids, least squares"
+        " tend to a_i + Σ x w / Σ x².",
         draw=draw_estimates,
         has=has_estimates,
     ),
@@ -109,18 +121,18 @@ FIGURES = (
         key="cost",
         file="cost-regret",
         title="Cost regret",
-        shows="R(t), the cost so far less the oracle's. It has a sign: off the worst disturbance the oracle is not the"
-        " cheapest, so that a negative R is no error, and no merit.",
+        shows="R(t), the cost so far minus the oracle's. It has a sign: except under the worst disturbance, the oracle"
+        " is not the cheapest. So a negative R is neither an error nor a merit.",
         draw=totals.cost,
     ),
     Kind(
         key="gain",
         file="gain",
         title="Gain",
-        shows="√(Σ cost / Σ |w|²) so far, as it is and less V(x(0)), what the start may have cost the oracle. γ* is the"
-        " oracle's number, the least gain that can be promised when every a is known and no edge is closed; it is no"
-        " guarantee of the adaptive law. That law's own gain from x(0) = 0 is at most the line above, as long as the"
-        " line's premise holds (docs/guarantee.md).",
+        shows="√(Σ cost / Σ |w|²) so far, without and with V(x(0)) subtracted, the maximum cost of x(0) for the oracle."
+        " γ* is the oracle's number, the smallest gain that can be guaranteed if every a is known and no edge is"
+        " closed; it is no guarantee for the adaptive law. The gain of that law from x(0) = 0 is at most the line"
+        " above, while the line's premise holds (docs/guarantee.md).",
         draw=totals.gain,
         more=totals.beyond,
     ),
@@ -128,7 +140,7 @@ FIGURES = (
         key="faults",
         file="faults",
         title="Faults",
-        shows="When messages of a link were lost, an edge carried no flow, a node's input did not come, an a jumped.",
+        shows="The steps when messages of a link were lost, an edge had no flow, an input was missing, or an a jumped.",
         draw=draw_faults,
         has=has_faults,
     ),

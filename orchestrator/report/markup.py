@@ -1,4 +1,4 @@
-"""HTML that is put together from parts: whatever is not markup already is text, and stays text."""
+"""HTML made from parts: everything that is not markup already is text, and is escaped."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ _VOID = {"img", "meta", "link"}
 
 
 def join(parts: Iterable[object]) -> Markup:
-    """Parts behind each other; text among them is escaped, its control characters too."""
+    """Return the concatenation of parts; text among them is escaped, with its control characters."""
     return Markup("".join(part if isinstance(part, Markup) else html.escape(escape(str(part))) for part in parts))
 
 
 def tag(name: str, /, *inside: object, **attributes: str) -> Markup:
-    """An element; a trailing underscore of an attribute's name is dropped, others become hyphens."""
+    """Return an element; a trailing underscore of an attribute's name is dropped, other underscores become hyphens."""
     said = "".join(
         f' {key.rstrip("_").replace("_", "-")}="{html.escape(escape(value, keep=""))}"'
         for key, value in attributes.items()
@@ -33,14 +33,14 @@ def tag(name: str, /, *inside: object, **attributes: str) -> Markup:
 
 
 def table(headings: Sequence[object], rows: Iterable[Sequence[object]], class_: str = "") -> Markup:
-    """A table whose first column names the row; it scrolls sideways where the page is too narrow."""
+    """Return a table with row names in the first column; it scrolls sideways on a narrow page."""
     head = tag("thead", tag("tr", *(tag("th", one, scope="col") for one in headings)))
     body = (tag("tr", tag("th", row[0], scope="row"), *(tag("td", cell) for cell in row[1:])) for row in rows)
     return tag("div", tag("table", head, "\n", tag("tbody", *_lines(body)), class_=class_), class_="wide")
 
 
 def listed(items: Iterable[object]) -> Markup:
-    """A list."""
+    """Return a list."""
     return tag("ul", *_lines(tag("li", item) for item in items))
 
 

@@ -1,4 +1,4 @@
-"""Figure 1: the network, and who ends with a wrong estimate."""
+"""Figure 1: the network, and the nodes with a wrong estimate at the end."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from hedgerow.orchestrator.views.palette import thickness
 from hedgerow.topologies.graph import Array, Mask
 
 NAMED = 40
-"""larger networks are drawn without names"""
+"""the maximum number of nodes for names"""
 _INSIDE = 3
-"""characters that a node has room for; longer names stand below it"""
+"""the maximum length of a name inside a node; longer names are below it"""
 _MARGIN = 0.6
-"""around the network, in lengths of an edge"""
+"""the margin around the network, in lengths of an edge"""
 
 
 def network(runs: Sequence[Run]) -> Figure:
-    """The graph of each run, laid out by itself: the same file gives the same places."""
+    """Draw the graph of each run, each with its own layout: the same file gives the same places."""
     places = [placed(run.topology) for run in runs]
     heights = [float(np.clip((width_in() - 0.2) * _aspect(own), 0.7, 3.3)) for own in places]
     figure = sheet(0.3 + sum(heights) + 0.2 * (len(runs) - 1))
@@ -42,18 +42,18 @@ def network(runs: Sequence[Run]) -> Figure:
 
 
 def wrong(run: Run) -> Mask:
-    """Whose last estimate is not the truth, (n,)."""
+    """Return a mask of the nodes with a wrong last estimate, (n,)."""
     last, truth = run.ahat[-1], run.a[-1]
     return np.asarray(np.isfinite(last) & (last != truth))
 
 
 def unnamed(runs: Sequence[Run]) -> str:
-    """That names are left out, if they are."""
+    """Return a sentence if names are left out."""
     return f" Beyond {NAMED} nodes names are left out." if any(len(run.ids) > NAMED for run in runs) else ""
 
 
 def _aspect(places: Array) -> float:
-    """Height over width, margins included."""
+    """Return height over width, margins included."""
     width, height = np.ptp(places, axis=0) + 2 * _MARGIN
     return float(height / width)
 

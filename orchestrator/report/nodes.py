@@ -1,4 +1,4 @@
-"""Figures with a curve a node: the paper's 2 to 5, a panel a run."""
+"""Figures with one curve per node: the paper's 2 to 5, one panel per run."""
 
 from __future__ import annotations
 
@@ -18,32 +18,63 @@ from hedgerow.orchestrator.report.curves import (
     steps_axis,
     zoom,
 )
-from hedgerow.orchestrator.report.style import sheet
+from hedgerow.orchestrator.report.style import PAGE_IN, label_panels, sheet
 from hedgerow.orchestrator.runs.run import Run
 
 Runs = Sequence[Run]
+_STATE, _ORACLE = "$x_i(t)$ [units of $x$]", r"$x_i^*\!(t)$ [units of $x$]"
+_REGRET, _GAP = (
+    r"$|x_i(t) - x_i^*\!(t)|$ [units of $x$]",
+    r"$|x_i^*\!(t) - x_i^{\mathrm{nom}}(t)|$ [units of $x$]",
+)
 
 
 def states(runs: Runs) -> Figure:
-    """Figure 2: x, on the axes of figure 3."""
-    return _panels(runs, "x", "$x_i(t)$ [units of $x$]", _limits(runs, "x", "x_oracle"), behind="x_oracle")
+    """Draw figure 2: x, on the axes of figure 3."""
+    return _panels(runs, "x", _STATE, _limits(runs, "x", "x_oracle"), behind="x_oracle")
 
 
 def oracle(runs: Runs) -> Figure:
-    """Figure 3: x*, on the axes of figure 2."""
-    return _panels(runs, "x_oracle", r"$x_i^*\!(t)$ [units of $x$]", _limits(runs, "x", "x_oracle"))
+    """Draw figure 3: x*, on the axes of figure 2."""
+    return _panels(runs, "x_oracle", _ORACLE, _limits(runs, "x", "x_oracle"))
 
 
 def regret(runs: Runs) -> Figure:
-    """Figure 4: |x - x*|, on the axes of figure 5."""
-    label = r"$|x_i(t) - x_i^*\!(t)|$ [units of $x$]"
-    return _panels(runs, "regret", label, _limits(runs, "regret", "nominal_gap"))
+    """Draw figure 4: |x - x*|, on the axes of figure 5."""
+    return _panels(runs, "regret", _REGRET, _limits(runs, "regret", "nominal_gap"))
 
 
 def nominal(runs: Runs) -> Figure:
-    """Figure 5: |x* - x^nom|, on the axes of figure 4."""
-    label = r"$|x_i^*\!(t) - x_i^{\mathrm{nom}}(t)|$ [units of $x$]"
-    return _panels(runs, "nominal_gap", label, _limits(runs, "regret", "nominal_gap"))
+    """Draw figure 5: |x* - x^nom|, on the axes of figure 4."""
+    return _panels(runs, "nominal_gap", _GAP, _limits(runs, "regret", "nominal_gap"))
+
+
+def paper(runs: Runs) -> Figure:
+    """Draw figures 2 to 5 of one run as the panels (a) to (d) of a figure as wide as a page, with one legend."""
+    (run,) = runs
+    figure = sheet(4.2, PAGE_IN)
+    axes = figure.subplots(2, 2, sharex=True, sharey="row")
+    panels = (
+        ("x", _STATE, "x_oracle"),
+        ("x_oracle", _ORACLE, ""),
+        ("regret", _REGRET, ""),
+        ("nominal_gap", _GAP, ""),
+    )
+    for axis, (name, label, behind) in zip(axes.flat, panels, strict=True):
+        entries = draw_nodes(axis, run, getattr(run, name))
+        if behind and (grey := draw_behind(axis, run, getattr(run, behind))) is not None:
+            first = Entries([*entries.handles, grey], [*entries.names, "oracle"])
+        elif name == "x":
+            first = entries
+        zoom(axis, run, getattr(run, name))
+        axis.set_ylabel(label)
+    for row, names in zip(axes, (("x", "x_oracle"), ("regret", "nominal_gap")), strict=True):
+        row[0].set_ylim(*_limits(runs, *names))
+    for axis in axes[-1]:
+        steps_axis(axis, runs)
+    label_panels(axes.flat)
+    legend(figure, first)
+    return figure
 
 
 def _panels(runs: Runs, name: str, label: str, limits: tuple[float, float], behind: str = "") -> Figure:
@@ -75,14 +106,14 @@ def _panels(runs: Runs, name: str, label: str, limits: tuple[float, float], behi
 
 
 def _limits(runs: Runs, *names: str) -> tuple[float, float]:
-    """Axes that have room for some arrays of all runs; from 0 for what is never negative."""
+    """Return limits of an axis with room for some arrays of all runs; from 0 for nonnegative ones."""
     low, high = extremes(*(getattr(run, name) for run in runs for name in names))
     room = 0.04 * (high - low) or 1.0
     return (0.0 if low >= 0 else low - room), high + room
 
 
 def largest(runs: Runs, name: str) -> str:
-    """The largest value of an array, and where it was taken, in words."""
+    """Return the maximum of an array, with its node and step, in words."""
     said = []
     for k, run in enumerate(runs):
         values = getattr(run, name)

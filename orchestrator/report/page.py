@@ -1,4 +1,4 @@
-"""report.html: figures, numbers, network, faults and how to repeat it, in one file that asks for no other."""
+"""The page report.html: figures, numbers, network, faults and the commands to repeat the run, in one file."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ from hedgerow.topologies.resolve import to_yaml
 
 Runs = Sequence[Run]
 NODES = 200
-"""rows that the table of nodes has room for"""
+"""the maximum number of rows in the table of nodes"""
 YAML_BYTES = 2**20
-"""larger topologies stay in the folder of the run"""
+"""the maximum size of a topology in the page; larger ones stay in the folder of the run"""
 WITHOUT = "none yet"
 """the verdict of a run that has not ended, or was killed"""
 _COUNTS = ("scheduled", "fired", "masked", "seen", "beyond")
 
 
 def page(runs: Runs, drawn: Mapping[Kind, bytes]) -> str:
-    """The whole page; `drawn` holds each figure as SVG."""
+    """Return the whole page; `drawn` holds each figure as SVG."""
     names = " and ".join(run.name for run in runs)
     css = resources.files("hedgerow.orchestrator.report").joinpath("report.css").read_text(encoding="utf-8")
     head = tag(
@@ -183,13 +183,13 @@ def _nodes(run: Run) -> list[Markup]:
     parts_ = [table(headings, rows)]
     if len(run.ids) > NODES:
         parts_.insert(
-            0, tag("p", f"The {NODES} of {len(run.ids)} nodes whose regret is largest, in the order of the file.")
+            0, tag("p", f"The {NODES} of {len(run.ids)} nodes with the largest regret, in the order of the file.")
         )
     return parts_
 
 
 def _truth(run: Run, k: int) -> str:
-    """The a of a node, and what it jumped to."""
+    """Return the a of a node, and its values after jumps."""
     a = run.a[:, k]
     jumps = np.flatnonzero(a[1:] != a[:-1]) + 1
     return ", ".join([f"{a[0]:.4f}", *(f"{a[t]:.4f} from step {t}" for t in jumps)])
@@ -206,8 +206,8 @@ def _faults(run: Run, behind: str) -> list[Markup]:
     ]
     note = (
         "An instance is one target at one step. It fired if it took effect, and was masked if there was nothing to"
-        " take away. It was seen if the process that misses something reports it. The last column is the part of D"
-        " from the steps of the fault, whatever caused it; a wrong estimate may cost later, too."
+        " lose. It was seen if the process that misses something reports it. The last column is the part of D"
+        " from the steps of the fault, of any cause; a wrong estimate may also cost later."
     )
     return [tag("h2", f"Faults{behind}"), table(["", "fault", *_COUNTS, "growth of D"], rows), tag("p", note)]
 

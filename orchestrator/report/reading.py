@@ -1,4 +1,4 @@
-"""The numbers of a run as a reader meets them: each with what it means, and what may not be concluded from it."""
+"""The numbers of a run for a reader: each with its meaning, and with the conclusions that it does not permit."""
 
 from __future__ import annotations
 
@@ -22,26 +22,26 @@ METRICS = {
     "cost_ratio": "C / C*",
     "disturbance_energy": "Σ |w|²",
     "gain": "√(C / Σ |w|²), gain",
-    "gain_less_x0": "the same less V(x(0)), what x(0) may have cost the oracle",
+    "gain_less_x0": "the same with V(x(0)) subtracted, the maximum cost of x(0) for the oracle",
     "gamma_star": "γ*, the oracle's optimal gain",
     "rho": "ρ, contraction",
 }
-"""What each field of `metrics` in verdict.json is; docs/theory.md says more."""
+"""The meaning of each field of `metrics` in verdict.json; docs/theory.md has more."""
 
 
 def metrics(run: Run) -> Mapping[str, Any]:
-    """The numbers of the verdict if it has them all, else of what is recorded so far."""
+    """Return the numbers of the verdict if it has them all, otherwise those recorded so far."""
     told: Mapping[str, Any] = run.verdict.content.get("metrics", {})
     return told if METRICS.keys() <= told.keys() else run.metrics
 
 
 def number(value: Any) -> str:
-    """A number as it is printed."""
+    """Return a number as text."""
     return "undefined" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def sentences(run: Run) -> list[str]:
-    """What the numbers of a run say, and what they do not."""
+    """Return sentences about the meaning of the numbers of a run."""
     m, n, right = metrics(run), len(run.ids), run.right[run.right >= 0]
     said = []
     if run.real_estimates:
@@ -51,7 +51,7 @@ def sentences(run: Run) -> list[str]:
     if run.law == "hinf":
         said.append("The law is the oracle's: there is nothing to regret.")
     elif m["regret"] is None:
-        said.append("D is too large for a number: the law let the network run away.")
+        said.append("D is too large for a number: the network diverged under the law.")
     elif run.law != "nominal":
         nearer = "nearer to the oracle than that" if m["regret"] < m["regret_nominal"] else "no nearer to it than a"
         said.append(
@@ -66,14 +66,15 @@ def sentences(run: Run) -> list[str]:
     if len(run.ceiling) and np.isfinite(run.ceiling[-1]):
         said.append(
             f"From x(0) = 0, no disturbance makes the gain of a law that acts within the lists larger than"
-            f" {rounded_up(float(run.ceiling[-1]), 4)}, with what happened to edges and a in this run."
+            f" {rounded_up(float(run.ceiling[-1]), 4)}, under the edge cuts and jumps of this run."
         )
     return said
 
 
 def _gain(less: float, gamma_star: float, run: Run) -> str:
     said = (
-        f"The gain less V(x(0)), which is what x(0) may have cost the oracle, is {less:.4g}, and γ* = {gamma_star:.4g}."
+        f"The gain with V(x(0)) subtracted, the maximum cost of x(0) for the oracle, is {less:.4g},"
+        f" and γ* = {gamma_star:.4g}."
     )
     if not run.faultless:
         return f"{said} γ* is the oracle's while all edges are open and no a jumps: here they were not, or one did."
@@ -83,12 +84,12 @@ def _gain(less: float, gamma_star: float, run: Run) -> str:
 
 
 def _estimates(right: int, n: int, most: int, steps: int) -> str:
-    fell = f" There were up to {most} before: estimates can get worse as a run goes on." if most > right else ""
-    return f"{right} of {n} estimates are the truth after {steps} steps; that says nothing about later ones.{fell}"
+    fell = f" There were up to {most} before: estimates can get worse during a run." if most > right else ""
+    return f"{right} of {n} estimates are the truth after {steps} steps; this proves nothing about later steps.{fell}"
 
 
 def growth(run: Run) -> list[str]:
-    """By fault: how much of D came about in the steps at which it was to strike, whatever its cause."""
+    """Return, by fault, the part of D from the steps of its schedule, of any cause."""
     D, T = run.regret_sum, run.T
     steps: list[list[int]] = [[] for _ in run.topology.faults]
     for effect in Schedule(run.topology).effects:

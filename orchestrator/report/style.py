@@ -1,4 +1,4 @@
-"""One look for all figures, and files that are the same whenever, and wherever, the same run is drawn."""
+"""One look for all figures; the same run gives the same files at any time and place."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ BLUE, ORANGE, GREEN, RED, SKY, PINK, BLACK = COLOURS = (
     *("#0072B2", "#E69F00", "#009E73", "#D55E00", "#56B4E9", "#CC79A7"),
     "#000000",
 )
-"""Okabe and Ito's, in the order of hedgerow.mplstyle"""
+"""the colours of Okabe and Ito, in the order of hedgerow.mplstyle"""
 GREY = "#777777"
 
 
 def colour(place: int) -> str:
-    """The colour of a run, by its place in a comparison."""
+    """Return the colour of a run, by its place in a comparison."""
     return COLOURS[place % len(COLOURS)]
 
 
@@ -74,9 +74,9 @@ class Look:
 
 @contextmanager
 def look(asked: Look = Look()) -> Iterator[None]:
-    """Draw by hedgerow.mplstyle and what is asked for, whatever the user's own settings are.
+    """Draw with hedgerow.mplstyle and the requested look, independent of the user's own settings.
 
-    Raises UserError if the user's style cannot be read. A sign without a glyph is left out.
+    Raise UserError if the user's style cannot be read. A sign without a glyph is left out.
     """
     ours = resources.files("hedgerow.orchestrator.report") / "hedgerow.mplstyle"
     with contextlib.ExitStack() as stack:
@@ -97,7 +97,7 @@ def _use(style: str) -> None:
         if (path := user_path(style)).exists():
             check_regular(path)
         with warnings.catch_warnings():
-            warnings.simplefilter("error")  # matplotlib only warns of a key that it does not know
+            warnings.simplefilter("error")  # matplotlib only warns of an unknown key
             matplotlib.style.use(str(path) if path.exists() else style)
     except (OSError, UserWarning, ValueError, SyntaxError, KeyError) as error:
         raise UserError(
@@ -111,9 +111,16 @@ def width_in() -> float:
     return float(matplotlib.rcParams["figure.figsize"][0])
 
 
-def sheet(height_in: float) -> Figure:
-    """Return an empty figure of the width of the look."""
-    return Figure(figsize=(width_in(), height_in))
+PAGE_IN = 7.16
+"""the width of a page with two columns"""
+COLUMN_IN = 3.5
+"""the width of the figures in hedgerow.mplstyle"""
+
+
+def sheet(height_in: float, otherwise_in: float | None = None) -> Figure:
+    """Return an empty figure of the width of the look; of `otherwise_in` if the user asks for no width."""
+    asked = width_in()
+    return Figure(figsize=(otherwise_in if otherwise_in and asked == COLUMN_IN else asked, height_in))
 
 
 def label_panels(axes: Iterable[Axes]) -> None:
@@ -123,10 +130,10 @@ def label_panels(axes: Iterable[Axes]) -> None:
 
 
 def save(figure: Figure, folder: Path, name: str, title: str, formats: Sequence[str] = ("pdf", "png")) -> bytes:
-    """Write NAME in each format, and return the figure as SVG; no file contains the time at which it was made."""
+    """Write NAME in each format, and return the figure as SVG; no file contains the time of its creation."""
     figure.draw_without_rendering()
     figure.set_layout_engine("none")  # all formats keep this layout
-    # Not by savefig, which draws everything once more each time to measure it.
+    # Do not use savefig, which draws everything one more time to measure it.
     if "pdf" in formats:
         pdf: Any = FigureCanvasPdf(figure)
         pdf.print_pdf(folder / f"{name}.pdf", metadata={"Title": title, "CreationDate": None, "Producer": None})

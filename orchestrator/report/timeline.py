@@ -1,4 +1,4 @@
-"""What was missing of a run, and when: messages, edges, inputs, and the a's that jumped, by link and node."""
+"""The missing parts of a run over time: messages, edges, inputs, and jumps of a, by link and node."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from hedgerow.orchestrator.runs.run import Run
 from hedgerow.topologies.graph import Mask
 
 ROWS = 24
-"""more links and nodes than that are counted instead"""
+"""the maximum number of links and nodes with a row; more are counted instead"""
 _COLOUR = {"message lost": ORANGE, "no flow": BLUE, "no input": RED}
 _JUMP = "a jumps"
 
 
 @dataclass(frozen=True)
 class Row:
-    """A link or a node, and at which steps what was missing of it, (T,) each; where its a jumps."""
+    """A link or a node, with the steps of its missing parts, (T,) each, and the jumps of its a."""
 
     name: str
     missing: dict[str, Mask]
@@ -32,7 +32,7 @@ class Row:
 
 
 def rows(run: Run) -> list[Row]:
-    """Links and nodes of which anything was missing, in the order of the file."""
+    """Return the links and nodes with missing parts, in the order of the file."""
     ids = [short(str(node)) for node in run.ids]
     known = ~np.isnan(run.w).any(axis=1)
     found = []
@@ -52,18 +52,18 @@ def rows(run: Run) -> list[Row]:
 
 
 def jumps_of(run: Run) -> dict[int, tuple[int, ...]]:
-    """The steps at which a node's a becomes another, by its place."""
+    """Return the steps of a node's jumps, by its place."""
     turned = (run.a[1:] != run.a[:-1]) & np.isfinite(run.a[1:] + run.a[:-1])
     return {int(i): tuple((turned[:, i].nonzero()[0] + 1).tolist()) for i in turned.any(axis=0).nonzero()[0]}
 
 
 def has_faults(runs: Sequence[Run]) -> bool:
-    """Whether anything was missing, or jumped, in one of some runs."""
+    """Return True if one of the runs has a missing part or a jump."""
     return any(rows(run) for run in runs)
 
 
 def draw_faults(runs: Sequence[Run]) -> Figure:
-    """When what was missing: a panel a run, a row a link or node."""
+    """Draw the missing parts over time: one panel per run, one row per link or node."""
     listed = [rows(run) for run in runs]
     heights = [min(max(1, len(one)), ROWS if len(one) <= ROWS else 10) for one in listed]
     figure = sheet(0.55 + 0.15 * sum(heights) + 0.25 * len(runs))
@@ -80,7 +80,7 @@ def draw_faults(runs: Sequence[Run]) -> Figure:
 
 
 def _bars(axis: Axes, listed: Sequence[Row]) -> dict[str, Artist]:
-    """A row each; what was lost stands above what did not flow."""
+    """Draw one row each; lost messages are above missing flows."""
     shown: dict[str, Artist] = {}
     for place, row in enumerate(listed):
         tall = 0.7 / len(row.missing)
@@ -99,7 +99,7 @@ def _bars(axis: Axes, listed: Sequence[Row]) -> dict[str, Artist]:
 
 
 def stretches(mask: Mask) -> list[tuple[float, float]]:
-    """Where a mask holds, as (first step, number of steps); of a long run, which bins have such a step."""
+    """Return the stretches of a mask, as (first step, number of steps); in a long run, the bins with such a step."""
     parts = bins(len(mask))
     starts = np.array([part[0] for part in parts])
     ends = np.append(starts, len(mask))
@@ -109,7 +109,7 @@ def stretches(mask: Mask) -> list[tuple[float, float]]:
 
 
 def _counts(axis: Axes, listed: Sequence[Row]) -> dict[str, Artist]:
-    """How many links and nodes lacked something, by step; the most of each bin of a long run."""
+    """Draw the number of links and nodes with missing parts, by step; the maximum of each bin of a long run."""
     shown: dict[str, Artist] = {}
     for what, colour in _COLOUR.items():
         masks = [row.missing[what] for row in listed if what in row.missing]

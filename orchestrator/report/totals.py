@@ -1,4 +1,4 @@
-"""Figures of the network as a whole: a few series of each run, all runs on the same axes."""
+"""Figures of the whole network: a few series of each run, with all runs on the same axes."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ Runs = Sequence[Run]
 
 
 class Series(NamedTuple):
-    """One number a step; a run alone gives it the colour, and runs beside each other the style of line."""
+    """One number per step; its colour distinguishes the series of one run, its line style the runs of a comparison."""
 
     name: str
     of: Callable[[Run], Array | float]
-    """(S,), or a number that holds at all steps"""
+    """(S,), or a number that is constant"""
     color: str
     style: str = "-"
     holds: bool = False
-    """whether a value holds until the next step"""
+    """True if a value holds until the next step"""
 
 
 def draw_series(axis: Axes, runs: Runs, listed: Sequence[Series]) -> Entries:
-    """Draw series of all runs; an empty name stands for the law of the run."""
+    """Draw series of all runs; an empty name is replaced by the law of the run."""
     alone = len(runs) == 1
     drawn: list[Artist] = []
     for k, run in enumerate(runs):
@@ -68,7 +68,7 @@ def _one(runs: Runs, label: str, listed: Sequence[Series]) -> tuple[Figure, Axes
 
 
 def sums(runs: Runs) -> Figure:
-    """D of the run, and of its nominal twin."""
+    """Draw D of the run, and of its nominal twin."""
     listed = [Series("", lambda run: run.regret_sum, BLUE), Series("nominal", _nominal_sum, ORANGE, "--")]
     figure, axis = _one(runs, "$D(t)$ [units of $x^2$]", listed)
     axis.set_ylim(0, 1.05 * extremes(*(series.of(run) for run in runs for series in listed))[1] or 1.0)
@@ -80,7 +80,7 @@ def _nominal_sum(run: Run) -> Array:
 
 
 def cost(runs: Runs) -> Figure:
-    """R, with its sign."""
+    """Draw R, with its sign."""
     figure, axis = _one(runs, "$R(t)$ [units of $x^2$]", [Series("", lambda run: run.cost_regret, BLUE)])
     axis.axhline(0, color=GREY, lw=0.5, zorder=1)
     low, high = extremes(0.0, *(run.cost_regret for run in runs))
@@ -99,7 +99,9 @@ CEILING = Series("at most (the law's)", lambda run: run.ceiling, RED, "-.")
 
 
 def gain(runs: Runs) -> Figure:
-    """The empirical gain, with and without what x(0) may have cost, between the oracle's number and the law's bound."""
+    """Draw the empirical gain, with and without the maximum cost of x(0), with the oracle's number and the law's
+    bound.
+    """
     figure, axis = _one(runs, "gain [1]", [*GAINS[:-1], CEILING, GAINS[-1]] if _bounded(runs) else GAINS)
     axis.set_ylim(0, ceiling(runs))
     return figure
@@ -111,16 +113,16 @@ def _bounded(runs: Runs) -> list[Run]:
 
 
 def ceiling(runs: Runs) -> float:
-    """Room for all but the start of the gain, which an x(0) may make as large as it likes."""
+    """Return the upper end of the axis of the gain; the first gains may be above it, because x(0) may be large."""
     shown = [(run.gamma_star, run.gain[-1], run.gain_less_x0) for run in runs]
     top = 2 * extremes(*(one for of_run in shown for one in of_run))[1]
-    # A bound that is far above everything else would press the rest together: it stays outside.
+    # A bound far above everything else would squeeze the rest: leave it outside.
     bounds = [float(np.nanmin(run.ceiling)) for run in _bounded(runs)]
     return max([top, *(1.1 * bound for bound in bounds if bound < 2 * top)])
 
 
 def beyond(runs: Runs) -> str:
-    """What of the gain lies above the axis, in words."""
+    """Return a sentence about the part of the gain above the axis."""
     tops = [(run, float(np.nanmax(run.gain, initial=0))) for run in runs]
     said = [f"{top:.3g}" for _, top in tops if top > ceiling(runs)]
     return f" The gain begins above the axis, at up to {' and '.join(said)}." if said else ""

@@ -1,1 +1,1 @@
-"""The run folder: written, read, exported, listed; and the in-process reference."""
+"""The run folder: writing, reading, export, listing; and the in-process reference."""

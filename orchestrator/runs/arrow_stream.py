@@ -1,4 +1,4 @@
-"""The batches of an Arrow stream that another program may have written: their memory is known before they are read."""
+"""The batches of an Arrow stream from another program: their memory is checked before they are read."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from hedgerow.topologies import budget
 
 
 def batches(stream: Path) -> tuple[pa.Schema, Iterator[pa.RecordBatch]]:
-    """Return the schema of a stream, and its whole batches, which stay in the file; those of a killed writer end early.
+    """Return the schema of a stream, and its complete batches, which stay in the file; a killed writer may leave fewer.
 
-    Raises ArrowInvalid or EOFError if not even the schema is there.
+    Raise ArrowInvalid or EOFError if the schema is missing.
     """
     reader = pa.ipc.MessageReader.open_stream(pa.memory_map(spelled(stream)))
     try:
@@ -30,15 +30,15 @@ def _whole(stream: Path, reader: Any, schema: pa.Schema) -> Iterator[pa.RecordBa
     while True:
         try:
             message = reader.read_next_message()
-        except (StopIteration, pa.ArrowInvalid, OSError):  # the end, or where a killed writer left off
+        except (StopIteration, pa.ArrowInvalid, OSError):  # the end, or the point where the writer was killed
             return
         yield read_batch(stream, message, schema)
 
 
 def read_batch(stream: Path, message: Any, schema: pa.Schema) -> pa.RecordBatch:
-    """Return the batch in a message of a stream; raise UserError if it takes more memory than is allowed.
+    """Return the batch in a message of a stream; raise UserError if it takes more memory than allowed.
 
-    A compressed batch can become a thousand times as large. Raises ValueError for a message that is no batch.
+    A compressed batch can grow a thousand times. Raise ValueError for a message that is not a batch.
     """
     if message.type != "record batch":
         raise ValueError(f"it has a {message.type} where rows should be")
@@ -51,7 +51,7 @@ _UNPACKED = struct.Struct("<q")
 
 
 def _unpacked(message: Any) -> int:
-    """Return the bytes that the compressed buffers of a batch become; 0 for a batch that is not compressed.
+    """Return the uncompressed size of the buffers of a batch [bytes]; 0 for an uncompressed batch.
 
     The message is a flatbuffer (Arrow's format/Message.fbs). A compressed buffer begins with its length.
     """
@@ -79,7 +79,7 @@ def _number(form: str, buffer: memoryview, at: int) -> int:
 
 
 def _follow(buffer: memoryview, at: int) -> int:
-    """Return the place that the offset at `at` leads to."""
+    """Return the place that the offset at `at` points to."""
     return at + _number("<I", buffer, at)
 
 

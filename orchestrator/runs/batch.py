@@ -1,9 +1,10 @@
-"""Many runs of one network at once: S copies that differ in their seed, and never meet.
+"""Many runs of one network at once: sweeps and comparisons run S seeds as one network of S disjoint parts.
 
-A sweep asks for the metrics of thousands of small networks. One by one, nearly all of the time goes into calls of numpy
-on a handful of numbers. Here the copies are rows of the same arrays, (S, n). Every number is computed by the same
-operations in the same order as in a run by itself, so states, inputs and metrics are the same to the bit: sums over
-nodes run along a row, and sums over steps are added one step after the other.
+One by one, nearly all of the time of a small network goes into calls of numpy on a handful of numbers. Here one plant
+and one shard make the steps of all runs, so that faults, unequal gains, graphs of rules and all laws take part. States,
+inputs and estimates have the bits of each run by itself. So do the metrics: sums over nodes run along a row, and sums
+over steps are added one step after the other. Only where the runs have graphs with different numbers of edges, the
+edges of a step are added one after the other, and the cost may differ in its last bit.
 """
 
 from __future__ import annotations
@@ -11,173 +12,259 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from hedgerow.agents.law import control
-from hedgerow.agents.loading import new_law
+from hedgerow.agents.loading import law_class
 from hedgerow.agents.local import asks
-from hedgerow.agents.view import View
-from hedgerow.orchestrator.ground.assignment import law_of
 from hedgerow.orchestrator.metrics.checks import ROUNDING, TINY
+from hedgerow.orchestrator.metrics.estimates import switches
+from hedgerow.orchestrator.metrics.fault_accounts import Accounts, Told
+from hedgerow.orchestrator.metrics.fault_schedule import Schedule
 from hedgerow.orchestrator.metrics.observer import mean_error
-from hedgerow.plant.disturbance import Disturbance
+from hedgerow.orchestrator.runs import reference
+from hedgerow.orchestrator.runs.union import Union, of_seeds
 from hedgerow.plant.world import dynamics
-from hedgerow.topologies.archive import id_array
-from hedgerow.topologies.graph import Array, Mask
-from hedgerow.topologies.law_choice import LawChoice
-from hedgerow.topologies.network import Network
-from hedgerow.topologies.resolve import copies
-from hedgerow.topologies.schema import LAWS, Topology
+from hedgerow.topologies.graph import Array, Graph, Mask
+from hedgerow.topologies.law_choice import LawChoice, is_listed
+from hedgerow.topologies.schema import Topology
+from hedgerow.wire.codec import End, Telemetry
 
 NODES = 20_000
-"""nodes of all copies: their numbers of a step stay in the cache"""
-LARGEST = 500
+"""nodes of all runs: their numbers of a step stay in the cache"""
+LOSSY_NODES = 1_500
+"""nodes of all runs where messages go missing: every late one makes all nodes of the batch learn again"""
+LARGEST = 400
 """networks of more nodes are run one by one: their time goes into the arithmetic"""
+STEPS, LOSSY_STEPS = 2 * 10**7, 10**6
+"""steps of nodes of all runs, which take a few seconds: a sweep that is stopped loses no more"""
+TOLD_AT_ONCE = 32
+"""steps whose faults are judged together"""
 
 
 def why_not(topology: Topology) -> str:
     """Return why a topology cannot be run in batches, in words; empty if it can."""
-    computed = LawChoice.parse(topology.law).name == "robust"
-    reasons = (
-        (bool(topology.faults), "it has faults"),
-        (len(topology.ids) > LARGEST, f"it has more than {LARGEST} nodes"),
-        (topology.disturbance is not None, "its worst-case disturbance depends on the numbers that are drawn"),
-        (topology.generator is not None, "its graph is made by a rule"),
-        (_unequal(topology), "its gains or weights differ"),
-        (_sees_state(topology), "its disturbance sees the state"),
-        (computed, "its law has a parameter that is computed for every seed"),
-        (not computed and _asks(topology), "its law asks for local knowledge"),
-    )
-    return next((why for holds, why in reasons if holds), "")
+    return f"it has more than {LARGEST} nodes" if len(topology.ids) > LARGEST else ""
 
 
-def _unequal(topology: Topology) -> bool:
-    given = topology.given
-    own = topology.defaults.b is not None or any(node.b is not None for node in topology.nodes.values())
-    return own or topology.graph.weights is not None or (given is not None and given.b is not None)
+def needs_proof(topology: Topology) -> bool:
+    """Return True if runs at once may differ from single runs: the law of a user may look nodes up by their ids.
 
-
-def _sees_state(topology: Topology) -> bool:
-    written = [topology.defaults.disturbance, *(node.disturbance for node in topology.nodes.values())]
-    parts = [part for one in written if one is not None for part in (one if isinstance(one, tuple) else (one,))]
-    given = topology.given.disturbance if topology.given is not None else None
-    return any(part.kind == "confuse" for part in (*parts, *(given or ())))
-
-
-def _asks(topology: Topology) -> bool:
-    law = new_law(_view(topology, np.full((1, 1), 0.5), id_array([0])))
-    return asks(type(law).__init__, "local") or asks(law.act, "now") or asks(law.learn, "sample")
+    The ids of a batch repeat. The caller compares some runs with single ones.
+    """
+    name = LawChoice.parse(topology.law).name
+    return ":" in name and asks(law_class(name).__init__, "local")
 
 
 def seeds_at_once(topology: Topology) -> int:
-    """Return the number of copies that one batch should have."""
-    return max(1, NODES // len(topology.ids))
+    """Return the number of runs that one batch should have."""
+    lossy = any(fault.kind != "jump" for fault in topology.faults)
+    nodes, steps = (LOSSY_NODES, LOSSY_STEPS) if lossy else (NODES, STEPS)
+    return max(1, min(nodes, steps // topology.steps) // len(topology.ids))
 
 
 @dataclasses.dataclass(frozen=True)
 class Runs:
-    """The metrics of S runs, (S,) each, as verdict.json names them."""
+    """The numbers of S runs."""
 
     metrics: dict[str, Array]
+    """those of verdict.json, (S,) each"""
     good: Mask
-    """True for runs that pass every check"""
+    """True for runs that pass every check, (S,)"""
+    ahat: Array
+    """the estimates of the last step, (S, n)"""
+    a: Array
+    """the truth of the last step, (S, n)"""
+    candidates: Array
+    """(M, S, n), padded with NaN"""
+    switches: Array
+    """changes of the estimate per node, (S,)"""
 
 
 def run(topology: Topology, seeds: Sequence[int], folder: Path = Path()) -> Runs:
-    """Run a topology under every seed to its last step. `why_not` must be empty."""
-    network = copies(topology, seeds, folder)
-    return _Batch(topology, network, seeds).run()
+    """Run a topology under every seed to its last step. `why_not` must be empty.
 
-
-def _view(topology: Topology, candidates: Array, ids: Any) -> View:
-    nothing = np.empty(0, dtype=np.int64)
-    return View(
-        shard=0,
-        b=topology.b,
-        law=law_of(topology),
-        ids=ids,
-        candidates=candidates,
-        row=nothing,
-        column=nothing,
-        peers=[],
-        heard=id_array([]),
-        history=0,
-    )
+    Raises LawError if the law fails in one of the runs, and SizesError if they differ in size.
+    """
+    return _Batch(of_seeds(topology, seeds, folder)).run()
 
 
 class _Batch:
-    """S copies of n nodes in motion, with both twins, all sums and all checks."""
+    """A union in motion, with both twins, all sums and all checks."""
 
-    def __init__(self, topology: Topology, network: Network, seeds: Sequence[int]) -> None:
-        self._topology, self._graph, self._b = topology, network.graph, topology.b
-        S, n = len(seeds), len(topology.ids)
-        self._shape = S, n
-        of_copies = [array.reshape(S, n) for array in (network.a, network.x0, network.nominal)]
-        self._a, self._x0, self._nominal = of_copies
-        models = _models(topology, network)
-        ids = id_array(tuple(topology.ids) * S)
-        self._law = new_law(_view(topology, np.ascontiguousarray(models[~np.isnan(models).all(axis=1)]), ids))
-        self._models = models
-        largest = np.nanmax(models, axis=0).reshape(S, n)
-        self._rho = np.maximum(self._a, largest - self._a).max(axis=-1)
-        self._disturbance = Disturbance(network.disturbance, ids, np.repeat(np.array(seeds, dtype=np.uint64), n))
-        Q = _q(self._a, self._b, self._graph)
-        self._gamma_star = 1 / np.sqrt(np.linalg.eigh(Q)[0][:, 0])
-        self._inverse = np.linalg.inv(Q)
-        self._good = np.ones(S, dtype=bool)
+    def __init__(self, union: Union) -> None:
+        self._union, self._graph, self._b = union, union.graph, union.b
+        self._shape = S, n = union.S, union.n
+        self._edges = np.bincount(union.edge_part, minlength=S)
+        self._a = union.a.copy()
+        self._jumps = sorted((one for one in union.effects if one.kind == "jump"), key=lambda one: one.start)
+        self._x_oracle = self._x_nominal = union.x0
+        self._largest = np.nanmax(union.models, axis=0)
+        self._rho_now = self._rho = self._contraction()
+        self._v0 = self._over(union.x0)
+        self._gamma_star, self._inverse = self._spectra()
+        self._supply, self._sums = np.zeros(S), np.zeros((5, S))
+        self._good, self._constant = ~np.array(union.idle, dtype=bool), np.ones(S, dtype=bool)
+        self._bound: Array | None = None
+        self._ahat, self._changed = np.full(S * n, np.nan), np.zeros(S)
+        self._listed = is_listed(union.topology.law)
+        self._accounts: Accounts | None = None
+        self._rows: list[Telemetry] = []
+        if any(one.kind != "jump" for one in union.effects):
+            self._schedule = Schedule.of(union.graph, union.ids, union.words, len(union.topology.faults), union.effects)
+            self._accounts = Accounts(union.graph, self._schedule)
 
     def run(self) -> Runs:
-        """Make every step, and return the metrics."""
-        shape, graph, b, a, law = self._shape, self._graph, self._b, self._a, self._law
-        x = x_oracle = x_nominal = self._x0
-        v0 = _energy_over(self._x0, 1 - a)
-        sums = np.zeros((5, shape[0]))
-        supply = np.zeros(shape[0])
-        ahat = x
-        for t in range(self._topology.steps):
-            u = np.array(law.act(x.ravel()), dtype=float).reshape(shape)
-            ahat = np.array(law.report()[0], dtype=float).reshape(shape)
-            w = self._disturbance.at(t).reshape(shape)
-            u_oracle, u_nominal = control(b, x_oracle, a), control(b, x_nominal, self._nominal)
-            cost, cost_oracle = (
-                _energy(one) + graph.edge_cost(graph.edge_input(inputs))
-                for one, inputs in ((x, u), (x_oracle, u_oracle))
-            )
-            regret, gap = np.abs(x - x_oracle), np.abs(x_oracle - x_nominal)
-            sums += np.stack([_energy(regret), _energy(gap), cost, cost_oracle, _energy(w)])
-            self._check_inputs(x, u, ahat)
-            flow = graph.flow(u)
-            x_next = a * x + b * flow + w
-            x_oracle = dynamics(a, b, graph, x_oracle, u_oracle, w)
-            x_nominal = dynamics(a, b, graph, x_nominal, u_nominal, w)
-            supply += (w * (self._inverse @ w[:, :, None])[:, :, 0]).sum(axis=1)
-            self._check_bounds(x, w, x_next, supply + v0, _energy_over(x_oracle, 1 - a) + sums[3])
-            if t + 1 < self._topology.steps:  # no step comes after the last sample
-                law.learn(x.ravel(), flow.ravel(), x_next.ravel())
-            x = x_next
-        sums[0] += np.square(x - x_oracle).sum(axis=1)
-        sums[1] += np.square(x_nominal - x_oracle).sum(axis=1)
-        return Runs(self._metrics(sums, v0, ahat), self._good)
+        """Make every step, and return the numbers."""
+        union = self._union
+        for row in reference.run(union.truth(), [union.view()], union.law()):
+            if isinstance(row, End):
+                self._finish(row)
+            else:
+                self._take(row)
+        S, n = self._shape
+        return Runs(
+            self._metrics(),
+            self._good,
+            self._ahat.reshape(S, n),
+            self._a.reshape(S, n),
+            union.candidates.reshape(-1, S, n),
+            self._changed / n,
+        )
 
-    def _check_inputs(self, x: Array, u: Array, ahat: Array) -> None:
-        """Check that every input is finite and, for the paper's laws, equation (6) of a candidate."""
-        good = np.isfinite(u)
-        if self._topology.law in LAWS:
-            listed = (ahat.ravel() == self._models).any(axis=0).reshape(self._shape)
-            good &= listed & (control(self._b, x, ahat) == u)
-        self._good &= good.all(axis=1)
+    def _take(self, row: Telemetry) -> None:
+        t, x, u, w = row.t, row.x, row.u, row.w
+        b, graph = self._b, self._graph
+        closed = None if row.edge_open.all() else row.edge_open.view(np.bool_)
+        self._jump(t)
+        a = self._a
+        before, self._ahat = self._ahat, row.report[0]
+        if t:
+            self._changed += switches(before.reshape(self._shape), self._ahat.reshape(self._shape))
+        u_oracle, u_nominal = control(b, self._x_oracle, a), control(b, self._x_nominal, self._union.nominal)
+        regret, gap = x - self._x_oracle, self._x_oracle - self._x_nominal
+        cost, cost_oracle = (
+            self._energy(one) + self._edge_cost(graph.edge_input(inputs, closed))
+            for one, inputs in ((x, u), (self._x_oracle, u_oracle))
+        )
+        self._sums += [self._energy(regret), self._energy(gap), cost, cost_oracle, self._energy(w)]
+        self._check(x)
+        self._check_inputs(row)
+        self._bound = self._rho_now * self._norm(x) + self._norm(w)
+        self._x_oracle = dynamics(a, b, graph, self._x_oracle, u_oracle, w, closed)
+        self._x_nominal = dynamics(a, b, graph, self._x_nominal, u_nominal, w, closed)
+        self._check_certificate(w, row)
+        if self._accounts is not None:
+            self._rows.append(row)
+            if len(self._rows) == TOLD_AT_ONCE:
+                self._account()
 
-    def _check_bounds(self, x: Array, w: Array, x_next: Array, owed: Array, spent: Array) -> None:
-        """Check the contraction, for the paper's laws, and the oracle's certificate."""
-        if self._topology.law in LAWS:
-            bound = self._rho * np.abs(x).sum(axis=-1) + np.abs(w).sum(axis=-1)
-            self._good &= np.abs(x_next).sum(axis=-1) / (bound + TINY) - 1 - ROUNDING <= 0
-        self._good &= -(owed - spent) / (owed + TINY) - ROUNDING <= 0
+    def _finish(self, end: End) -> None:
+        self._check(end.x)
+        self._sums[0] += np.square((end.x - self._x_oracle).reshape(self._shape)).sum(axis=1)
+        self._sums[1] += np.square((self._x_nominal - self._x_oracle).reshape(self._shape)).sum(axis=1)
+        if self._accounts is not None:
+            self._account()
+            self._accounts.finish()
+            # The accounts of all runs are one: if one fails, each run is judged by itself.
+            self._good &= all(worst.excess <= 0 for worst in self._accounts.checks.values())
 
-    def _metrics(self, sums: Array, v0: Array, ahat: Array) -> dict[str, Array]:
-        regret, regret_nominal, cost, cost_oracle, energy = sums
+    def _account(self) -> None:
+        """Judge the faults of the rows that are held."""
+        if not self._rows or self._accounts is None:
+            return
+        names = ("u", "edge_open", "link_up", "took")
+        u, edge_open, link_up, took = (np.array([getattr(row, name) for row in self._rows]) for name in names)
+        missing = ~np.isfinite(u)
+        silent = missing & np.array([np.isnan(row.report).all(axis=0) for row in self._rows])
+        t = np.array([row.t for row in self._rows])
+        self._accounts.take(Told(t, missing, silent, edge_open.astype(bool), link_up.astype(bool), took))
+        self._rows.clear()
+
+    def _jump(self, t: int) -> None:
+        """Make the jumps of step t come true."""
+        if not self._jumps or self._jumps[0].start > t:
+            return
+        self._a = self._a.copy()
+        while self._jumps and self._jumps[0].start <= t:
+            jump = self._jumps.pop(0)
+            self._a[jump.targets[0]] = jump.a
+            self._constant[jump.targets[0] // self._shape[1]] = False
+        self._rho_now = self._contraction()
+        self._rho = np.maximum(self._rho, self._rho_now)
+
+    # The checks.
+
+    def _check(self, x: Array) -> None:
+        """Check the contraction, for laws that act by (6) on a candidate."""
+        if self._bound is not None and self._listed:
+            self._good &= self._norm(x) / (self._bound + TINY) - 1 - ROUNDING <= 0
+
+    def _check_inputs(self, row: Telemetry) -> None:
+        """Check that every input is finite, or missing by a fault, and is (6) of a candidate where it should be."""
+        u, ahat, x = row.u, row.report[0], row.x
+        good = there = np.isfinite(u)
+        if self._accounts is not None:
+            good = np.ones(len(u), dtype=bool)  # the accounts judge what is missing
+        if self._listed:
+            listed = np.zeros(len(u), dtype=bool)
+            for models in self._union.models:
+                listed |= ahat == models
+            good &= (listed & (control(self._b, x, ahat) == u)) | (listed & ~there)
+            if self._accounts is not None and not there.all():
+                good |= self._schedule.absent(np.array([row.t]))[0]
+        self._good &= good.reshape(self._shape).all(axis=1)
+
+    def _check_certificate(self, w: Array, row: Telemetry) -> None:
+        """Check the oracle's certificate in runs whose edges were all open and whose truth is that of t = 0."""
+        if not row.edge_open.all():
+            closed = np.bincount(self._union.edge_part, row.edge_open == 0, self._shape[0])
+            self._constant &= closed == 0
+        ws = w.reshape(self._shape)
+        self._supply += (ws * (self._inverse @ ws[:, :, None])[:, :, 0]).sum(axis=1)
+        owed, spent = self._supply + self._v0, self._over(self._x_oracle) + self._sums[3]
+        self._good &= (-(owed - spent) / (owed + TINY) - ROUNDING <= 0) | ~self._constant
+
+    # The numbers.
+
+    def _contraction(self) -> Array:
+        S, n = self._shape
+        return np.asarray(np.maximum(self._a, self._largest - self._a).reshape(S, n).max(axis=1))
+
+    def _energy(self, values: Array) -> Array:
+        return np.asarray((values * values).reshape(self._shape).sum(axis=1))
+
+    def _over(self, x: Array) -> Array:
+        """Return V(x) = sum x_i^2 / (1 - a_i) of every run, by the truth of t = 0."""
+        return np.asarray((x * x / (1 - self._union.a)).reshape(self._shape).sum(axis=1))
+
+    def _norm(self, x: Array) -> Array:
+        """Return sum |x_i| min(b) / b_i of every run."""
+        if isinstance(self._b, float):
+            return np.asarray(np.abs(x).reshape(self._shape).sum(axis=1))
+        b = self._b.reshape(self._shape)
+        return np.asarray((np.abs(x).reshape(self._shape) * (b.min(axis=1, keepdims=True) / b)).sum(axis=1))
+
+    def _edge_cost(self, u_edge: Array) -> Array:
+        S = self._shape[0]
+        squares = u_edge * u_edge
+        if self._graph.weights is not None:
+            squares *= self._graph.weights
+        if (self._edges == self._edges[0]).all():
+            return np.asarray(squares.reshape(S, -1).sum(axis=1))
+        return np.bincount(self._union.edge_part, squares, S).astype(float, copy=False)
+
+    def _spectra(self) -> tuple[Array, Array]:
+        """Return gamma* and the inverse of Q of every run."""
+        Q = _q(self._union.a, self._b, self._graph, *self._shape)
+        least: Array = np.linalg.eigh(Q)[0][:, 0]
+        inverse: Array = np.asarray(np.linalg.inv(Q), dtype=np.float64)
+        return 1 / np.sqrt(least), inverse
+
+    def _metrics(self) -> dict[str, Array]:
+        regret, regret_nominal, cost, cost_oracle, energy = self._sums
+        ahat, a = self._ahat.reshape(self._shape), self._a.reshape(self._shape)
         with np.errstate(invalid="ignore", divide="ignore"):
             return {
                 "regret": regret,
@@ -188,35 +275,20 @@ class _Batch:
                 "cost_ratio": np.where(cost_oracle > 0, cost / cost_oracle, np.nan),
                 "disturbance_energy": energy,
                 "gain": np.where(energy > 0, np.sqrt(cost / energy), np.nan),
-                "gain_less_x0": np.where(energy > 0, np.sqrt(np.maximum(0.0, cost - v0) / energy), np.nan),
+                "gain_less_x0": np.where(energy > 0, np.sqrt(np.maximum(0.0, cost - self._v0) / energy), np.nan),
                 "gamma_star": self._gamma_star,
                 "rho": self._rho,
-                "nodes_right": (ahat == self._a).sum(axis=1),
-                "estimate_error": np.array([mean_error(row) for row in np.abs(ahat - self._a)]),
+                "nodes_right": (ahat == a).sum(axis=1),
+                "estimate_error": np.array([mean_error(row) for row in np.abs(ahat - a)]),
             }
 
 
-def _models(topology: Topology, network: Network) -> Array:
-    """Return the models that each node chooses among, (M, S n), NaN-padded."""
-    if topology.law == "hinf":
-        return network.a[None]
-    if topology.law == "nominal":
-        return network.nominal[None]
-    return network.candidates
-
-
-def _q(a: Array, b: float, graph: Any) -> Array:
-    """Return Q = (I - A)^2 + b^2 L of every copy, (S, n, n)."""
-    S, n = a.shape
+def _q(a: Array, b: float | Array, graph: Graph, S: int, n: int) -> Array:
+    """Return Q = (I - A)^2 + diag(b) L diag(b) of every part, (S, n, n)."""
     Q = np.zeros((S, n, n))
-    Q[:, np.arange(n), np.arange(n)] = (1 - a) ** 2 + b * b * graph.weighted_degree
-    Q[:, graph.node, graph.neighbour] += -b * b
+    Q[:, np.arange(n), np.arange(n)] = ((1 - a) ** 2 + b * b * graph.weighted_degree).reshape(S, n)
+    beside = -b[graph.node] * b[graph.neighbour] if isinstance(b, np.ndarray) else -b * b
+    if graph.weight is not None:
+        beside = beside * graph.weight
+    Q[graph.node // n, graph.node % n, graph.neighbour % n] += beside
     return Q
-
-
-def _energy(values: Array) -> Array:
-    return np.asarray((values * values).sum(axis=1))
-
-
-def _energy_over(values: Array, scale: Array) -> Array:
-    return np.asarray((values * values / scale).sum(axis=1))

@@ -1,6 +1,6 @@
 """Arrow columns over the memory of numpy arrays.
 
-pyarrow's own conversions load pandas wherever that is installed: half a second of CPU in the first steps of a run.
+pyarrow's own conversions load pandas if it is installed, which takes half a second of CPU in the first steps.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _TYPES = {np.dtype(name): getattr(pa, name)() for name in ("int32", "int64", "fl
 
 
 def column(values: NDArray[Any], missing: Mask | None = None) -> pa.Array:
-    """The numbers or truth values of an array, row by row; null where they are missing (None: nowhere)."""
+    """Return the numbers or booleans of an array, row by row; null where they are missing (None: nowhere)."""
     values = np.ascontiguousarray(values).ravel()
     data = _bits(values) if values.dtype == bool else pa.py_buffer(values)
     known = None if missing is None or not missing.any() else _bits(~missing.ravel())
@@ -26,7 +26,7 @@ def column(values: NDArray[Any], missing: Mask | None = None) -> pa.Array:
 
 
 def names(texts: Sequence[str]) -> pa.Array:
-    """A column of texts."""
+    """Return a column of texts."""
     encoded = [text.encode() for text in texts]
     offsets = np.cumsum([0, *map(len, encoded)], dtype=np.int32)
     return pa.Array.from_buffers(

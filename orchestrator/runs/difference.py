@@ -27,7 +27,7 @@ class Estimates(dict["NodeId", "float | None"]):
 
 
 _COMPARED = ("x", "ahat", "index", "u", "w")
-"""The compared arrays, in the order in which one determines the next within a step."""
+"""The compared arrays; within a step, each determines the next."""
 
 
 def equal(left: Run, right: Run) -> bool:
@@ -38,7 +38,7 @@ def equal(left: Run, right: Run) -> bool:
 
 
 def explain_estimates(left: Estimates, right: Estimates) -> list[str]:
-    """Return lines that name the nodes whose estimates differ, and the first step with a difference."""
+    """Return lines that name the nodes with different estimates, and the first step with a difference."""
     if left.run.ids != right.run.ids:
         return [f"the nodes differ: {list(left)} and {list(right)}"]
     at = f"estimates at step {left.t}" + (f" and {right.t}" if left.t != right.t else "")
@@ -64,7 +64,7 @@ def _first(left: Run, right: Run, names: Sequence[str]) -> list[str]:
     one, other = getattr(left, name)[t], getattr(right, name)[t]
     return [
         f"first at step {t}: {'; '.join(_cells(left, name, one, other))}",
-        f"until then, left:  {lost_messages(left, t + 1)}",
+        f"lost messages before, left:  {lost_messages(left, t + 1)}",
         f"until then, right: {lost_messages(right, t + 1)}",
         f"folders: {left.folder} and {right.folder}",
     ]

@@ -1,4 +1,4 @@
-"""A run in files that other tools open: tables as CSV or Parquet, or named arrays as .npz or .mat (docs/data.md)."""
+"""A run in files for other tools: tables as CSV or Parquet, or named arrays as .npz or .mat (docs/data.md)."""
 
 from __future__ import annotations
 
@@ -32,24 +32,24 @@ NAMES = (
     *("cost", "cost_oracle", "cost_regret", "energy_sum", "gain", "gain_less_x0"),
     *("u_edge", "edge_open", "i_hears", "j_hears"),
 )
-"""The arrays of a .npz and a .mat, each the attribute of Run with that name."""
+"""The arrays of a .npz and a .mat file, each the attribute of Run with that name."""
 OF_ALL = ("a_ls", "beta", "identifiable")
-"""Those that take all rows to know."""
+"""The arrays that need all rows."""
 TOTALS = (
     *("regret_sum", "nominal_regret_sum", "right", "cost", "cost_oracle", "cost_regret", "energy_sum"),
     *("gain", "gain_less_x0"),
 )
-"""Those that take all rows to know, or a summary."""
+"""The arrays that need all rows, or a summary."""
 PLACES = ("edges", "index")
-"""Those that count places: from 0, but in a .mat from 1, as MATLAB does."""
+"""The arrays of places: from 0, but in a .mat file from 1, as in MATLAB."""
 MAT_BYTES = 2**31 - 1
-"""What one array of a .mat can hold."""
+"""The maximum size of one array of a .mat file."""
 
 
 def export(run: Run, to: str, out: Path | None = None, force: bool = False) -> list[Path]:
-    """Write a run in the form `to`, one of FORMS, and return its files; all of them are whole, or none is there.
+    """Write a run in the form `to`, one of FORMS, and return its files; write all of them completely, or none.
 
-    `out` is a folder for tables, else a file. Raises UserError for a mistake, and where there is no room.
+    `out` is a folder for tables, otherwise a file. Raise UserError for a mistake, and if the disk is full.
     """
     if to not in FORMS:
         raise UserError(f"--to {to}: is no form of a run; there are {', '.join(FORMS)}", code=Code.OPTION)
@@ -60,15 +60,15 @@ def export(run: Run, to: str, out: Path | None = None, force: bool = False) -> l
         if file.is_dir():
             raise UserError(f"{file}: is a folder; --out names the file to write", code=Code.OUTPUT)
         if file.exists() and not force:
-            raise UserError(
-                f"{file}: is there already; --force replaces it, --out names another place", code=Code.OUTPUT
-            )
+            raise UserError(f"{file}: already exists; --force replaces it, --out names another place", code=Code.OUTPUT)
     _write(files)
     return list(files)
 
 
 def arrays(run: Run) -> dict[str, NDArray[Any]]:
-    """All of a run by name: numbers, flags and text, never objects; what is left out by `record:` is not there."""
+    """Return the arrays of a run by name: numbers, flags and text, never objects; without parts that `record:`
+    omits.
+    """
     there = NAMES if run.whole else [name for name in NAMES if name not in OF_ALL]
     if "summary" not in run.tables and not run.whole:
         there = [name for name in there if name not in TOTALS]
@@ -85,7 +85,7 @@ Write = Callable[[Path], object]
 
 
 def _files(run: Run, to: str, out: Path | None) -> dict[Path, Write]:
-    """Each file of a form, and what writes it."""
+    """Return each file of a form, with the function that writes it."""
     if to in ("csv", "parquet"):
         folder = out or Path(f"{run.name}-{to}")
         write = _csv if to == "csv" else _parquet
@@ -94,14 +94,14 @@ def _files(run: Run, to: str, out: Path | None) -> dict[Path, Write]:
 
 
 def _csv(table: Table, path: Path) -> None:
-    """The shortest numbers that are read back to the same bits; nothing where there is null."""
+    """Write CSV with the shortest numbers that are read back to the same bits; null is an empty cell."""
     with CSVWriter(str(path), table.schema) as writer:
         for batch in table.batches():
             writer.write_batch(batch)
 
 
 def _parquet(table: Table, path: Path) -> None:
-    """The bytes that the run leaves, or would have left."""
+    """Write the same bytes as the run itself."""
     if table.over:
         shutil.copyfile(table.parquet, path)
     else:
@@ -128,7 +128,7 @@ def _mat(run: Run, path: Path) -> None:
 
 
 def _of_matlab(name: str, values: NDArray[Any]) -> NDArray[Any]:
-    """Numbers as MATLAB has them, doubles, with which every operation works; text in a list as cells."""
+    """Return numbers for MATLAB: doubles, which support all operations; a list of texts becomes cells."""
     match values.dtype.kind:
         case "U" if values.ndim:
             return values.astype(object)
@@ -138,7 +138,7 @@ def _of_matlab(name: str, values: NDArray[Any]) -> NDArray[Any]:
 
 
 def _write(files: Mapping[Path, Write]) -> None:
-    """Write all beside where they belong, and only then put them there."""
+    """Write all files beside their places, and move them there only at the end."""
     file = next(iter(files))
     folder = file.parent
     is_new = not folder.exists()

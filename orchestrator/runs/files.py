@@ -1,4 +1,4 @@
-"""The files of a run's folder but its tables: found, read, and refused in words where they came to harm."""
+"""The files of a run folder except its tables: found, read, and refused with a clear message if damaged."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from hedgerow.topologies.schema import Topology
 
 
 def find_run(run: str | Path) -> Path:
-    """The folder of a run; raises UserError."""
+    """Return the folder of a run; raise UserError if there is none."""
     stamp = re.compile(re.escape(str(run)) + r"-\d{8}-\d{6}(-\d+)?")
     try:
         there = sorted(path for path in Path("runs").glob("*") if path.is_dir())
@@ -54,7 +54,7 @@ def find_run(run: str | Path) -> Path:
 
 
 def load_resolved(folder: Path) -> Topology:
-    """The topology in a run's folder; UserError if it is another than the resolved one that belongs there."""
+    """Return the topology in a run folder; raise UserError if it is not the resolved one of that run."""
     file = folder / "topology.yaml"
     try:
         with reading(file):
@@ -63,7 +63,7 @@ def load_resolved(folder: Path) -> Topology:
         raise UserError(f"{folder}: has no topology.yaml. Name the folder of a run.", code=Code.RUN_MISSING) from None
     topology = load(str(folder))
     try:
-        network = topology.network  # it draws nothing, and raises where a number is left to chance
+        network = topology.network  # this draws nothing, and raises an error if a number is random
     except (TypeError, ValueError, AttributeError):
         network = None
     if network is None:
@@ -75,7 +75,7 @@ def load_resolved(folder: Path) -> Topology:
 
 @contextlib.contextmanager
 def reading(file: Path) -> Iterator[None]:
-    """Say in words what is wrong with a file that came to harm, or that is another's; FileNotFoundError passes."""
+    """Explain the error of a damaged or foreign file; FileNotFoundError passes."""
     try:
         yield
     except FileNotFoundError:
@@ -88,9 +88,9 @@ def reading(file: Path) -> Iterator[None]:
 
 
 def read_file(file: Path, start: int = 0) -> bytes:
-    """Return the content of a file of a run's folder, from byte `start`; `json_file` bounds what becomes of it.
+    """Return the content of a file of a run folder, from byte `start`; `json_file` bounds its parsed size.
 
-    Raises UserError for a FIFO, a device, a link out of the folder, or more memory than is allowed; FileNotFoundError
+    Raise UserError for a FIFO, a device, a link out of the folder, or more memory than allowed; FileNotFoundError
     passes.
     """
     with reading(file):
@@ -98,7 +98,7 @@ def read_file(file: Path, start: int = 0) -> bytes:
 
 
 def check_file(file: Path) -> int:
-    """Return the size of a file of a run's folder that another library opens by its name; errors as of `read_file`."""
+    """Return the size of a file of a run folder for a library that opens it by name; errors as in `read_file`."""
     with reading(file):
         return check_regular(file, file.parent).st_size
 
@@ -121,7 +121,7 @@ class _Fault(BaseModel):
 
 
 class _Verdict(BaseModel):
-    """What readers of verdict.json go by."""
+    """The keys of verdict.json that readers use."""
 
     verdict: str
     reasons: list[str]
@@ -165,7 +165,10 @@ def load_events(folder: Path) -> list[dict[str, Any]]:
 
 
 def read_events(text: bytes, file: Path) -> list[dict[str, Any]]:
-    """The events of whole lines, a killed writer leaves a piece of one; ValueError for what is none."""
+    """Return the events of complete lines; a killed writer may leave a partial one.
+
+    Raise ValueError for an invalid line.
+    """
     whole = text[: text.rfind(b"\n") + 1]
     budget.require(file, json_file.memory(whole))
     events = [json.loads(line) for line in whole.split(b"\n")[:-1]]

@@ -1,4 +1,4 @@
-"""The folder that a run leaves behind."""
+"""The folder of a run."""
 
 from __future__ import annotations
 
@@ -33,23 +33,23 @@ class RunFolder:
         self.events = path / "events.jsonl"
         self.logs = path / "logs"
         self.processes = path / "processes"
-        """what each process was told"""
+        """the config of each process"""
         self.law = path / LAW
         """a copy of the source of the law, if it is not one of the project"""
         self.made = True
-        """`create` made the folder; else it was there, and empty."""
+        """True if `create` made the folder; otherwise it existed and was empty."""
         self.latest_before: str | None = None
         """The run that runs/latest pointed to before this one."""
         self.note = ""
-        """what could not be done for the run's convenience, in one line"""
+        """a convenience that failed, in one line"""
 
     @property
     def name(self) -> str:
-        """The run's name: that of its folder, with an escape for each byte that is no UTF-8."""
+        """Return the run's name: that of its folder, with an escape for each byte that is not UTF-8."""
         return shown(self.path.name)
 
     def event(self, kind: str, **details: Any) -> None:
-        """Append one line to events.jsonl, if the disk has room: who records the run says it when not."""
+        """Append one line to events.jsonl, if the disk has room; the recorder of the run reports a full disk."""
         line = {
             "time": datetime.now().astimezone().isoformat(timespec="milliseconds"),
             "event": kind,
@@ -60,7 +60,10 @@ class RunFolder:
 
 
 def new_folder(folder: Path, said: str, mode: int = 0o777) -> None:
-    """Make a folder, or take an empty one; UserError if it holds something. `said` is how the user named it."""
+    """Make a folder, or accept an empty one; raise UserError if it is not empty.
+
+    `said` is the name in the user's words.
+    """
     folder.mkdir(mode, parents=True, exist_ok=True)
     if any(folder.iterdir()):
         raise UserError(f"{said}: holds something already; name a new folder", code=Code.OUTPUT)
@@ -68,10 +71,12 @@ def new_folder(folder: Path, said: str, mode: int = 0o777) -> None:
 
 @contextlib.contextmanager
 def whole_folder(folder: Path, said: str, mode: int = 0o777) -> Iterator[Path]:
-    """A folder to fill, beside the new or empty one that it becomes when the block ends well; else nothing is left."""
+    """Provide a folder to fill, beside the final one; it becomes the final one if the block succeeds, and is removed
+    otherwise.
+    """
     made = not folder.exists()
     new_folder(folder, said, mode)
-    # Keep a folder that exists: the user may be in it, or have mounted it there.
+    # Keep an existing folder: the user may be in it, or have mounted it there.
     part = (folder.parent if made else folder) / f".{folder.name}-{os.getpid()}"
     try:
         part.mkdir(mode)
@@ -90,7 +95,7 @@ def whole_folder(folder: Path, said: str, mode: int = 0o777) -> Iterator[Path]:
 
 
 def create(topology: Topology, directory: Path | None) -> RunFolder:
-    """A new folder for a run of the resolved `topology`: `directory` itself, new or empty, or one in runs/."""
+    """Return a new folder for a run of the resolved `topology`: `directory`, new or empty, or one in runs/."""
     made = directory is not None and not directory.exists()
     try:
         if directory is not None:
@@ -147,11 +152,11 @@ def begun_or_withdrawn(folder: RunFolder, begin: Callable[[], T]) -> T:
 
 
 def withdraw(folder: RunFolder) -> None:
-    """Undo `create` for a run that was refused before it began: its folder goes, and runs/latest points back."""
+    """Undo `create` for a run that was refused before it began: remove its folder, and restore runs/latest."""
     _empty(folder.path)
     with contextlib.suppress(OSError):
         if folder.made:
-            folder.path.rmdir()  # fails where the user has put something into it
+            folder.path.rmdir()  # fails if the user has put a file into it
         runs, name = folder.path.parent, folder.path.name
         latest = runs / "latest"
         if latest.is_symlink() and os.readlink(latest) == name:
@@ -162,7 +167,7 @@ def withdraw(folder: RunFolder) -> None:
 
 
 def _empty(folder: Path) -> None:
-    """Remove what `create` has put into a folder."""
+    """Remove the files that `create` wrote into a folder."""
     shutil.rmtree(folder / LAW, ignore_errors=True)
     for path in (folder / "topology.yaml", folder / "logs", folder / "processes"):
         with contextlib.suppress(OSError):
@@ -184,7 +189,7 @@ def _new_in(runs: Path, name: str) -> RunFolder:
 
 
 def _point_latest(runs: Path, path: Path) -> str:
-    """Point runs/latest to a run; return why that cannot be, in one line, else nothing."""
+    """Point runs/latest to a run; return the reason for a failure in one line, otherwise an empty text."""
     # Replace it by a rename, so that `latest` exists at every moment while other runs start.
     link = runs / f".latest-{os.getpid()}"
     try:
@@ -193,12 +198,12 @@ def _point_latest(runs: Path, path: Path) -> str:
     except OSError as error:
         with contextlib.suppress(OSError):
             link.unlink(missing_ok=True)
-        return f"runs/latest: does not point to this run: {error.strerror}. Move what is there away, or name the run."
+        return f"runs/latest: does not point to this run: {error.strerror}. Move that file away, or name the run."
     return ""
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
-    """Write a JSON file that is there whole or not at all."""
+    """Write a JSON file completely or not at all."""
     part = path.with_name(path.name + ".part")
     try:
         part.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")

@@ -73,7 +73,7 @@ def removable(runs: Sequence[Listed], keep: int) -> list[Listed]:
 
 
 def remove(runs: Sequence[Listed], directory: Path) -> None:
-    """Remove run folders, and `latest` if it points to one of them. Raises UserError if a folder stays."""
+    """Remove run folders, and `latest` if it points to one of them. Raises UserError if a folder remains."""
     for one in runs:
         try:
             shutil.rmtree(one.folder)

@@ -1,4 +1,4 @@
-"""Quick figures of a run, for a notebook or a Python prompt; `orchestrator report` draws those for a paper."""
+"""Simple figures of a run, for a notebook or a Python prompt; `orchestrator report` draws those for a paper."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from hedgerow.orchestrator.runs.run import Run
 
 LEGEND_MOST = 12
-"""Nodes that a legend names; more lines would hide the figure."""
+"""The maximum number of nodes in a legend; more lines would hide the figure."""
 
 
 def plot(run: Run, names: Sequence[str]) -> Figure:

@@ -26,7 +26,7 @@ def load_run(run: str | Path = "runs/latest") -> Run:
     if verdict and len(verdict["faults"]) != len(topology.faults):
         raise UserError(
             f"{folder / 'verdict.json'}: has {len(verdict['faults'])} faults, and topology.yaml {len(topology.faults)}."
-            " The two files are of different runs: put back the right one.",
+            " The two files are of different runs: restore the right one.",
             code=Code.FILE_FORMAT,
         )
     return Run(folder, topology, Verdict(verdict.get("verdict", ""), dict(verdict)), load_events(folder), tables)

@@ -1,4 +1,4 @@
-"""The reference: the same plant and the same agents in one process, with no wire between them."""
+"""The reference: the same plant and the same agents in one process, without a network."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from hedgerow.agents.law import Law
 from hedgerow.agents.loading import LawError
 from hedgerow.agents.shard import Shard
 from hedgerow.agents.view import View
@@ -16,15 +17,16 @@ from hedgerow.topologies.graph import Array
 from hedgerow.wire.codec import REPORT_ROWS, End, Telemetry, gather
 
 
-def run(truth: Truth, views: Sequence[View]) -> Iterator[Telemetry | End]:
-    """The telemetry of every step, then the end; equal bit for bit to what the plant sends over the wire.
+def run(truth: Truth, views: Sequence[View], law: Law | None = None) -> Iterator[Telemetry | End]:
+    """Yield the telemetry of every step, then the end; equal bit for bit to the messages of the plant.
 
-    Raises LawError after the end, which is where the law failed.
+    `law` stands for that of the view, if there is one view. Raises LawError after the end, which is where the law
+    failed.
     """
     world, began = World(truth), time.monotonic()
     failure: LawError | None = None
     try:
-        yield from _steps(world, views, truth.steps)
+        yield from _steps(world, views, truth.steps, law)
     except LawError as error:
         failure = error
     yield End(world.t, world.x, time.monotonic() - began, world.links.forgotten)
@@ -32,10 +34,10 @@ def run(truth: Truth, views: Sequence[View]) -> Iterator[Telemetry | End]:
         raise failure
 
 
-def _steps(world: World, views: Sequence[View], steps: int) -> Iterator[Telemetry]:
-    shards = [Shard(view) for view in views]
+def _steps(world: World, views: Sequence[View], steps: int, law: Law | None) -> Iterator[Telemetry]:
+    shards = [Shard(view, law) for view in views]
     ends = {(view.shard, peer.shard): q for view in views for q, peer in enumerate(view.peers)}
-    """By sender and receiver: which peer of the sender's the receiver is."""
+    """By sender and receiver: the index of the receiver among the sender's peers."""
     while world.t < steps:
         world.begin()
         told = world.states()

@@ -1,7 +1,7 @@
-"""Which networks are running, for `ps`, `status` and `stop`, from any working directory.
+"""The registry of running networks, for `ps`, `status` and `stop`, from any working directory.
 
-Each run keeps one small file, locked for as long as its process lives: the kernel lets go of the lock whatever
-ends the process, so a file that can be locked belongs to nobody any more.
+Each run has one small file, locked while its process lives. The kernel releases the lock at any end of the process, so
+a file that can be locked belongs to a dead run.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ class Entry:
     namespace: str
     started: float
     credentials: str | None = None
-    """the folder of the operator's, where the run is secure"""
+    """the operator's folder of credentials, if the run is secure"""
     traces: Sequence[str] = ()
-    """files and folders that must not be there after the run"""
+    """files and folders that must not outlive the run"""
     directory: str = ""
     """the working directory of the run's command"""
 
@@ -46,7 +46,7 @@ class Entry:
 def _directory() -> Path:
     base = os.environ.get("XDG_RUNTIME_DIR", "")
     try:
-        # It may be that of a login which is over, or of another user.
+        # It may belong to a login session that is over, or to another user.
         if not (os.path.isabs(base) and os.path.isdir(base) and os.access(base, os.W_OK | os.X_OK)):
             base = tempfile.gettempdir()
         directory = Path(base) / f"hedgerow-{os.getuid()}"
@@ -60,18 +60,18 @@ def _directory() -> Path:
         ) from None
     if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o077:
         raise UserError(
-            f"{directory}: must be a folder that is yours alone: chmod 700 it, or remove it", code=Code.OUTPUT
+            f"{directory}: must be a folder that only you can read: use chmod 700, or remove it", code=Code.OUTPUT
         )
     return directory
 
 
 def entry_path(run: str) -> Path:
-    """Where this process lists a run of that name."""
+    """Return the path of the entry for a run of that name by this process."""
     return _directory() / f"{run}-{os.getpid()}.json"
 
 
 def secrets_of(listed: Path) -> Path:
-    """Where the credentials of a run lie: beside its entry, in a folder that is its user's alone."""
+    """Return the folder of a run's credentials, beside its entry; only its user can read it."""
     return listed.with_suffix(".keys")
 
 
@@ -84,9 +84,10 @@ def announced(
     credentials: Path | None = None,
     traces: Sequence[Path] = (),
 ) -> Iterator[Path]:
-    """List this process's run while the block lasts; yields the file that does.
+    """List this process's run while the block lasts; yield the file of the entry.
 
-    `credentials` are those of the run's processes, where it is secure; `traces` go with who finds the process dead.
+    `credentials` are those of the run's processes, if it is secure. The next command that finds this process dead
+    removes `traces`.
     """
     path = entry_path(run)
     own = None if credentials is None else str(credentials / OPERATOR)
@@ -104,14 +105,14 @@ def announced(
 
 
 def running() -> list[Entry]:
-    """The networks that run now, the oldest first; what dead ones left is removed in passing."""
+    """Return the running networks, the oldest first; remove the files of dead ones."""
     entries = []
     for path in _directory().glob("*.json"):
         with contextlib.suppress(OSError, UserError), open_regular(path, path.parent) as file:
             content = file.read(_MOST_BYTES)
             if _is_locked(file.fileno()):
                 entries.append(_entry(path, content))
-            elif content:  # else it is being written right now
+            elif content:  # otherwise it is being written right now
                 remove_trace(secrets_of(path))
                 path.unlink(missing_ok=True)
                 for trace in _entry(path, content).traces:
@@ -123,7 +124,7 @@ _MOST_BYTES = 2**20
 
 
 def _entry(path: Path, content: bytes) -> Entry:
-    """Return the entry that a file holds; raise UserError if it is none."""
+    """Return the entry in a file; raise UserError if it is invalid."""
     found = json_file.loads(path, content)
     try:
         entry = Entry(**found)
@@ -160,8 +161,8 @@ def _working_directory() -> str:
 def find(run: str | None) -> Entry:
     """Return the one running network that `run` names: its name, its folder, or the beginning of its name.
 
-    None names all that run. Of several, the one that was started in this working directory is meant. Raises UserError
-    with NETWORK_MISSING if there is none, and with NETWORK_AMBIGUOUS and the list if several are left.
+    None names all running networks. Among several, the one started in this working directory is chosen. Raise UserError
+    with NETWORK_MISSING if there is none, and with NETWORK_AMBIGUOUS and the list if several remain.
     """
     entries = running()
     named = entries if run is None else _named(run, entries)
@@ -182,7 +183,7 @@ def find(run: str | None) -> Entry:
 
 
 def _named(run: str, entries: Sequence[Entry]) -> list[Entry]:
-    """Return the networks of a name or folder; if there are none, those whose name begins with it."""
+    """Return the networks with a name or folder; if there are none, those with a name that begins with it."""
     # A relative path is a folder of this working directory; a bare word is a name first.
     path = os.path.realpath(os.path.expanduser(run)) if run else ""
     for fits in (
@@ -199,7 +200,7 @@ _SHOWN = 20
 
 
 def _listed(entries: Sequence[Entry]) -> str:
-    """Return a line for each network: what to write for it, and where it was started."""
+    """Return a line for each network: its name for commands, and its working directory."""
     counts = Counter(entry.run for entry in entries)
     lines = [
         f"  {entry.run if counts[entry.run] == 1 else entry.folder}"

@@ -41,7 +41,7 @@ def first_difference(run: Run) -> Finding | None:
 def observe(run: Run) -> tuple[Batch, Observer]:
     """Return all rows that the observer computes from the telemetry of a run, and the observer.
 
-    Raises UserError if not all rows were kept, or if topology.yaml is that of another run.
+    Raise UserError if not all rows were recorded, or if topology.yaml belongs to another run.
     """
     run.need_all("an array that is computed from every node")
     observer = Observer(run.topology)

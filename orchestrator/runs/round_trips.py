@@ -1,6 +1,6 @@
-"""How long each process takes to answer its states: a table of every step, and the percentiles of the whole run.
+"""The answer times of each process: a table of every step, and the percentiles of the whole run.
 
-Times are of the wall clock, and other ones in every run: they stand apart from the tables that are the same to the bit.
+The times are of the wall clock and differ from run to run, so they are not in the tables that are equal bit for bit.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from hedgerow.wire.codec import Trips
 TABLE = "round_trips"
 SCHEMA = pa.schema([("step", pa.int64()), ("process", pa.string()), ("round_trip_ms", pa.float64())])
 SHORTEST_MS, RATIO, BINS = 1e-3, 1.02, 1200
-"""A run of days has too many to be sorted: they are counted in bins, each so much wider than the one before."""
+"""A long run has too many times to sort: they are counted in bins, each wider than the last by this ratio."""
 PERCENTILES = {"median_ms": 0.5, "p99_ms": 0.99}
 SHOWN = 3
-"""Of more processes the slowest are told: a line of a terminal has room for no more."""
+"""The maximum number of processes in a line; with more, it shows the slowest."""
 
 
 class RoundTrips:
-    """Those of a run, process by process; OSError when the disk is full."""
+    """The answer times of a run, process by process; OSError when the disk is full."""
 
     def __init__(self, processes: Sequence[str], folder: Path) -> None:
         self._processes, self._names = processes, names(processes)
@@ -39,7 +39,7 @@ class RoundTrips:
         self._writer = pa.ipc.new_stream(pa.OSFile(spelled(self._stream), "wb"), SCHEMA)
 
     def take(self, trips: Trips) -> None:
-        """Take in those of some steps."""
+        """Record the answer times of some steps."""
         ms = np.round(1e3 * trips.seconds, 3)
         steps, p = ms.shape
         there = ~np.isnan(ms)
@@ -63,7 +63,7 @@ class RoundTrips:
             self._stream.unlink()
 
     def summary(self) -> dict[str, dict[str, float | int | None]]:
-        """By process, as verdict.json holds it: `answers`, and percentiles to 1 %."""
+        """Return the statistics by process as in verdict.json: `answers`, and percentiles with an error of 1 %."""
         return {
             name: _figures(counts, float(most))
             for name, counts, most in zip(self._processes, self._counts, self._max, strict=True)
@@ -71,13 +71,13 @@ class RoundTrips:
 
 
 def processes_of(folder: Path, topology: Topology) -> list[str]:
-    """Whose round trips a run's folder holds; nobody's where nothing crossed a wire."""
+    """Return the names of the processes with answer times in a run folder; empty for a run without Zenoh."""
     there = any((folder / f"{TABLE}.{kind}").exists() for kind in ("arrows", "parquet"))
     return process_names(topology) if there else []
 
 
 def trips_in(batch: pa.RecordBatch) -> Trips:
-    """Those of the steps in a batch of the table."""
+    """Return the answer times in a batch of the table."""
     step = batch["step"].to_numpy()
     steps = int(step[-1] - step[0]) + 1
     return Trips(int(step[0]), batch["round_trip_ms"].to_numpy(zero_copy_only=False).reshape(steps, -1) / 1e3)
@@ -94,7 +94,7 @@ def _figures(counts: Any, most: float) -> dict[str, float | int | None]:
 
 
 def line(summary: Mapping[str, Mapping[str, Any]]) -> str:
-    """What is said of it in one line: the slowest processes; nothing where nobody answered."""
+    """Return one line about the slowest processes; empty without answers."""
     answered = [(name, figures) for name, figures in summary.items() if figures["answers"]]
     if not answered:
         return ""

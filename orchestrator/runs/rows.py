@@ -18,7 +18,7 @@ def spread(values: NDArray[Any], steps: Index, rows: int, missing: Any) -> NDArr
     known = int(np.searchsorted(steps, rows))
     if known == rows:
         return frozen(values[:rows])
-    # The file gives the steps: one wrong number could ask for any number of rows.
+    # The file gives the steps: one wrong number could request any number of rows.
     budget.require(f"{rows} steps", rows * values[:1].nbytes)
     spread = np.full((rows, *values.shape[1:]), missing, values.dtype)
     spread[steps[:known]] = values[:known]

@@ -70,10 +70,10 @@ def _total(name: str) -> cached_property[Array]:
 class Run:
     """A run of T steps, n nodes and E edges, from a simulation, over Zenoh, from a test, or loaded from its folder.
 
-    Row t of every array is step t. A row that was not recorded holds NaN, -1 in `index` and `right`, and False in
-    flags. Columns are nodes or edges in the order of the file; `record:` may keep only some of them. Arrays are
-    read-only. Two runs are equal if all bits of their states, estimates, inputs and disturbances are equal.
-    docs/theory.md has the formulas.
+    Row t of every array is step t. A row that was not recorded is NaN, -1 in `index` and `right`, and False in flags.
+    Columns are nodes or edges in the order of the file; `record:` may select some of them. Arrays are read-only. Two
+    runs are equal if all bits of their states, estimates, inputs and disturbances are equal. docs/theory.md has the
+    formulas.
     """
 
     folder: Path
@@ -98,7 +98,7 @@ class Run:
 
     @cached_property
     def kept(self) -> Kept:
-        """The steps, nodes and edges that have rows."""
+        """Return the steps, nodes and edges that have rows."""
         return kept(self.topology)
 
     @property
@@ -107,7 +107,7 @@ class Run:
         return self.kept.whole
 
     def need_all(self, what: str) -> None:
-        """Raise UserError if some rows were not kept; `what` names the purpose that needs them."""
+        """Raise UserError if some rows were not recorded; `what` names the purpose that needs them."""
         if not self.whole:
             again = command(["orchestrator", "simulate", self.folder, "--set", "record={nodes: all}"])
             raise UserError(
@@ -129,17 +129,17 @@ class Run:
 
     @property
     def name(self) -> str:
-        """The name of the run folder."""
+        """Return the name of the run folder."""
         return self.folder.name
 
     @property
     def law(self) -> str:
-        """The name of the law, or `package.module:Class`."""
+        """Return the name of the law, or `package.module:Class`."""
         return self.topology.law
 
     @cached_property
     def T(self) -> int:  # noqa: N802 (the paper's name)
-        """The number of steps whose inputs and following state are recorded: the last row of `x` is x(T)."""
+        """Return the number of steps with recorded inputs and next states: the last row of `x` is x(T)."""
         steps, edges = self.recorded, len(self.edges)
         if not edges or not len(steps):
             return int(steps[-1]) if len(steps) else 0
@@ -151,57 +151,57 @@ class Run:
 
     @property
     def steps(self) -> int:
-        """The number of steps, T."""
+        """Return the number of steps, T."""
         return self.T
 
     @property
     def b(self) -> Gain:
-        """The gain b of equation (1): one number, or one per node, (n,)."""
+        """Return the gain b of equation (1): one number, or one per node, (n,)."""
         b = self.topology.network.b
         return b if isinstance(b, float) else frozen(b[self.kept.nodes])
 
     @cached_property
     def weights(self) -> Array:
-        """The weight of each edge, (E,)."""
+        """Return the weight of each edge, (E,)."""
         weights = self.topology.graph.weights
         return frozen(np.ones(len(self.kept.edges)) if weights is None else weights[self.kept.edges])
 
     @cached_property
     def ids(self) -> tuple[int | str, ...]:
-        """Node ids in the order of the columns."""
+        """Return the node ids in the order of the columns."""
         every = self.topology.ids
         return tuple(every) if self.kept.all_nodes else tuple(every[k] for k in self.kept.nodes.tolist())
 
     @cached_property
     def edges(self) -> Index:
-        """The positions in `ids` of the two ends of each edge, -1 for a node without rows, (E, 2)."""
+        """Return the positions in `ids` of the two ends of each edge, -1 for a node without rows, (E, 2)."""
         places = np.full(self.topology.graph.n, -1)
         places[self.kept.nodes] = np.arange(len(self.kept.nodes))
         return frozen(places[self.topology.graph.edges[self.kept.edges]])
 
     @cached_property
     def candidates(self) -> Array:
-        """The candidates of each node, padded with NaN, (n, M)."""
+        """Return the candidates of each node, padded with NaN, (n, M)."""
         return frozen(self.topology.network.candidates[:, self.kept.nodes].T.copy())
 
     @cached_property
     def nominal(self) -> Array:
-        """The a that the nominal controller assumes, (n,)."""
+        """Return the a that the nominal controller assumes, (n,)."""
         return frozen(self.topology.network.nominal[self.kept.nodes])
 
     @cached_property
     def gamma_star(self) -> float:
-        """The optimal gain of the oracle for the a of step 0."""
+        """Return the optimal gain of the oracle for the a of step 0."""
         return self.topology.network.gamma_star
 
     @cached_property
     def rows(self) -> Index:
-        """The steps up to T that have rows, ascending, (K,)."""
+        """Return the steps up to T that have rows, ascending, (K,)."""
         return frozen(self.recorded[self.recorded <= self.T].copy())
 
     @cached_property
     def lost(self) -> Index:
-        """The steps before T whose telemetry was lost, (L,)."""
+        """Return the steps before T that lost their telemetry, (L,)."""
         due = np.arange(self.T)
         if not self.whole and "summary" in self.tables:
             return frozen(np.setdiff1d(due, self.tables["summary"].steps(1)))
@@ -225,22 +225,22 @@ class Run:
 
     @cached_property
     def index(self) -> NDArray[np.int32]:
-        """The position of ahat among the candidates, from 0; -1 where there is no estimate, (T, n)."""
+        """Return the position of ahat among the candidates, from 0; -1 without an estimate, (T, n)."""
         return frozen(np.nan_to_num(self._of_nodes("index", self.T, np.nan), nan=-1.0).astype(np.int32))
 
     @cached_property
     def wrong(self) -> NDArray[np.bool_]:
-        """True where ahat is a candidate other than the truth, (T, n)."""
+        """Return True where ahat is a candidate other than the truth, (T, n)."""
         return frozen((self.index >= 0) & np.isfinite(self.ahat) & (self.ahat != self.a[: self.T]))
 
     @property
     def real_estimates(self) -> bool:
-        """Return True if some estimate is no candidate: the law estimates real numbers."""
+        """Return True if some estimate is not a candidate: the law estimates real numbers."""
         return bool((np.isfinite(self.ahat) & (self.index < 0)).any())
 
     @cached_property
     def u_edge(self) -> Array:
-        """The input u_j - u_i of each edge (i, j), 0 where it was closed, (T, E)."""
+        """Return the input u_j - u_i of each edge (i, j), 0 where it was closed, (T, E)."""
         return self._of_edges("u_edge", np.nan)
 
     edge_open = _flags("open")
@@ -252,17 +252,17 @@ class Run:
 
     @cached_property
     def regret(self) -> Array:
-        """The regret r_i = |x_i - x_i*| of each node, the paper's figure 4, (T + 1, n)."""
+        """Return the regret r_i = |x_i - x_i*| of each node, the paper's figure 4, (T + 1, n)."""
         return frozen(np.abs(self.x - self.x_oracle))
 
     @cached_property
     def nominal_gap(self) -> Array:
-        """The distance |x_i* - x_i^nom| of the two twins, the paper's figure 5, (T + 1, n)."""
+        """Return the distance |x_i* - x_i^nom| of the two twins, the paper's figure 5, (T + 1, n)."""
         return frozen(np.abs(self.x_oracle - self.x_nominal))
 
     @cached_property
     def a(self) -> Array:
-        """The true a of each step, jumps included, (T, n)."""
+        """Return the true a of each step, jumps included, (T, n)."""
         if self.whole:
             return self._by_step(self._observed[0].a)
         nodes = self.kept.nodes
@@ -278,7 +278,9 @@ class Run:
 
     @cached_property
     def identifiable(self) -> Mask:
-        """True if the candidate nearest to a_LS is the truth; the first of equally near ones counts, (T, n)."""
+        """Return True where the candidate nearest to a_LS is the truth; the first of equally near ones counts, (T,
+        n).
+        """
         nearest = np.broadcast_to(self.candidates[:, 0], self.a_ls.shape)
         for rival in self.candidates.T[1:]:
             nearest = np.where(np.abs(self.a_ls - rival) < np.abs(self.a_ls - nearest), rival, nearest)
@@ -286,7 +288,7 @@ class Run:
 
     @cached_property
     def faultless(self) -> bool:
-        """True if all edges were open and no a jumped at any step, as gamma* assumes."""
+        """Return True if all edges were open and no a jumped at any step, as gamma* assumes."""
         return bool(self.edge_open.all() and (self.a == self.a[:1]).all())
 
     cost = _total("cost")
@@ -302,19 +304,19 @@ class Run:
 
     @cached_property
     def cost_regret(self) -> Array:
-        """The cost regret R = C - C*, signed, (T,)."""
+        """Return the cost regret R = C - C*, signed, (T,)."""
         return frozen(self.cost_sum - self.cost_oracle_sum)
 
     @cached_property
     def right(self) -> NDArray[np.int64]:
-        """The number of estimates that are right, (T,)."""
+        """Return the number of right estimates, (T,)."""
         if self.whole:
             return self._by_step(self._observed[0].right)
         return frozen(np.nan_to_num(self._summed("right", self.T), nan=-1.0).astype(np.int64))
 
     @cached_property
     def regret_sum(self) -> Array:
-        """The regret D(t), the cumulative sum of r_i^2 including the final state, (T + 1,)."""
+        """Return the regret D(t), the cumulative sum of r_i^2 including the final state, (T + 1,)."""
         if not self.whole:
             return self._summed("regret_sum", self.T + 1)
         batch, observer = self._observed
@@ -322,7 +324,7 @@ class Run:
 
     @cached_property
     def nominal_regret_sum(self) -> Array:
-        """The regret D(t) of the nominal twin, (T + 1,)."""
+        """Return the regret D(t) of the nominal twin, (T + 1,)."""
         if not self.whole:
             return self._summed("nominal_regret_sum", self.T + 1)
         batch, observer = self._observed
@@ -330,18 +332,19 @@ class Run:
 
     @cached_property
     def gain(self) -> Array:
-        """The empirical gain sqrt(C / sum |w|^2), NaN until w is not 0, (T,)."""
+        """Return the empirical gain sqrt(C / sum |w|^2), NaN until w is not 0, (T,)."""
         return frozen(gain(self.cost_sum, self.energy_sum))
 
     @cached_property
     def gain_less_x0(self) -> Array:
-        """The empirical gain after subtracting V(x(0)), a bound on the oracle's cost of x(0), from C, (T,)."""
+        """Return the empirical gain with V(x(0)), a bound on the oracle's cost of x(0), subtracted from C, (T,)."""
         network = self.topology.network
         return frozen(gain(self.cost_sum, self.energy_sum, float(storage(network.x0[None], network.a)[0])))
 
     @cached_property
     def ceiling(self) -> Array:
-        """The least bound on the gain of the law that holds at each step, NaN without one, (T,); docs/guarantee.md.
+        """Return the smallest valid bound on the gain of the law at each step, NaN without one, (T,);
+        docs/guarantee.md.
 
         It bounds the gain from x(0) = 0.
         """
@@ -356,7 +359,7 @@ class Run:
 
     @property
     def metrics(self) -> dict[str, float | int | None]:
-        """The final numbers, as in verdict.json."""
+        """Return the final numbers, as in verdict.json."""
         if not self.whole and self.verdict.content.get("metrics"):
             return dict(self.verdict.content["metrics"])
         return self._observed[1].summary()
@@ -371,7 +374,7 @@ class Run:
 
     @cached_property
     def heard(self) -> Mask:
-        """True if the message of a step arrived in that step, by incidence of `topology.graph`, (T, 2E)."""
+        """Return True where the message of a step arrived in that step, by incidence of `topology.graph`, (T, 2E)."""
         self.need_all("the messages by incidence")
         heard = np.empty((self.T, 2 * len(self.edges)), dtype=np.bool_)
         ends = at_ends(self.topology.graph)
@@ -380,7 +383,7 @@ class Run:
 
     @cached_property
     def truth(self) -> Array:
-        """The true a before any jump, (n,)."""
+        """Return the true a before any jump, (n,)."""
         return frozen(self.topology.network.a[self.kept.nodes])
 
     def column(self, node: NodeId) -> int:
@@ -399,7 +402,7 @@ class Run:
         return Estimates(self, t)
 
     def missing(self, link: Pair) -> list[int]:
-        """Return the steps whose message from the first node of `link` to the second was lost or late."""
+        """Return the steps with a lost or late message from the first node of `link` to the second."""
         sender, receiver = map(self.column, link)
         for column, (i, j) in enumerate(self.edges.tolist()):
             if (i, j) in ((sender, receiver), (receiver, sender)):
@@ -482,5 +485,5 @@ class Run:
 
     @cached_property
     def _observed(self) -> tuple[Batch, Observer]:
-        """The result of the observer for this telemetry."""
+        """Return the result of the observer for this telemetry."""
         return replayed.observe(self)

@@ -1,4 +1,4 @@
-"""What of a run gets rows: some steps, some nodes, and the edges at these nodes; by `record:` of the topology."""
+"""The selection of rows: some steps, some nodes, and the edges at these nodes, by `record:` of the topology."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from hedgerow.topologies.schema import Topology
 
 @dataclass(frozen=True, eq=False)
 class Kept:
-    """Which steps, nodes and edges of a network with n nodes have rows."""
+    """The steps, nodes and edges with rows, in a network of n nodes."""
 
     graph: Graph
     every: int
     steps: int
-    """T of the run, where it is not stopped"""
+    """T of the run, unless it is stopped"""
     nodes: Index
     """positions, ascending, (k,)"""
 
@@ -29,12 +29,12 @@ class Kept:
 
     @property
     def whole(self) -> bool:
-        """Whether nothing is left out."""
+        """Return True if everything is selected."""
         return self.every == 1 and self.all_nodes
 
     @cached_property
     def edges(self) -> Index:
-        """Which edges lead to or from one of the nodes, ascending, (e,)."""
+        """Return the indices of the edges at one of the nodes, ascending, (e,)."""
         if self.all_nodes:
             return np.arange(len(self.graph.edges))
         kept = np.zeros(self.graph.n, dtype=np.bool_)
@@ -55,7 +55,7 @@ class Kept:
 
 
 def kept(topology: Topology) -> Kept:
-    """What has rows in a run of a resolved topology."""
+    """Return the selection for a run of a resolved topology."""
     n, chosen = len(topology.ids), topology.record.nodes
     match chosen:
         case int():
@@ -68,12 +68,12 @@ def kept(topology: Topology) -> Kept:
 
 
 def evenly(n: int, some: int) -> Index:
-    """So many positions of n, evenly spread, the first among them; all where there are no more."""
+    """Return `some` positions of n, evenly spread, the first included; all if n is smaller."""
     return np.arange(n) if some >= n else np.arange(some) * n // max(some, 1)
 
 
 def told(topology: Topology) -> Sequence[str]:
-    """What is not written down of a run and how all of it would be, a line; nothing where all is."""
+    """Return lines about the parts that are not recorded, and how to record them; empty if everything is."""
     what = kept(topology)
     if what.whole and topology.record.summary:
         return []

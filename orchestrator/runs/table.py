@@ -1,4 +1,4 @@
-"""A table of a run, as far as it has come: of steps and nodes, of steps and edges, or of steps."""
+"""A table of a run, complete or growing: of steps and nodes, of steps and edges, or of steps."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ FRAMES = ("arrow", "pandas", "polars")
 
 
 def there_is(folder: Path, name: str) -> bool:
-    """Whether a run left a table, or has begun one."""
+    """Return True if a run has a table, complete or growing."""
     return any((folder / f"{name}.{form}").exists() for form in ("parquet", "arrows"))
 
 
 class Table:
-    """One table of a run: its Parquet file or, as long as there is none, the whole batches of its Arrow stream."""
+    """One table of a run: its Parquet file or, before that exists, the complete batches of its Arrow stream."""
 
     def __init__(self, folder: Path, name: str) -> None:
         self.parquet, stream = folder / f"{name}.parquet", folder / f"{name}.arrows"
         self._stream: Any = None
         self._taken: set[str] = set()
-        """columns that were read whole"""
+        """columns that were read completely"""
         self._longest: dict[str, int] = {}
-        """bytes of the longest text in a column"""
-        with contextlib.suppress(FileNotFoundError), reading(stream):  # it has become the Parquet file just now
+        """the length of the longest text in a column [bytes]"""
+        with contextlib.suppress(FileNotFoundError), reading(stream):  # it has just become the Parquet file
             if not self.parquet.exists() and stream.exists():
                 self._stream = _so_far(stream)
         self.path = self.parquet if self._stream is None else stream
@@ -55,7 +55,7 @@ class Table:
 
     @property
     def over(self) -> bool:
-        """Whether the Parquet file is there."""
+        """Return True if the Parquet file exists."""
         return self._file is not None
 
     @property
@@ -63,20 +63,22 @@ class Table:
         return self._stream.schema if self._file is None else self._file.schema_arrow
 
     def _require(self, *names: str) -> None:
-        """Raise UserError if these columns, with those that were read before, take more memory than is allowed."""
+        """Raise UserError if these columns, with those read before, take more memory than allowed."""
         self._taken.update(names)
         with reading(self.path):
             row = self._row(self._taken)
         rows = self._stream.num_rows if self._file is None else self._file.metadata.num_rows
-        # What the file says of its size on disk is not asked: repeated values take no room there.
+        # Do not use the size on disk: repeated values take no room there.
         budget.require(self.path, rows * row)
 
     def _row(self, names: Iterable[str]) -> int:
-        """Return the bytes of memory that a row of these columns takes at most."""
+        """Return an upper bound of the memory of a row of these columns [bytes]."""
         return sum(self._width(name) for name in names)
 
     def _width(self, name: str) -> int:
-        """Return the bytes that a value of a column takes at most, at least 8: numbers become float64 on the way."""
+        """Return an upper bound of the size of a value of a column [bytes], at least 8: numbers become float64 in
+        between.
+        """
         kind = self.schema.field(name).type
         if pa.types.is_primitive(kind):
             return max(8, int(kind.bit_width) // 8)
@@ -87,7 +89,7 @@ class Table:
                 code=Code.FILE_FORMAT,
             )
         if name not in self._longest:
-            # A text of a stream stands there for each row.
+            # In a stream, each row has its own copy of a text.
             self._longest[name] = 8 + (0 if self._file is None else _longest(self.parquet, self._file.metadata, name))
         return self._longest[name]
 
@@ -98,7 +100,7 @@ class Table:
             return self._stream if self._file is None else self._file.read()
 
     def batches(self) -> Iterator[Any]:
-        """The same in parts that fit into memory."""
+        """Yield the table in parts that fit into memory."""
         if self._file is None:
             yield from self._stream.to_batches()
             return
@@ -109,7 +111,7 @@ class Table:
             yield from self._file.iter_batches(batch_size=rows)
 
     def column(self, name: str, width: int) -> NDArray[Any]:
-        """One column, a row a recorded step, (K, width); NaN where a number is null."""
+        """Return one column, one row per recorded step, (K, width); NaN for null."""
         if name not in self.schema.names:
             raise UserError(
                 f"{self.path}: has no column {name}: another version of hedgerow wrote it", code=Code.FILE_FORMAT
@@ -123,11 +125,11 @@ class Table:
             return values.reshape(-1, width)
 
     def steps(self, width: int) -> Index:
-        """The step of each row of `column`, (K,)."""
+        """Return the step of each row of `column`, (K,)."""
         rows = self._stream.num_rows if self._file is None else self._file.metadata.num_rows
         if rows % width:
             raise UserError(
-                f"{self.path}: {rows} rows are no whole steps of {width}; topology.yaml is another's",
+                f"{self.path}: {rows} rows are no whole steps of {width}; topology.yaml belongs to another run",
                 code=Code.FILE_FORMAT,
             )
         budget.require(self.path, 8 * (rows // width))
@@ -139,7 +141,7 @@ class Table:
         return steps
 
     def _last_step(self) -> int:
-        """Of a table with rows in it."""
+        """Return the last step of a table with rows."""
         if "step" not in self.schema.names:
             return -1
         with reading(self.path):
@@ -150,7 +152,7 @@ class Table:
         return last if isinstance(last, int) else -1
 
     def frame(self, kind: str) -> Any:
-        """All of it: a pyarrow.Table, or a frame of "pandas" or "polars"."""
+        """Return the whole table: a pyarrow.Table, or a frame of "pandas" or "polars"."""
         if kind not in FRAMES:
             raise UserError(f"{kind!r} is no kind of table; there are {', '.join(FRAMES)}", code=Code.OPTION)
         if kind == "arrow":
@@ -165,19 +167,19 @@ class Table:
             ) from None
         if kind == "polars":
             return library.from_arrow(self.whole())
-        # With nulls in it, a column of whole numbers would become one of floats.
+        # With nulls, a column of whole numbers would become floats.
         return self.whole().to_pandas(types_mapper={pa.int32(): library.Int32Dtype()}.get)
 
 
 _MOST_ROWS, _PART_BYTES = 65_536, 64 * 2**20
-"""of one part of a table"""
+"""the limits of one part of a table"""
 
 
 def _longest(file: Path, metadata: Any, name: str) -> int:
-    """Return the bytes of the longest text in a column of a Parquet file.
+    """Return the length of the longest text in a column of a Parquet file [bytes].
 
-    A text that repeats stands in the file once, so one of 100 MB can be that of each of 10^6 rows. Read as a
-    dictionary, each text stays single.
+    The file has a repeated text only once, so a text of 100 MB can be in each of 10^6 rows. A dictionary column keeps
+    each text once in memory.
     """
     column = metadata.schema.to_arrow_schema().names.index(name)
     groups = [metadata.row_group(k) for k in range(metadata.num_row_groups)]
@@ -193,18 +195,18 @@ def _longest(file: Path, metadata: Any, name: str) -> int:
 
 
 def _so_far(stream: Path) -> Any:
-    """An Arrow stream as a table that stays in the file, up to its last whole batch."""
+    """Return an Arrow stream as a table that stays in the file, up to its last complete batch."""
     size = check_file(stream)
     try:
         schema, batches = arrow_stream.batches(stream)
-    except (pa.ArrowInvalid, EOFError):  # not even what the columns are
+    except (pa.ArrowInvalid, EOFError):  # even the schema is missing
         raise UserError(f"{stream.parent}: no step of the run is recorded yet", code=Code.RUN_MISSING) from None
     taken, found = 0, []
     for batch in batches:
         found.append(batch)
         taken += batch.nbytes
-        # Batches stay in the file, except those that are compressed: no run writes those.
+        # Batches stay in the file, except compressed ones, which no run writes.
         budget.require(stream, max(0, taken - size))
     table = pa.Table.from_batches(found, schema)
-    table.validate(full=True)  # a text whose offsets came to harm would be read from anywhere in memory
+    table.validate(full=True)  # a text with damaged offsets would be read from anywhere in memory
     return table

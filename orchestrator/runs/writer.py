@@ -1,8 +1,8 @@
-"""The tables of a run: telemetry.parquet, one row a step and node, edges.parquet, one row a step and edge, and
-summary.parquet, one row a step. `record:` of the topology says which nodes and steps have rows in the first two.
+"""The tables of a run: telemetry.parquet with one row per step and node, edges.parquet with one row per step and edge,
+and summary.parquet with one row per step. `record:` of the topology selects the nodes and steps of the first two.
 
-While the run goes on, rows are kept in Arrow streams, which can be read up to their last batch however the run
-ends; at the end they become Parquet, in row groups of one size, so that equal runs leave equal files.
+During the run, rows are in Arrow streams, which can be read up to their last batch after any end. At the end they
+become Parquet, in row groups of one size, so equal runs have equal files.
 """
 
 from __future__ import annotations
@@ -55,13 +55,15 @@ class _Table:
         self._full = False
 
     def append(self, columns: dict[str, pa.Array]) -> None:
-        """Append some rows; OSError when the disk is full, and then the stream ends with the last whole rows."""
+        """Append some rows; raise OSError when the disk is full, and then the stream ends with the last complete
+        rows.
+        """
         arrays = [columns[name] for name in self.schema.names]
         whole = self._file.tell()
         try:
             self._writer.write_batch(pa.RecordBatch.from_arrays(arrays, schema=self.schema))
         except OSError:
-            # What was written in part is of no use, and the verdict needs the room.
+            # A partial row is useless, and the verdict needs the space.
             self._full = True
             os.truncate(self.stream, whole)
             raise
@@ -69,14 +71,14 @@ class _Table:
     def close(self) -> None:
         if not self.stream.exists():
             return
-        if not self._full:  # else an end of the stream would be written behind a hole
+        if not self._full:  # otherwise the end of the stream would follow a gap
             self._writer.close()
         to_parquet(self.stream, self.parquet)
         self.stream.unlink()
 
 
 def to_parquet(stream: Path, parquet: Path) -> None:
-    """Turn an Arrow stream, whole or cut short, into a Parquet file, which is there whole or not at all."""
+    """Turn an Arrow stream, complete or not, into a Parquet file, which is written completely or not at all."""
     part = parquet.with_suffix(".parquet.part")
     try:
         with (
@@ -92,7 +94,7 @@ def to_parquet(stream: Path, parquet: Path) -> None:
 
 
 def _row_groups(reader: Any) -> Iterator[pa.Table]:
-    """The stream as tables of a multiple of ROW_GROUP rows, and the rest."""
+    """Yield the stream as tables of a multiple of ROW_GROUP rows, and the rest."""
     waiting: list[pa.RecordBatch] = []
     rows = 0
     for batch in whole_batches(reader):
@@ -107,7 +109,7 @@ def _row_groups(reader: Any) -> Iterator[pa.Table]:
 
 
 def whole_batches(reader: Any) -> Iterator[pa.RecordBatch]:
-    """The batches of an Arrow stream, up to where a writer that was killed left off."""
+    """Yield the batches of an Arrow stream, up to the point where the writer was killed."""
     while True:
         try:
             yield reader.read_next_batch()
@@ -115,7 +117,7 @@ def whole_batches(reader: Any) -> Iterator[pa.RecordBatch]:
             StopIteration,
             pa.ArrowInvalid,
             OSError,
-        ):  # the end, or where a killed writer left off
+        ):  # the end, or the point where the writer was killed
             return
 
 
@@ -130,7 +132,7 @@ SUMMARY = {
 
 
 def summary(batch: Batch) -> dict[str, NDArray[Any]]:
-    """What is true of the whole network at each step of a batch, by name of the column, (B,)."""
+    """Return the facts of the whole network at each step of a batch, by name of the column, (B,)."""
     x, u = np.abs(batch.x), np.abs(batch.u)
     missing = np.isnan(u)
     if missing.any():
@@ -154,7 +156,7 @@ def summary(batch: Batch) -> dict[str, NDArray[Any]]:
 
 
 def checksums(*columns: NDArray[Any]) -> Index:
-    """A CRC-32 of each row of some arrays, one after the other: all NaN are alike, as are all nulls of a table."""
+    """Return a CRC-32 of each row over some arrays: all NaN are equal, and so are all nulls of a table."""
     same = [
         np.where(np.isnan(one), np.nan, one) if one.dtype.kind == "f" and np.isnan(one).any() else one
         for one in columns
@@ -164,7 +166,7 @@ def checksums(*columns: NDArray[Any]) -> Index:
 
 
 class Recorder:
-    """Writes what the observer computes to the tables of a run's folder; OSError when the disk is full."""
+    """The writer of the observer's results to the tables of a run folder; OSError when the disk is full."""
 
     def __init__(self, topology: Topology, folder: Path) -> None:
         node = _id_type(topology)
@@ -246,14 +248,14 @@ class Recorder:
                 "i_hears": column(of(batch.link_up, self._hears[:, 0])),
                 "j_hears": column(of(batch.link_up, self._hears[:, 1])),
             }
-        # A few steps at a time: where the disk is full, only the last of them are lost.
+        # Write a few steps at a time: when the disk is full, only the last of them are lost.
         for first in range(0, len(rows), STEPS_AT_ONCE):
             for table, columns, width in ((self._telemetry, telemetry, n), (self._edge_inputs, edges, e)):
                 if columns:
                     table.append({k: one.slice(first * width, STEPS_AT_ONCE * width) for k, one in columns.items()})
 
     def write_end(self, observer: Observer, end: End) -> None:
-        """Append the last states: at step T nothing acts, so all but the states is null."""
+        """Append the last states: at step T no input acts, so all other columns are null."""
         nodes, n = self._nodes, len(self._nodes)
         nothing = {name: pa.nulls(n, pa.float64()) for name in ("u", "w", "ahat", "margin")}
         if n:

@@ -1,11 +1,11 @@
-"""Networks in tests: what the fixture `network` gives, runs, and leaves (docs/testing.md).
+"""Networks in tests: the fixture `network`, its scenarios, and their runs (docs/testing.md).
 
-The pytest plugin lies in this package, so nothing heavy is loaded before a name is used.
+The pytest plugin is in this package, so each module loads at the first use of its names.
 """
 
 from __future__ import annotations
 
-TYPE_CHECKING = False  # the one of typing takes a while to load
+TYPE_CHECKING = False  # the constant of typing takes time to load
 if TYPE_CHECKING:
     from hedgerow.orchestrator.launch.running import Running
     from hedgerow.orchestrator.runs.difference import Estimates
@@ -25,7 +25,7 @@ __all__ = ["Estimates", "Networks", "Run", "Running", "Scenario", "check_law"]
 
 
 def __getattr__(name: str) -> object:
-    """Load the module of a public name when it is first used."""
+    """Load the module of a public name at its first use."""
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module  # noqa: PLC0415

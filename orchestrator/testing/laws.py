@@ -1,4 +1,4 @@
-"""The contract test of laws, for the tests of people who write them."""
+"""The contract test of laws, for the tests of their authors."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from hedgerow.topologies.named import Named, resolved
 
 
 def check_law(law: type[Any] | str, network: Named | None = None, /, **parameters: Any) -> None:
-    """Raise LawError if a law breaks the contract of laws; the message names the line, the method and a cure.
+    """Raise LawError if a law breaks the contract of laws; the message names the line, the method and a fix.
 
     `law` is a class, or the text of a choice such as `mylaws:RLS(p0=10)`. `network` gives the candidates of the test;
-    by default the test has five nodes of its own. Raises UserError for a wrong parameter. Every run makes this test
-    before it begins.
+    by default the test uses five nodes. Raises UserError for a wrong parameter. Every run makes this test before it
+    begins.
     """
     name = law if isinstance(law, str) else f"{law.__module__}:{law.__qualname__}"
     given, tested = parameters, law
@@ -28,6 +28,7 @@ def check_law(law: type[Any] | str, network: Named | None = None, /, **parameter
     trial, seed = None, 0
     if network is not None:
         topology = resolved(network)
-        trial, seed = Trial.of(topology.network.ids, topology.network.b, candidates_of(topology)), law_seed(topology)
+        drawn, seed = topology.network, law_seed(topology)
+        trial = Trial.of(drawn.ids, drawn.b, candidates_of(topology), drawn.graph.weight is not None)
     label = name.partition("(")[0]
     _check(tested, trial, with_defaults(tested, given, f"law {label}"), label, seed)

@@ -1,4 +1,4 @@
-"""The pytest plugin: the fixture `network`, and failures that say what was lost on the way (docs/testing.md).
+"""The pytest plugin: the fixture `network`, and failure messages with the lost messages (docs/testing.md).
 
 Nothing heavy is imported before a test asks for the fixture.
 """
@@ -15,12 +15,14 @@ if TYPE_CHECKING:
     from hedgerow.orchestrator.testing import Networks, Run
 
 _RESULTS = pytest.StashKey[list["Run"]]()
-"""The runs that the test at hand has made."""
+"""The runs of the current test."""
 
 
 @pytest.fixture(scope="session")
 def network(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Networks:
-    """Networks to test with: `network("paper7").drop((2, 4), steps=range(10, 20)).run()`; see orchestrator.testing."""
+    """Return the maker of networks: `network("paper7").drop((2, 4), steps=range(10, 20)).run()`; see
+    orchestrator.testing.
+    """
     from hedgerow.orchestrator.launch import live, running  # noqa: PLC0415
     from hedgerow.orchestrator.runs import run  # noqa: PLC0415
     from hedgerow.orchestrator.testing import Networks, scenario  # noqa: PLC0415
@@ -32,26 +34,26 @@ def network(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
 
 
 def _is_the_users(mistake: pytest.ExceptionInfo[BaseException]) -> bool:
-    """Of a mistake in a test the test's own line is shown, and none of ours."""
+    """Return True for a mistake in a test: pytest then shows the line of the test alone."""
     from hedgerow.topologies.errors import UserError  # noqa: PLC0415
 
     return isinstance(mistake.value, UserError)
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """A place for the runs of a test."""
+    """Provide a place for the runs of a test."""
     config.stash[_RESULTS] = []
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """The next test has made no runs yet."""
+    """Forget the runs of the previous test."""
     item.config.stash[_RESULTS].clear()
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    """A test that fails names its runs: what is wrong with them, and where they can be looked at."""
+    """Add the runs of a failed test to its report: their problems, and their folders."""
     report = yield
     if report.failed and (results := item.config.stash[_RESULTS]):
         report.sections.append(("networks", "\n".join(run.describe() for run in results[-_SHOWN:])))
@@ -62,7 +64,7 @@ _SHOWN = 4
 
 
 def pytest_assertrepr_compare(left: object, right: object, op: str) -> list[str] | None:
-    """Why two runs, or the estimates of two, are not equal."""
+    """Explain why two runs, or their estimates, are not equal."""
     if op != "==" or "hedgerow.orchestrator.runs.run" not in sys.modules:
         return None
     from hedgerow.orchestrator.testing.explanation import explain  # noqa: PLC0415

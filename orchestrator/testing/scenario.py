@@ -1,4 +1,4 @@
-"""A network and what is to go wrong with it, before it runs: immutable, so that tests may share it."""
+"""A network with its faults before it runs: immutable, so tests may share it."""
 
 from __future__ import annotations
 
@@ -24,8 +24,9 @@ from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.faults import Fault
 from hedgerow.topologies.load import parse
 from hedgerow.topologies.named import Named, text_of
+from hedgerow.topologies.record import Record
 from hedgerow.topologies.resolve import resolve
-from hedgerow.topologies.schema import Record, Topology
+from hedgerow.topologies.schema import Topology
 from hedgerow.wire.codec import End, Telemetry
 
 RUN_DEADLINE_S = 120.0
@@ -35,37 +36,39 @@ _OPTIONS = ("--viewer", "none", "--no-record")
 
 @dataclass(frozen=True)
 class Scenario(FaultVerbs["Scenario"]):
-    """A network with its settings and faults; each method returns another one, and none runs until `run` or `up`.
+    """A network with its settings and faults; each method returns a new one, and nothing runs until `run` or `up`.
 
-    Steps of faults are those of the run. What a file would be refused for raises UserError at once.
+    Steps of faults are steps of the run. A mistake that a file would be refused for raises UserError at once.
     """
 
     text: bytes = field(repr=False)
     """the topology file"""
     name: str
-    """what messages call it"""
+    """its name in messages"""
     folder: Path = field(repr=False)
-    """where its CSV files lie"""
+    """the folder of its CSV files"""
     new_folder: Callable[[str], Path] = field(repr=False, compare=False)
-    """makes an empty folder for a run, near that name"""
+    """makes an empty folder for a run with a similar name"""
     on_result: Callable[[Run], None] = field(repr=False, compare=False, default=lambda _: None)
-    """told of every result"""
+    """called with every result"""
     settings: tuple[str, ...] = ()
     faults: tuple[Fault, ...] = ()
 
     @cached_property
     def topology(self) -> Topology:
-        """The network, resolved: what will run, all of it recorded, for a test to look at."""
+        """Return the resolved network, with all rows recorded."""
         read = parse(self.text, self.name, self.folder, self.settings)
         drawn = resolve(read.model_copy(update={"record": Record(nodes="all")}), self.folder)
         return laws.checked(resolve(drawn.model_copy(update={"faults": (*drawn.faults, *self.faults)})))
 
     def set(self, *settings: str) -> Scenario:
-        """With values of the file replaced: `path=value`, as for `--set` on the command line."""
+        """Return a copy with values of the file replaced: `path=value`, as for `--set` on the command line."""
         return _now(replace(self, settings=(*self.settings, *settings)))
 
     def inject(self, fault: Fault | Mapping[str, Any]) -> Scenario:
-        """With one fault more: a model of `hedgerow.topologies.faults`, or a mapping as a file spells it."""
+        """Return a copy with one more fault: a model of `hedgerow.topologies.faults`, or a mapping as a file spells
+        it.
+        """
         return replace(self, faults=(*self.faults, checked(fault, self.topology)))
 
     def run(
@@ -76,10 +79,10 @@ class Scenario(FaultVerbs["Scenario"]):
         seed: int | None = None,
         deadline_s: float = RUN_DEADLINE_S,
     ) -> Run:
-        """Run to the last step, and return what is left; steps, processes and seed replace those of the file.
+        """Run to the last step, and return the run; steps, processes and seed replace those of the file.
 
-        engine: `in-process`, the reference, has no processes and takes milliseconds; `zenoh` is `orchestrator up`,
-        with real ones. Both give the same bits. Past `deadline_s`, which is for zenoh, DeadlineError is raised.
+        engine: `in-process` is the reference, without processes, and takes milliseconds; `zenoh` is `orchestrator up`,
+        with processes. Both give the same bits. Raise DeadlineError after `deadline_s`, which is for zenoh.
         """
         scenario = self._with(steps=steps, processes=processes, seed=seed)
         folder = self.new_folder(scenario.topology.name)
@@ -101,10 +104,10 @@ class Scenario(FaultVerbs["Scenario"]):
         seed: int | None = None,
         step_deadline_s: float = 10.0,
     ) -> Running:
-        """Launch it as `orchestrator up` does, for a `with` block; gone at its end, however that comes.
+        """Launch it as `orchestrator up` does, for a `with` block; the network ends with the block, for any reason.
 
-        rate: steps a second, 0 for as fast as possible. steps: far more than a test waits for; None for the file's.
-        step_deadline_s: how long the plant waits for an answer, `up --deadline`.
+        rate: steps per second, 0 for as fast as possible. steps: far more than a test waits for; None for the number in
+        the file. step_deadline_s: the time that the plant waits for an answer, `up --deadline`.
         """
         scenario = self._with(steps=steps, processes=processes, seed=seed)
         folder = self.new_folder(scenario.topology.name)
@@ -117,13 +120,13 @@ class Scenario(FaultVerbs["Scenario"]):
 
 
 def _now(scenario: Scenario) -> Scenario:
-    """The scenario, once it is known to be right: a mistake is shown where it was made."""
+    """Return the scenario after a check, so a mistake is reported at its own line."""
     _ = scenario.topology
     return scenario
 
 
 def _run_here(topology: Topology, path: Path) -> Run:
-    """As `orchestrator simulate`; but Ctrl-C and what a law raises are the test's."""
+    """Run as `orchestrator simulate` does, but pass Ctrl-C and errors of a law to the test."""
     folder = create(topology, path)
     ending = Ending(run=folder.name, engine="in-process", processes=0)
     run = Recording(topology, folder, Watching(record=False), ending)
@@ -147,15 +150,16 @@ def _batches(rows: Iterator[Telemetry | End], size: int) -> Iterator[list[Teleme
 
 @dataclass(frozen=True)
 class Networks:
-    """What the fixture `network` is: call it with a network, and get a Scenario."""
+    """The fixture `network`: a call with a network returns a Scenario."""
 
     new_folder: Callable[[str], Path] = field(repr=False)
     on_result: Callable[[Run], None] = field(repr=False, default=lambda _: None)
 
     def __call__(self, network: Named, *settings: str) -> Scenario:
-        """network: a bundled name, a file, the folder of a run, a Topology, a dictionary, or the text of a file.
+        """Return a scenario of a network: a bundled name, a file, a run folder, a Topology, a dictionary, or a file's
+        text.
 
-        settings: `path=value`, as for `--set` on the command line. Raises UserError.
+        settings: `path=value`, as for `--set` on the command line. Raise UserError for a mistake.
         """
         text, name, folder = text_of(network)
         return _now(Scenario(text, name, folder, self.new_folder, self.on_result, settings))

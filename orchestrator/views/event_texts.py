@@ -21,7 +21,7 @@ _AGENTS = {
     "nominal": "Its agent does not know a_i and acts on a\nfixed guess of it.",
 }
 """The action of the agents under each law of the paper"""
-_OTHERS = "What its agent does is the law's own."
+_OTHERS = "The law determines what its agent does."
 SOME = 6
 """the maximum length of a list; a longer one ends with the number of further names"""
 
@@ -68,8 +68,8 @@ class Now:
         return "\n".join(
             [
                 f"**Step {batch.t[k]} of {self._steps}**",
-                f"- **Struggles:** node **{self._node(top)}**, |x| = {x[top]:.3g};"
-                f" most regret: node **{self._node(worst)}**, {regret[worst]:.2g}",
+                f"- **Largest:** node **{self._node(top)}**, |x| = {x[top]:.3g};"
+                f" largest regret: node **{self._node(worst)}**, {regret[worst]:.2g}",
                 f"- **Down:** {'; '.join(down) or 'nothing'}",
                 f"- **Wrong model:** {_listed(models, int((wrong & ~dead).sum()))}",
                 f"- **Costs:** D = {batch.regret_sum[k]:.4g} (nominal law {batch.nominal_regret_sum[k]:.4g}),"
@@ -91,7 +91,7 @@ def _those(what: str, name: Callable[[int], str], which: Mask) -> list[str]:
 
 def _listed(names: Iterable[str], count: int) -> str:
     some = list(names)
-    return (", ".join(some) or "nobody") + (f" and {count - len(some)} more" if count > len(some) else "")
+    return (", ".join(some) or "none") + (f" and {count - len(some)} more" if count > len(some) else "")
 
 
 def about(topology: Topology, observer: Observer, large: bool, pictures_hz: float, group: int = 1) -> str:
@@ -104,8 +104,8 @@ def about(topology: Topology, observer: Observer, large: bool, pictures_hz: floa
         ""
         if group == 1
         else f"""
-A dot of the picture is a **group** of up to {group} neighbouring nodes, called after its first: its |x| is the largest,
-something is down in it where it is for one of them, and its model wrong where those of more than half are.
+A dot of the picture is a **group** of up to {group} neighbouring nodes, named after the first one. Its |x| is
+the largest, a failure of one node marks the group, and its model is wrong if more than half of its nodes are wrong.
 """
     )
     many = (
@@ -133,10 +133,10 @@ law **{markdown(str(topology.law))}**, {len(topology.ids)} nodes, {len(topology.
 b = {span(b)}, {weights}γ\\* = {_gamma_star(topology, ".4g")}, ρ = {observer.rho:.4g}, seed {topology.seed}
 
 Each node is a reservoir: x_i(t+1) = a_i x_i(t) + {flow} + w_i(t). {_AGENTS.get(topology.law, _OTHERS)}
-The *oracle* is the same network, with the same disturbances, x(0) and closed edges, whose nodes know
-their true a; *nominal* is the same again with a fixed guess of a.
+The *oracle* is the same network with the same disturbances, x(0) and closed edges, but its nodes know their true a.
+*nominal* is the same network with a fixed guess of a.
 {many}
-- **Network**: the fill of a node is its |x|, from blue to yellow, relative to the largest of late. A pink ring is a
+- **Network**: the fill of a node is its |x|, from blue to yellow, relative to the recent maximum. A pink ring is a
   wrong model. The thickness and brightness of an edge show its flow. The picture and *Now* show up to {pictures_hz:g}
   steps per second. The plots and the faults show every step.
 - **States** x [x], and paler the oracle's x\\*. A node has one colour in all plots, the colour of its name in the
@@ -145,18 +145,18 @@ their true a; *nominal* is the same again with a fixed guess of a.
 - **Estimates** â [1], and paler the truth a. *Error* is |â − a|, *a_LS* the least-squares estimate, *Margin* J₂ − J₁
   [x²], *Right* the number of right estimates.
 - **Regret** |x − x\\*| [x] of each node; *Nominal gap* |x\\* − x_nom| [x]. **Regret D** [x²] is the sum of its squares
-  over nodes and steps, beside D of the nominal law. *Cost R* [x²] is the cost less the oracle's cost, and may be
+  over nodes and steps, beside D of the nominal law. *Cost R* [x²] is the cost minus the oracle's cost, and may be
   negative. *Ratio* is the cost divided by the oracle's cost.
 - **Gain** √(Σ cost / Σ |w|²) of the disturbance so far; the cost of a step is |x|² + {edge_cost}. *Less x(0)* subtracts
-  the most that x(0) can cost the oracle. x(0) may cost another law more. The axis ends at 4 γ\\*.
-- **Faults**: what telemetry shows as lost, cut or dead.
+  the maximum cost of x(0) for the oracle. It may cost another law more. The axis ends at 4 γ\\*.
+- **Faults**: lost messages, cut edges and dead agents in telemetry.
 - **Round trips**: the time of each process to answer a step, by the plant's clock [ms]; over Zenoh only.
 
-What may **not** be concluded:
-- **γ\\* is the oracle's number**, the least gain that can be promised when every a is known. It is no guarantee of the
-  adaptive law, which may exceed it.
-- **Estimates need not become the truth.** Under sinusoids least squares tend to a + Σxw / Σx², and may get worse.
-- **Regret need not tend to 0.** It lasts while a model is wrong.
+Wrong conclusions to avoid:
+- **γ\\* is the oracle's number**, the smallest gain that can be guaranteed if every a is known. It is no guarantee for
+  the adaptive law, which may exceed it.
+- **Estimates need not converge to the truth.** Under sinusoids, least squares tend to a + Σxw / Σx², and may get worse.
+- **Regret need not tend to 0.** It continues while a model is wrong.
 
 {bound}x, u, w in the units of the file; [x] and [x²] are in units of x and their square; t in steps.
 """

@@ -68,7 +68,7 @@ class Lines:
 
 
 class Brief(Lines):
-    """The verdict and nothing else, for `--quiet`."""
+    """Only the verdict, for `--quiet`."""
 
     def say(self, text: str) -> None:
         pass

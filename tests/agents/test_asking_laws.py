@@ -44,11 +44,11 @@ def test_restarts_and_lost_messages_change_nothing_in_another_layout(seed: int, 
     assert all(simulate(topology, layout(topology, processes)).same_bits(alone) for processes in (1, 2, 3))
 
 
-def test_a_sample_that_is_learned_late_has_the_values_of_its_own_step() -> None:
+def test_a_late_sample_has_the_values_of_its_step() -> None:
     """After back-filling, the memory of a law that learns from its neighbours' states is that without the gap."""
     whole = ["steps=40", f"law={CURIOUS}", "defaults.x0=5"]
     gap = [*whole, "faults=[{kind: drop, link: [2, 4], steps: [10, 20]}]"]
-    # The law acts on nothing that a gap changes, so that both runs have the same states.
+    # The inputs of the law do not depend on gaps, so both runs have the same states.
     same = [[*one, "law.weight=0"] for one in (whole, gap)]
     first, second = (simulate(resolve(load("paper7", one))) for one in same)
     np.testing.assert_array_equal(first.x, second.x)
@@ -57,7 +57,7 @@ def test_a_sample_that_is_learned_late_has_the_values_of_its_own_step() -> None:
 
 
 @pytest.mark.slow
-def test_seven_processes_with_a_law_that_asks_do_what_one_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_seven_processes_with_an_asking_law_equal_one_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     faults = (
         "faults=[{kind: drop, from: 2, to: 4, probability: 0.4}, {kind: delay, from: 4, to: 6, by: 2, steps: [5, 20]},"

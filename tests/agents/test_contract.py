@@ -1,4 +1,4 @@
-"""The contract test of laws: it passes laws that keep the contract, and names the method of those that do not."""
+"""The contract test of laws: it passes correct laws, and names the method of others."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_the_trial_of_any_network_passes_the_law_of_the_paper(
         listed = data.draw(st.lists(values, min_size=1, max_size=most))
         column[: len(listed)] = listed
     b = np.linspace(0.05, 0.2, n) if unequal else 0.1
-    trial = Trial.of([f"n{k}" for k in range(n)], b, candidates)
+    trial = Trial.of([f"n{k}" for k in range(n)], b, candidates, weighted=unequal)
     assert len(set(trial.ids)) == len(trial.ids) == 5
     check_law(Minimax, trial)
     check_law(Curious, trial)
@@ -75,3 +75,38 @@ def test_every_run_is_refused_before_it_begins() -> None:
     topology = resolve(load("paper7", [f"law={name}"]))
     with pytest.raises(LawError):
         laws.checked(topology)
+
+
+class ScalesWeights(Minimax):
+    """Mixes the nodes of its process through their weights; equal weights hide it."""
+
+    def __init__(self, b: Any, candidates: Any, *, local: Any) -> None:
+        super().__init__(b, candidates)
+        self.share = local.sums(local.weight / local.weight.max())
+
+    def act(self, x: Any) -> Any:
+        return super().act(x) * self.share
+
+
+class ScalesGains(Minimax):
+    """Mixes the nodes of its process through their gains; equal gains hide it."""
+
+    def act(self, x: Any) -> Any:
+        return super().act(x) * (self.b / np.max(self.b))
+
+
+UNEQUAL = """
+name: unequal
+b: 0.1
+steps: 5
+nodes: {1: {b: 0.05}, 2: {b: 0.08}, 3: {}, 4: {b: 0.06}, 5: {}}
+edges: [{ends: [1, 2], weight: 0.5}, {ends: [2, 3], weight: 2}, [3, 4], [4, 5]]
+"""
+
+
+@pytest.mark.parametrize("law", [ScalesWeights, ScalesGains])
+def test_a_network_with_unequal_gains_and_weights_tries_both(law: type[Any]) -> None:
+    check_law(law)
+    with pytest.raises(LawError) as refused:
+        hg.simulate(UNEQUAL, law=law)
+    assert refused.value.method == "act"

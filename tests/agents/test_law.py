@@ -78,7 +78,7 @@ def test_the_estimate_is_a_first_minimiser_from_the_nodes_own_list(history: Hist
 
 @given(histories())
 def test_the_estimate_is_the_candidate_nearest_least_squares(history: History) -> None:
-    """Completing the square: J_m = J_LS + Sxx (a_m - a_LS)^2, wherever no tie hides it."""
+    """Completing the square: J_m = J_LS + Sxx (a_m - a_LS)^2, unless a tie hides it."""
     law = taught(history)
     known = np.where(np.isnan(history.flow), 0.0, 1.0)
     sxx = (known * history.x[:-1] ** 2).sum(axis=0)
@@ -95,7 +95,7 @@ def test_the_estimate_is_the_candidate_nearest_least_squares(history: History) -
 
 @given(st.permutations([0.25, 0.5, 0.75]), st.sampled_from([0.375, 0.625]), st.integers(1, 8))
 def test_a_tie_goes_to_the_first_in_list_order(models: list[float], halfway: float, samples: int) -> None:
-    """Dyadic numbers, so that J ties exactly: a_LS lies halfway between two candidates."""
+    """The numbers are dyadic, so J ties exactly: a_LS is halfway between two candidates."""
     law = Minimax(0.5, padded([models]))
     assert law.ahat == [models[0]], "before any sample all tie at J = 0"
     for _ in range(samples):
@@ -107,7 +107,7 @@ def test_a_tie_goes_to_the_first_in_list_order(models: list[float], halfway: flo
 
 @given(histories(), st.data())
 def test_a_lost_sample_is_lost_to_its_node_alone(history: History, data: st.DataObject) -> None:
-    """A NaN flow at one node: its J stays as it was, to the bit; every other node's learns."""
+    """With a NaN flow at one node, its J stays unchanged, bit for bit; the other nodes learn."""
     assume(len(history.candidates) > 1)
     k = len(history.candidates)
     lost = data.draw(st.integers(0, k - 1))
@@ -128,7 +128,7 @@ def test_a_lost_sample_is_lost_to_its_node_alone(history: History, data: st.Data
 
 @given(histories())
 def test_rows_never_mix(history: History) -> None:
-    """A node learns the same, bit for bit, alone and beside nodes with longer or shorter lists."""
+    """A node has the same results, bit for bit, alone and beside nodes with longer or shorter lists."""
     together = taught(history)
     for i, models in enumerate(history.candidates):
         own = History([models], history.x[:, [i]], history.flow[:, [i]])
@@ -177,8 +177,8 @@ def test_every_layout_over_processes_gives_the_same_bits(topology: Topology, dat
 
 @given(networks(), st.data())
 @settings(max_examples=40)
-def test_an_agent_is_told_of_its_own_nodes_and_neighbours_alone(topology: Topology, data: st.DataObject) -> None:
-    """Its view holds no truth, no x(0), no disturbance, no edge that is not its own."""
+def test_an_agent_receives_only_its_nodes_and_neighbours(topology: Topology, data: st.DataObject) -> None:
+    """Its view contains no truth, no x(0), no disturbance, and no edge of other nodes."""
     shards = data.draw(partitions(len(topology.ids)))
     views = views_of(topology, shards)
     assert [nodes.tolist() for nodes in truth_of(topology, shards).shards] == shards
@@ -206,10 +206,10 @@ def test_an_agent_is_told_of_its_own_nodes_and_neighbours_alone(topology: Topolo
 
 @given(topology=networks(), data=st.data())
 @settings(max_examples=30)
-def test_what_a_process_is_told_goes_through_its_file(
+def test_the_data_of_a_process_survive_its_file(
     topology: Topology, data: st.DataObject, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    """To the bit; and the file of an agent holds nothing that its view does not."""
+    """The file is equal bit for bit, and contains only the view."""
     folder = tmp_path_factory.mktemp("told")
     shards = data.draw(partitions(len(topology.ids)))
     truth, views = truth_of(topology, shards), views_of(topology, shards)
@@ -218,7 +218,7 @@ def test_what_a_process_is_told_goes_through_its_file(
         view.write(folder / f"{view.shard}.npz")
         with np.load(folder / f"{view.shard}.npz") as file:
             settings_of, arrays = json.loads(file["settings"].tobytes()), {*file.files} - {"settings"}
-        assert settings_of.keys() - {"b"} == {"shard", "law", "history", "seed", "ids"}
+        assert settings_of.keys() - {"b"} == {"shard", "law", "law_source", "history", "seed", "ids"}
         own = {"ids", "candidates", "row", "column", "peers", "say", "heard"}
         assert arrays - {"b", "weights"} == own
         assert ("b" in settings_of) != ("b" in arrays)
@@ -236,7 +236,7 @@ def test_ids_of_both_kinds_go_through_a_file(tmp_path: Path) -> None:
     assert View.read(tmp_path / "v.npz").ids.tolist() == ["dam", 9223372036854775808, "09223372036854775808"]
 
 
-def test_what_one_says_is_what_the_other_hears() -> None:
+def test_sent_and_received_messages_are_equal() -> None:
     """Two shards of a ring: both list the boundary nodes of a link message in one order."""
     topology = read(
         "{name: ring, b: 0.1, steps: 1, nodes: [f, e, d, c, b, a],"
@@ -251,7 +251,7 @@ def test_what_one_says_is_what_the_other_hears() -> None:
 
 
 def test_candidates_of_different_lengths_run_together() -> None:
-    """A list of one, of three and of five, in one shard: each node keeps to its own."""
+    """Lists of one, three and five candidates, in one shard: each node uses its own."""
     topology = read(
         "{name: n, b: 0.1, steps: 20, defaults: {x0: 4}, edges: [[1, 2], [2, 3]], nodes: {"
         "1: {candidates: [0.5]}, 2: {candidates: [0.2, 0.5, 0.8], a: 0.8},"

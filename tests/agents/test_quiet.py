@@ -1,4 +1,4 @@
-"""The quiet step in floats: the same bits as the general path, whatever happens between quiet steps."""
+"""The quiet step in floats has the same bits as the general path, with any events between quiet steps."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def general_path() -> Iterator[None]:
 
 @contextmanager
 def patience(steps: int) -> Iterator[None]:
-    """Floats take over after so many quiet steps."""
+    """Let floats take over after this number of quiet steps."""
     with mock.patch.object(quiet, "PATIENCE", steps):
         yield
 
@@ -84,10 +84,10 @@ def test_the_quiet_law_makes_almost_every_step_of_a_run_without_faults() -> None
     b=st.sampled_from([0.1, 0.3]),
     models=st.lists(st.sampled_from([0.2, 0.5, 0.7, 0.9]), min_size=1, max_size=4),
 )
-def test_any_numbers_give_the_bits_of_the_law_or_are_left_to_it(
+def test_any_numbers_give_the_bits_of_the_law_or_are_passed_to_it(
     values: list[float], b: float, models: list[float]
 ) -> None:
-    """NaN, infinities and numbers whose squares overflow included."""
+    """NaN, infinities and numbers with overflowing squares are included."""
     view = View(
         shard=0,
         b=b,

@@ -1,6 +1,6 @@
-"""Agents that somebody else starts: they are waited for by name, known by their versions, and taken back when they die.
+"""Separate agents: the run waits for them by name, checks their versions, and takes them back when they die.
 
-Each runs as `agent` or `plant` does on another machine, with the file that `orchestrator bundle` wrote and no more.
+Each runs as `agent` or `plant` does on another machine, with the file of `orchestrator bundle` alone.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class Started:
         return self.process.returncode, said
 
     def wait_for(self, text: str) -> None:
-        """Read its log until that was said."""
+        """Read its log until this text."""
         assert self.process.stderr is not None
         assert any(text in line for line in self.process.stderr), text
 
@@ -97,7 +97,7 @@ def test_two_agents_started_elsewhere_change_nothing(here: Path, endpoint: str, 
     assert [agent.wait()[0] for agent in agents] == [0, 0]
 
 
-def test_everybody_elsewhere_and_only_the_observer_here(here: Path, endpoint: str, start: Any) -> None:
+def test_all_processes_separate_except_the_observer(here: Path, endpoint: str, start: Any) -> None:
     bundle(endpoint, "--processes", "2", "--steps", "20")
     with open_router(endpoint):
         with Orchestrator(
@@ -121,7 +121,7 @@ def test_everybody_elsewhere_and_only_the_observer_here(here: Path, endpoint: st
     assert parquet_bytes(Path("here")) == parquet_bytes(Path("runs/latest"))
 
 
-def test_one_that_dies_and_is_started_again_goes_on_where_it_would_be(here: Path, endpoint: str, start: Any) -> None:
+def test_a_restarted_agent_continues_at_the_current_step(here: Path, endpoint: str, start: Any) -> None:
     bundle(endpoint, "--steps", "300")
     arguments = ("agents", "--config", "lab/agent-3.toml")
     first = start(*arguments)
@@ -197,9 +197,7 @@ def test_an_agent_that_a_killed_run_left_behind_makes_room_for_the_next(here: Pa
     assert verdict()["checks"]["reference"]["ok"]
 
 
-def test_an_agent_that_still_waited_when_its_run_ended_is_none_of_the_next(
-    here: Path, endpoint: str, start: Any
-) -> None:
+def test_an_agent_that_waits_at_the_end_of_a_run_does_not_join_the_next(here: Path, endpoint: str, start: Any) -> None:
     def up(seed: int) -> Orchestrator:
         bundle(endpoint, "--seed", str(seed))
         return Orchestrator("up", "lab/topology.yaml", "--external", "3,5", "--listen", endpoint, *UP)
@@ -220,7 +218,7 @@ def test_an_agent_that_still_waited_when_its_run_ended_is_none_of_the_next(
     assert verdict()["checks"]["reference"]["ok"]
 
 
-def test_of_two_that_want_one_place_before_anybody_is_ready_one_has_it(here: Path, endpoint: str, start: Any) -> None:
+def test_one_of_two_agents_for_one_place_gets_it(here: Path, endpoint: str, start: Any) -> None:
     bundle(endpoint)
     with Orchestrator("up", "lab/topology.yaml", "--external", "3,5", "--listen", endpoint, *UP) as network:
         twice = [start("agents", "--config", "lab/agent-3.toml") for _ in range(2)]
@@ -231,11 +229,11 @@ def test_of_two_that_want_one_place_before_anybody_is_ready_one_has_it(here: Pat
         assert network.wait() == 0, network.output
         assert five.wait()[0] == 0
     assert verdict()["verdict"] == "valid"
-    assert verdict()["checks"]["information"]["ok"], "nobody heard more than was said"
+    assert verdict()["checks"]["information"]["ok"], "every received message was sent"
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["int", "term"])
-def test_a_plant_that_is_told_to_end_tells_all_the_others(here: Path, endpoint: str, start: Any, number: int) -> None:
+def test_a_plant_that_must_end_sends_end_to_all(here: Path, endpoint: str, start: Any, number: int) -> None:
     bundle(endpoint, "--processes", "2", "--steps", "100000")
     up = ("up", "lab/topology.yaml", "--external", "plant,all", "--router", endpoint, "--namespace", "hedgerow/paper7")
     with open_router(endpoint), Orchestrator(*up, "--viewer", "none", "--no-record") as network:
@@ -248,9 +246,7 @@ def test_a_plant_that_is_told_to_end_tells_all_the_others(here: Path, endpoint: 
     assert re.search(r"unknown \(stopped at step [1-9][0-9]*: stopped on request\)", network.output), network.output
 
 
-def test_a_plant_that_is_started_anew_takes_nobody_of_the_run_before_for_ready(
-    here: Path, endpoint: str, start: Any
-) -> None:
+def test_a_new_plant_ignores_agents_of_the_run_before(here: Path, endpoint: str, start: Any) -> None:
     """One agent process, elsewhere as all is: it is there when the second plant begins, and leaves."""
     bundle(endpoint, "--processes", "1", "--steps", "20")
     agent, plant = (("agents", "--config", "lab/shard-0.toml"), ("plant", "--config", "lab/plant.toml"))
@@ -272,10 +268,10 @@ def test_a_plant_that_is_started_anew_takes_nobody_of_the_run_before_for_ready(
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)], ids=["int", "term"])
 @pytest.mark.parametrize(("module", "config"), [("agents", "agent-1"), ("plant", "plant")])
-def test_who_looks_for_a_router_that_is_not_there_ends_when_it_is_told(
+def test_a_process_that_waits_for_a_router_ends_on_request(
     here: Path, start: Any, module: str, config: str, number: int, code: int
 ) -> None:
-    """Somebody else has its port, who does not say a word."""
+    """Another program has the port, and never answers."""
     with socket.create_server(("127.0.0.1", 0)) as mute:
         mute.settimeout(DEADLINE_S)
         bundle(f"tcp/127.0.0.1:{mute.getsockname()[1]}")
@@ -288,9 +284,7 @@ def test_who_looks_for_a_router_that_is_not_there_ends_when_it_is_told(
 
 
 @pytest.mark.slow
-def test_a_second_plant_waits_for_the_first_to_be_gone_and_disturbs_nothing(
-    here: Path, endpoint: str, start: Any
-) -> None:
+def test_a_second_plant_waits_for_the_end_of_the_first(here: Path, endpoint: str, start: Any) -> None:
     bundle(endpoint, "--processes", "2", "--steps", "2000")
     up = ("up", "lab/topology.yaml", "--router", endpoint, "--namespace", "hedgerow/paper7", *UP)
     with open_router(endpoint), Orchestrator(*up, "--external", "1", "--rate", "10", "--run-dir", "first") as first:
@@ -299,7 +293,7 @@ def test_a_second_plant_waits_for_the_first_to_be_gone_and_disturbs_nothing(
         by_hand = start("plant", "--config", "lab/plant.toml")
         with Orchestrator(*up, "--external", "all", "--run-dir", "second") as second:
             for one in (second, by_hand):
-                one.wait_for("a plant is there already at hedgerow/paper7; waiting up to 30 s for its end")
+                one.wait_for("another plant already runs at hedgerow/paper7; waiting up to 30 s for its end")
             second.send(signal.SIGINT)
             by_hand.process.kill()
             assert second.wait() != 0
@@ -315,10 +309,10 @@ def test_a_plant_that_stays_has_its_place_to_itself(here: Path, endpoint: str, m
     with open_router(endpoint), open_client(endpoint, "here") as one, open_client(endpoint, "here") as other:
         token = one.liveliness().declare_token(keys.alive(keys.PLANT, 7))
         with (
-            pytest.raises(UserError, match="a plant is there already at here; end that run, or give another --name"),
+            pytest.raises(UserError, match="another plant already runs at here; end that run, or give another --name"),
             room(other, "here", list[str]().append),
         ):
-            raise AssertionError("it went on")
+            raise AssertionError("the block was entered")
         told: list[str] = []
         monkeypatch.setattr("hedgerow.wire.handshake.LEASE_S", DEADLINE_S)
 
@@ -327,13 +321,11 @@ def test_a_plant_that_stays_has_its_place_to_itself(here: Path, endpoint: str, m
             token.undeclare()  # type: ignore[no-untyped-call]
 
         with room(other, "here", say):
-            assert told == ["a plant is there already at here; waiting up to 60 s for its end"]
+            assert told == ["another plant already runs at here; waiting up to 60 s for its end"]
 
 
-def test_of_plants_that_begin_at_once_one_goes_on_and_the_next_when_it_is_over(
-    endpoint: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Whatever numbers they draw, and however they come between each other's looks."""
+def test_of_simultaneous_plants_one_starts_and_the_next_follows(endpoint: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """This holds for any numbers that they draw, and for any order of their checks."""
     monkeypatch.setattr("hedgerow.wire.handshake.LOOK_AGAIN_S", 0.01)
     monkeypatch.setattr("hedgerow.wire.handshake.LEASE_S", DEADLINE_S)
     together, inside, order = threading.Barrier(4), threading.Lock(), list[int]()
@@ -373,7 +365,7 @@ def test_of_two_networks_that_begin_at_once_in_one_place_the_second_waits(here: 
         done, _ = wait(goes_on, return_when=FIRST_COMPLETED)
         (first,) = (goes_on.pop(one) for one in done)
         ((in_the_end, other),) = goes_on.items()
-        other.wait_for("a plant is there already at hedgerow/paper7")
+        other.wait_for("another plant already runs at hedgerow/paper7")
         assert not in_the_end.done()
         first.send(signal.SIGINT)
         assert first.wait() == 3, first.output
@@ -382,8 +374,8 @@ def test_of_two_networks_that_begin_at_once_in_one_place_the_second_waits(here: 
         assert other.wait() == 3, other.output
 
 
-def test_an_agent_that_waits_for_its_place_goes_on_when_the_plant_leaves(endpoint: str) -> None:
-    """The first plant leaves it without an answer, as one does that is killed; the next gives it its place."""
+def test_an_agent_that_waits_for_its_place_continues_when_the_plant_leaves(endpoint: str) -> None:
+    """The first plant leaves without an answer, as after a kill; the next one gives the place."""
     place = PlaceRequest(Config("agent-3", "here", endpoint, "N", {}), 2, DEADLINE_S)
 
     with open_router(endpoint), open_client(endpoint, "here") as session, ThreadPoolExecutor() as pool:
@@ -396,7 +388,7 @@ def test_an_agent_that_waits_for_its_place_goes_on_when_the_plant_leaves(endpoin
                 left.append(asked.get(timeout=DEADLINE_S))
                 if number == 8:
                     left[-1].reply(keys.join(2), json.dumps({"life": 4, "plant": number}))
-                    left.pop()  # which says that it was the only answer
+                    left.pop()  # the log shows that it was the only answer
                     assert joined.result(DEADLINE_S) == Joined(4, number)
                 del declared, token
 
@@ -405,7 +397,7 @@ def test_an_agent_that_waits_for_its_place_goes_on_when_the_plant_leaves(endpoin
 def watched(
     endpoint: str, monkeypatch: pytest.MonkeyPatch
 ) -> Iterator[tuple[zenoh.Session, zenoh.Session, queue.Queue[HedgerowError]]]:
-    """Sessions of an agent of plant 7 and of somebody else, and why the first gives up."""
+    """Provide sessions of an agent of plant 7 and of another process, and the error of the first."""
     monkeypatch.setattr("hedgerow.agents.plant_watch.PLANT_GONE_S", 0.1)
     with open_router(endpoint), open_client(endpoint, "here") as session, open_client(endpoint, "here") as other:
         yield session, other, queue.Queue()
@@ -416,7 +408,7 @@ def plant(session: zenoh.Session, number: int) -> Any:
 
 
 @pytest.mark.parametrize("it_was_there", [True, False])
-def test_an_agent_whose_plant_is_gone_for_good_ends_by_name(watched: Any, it_was_there: bool) -> None:
+def test_an_agent_with_a_lost_plant_ends_with_its_name(watched: Any, it_was_there: bool) -> None:
     session, other, why = watched
     token = plant(other, 7) if it_was_there else None
     with PlantWatch(session, 7, why.put):
@@ -440,9 +432,7 @@ def test_an_agent_leaves_for_another_plant_only_once_its_own_is_gone(
 
 
 @pytest.mark.parametrize(("form", "protocol"), [((), "tcp"), (("--secure",), "tls")], ids=["open", "secure"])
-def test_a_bundle_tells_the_operator_to_listen_where_the_agents_look(
-    here: Path, form: tuple[str, ...], protocol: str
-) -> None:
+def test_a_bundle_uses_one_port_for_operator_and_agents(here: Path, form: tuple[str, ...], protocol: str) -> None:
     bundle(f"{protocol}/localhost:8123", *form)
     said = Path("lab/README.md").read_text()
     assert said.count(f"--listen {protocol}/0.0.0.0:8123") == 2
@@ -457,7 +447,7 @@ def test_a_bundle_tells_the_operator_to_listen_where_the_agents_look(
         (("bundle", "paper7", "--router", "bench", "--out", "lab"), "--router bench"),
     ],
 )
-def test_what_is_no_endpoint_is_said_at_once(here: Path, arguments: tuple[str, ...], option: str) -> None:
+def test_an_invalid_endpoint_is_refused_at_once(here: Path, arguments: tuple[str, ...], option: str) -> None:
     done = orchestrator(*arguments)
     assert done.returncode == 2
     assert done.stderr == f"error: {option}: is no endpoint; write tcp/HOST:PORT, or tls/HOST:PORT\n"
@@ -522,7 +512,7 @@ def test_seconds_and_rates_are_numbers_that_can_be_waited_for(
     assert [*here.glob("[!.]*")] == []
 
 
-def test_who_does_not_come_is_named(here: Path, endpoint: str) -> None:
+def test_a_missing_process_is_named(here: Path, endpoint: str) -> None:
     with Orchestrator("up", "paper7", "--external", "3,5", "--listen", endpoint, "--wait", "2", *UP) as network:
         assert network.wait() == 3, network.output
     assert "agent 3, agent 5 not " in network.output, network.output
@@ -532,12 +522,12 @@ def test_who_does_not_come_is_named(here: Path, endpoint: str) -> None:
     ("arguments", "said"),
     [
         (("--external", "9"), "there is no 9; name nodes, `plant` or `all`; the processes are plant, agent-1"),
-        (("--external", "3"), "--external: how do they reach us? --listen tcp/0.0.0.0:7447"),
-        (("--external", "plant"), "--external plant: say where it is with --router"),
+        (("--external", "3"), "--external: the separate processes need an address. --listen tcp/0.0.0.0:7447"),
+        (("--external", "plant"), "--external plant: give its router"),
         (("--listen", "tcp/0.0.0.0:7447"), "--external"),
     ],
 )
-def test_what_cannot_work_is_said_at_once(here: Path, arguments: tuple[str, ...], said: str) -> None:
+def test_impossible_options_are_refused_at_once(here: Path, arguments: tuple[str, ...], said: str) -> None:
     done = orchestrator("up", "paper7", *arguments)
     assert done.returncode == 2
     assert said in done.stderr
@@ -546,7 +536,7 @@ def test_what_cannot_work_is_said_at_once(here: Path, arguments: tuple[str, ...]
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("", "lab.toml: does not say process, namespace, router, network"),
+        ("", "lab.toml: lacks process, namespace, router, network"),
         ("a = ", "lab.toml: is not TOML"),
         ('process = "agent-3"\nnamespace = "h"\nrouter = "tcp/x:1"\nnetwork = "0"\n', "config of agent-3: KeyError"),
         ('process = "plant"\nnamespace = "h"\nrouter = "tcp/x:1"\nnetwork = "0"\n', "start it with `hedgerow-plant`"),

@@ -20,7 +20,7 @@ from tests.tools.networks import VECTORS, from_vector, gathered, networks, parti
 
 
 @given(networks(), st.data())
-def test_what_a_process_is_told_goes_through_words(topology: Topology, data: st.DataObject) -> None:
+def test_the_data_of_a_process_survive_its_text(topology: Topology, data: st.DataObject) -> None:
     shards = data.draw(partitions(len(topology.ids)))
     truth, views = truth_of(topology, shards), views_of(topology, shards)
     again = [View.from_dict(json.loads(view.to_json())) for view in views]

@@ -1,4 +1,4 @@
-"""What somebody sees who watches: the network as a picture, what is down and since when, and what it costs.
+"""The viewer's content: the network as a picture, the faults with their times, and the costs.
 
     1          below each other, as in the file
     |
@@ -63,7 +63,7 @@ def recorded(topology: Topology, path: Path, rows: int = 7) -> tuple[Observer, l
 
 
 def column(path: Path, entity: str, component: str) -> dict[int, Any]:
-    """What a component of an entity holds, by step; under -1 what does not change."""
+    """Return a component of an entity by step; -1 has the static one."""
     found: dict[int, Any] = {}
     for chunk in RrdReader(path).stream().filter(content=f"/{entity}", components=component):
         table = chunk.to_record_batch()
@@ -103,7 +103,7 @@ def test_every_network_has_a_place_for_each_node_and_always_the_same(topology: T
     np.testing.assert_array_equal(places, positions(topology.graph))
 
 
-def test_a_picture_shows_what_is_lost_cut_and_wrong(tmp_path: Path) -> None:
+def test_a_picture_shows_lost_messages_cut_edges_and_wrong_models(tmp_path: Path) -> None:
     topology = with_faults(paper7(), [DROP, CUT, {"kind": "crash", "node": 7, "at": 14, "restart_after": 3}])
     path = tmp_path / "run.rrd"
     _, batches = recorded(topology, path)
@@ -136,7 +136,7 @@ def test_a_picture_shows_what_is_lost_cut_and_wrong(tmp_path: Path) -> None:
     assert (14 in crosses, len(crosses[14]), len(crosses[13])) == (True, 3, 1)
 
 
-def test_the_panel_now_names_who_struggles_what_is_down_who_is_wrong_and_the_cost(tmp_path: Path) -> None:
+def test_the_panel_now_names_the_largest_state_failures_wrong_models_and_costs(tmp_path: Path) -> None:
     topology = with_faults(paper7(), [DROP, CUT])
     _, batches = recorded(topology, tmp_path / "run.rrd")
     texts = column(tmp_path / "run.rrd", "now", "TextDocument:text")
@@ -154,7 +154,7 @@ def test_the_panel_now_names_who_struggles_what_is_down_who_is_wrong_and_the_cos
 
 
 def test_the_lanes_are_the_schedule(tmp_path: Path) -> None:
-    """What the timeline says of each link and node at each step, beside what the faults of the file were to do."""
+    """The timeline of each link and node at each step, compared with the schedule of the faults."""
     faults: list[dict[str, Any]] = [
         {"kind": "drop", "from": 2, "to": 4, "steps": [3, 25], "probability": 0.4},
         {"kind": "drop", "at": {"7": [[4, 2]], "8": [[4, 2]]}},
@@ -184,7 +184,7 @@ def test_the_lanes_are_the_schedule(tmp_path: Path) -> None:
     assert begun == {(2, 4), (3, 5)}
 
 
-def test_a_lane_of_a_node_tells_of_death_silence_and_mistakes() -> None:
+def test_a_lane_of_a_node_shows_death_silence_and_wrong_models() -> None:
     candidates = paper7().nodes[2].candidates
     assert isinstance(candidates, tuple)
     topology = with_faults(
@@ -237,7 +237,7 @@ def test_the_last_step_is_drawn_even_if_it_comes_too_soon(tmp_path: Path, monkey
     assert sorted(drawn) == [paper7().steps - 1]
 
 
-def test_the_scale_of_a_picture_follows_what_fades() -> None:
+def test_the_scale_of_a_picture_follows_the_decaying_peak() -> None:
     peak = decaying_peak(np.array([0.0, 8.0, 0.0, 7.0, 0.0]), 1.0)
     np.testing.assert_allclose(peak, [0.85, 8.0, 6.8, 7.0, 5.95])
     np.testing.assert_array_equal(decaying_peak(np.zeros(3), 0.0), 0)
@@ -296,7 +296,7 @@ def watched() -> Iterator[Viewer]:
 
 
 class Seen:
-    """A picture of the viewer's window, and where paper7 stands in it."""
+    """A picture of the viewer's window, and the place of paper7 in it."""
 
     def __init__(self, screenshot: Path) -> None:
         window = np.asarray(Image.open(screenshot).convert("RGB")).astype(int)
@@ -310,7 +310,7 @@ class Seen:
 
     @property
     def broken(self) -> bool:
-        """Whether 2-4 is lost and 3-5 cut: its middle is a gap; node 2 learns nothing and is wrong."""
+        """Return True if 2-4 is lost and 3-5 cut: its middle is a gap, and node 2 learns nothing and is wrong."""
         return (
             self.at(palette.LOST, self.between(2, 4, 0.4))
             and self.at(palette.LOST, self.between(2, 4, 0.6))
@@ -322,19 +322,19 @@ class Seen:
 
     @property
     def whole(self) -> bool:
-        """Whether neither is; a network that is not drawn has no broken line either, but no legend."""
+        """Return True if neither is broken; an undrawn network has no broken line either, but no legend."""
         lines = [self.between(2, 4, part) for part in (0.4, 0.6)] + [self.between(3, 5, part) for part in (0.36, 0.64)]
         drawn = self.of(palette.NO_INPUT).any() and self.of(palette.LOST).any()
         return bool(drawn) and not any(self.at(color, p) for p in lines for color in (palette.LOST, palette.CUT))
 
     def of(self, color: palette.Color) -> NDArray[np.bool_]:
-        """Where the left third, which is the network's, has a colour."""
+        """Return a mask of a colour in the left third of the window, which is the network's."""
         brightest = self._pixels.max(axis=2)  # of nodes, the viewer shades the rim
         parts = self._pixels / np.maximum(brightest, 1)[:, :, None] - np.array(color[:3]) / max(color[:3])
         return np.asarray((np.abs(parts) < 0.1).all(axis=2) & (brightest > 0.6 * max(color[:3])))
 
     def at(self, color: palette.Color, place: NDArray[np.float64], reach: int = 8) -> bool:
-        """Whether a colour stands near a place of the picture, whose legend says where that is."""
+        """Return True if a colour is near a place of the picture; the legend gives the position of the picture."""
         legend = self._picture.legend
         ring = np.argwhere(self.of(palette.NO_INPUT))  # in the legend only, and above "lost both"
         if not len(ring):
@@ -352,7 +352,7 @@ class Seen:
 
 
 @pytest.mark.slow
-def test_a_link_is_seen_broken_while_it_is_and_whole_afterwards(
+def test_a_link_is_drawn_as_broken_only_while_it_is(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, watched: Viewer
 ) -> None:
     """Live over Zenoh: seven processes, a real viewer, and two faults that end while it is looked at."""

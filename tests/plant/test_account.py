@@ -19,7 +19,7 @@ from tests.tools.networks import partitions, simulate
 
 
 class Early(World):
-    """Begins t + 1 before it gives the account of t, as the process of the plant does."""
+    """Begins t + 1 before the account of t, as the process of the plant does."""
 
     began = False
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hedgerow.plant.clock import Clock
 
 
-def test_single_steps_that_were_not_made_are_forgotten_when_the_run_goes_on() -> None:
+def test_pending_single_steps_are_dropped_on_resume() -> None:
     clock = Clock(0.0)
     clock.allow(10)
     clock.sent()
@@ -17,7 +17,7 @@ def test_single_steps_that_were_not_made_are_forgotten_when_the_run_goes_on() ->
 
 
 def test_single_steps_keep_the_rate() -> None:
-    """The first too: it comes no sooner after the last step that was made than any other."""
+    """The same holds for the first: its distance from the last step is the same."""
     period_s = 1000.0
     clock = Clock(1 / period_s)
     clock.sent()

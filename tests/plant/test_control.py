@@ -1,4 +1,4 @@
-"""What a stranger may ask a plant, and what it says to that: a refusal in words, and the run goes on untouched."""
+"""Requests of strangers to a plant: each is refused with a message, and the run continues undisturbed."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ ENTRY: dict[str, Any] = {"kind": "drop", "link": [1, 2], "steps": [0, 5]}
 
 
 def asking(command: str, key: str, *values: Any, **rest: Any) -> list[tuple[str, dict[str, Any]]]:
-    """A request for each of these values, and beside them the rest."""
+    """Return a request for each of these values, with valid other fields."""
     return [(command, {**rest, key: value}) for value in values]
 
 
@@ -92,7 +92,7 @@ MEANT += asking("fault", "effects", [EFFECT | {"kind": "jump", "targets": []}], 
 
 
 def answers(session: zenoh.Session, command: str, payload: bytes) -> dict[str, Any]:
-    """The one answer of a plant, which must come."""
+    """Return the one answer of a plant, which must arrive."""
     key = keys.join(0) if command == "join" else keys.control(command)
     replies = [reply.ok for reply in session.get(key, payload=payload, timeout=DEADLINE_S)]
     assert len(replies) == 1, (command, payload[:80])
@@ -101,8 +101,8 @@ def answers(session: zenoh.Session, command: str, payload: bytes) -> dict[str, A
     return answer
 
 
-def test_a_plant_refuses_in_words_whatever_is_no_request(here: Path) -> None:
-    """Each of some hundred queries is answered in one short line, and the trajectory is what it would have been."""
+def test_a_plant_refuses_an_invalid_request_with_a_message(here: Path) -> None:
+    """Each of some hundred queries is answered in one short line, and the trajectory is unaffected."""
     quiet = ("--viewer", "none", "--no-record")
     with contextlib.ExitStack() as stack:
         network = stack.enter_context(Orchestrator("up", "paper7", *quiet, "--steps", str(STEPS), "--rate", "0.001"))
@@ -181,6 +181,6 @@ def test_a_world_steps_on_under_any_effects_that_are_not_refused(written: list[A
         {"kind": "drop", "link": [1, 2], "steps": [5, 5]},
     ],
 )
-def test_an_observer_that_hears_of_a_fault_that_none_is_says_so(entry: dict[str, Any]) -> None:
+def test_an_observer_reports_an_invalid_fault(entry: dict[str, Any]) -> None:
     with pytest.raises(HedgerowError, match="the plant was given a fault that"):
         with_fault(PAPER7, entry)

@@ -48,7 +48,7 @@ def test_coloured_noise_is_stationary_with_its_correlation() -> None:
 
 
 def test_coloured_noise_is_a_function_of_seed_node_and_step() -> None:
-    """Asked out of order, and beside fewer nodes, it has the same bits; another seed gives other noise."""
+    """In any order of calls, and beside fewer nodes, it has the same bits; another seed gives other noise."""
     forwards = np.array([noise(4).at(t) for t in range(20)])
     source = noise(4)
     again = np.array([source.at(t) for t in reversed(range(20))])[::-1]

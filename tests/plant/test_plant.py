@@ -1,4 +1,6 @@
-"""The plant's process over a real router, in this process, with agents and an observer that say only what they must."""
+"""The plant's process over a real router, in this process, with agents and an observer that send only the necessary
+messages.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +42,7 @@ TRUTH = truth_of(PAPER7, layout(PAPER7, 2))
 
 
 class Scene:
-    """A plant that runs on a thread of its own, and whoever takes part."""
+    """A plant on a separate thread, and its participants."""
 
     def __init__(self, endpoint: str, stack: contextlib.ExitStack) -> None:
         self._endpoint, self._stack = endpoint, stack
@@ -49,12 +51,12 @@ class Scene:
         self._declared: list[object] = []
         self._inbox = Inbox()
         self.states: list[int] = []
-        """the steps whose state shard 0 was told"""
+        """the steps with a state for shard 0"""
         self.events: list[dict[str, Any]] = []
         self.failure: BaseException | None = None
 
     def start(self, rate: float, deadline_s: float) -> None:
-        """The plant, and an observer who says only at the end that it has seen anything."""
+        """Start the plant, and an observer that acknowledges only at the end."""
         session = open_router(self._endpoint, NAMESPACE)
         self.plant = Plant(TRUTH, session, rate, deadline_s)
         self._stack.callback(self.plant.close)
@@ -100,7 +102,7 @@ class Scene:
         self.wait_for(lambda: len(self.states) >= 10)
 
     def join(self, p: int, life: int = 0) -> None:
-        """An agent process, which answers every state at once."""
+        """Start an agent process that answers every state at once."""
         session = self._agents[p] = self._open()
         k, m = len(TRUTH.shards[p]), self.plant.shards.all[p].incidences
 
@@ -120,20 +122,20 @@ class Scene:
         self._declared.append(session.liveliness().declare_token(keys.alive(keys.shard_name(p), life)))
 
     def declare_token(self, key: str) -> zenoh.LivelinessToken:
-        """Of a process that is none of ours."""
+        """Declare the token of a process that is not ours."""
         return self._operator.liveliness().declare_token(key)
 
     def say(self, p: int, t: int) -> None:
-        """An input of a shard, wherever it comes from."""
+        """Send an input of a shard, from any sender."""
         self._operator.put(keys.input_(p), _input(p, t))
 
     def die(self, p: int, life: int = 0) -> None:
-        """The process of an agent ends, and who started it says so."""
+        """End the process of an agent, and report it."""
         close(self._agents[p])
         assert self.ask("died", shard=p, life=life) == {}
 
     def ask(self, command: str, **request: Any) -> Any:
-        """What the plant answers."""
+        """Return the plant's answer."""
         (reply,) = self._operator.get(keys.control(command), payload=json.dumps(request), timeout=DEADLINE_S)
         assert reply.ok is not None
         return json.loads(reply.ok.payload.to_string())
@@ -144,7 +146,7 @@ class Scene:
             assert self._changed.wait_for(what, DEADLINE_S), (self.states[-3:], self.events, self.failure)
 
     def happened(self, event: str, times: int = 1) -> Callable[[], bool]:
-        """Whether the plant has told that so often."""
+        """Return True if the plant has reported the event so often."""
         return lambda: [one["event"] for one in self.events].count(event) >= times
 
 
@@ -159,8 +161,8 @@ def scene(tmp_path: Path) -> Iterator[Scene]:
         yield Scene(f"unixsock-stream/{tmp_path}/router.sock", stack)
 
 
-def test_a_step_is_paced_by_the_rate_and_by_nothing_else(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nobody wakes the plant but itself: no observer, no repetition."""
+def test_a_step_is_paced_by_the_rate_alone(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Only the plant itself causes a step: there are no observer and no repetition."""
     monkeypatch.setattr("hedgerow.plant.process.RESEND_AFTER_S", NEVER_S)
     scene.start(20.0, NEVER_S)
     for p in (0, 1):
@@ -169,7 +171,7 @@ def test_a_step_is_paced_by_the_rate_and_by_nothing_else(scene: Scene, monkeypat
 
 
 @pytest.mark.parametrize("back", [[0], [0, 1]])
-def test_a_network_that_all_had_left_goes_on_with_whoever_is_back(scene: Scene, back: list[int]) -> None:
+def test_a_deserted_network_continues_with_the_first_returning_agent(scene: Scene, back: list[int]) -> None:
     scene.get_under_way()
     for p in (0, 1):
         scene.die(p)
@@ -180,10 +182,10 @@ def test_a_network_that_all_had_left_goes_on_with_whoever_is_back(scene: Scene, 
     at = next(one["at"] for one in scene.events if one["event"] == "back")
     scene.wait_for(lambda: scene.states[-1] >= at + 10)
     assert at in scene.states
-    assert at - 1 not in scene.states  # nobody acts at the step at which it is taken back
+    assert at - 1 not in scene.states  # no node acts at the step of its return
 
 
-def test_nothing_is_said_while_an_agent_of_the_run_before_could_answer(scene: Scene) -> None:
+def test_no_state_is_sent_while_an_agent_of_the_run_before_could_answer(scene: Scene) -> None:
     scene.start(0.0, NEVER_S)
     other = (scene.plant.number + 1) % 2**31
     left_behind = scene.declare_token(keys.alive(keys.shard_name(0), 0, other))
@@ -197,8 +199,10 @@ def test_nothing_is_said_while_an_agent_of_the_run_before_could_answer(scene: Sc
     scene.wait_for(lambda: len(scene.states) >= 10)
 
 
-def test_a_network_that_nobody_comes_back_to_ends_by_name(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Even if an input of who has died is still on its way: that one is not back."""
+def test_a_network_without_returning_agents_ends_with_their_names(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A late input of a dead agent may arrive: it does not count as its return."""
     monkeypatch.setattr("hedgerow.plant.process.START_DEADLINE_S", 2.0)
     scene.get_under_way()
     for p in (0, 1):
@@ -209,7 +213,7 @@ def test_a_network_that_nobody_comes_back_to_ends_by_name(scene: Scene, monkeypa
     assert "no agent is back after 2 s" in str(scene.failure)
 
 
-def test_one_that_dies_for_good_when_it_is_hardly_back_is_lost_again(scene: Scene) -> None:
+def test_an_agent_that_dies_right_after_its_return_is_lost_again(scene: Scene) -> None:
     scene.get_under_way()
     scene.die(1)
     scene.wait_for(scene.happened("lost"))
@@ -225,8 +229,8 @@ def test_one_that_dies_for_good_when_it_is_hardly_back_is_lost_again(scene: Scen
     scene.wait_for(lambda: scene.states[-1] >= scene.events[-1]["step"] + 10)
 
 
-def test_a_run_that_is_over_has_no_place_for_anybody(scene: Scene) -> None:
-    """Who asks is to wait for the next run; it would hear nothing more of this one."""
+def test_a_finished_run_has_no_place(scene: Scene) -> None:
+    """A process that asks must wait for the next run; it would receive nothing more of this one."""
     scene.start(0.0, NEVER_S)
     for p in (0, 1):
         scene.join(p)

@@ -1,4 +1,4 @@
-"""The true network: equation (1), its disturbances, and what holds whatever the agents believe."""
+"""The true network: equation (1), its disturbances, and the facts that hold for any estimates."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ SEED = 2**63 - 1
 
 
 def disturbance(components: Sequence[Sequence[dict[str, Any]]], seed: int) -> Disturbance:
-    """That of these nodes, each with its list."""
+    """Return the disturbance of these nodes, each with its list."""
     return Disturbance(groups_of(components, 50), range(len(components)), seed)
 
 
@@ -53,7 +53,7 @@ def test_each_kind_follows_its_formula() -> None:
 @given(st.lists(disturbances(12), min_size=1, max_size=5), st.integers(0, 2**63 - 1))
 @settings(max_examples=50)
 def test_a_list_is_the_sum_of_its_members(written: list[Any], seed: int) -> None:
-    """Each member at its place gives what it gives with nothing around it but `none`."""
+    """Each member at its place gives the same values as with only `none` around it."""
     nodes: list[list[dict[str, Any]]] = [
         [{"kind": part} if isinstance(part, str) else part for part in parts]
         for parts in (own if isinstance(own, list) else [own] for own in written)
@@ -72,7 +72,7 @@ def test_a_list_is_the_sum_of_its_members(written: list[Any], seed: int) -> None
 
 
 def test_white_noise_is_a_function_of_seed_node_and_step() -> None:
-    """Asked out of order, or beside other kinds, it is the same; another seed is another."""
+    """In any order of calls, and beside other kinds, it is the same; another seed gives other values."""
     white = {"kind": "white", "std": 1.0}
     noise = disturbance([[white]] * 4, SEED)
     forwards = np.array([noise.at(t) for t in range(20)])
@@ -122,8 +122,8 @@ def test_the_world_moves_by_equation_1(topology: Topology) -> None:
 
 @given(networks(), st.data())
 @settings(max_examples=60)
-def test_what_flows_out_of_a_node_flows_into_another(topology: Topology, data: st.DataObject) -> None:
-    """An edge that is cut is cut at both ends: the flows of all nodes always sum to zero, whatever their weights."""
+def test_the_flows_of_all_nodes_sum_to_zero(topology: Topology, data: st.DataObject) -> None:
+    """A cut edge is closed at both ends: the flows of all nodes always sum to zero, for any weights."""
     edges = len(topology.edges)
     edge_open = np.array(data.draw(st.lists(st.booleans(), min_size=edges, max_size=edges)), bool)
     u = np.sin(np.arange(len(topology.ids)) * 7.0)
@@ -168,7 +168,7 @@ def weights_of(topology: Topology) -> Array:
 
 
 def test_rho_is_attained() -> None:
-    """The bound is tight: states of one sign, whose estimates are right, shrink by exactly rho."""
+    """The bound is tight: states of one sign with right estimates shrink by exactly rho."""
     topology = read(
         "{name: n, b: 0.2, steps: 1, nodes: {1: {a: 0.6, candidates: [0.6]},"
         " 2: {a: 0.6, candidates: [0.6]}}, edges: [[1, 2]]}"
@@ -210,7 +210,7 @@ def test_the_certificate_would_notice_a_controller_that_is_not_optimal() -> None
 
 @pytest.mark.parametrize("unequal", [False, True])
 def test_a_network_of_500_nodes_has_the_same_mathematics(unequal: bool) -> None:
-    """Large networks take sparse algebra: gamma* and Q^-1 w are those of the paper's dense matrices."""
+    """Large networks use sparse algebra: gamma* and Q^-1 w agree with the paper's dense matrices."""
     n = 500
     a, edges = 0.3 + 0.4 * np.arange(n) / n, np.array([[i, i + 1] for i in range(n - 1)])
     b: Gain = 0.05 + 0.1 * np.arange(n) / n if unequal else 0.1

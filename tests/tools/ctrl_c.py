@@ -1,4 +1,4 @@
-"""Ctrl-C, where a shell has taken it from what runs in the background."""
+"""Ctrl-C for programs in which a background shell has disabled it."""
 
 from __future__ import annotations
 
@@ -6,6 +6,6 @@ import signal
 
 
 def mind_ctrl_c() -> None:
-    """Let SIGINT mean something to the processes that we start."""
+    """Restore the default action of SIGINT in the processes that we start."""
     if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)

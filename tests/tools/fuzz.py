@@ -1,11 +1,10 @@
-"""`python -m tests.tools.fuzz`: files and messages as no one should write them, and what becomes of them.
+"""`python -m tests.tools.fuzz`: damaged files and messages, and their results.
 
-Each case is drawn from (seed, number) alone, so `--only NUMBER` tries one again. Files go through the commands that a
-user would give them to; a file is refused in words, or it is good all the way. Messages go through the decoders; one
-is taken, or is a MessageError. Anything else is a finding: another exception, 20 s of processor time, 4 GB of memory,
-a death.
+Each case is drawn from (seed, number) alone, so `--only NUMBER` tries one again. Files go through the commands of a
+user; each file is refused with a message or fully accepted. Messages go through the decoders; one is taken, or is a
+MessageError. Anything else is a finding: another exception, 20 s of processor time, 4 GB of memory, a death.
 
-The cases run in a process of their own, which says what it begins with: if it dies or hangs, the case has a number.
+The cases run in a separate process, which prints the number of each case first: so a case that dies or hangs is known.
 """
 
 from __future__ import annotations
@@ -65,16 +64,16 @@ from tests.tools.fuzz_bends import bent_bytes, bent_text
 ROOT = Path(__file__).parents[2]
 CASE_CPU_S = 20.0
 CASE_WALL_S = 180.0
-"""past it, whoever waits for the worker takes the case for a hang"""
+"""after this time, the parent counts the case as a hang"""
 WORKER_CASES = 1000
-"""a worker tries so many: what the libraries keep of damaged files is not what is looked for"""
+"""the maximum number of cases per worker: libraries store parts of damaged files, which is not the subject here"""
 MEMORY_BYTES = 4 * 2**30
 SHOWN = 20
 
 Random = random.Random
 
 
-# ---- what is bent
+# ---- the damage
 
 FAULTY = b"""\
 name: faulty
@@ -122,7 +121,7 @@ def topology_texts() -> list[bytes]:
 
 
 def record_folder(directory: Path) -> Path:
-    """A run's folder with everything in it: tables, streams as of a run that goes on, a recording, processes."""
+    """Return a run folder with everything in it: tables, streams of a live run, a recording, processes."""
     text = directory / "faulty.yaml"
     text.write_bytes(FAULTY)
     topology = resolve(load(str(text)))
@@ -136,7 +135,7 @@ def record_folder(directory: Path) -> Path:
         rows = pq.read_table(folder.path / f"{name}.parquet")
         with pa.ipc.new_stream(str(folder.path / f"{name}.arrows"), rows.schema) as stream:
             width = len(topology.ids) if name == "telemetry" else len(topology.edges)
-            for first in range(0, len(rows), 5 * width):  # the last state is a batch of its own
+            for first in range(0, len(rows), 5 * width):  # the last state is a separate batch
                 stream.write_table(rows.slice(first, 5 * width))
     folder.event("lost", shard=0, who="agent 1", cause="silent", step=7)
     return folder.path
@@ -147,7 +146,7 @@ def record_folder(directory: Path) -> Path:
 
 @dataclass(frozen=True)
 class Finding:
-    """A case that came to no good end."""
+    """A case with a finding."""
 
     kind: str
     number: int
@@ -158,7 +157,7 @@ class Finding:
 
 
 def _worded(error: HedgerowError) -> None:
-    """An error says something that a person reads on one screen."""
+    """Check that an error has a text that fits on one screen."""
     if not 0 < len(str(error).strip()) < 20_000:
         raise ValueError(f"an error of {len(str(error))} characters")
 
@@ -183,14 +182,14 @@ class Files:
 
     @cached_property
     def _viewer(self) -> Viewer:
-        """Something that takes what a viewer takes."""
+        """A stand-in for a viewer, which accepts the same calls."""
         import rerun as rr  # noqa: PLC0415
 
         self._server = rr.RecordingStream("fuzz")
         return Viewer(self._server.serve_grpc(grpc_port=free_port(), server_memory_limit="16MB"))
 
     def try_one(self, number: int) -> str:
-        """What became of a case: `refused` or `good`, and of what; raises what it should not."""
+        """Try a case; return `refused` or `good`, and its kind; raise an exception for a finding."""
         rng = Random(f"files {self._seed} {number}")
         shutil.rmtree(self._case, ignore_errors=True)
         self._case.mkdir()
@@ -224,7 +223,7 @@ class Files:
 
     def _check_and_run(self, file: Path) -> None:
         self._run("check", str(file))
-        # As far as it was checked it is good: so it runs. (Its steps and its law are whatever they came to be.)
+        # The checked topology is valid, so it must run. (Its steps and its law may be arbitrary.)
         if len(resolve(load(str(file)), file.parent).ids) < 1000:
             sets = ("--steps", "3", "--set", "faults=[]", "--set", "law=minimax", "--set", "processes=1")
             with contextlib.suppress(HedgerowError):  # samples may be too short for 3 steps
@@ -359,10 +358,10 @@ class Payloads:
         )
 
     def try_one(self, number: int) -> str:
-        """What became of a case; raises what it should not."""
+        """Try a case; raise an exception for a finding."""
         rng = Random(f"payloads {self._seed} {number}")
         message = rng.choice(self._messages)
-        if rng.random() < 0.3:  # a header that is right, and anything behind it
+        if rng.random() < 0.3:  # a valid header with any bytes after it
             kind = rng.randrange(10)
             head = codec._HEADER.pack(codec.VERSION, kind, 0, rng.choice((0, 3, 4, 2**32 - 1)), rng.choice((0, 7, -1)))
             depth = rng.choice((1, 100, 100_000))
@@ -382,7 +381,7 @@ class Payloads:
 
 
 class Planted:
-    """What there is to find: an exception, a hang, a death."""
+    """Planted findings: an exception, a hang, a death."""
 
     def __init__(self, _: int, __: Path) -> None:
         pass
@@ -411,13 +410,13 @@ KINDS: dict[str, Callable[[int, Path], Files | Payloads | Planted | fuzz_inputs.
 }
 
 
-# ---- the worker: one case after the other, and a line for each
+# ---- the worker: one case after another, with one line each
 
 
 def work(kind: str, seed: int, numbers: Sequence[int], scratch: Path) -> None:
-    """Try these cases; says on standard output which it begins with, and what became of it."""
+    """Try these cases; print each number before its case, and the result after it."""
     resource.setrlimit(resource.RLIMIT_DATA, (MEMORY_BYTES, MEMORY_BYTES))
-    warnings.simplefilter("ignore")  # numbers that overflow are what the file asked for
+    warnings.simplefilter("ignore")  # the file may cause overflows
     out = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
 
@@ -442,11 +441,11 @@ def work(kind: str, seed: int, numbers: Sequence[int], scratch: Path) -> None:
     os._exit(0)
 
 
-# ---- who hands out the cases
+# ---- the distribution of the cases
 
 
 def fuzz(kind: str, seed: int, numbers: Sequence[int]) -> tuple[Counter[str], list[Finding]]:
-    """Try these cases of a kind: how often what became of them, and the findings."""
+    """Try these cases of a kind; return the counts of the results, and the findings."""
     counts: Counter[str] = Counter()
     findings: list[Finding] = []
     left = list(numbers)
@@ -471,7 +470,7 @@ def fuzz(kind: str, seed: int, numbers: Sequence[int]) -> tuple[Counter[str], li
 
 
 def _lines(kind: str, seed: int, numbers: Sequence[int], scratch: Path) -> Iterator[list[Any]]:
-    """What a worker says, until it has ended or says nothing for too long."""
+    """Yield the lines of a worker, until it ends or is silent for too long."""
     words = [
         sys.executable,
         "-P",
@@ -513,7 +512,7 @@ def _lines(kind: str, seed: int, numbers: Sequence[int], scratch: Path) -> Itera
 
 
 def main() -> None:
-    """Try so many cases of each kind, and say what became of them; exit code 1 if any is a finding."""
+    """Try a number of cases of each kind, and print the results; exit code 1 if any is a finding."""
     parser = argparse.ArgumentParser(prog="python -m tests.tools.fuzz", description=main.__doc__)
     parser.add_argument("--files", type=int, default=10_000)
     parser.add_argument("--payloads", type=int, default=10_000)

@@ -1,7 +1,7 @@
 """Inputs of the fuzzer: TOML, tables, sweeps, keys, the list of running networks, JSON from the network.
 
-Each case is allowed 5 s of processor time and 256 MB above what the process takes before it, under a cap of 200 MB
-(HEDGEROW_MEMORY_MB): an estimate that is too low is a finding.
+Each case may use 5 s of processor time and 256 MB above the process before it, under a cap of 200 MB
+(HEDGEROW_MEMORY_MB). An estimate that is too low is a finding.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class CostlyError(Exception):
 
 @contextlib.contextmanager
 def measured() -> Iterator[None]:
-    """Raise CostlyError if the block takes more memory or processor time than a case may."""
+    """Raise CostlyError if the block uses more memory or processor time than permitted."""
     Path("/proc/self/clear_refs").write_text("5")  # the peak is counted from here
     before, began = _memory("VmRSS"), time.process_time()
     try:
@@ -78,7 +78,7 @@ def run(*words: str) -> None:
 
 
 def spoiled(file: Path, rng: Random, others: list[bytes]) -> None:
-    """Change a file: its content, or what it is."""
+    """Change the content of a file, or its type."""
     content, whim = file.read_bytes(), rng.random()
     if whim < 0.15:
         file.unlink()
@@ -129,10 +129,10 @@ class Inputs:
         self.prepare()
 
     def prepare(self) -> None:
-        """Make what the cases are copies of."""
+        """Make the originals of the cases."""
 
     def make(self, rng: Random) -> Callable[[], object]:
-        """Make a case, and return what reads it."""
+        """Make a case, and return the function that reads it."""
         raise NotImplementedError
 
     def try_one(self, number: int) -> str:
@@ -153,7 +153,7 @@ class Inputs:
 
 
 class Toml(Inputs):
-    """What processes elsewhere are told."""
+    """The configs of separate processes."""
 
     def prepare(self) -> None:
         file = self._scratch / "pair.yaml"
@@ -223,7 +223,7 @@ class OfARun(Inputs):
 
 
 class Tables(OfARun):
-    """The tables of a run, written anew with other columns, types, codings and lengths, or with bent bytes."""
+    """The tables of a run, rewritten with other columns, types, codings and lengths, or with changed bytes."""
 
     def make(self, rng: Random) -> Callable[[], object]:
         folder = self._case / "run"
@@ -305,7 +305,7 @@ class Tables(OfARun):
 
 
 class Sweeps(Inputs):
-    """The folder of a sweep that is gone on with."""
+    """The folder of a sweep to continue."""
 
     def prepare(self) -> None:
         file = self._scratch / "pair.yaml"
@@ -393,7 +393,7 @@ class Registry(Inputs):
 
 
 class Requests(Inputs):
-    """JSON that comes over the network, as commands, answers and events."""
+    """JSON from the network: commands, answers and events."""
 
     def prepare(self) -> None:
         file = self._scratch / "faulty.yaml"
@@ -465,7 +465,7 @@ class Everything:
         self._kinds = [kind(seed, scratch / name) for name, kind in KINDS.items()]
 
     def try_one(self, number: int) -> str:
-        """Return what became of a case."""
+        """Return the result of a case."""
         kind = self._kinds[number % len(self._kinds)]
         return f"{type(kind).__name__}: {kind.try_one(number)}"
 

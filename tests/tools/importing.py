@@ -1,4 +1,4 @@
-"""What tests read of an imported network."""
+"""Helpers for tests of imported networks."""
 
 from __future__ import annotations
 

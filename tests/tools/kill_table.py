@@ -1,4 +1,4 @@
-"""Send every signal to every process of a run at every time, and record what is kept and what remains.
+"""Send every signal to every process of a run at every time, and record the saved steps and the remains.
 
 Run it with `python -m tests.tools.kill_table`.
 
@@ -9,8 +9,8 @@ Run it with `python -m tests.tools.kill_table`.
            was asked to end, and the process held still from just before, or `up` from just after, so that the signal
            meets it alive
 
-Each cell is a run of paper7 over real Zenoh; every other one is secure, and has keys and certificates to leave behind.
-`--write` puts the table into docs/reliability.md.
+Each cell is a run of paper7 over real Zenoh; every other one is secure, with keys and certificates to remove. `--write`
+puts the table into docs/reliability.md.
 """
 
 from __future__ import annotations
@@ -56,12 +56,12 @@ WHEN = ("start", "middle", "end")
 RATE, STEPS, MIDDLE = 20, 1500, 20
 STOPPED_S = 5.0
 RRD_S = 1.0
-"""Of so many seconds before the signal, run.rrd may lack the steps: it is written in pieces."""
+"""run.rrd may lack this time before the signal, because it is written in pieces [s]."""
 DEADLINE_S = 90.0
 ENDED_S = 30.0
 """so long after the signal the command must have ended"""
 GONE_S = 5.0
-"""so long after the command has ended, nothing may be left"""
+"""the time after the end of the command until which all remains must be gone [s]"""
 MARK = "HEDGEROW_KILL_TABLE"
 
 ROUTER = """
@@ -83,14 +83,14 @@ class Cell:
 
     @property
     def wire(self) -> str:
-        """How its processes find each other: of any two cells side by side in the table, one is secure."""
+        """The connection of its processes: of any two neighbouring cells in the table, one is secure."""
         if self.who == "router":
             return "TCP"
         return ("socket", "TLS")[(WHAT.index(self.what) + WHEN.index(self.when)) % 2]
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """What the table says of the cell before it was tried."""
+        """Return the description of the cell in the table."""
         sent = f"{self.what.name}" + (f" {STOPPED_S:g} s" if self.what == signal.SIGSTOP else "")
         return self.who, sent, self.when, self.wire
 
@@ -103,7 +103,7 @@ CELLS = [Cell(*cell) for cell in itertools.product(WHO, WHAT, WHEN)]
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a run."""
+    """The result of a run."""
 
     code: int
     verdict: str
@@ -116,14 +116,14 @@ class Outcome:
     ended_s: float
     """from the signal to the command's end"""
     gone_s: float
-    """from there until nothing was left"""
+    """the time from there until nothing remained"""
     left: tuple[str, ...]
-    """what still was after GONE_S"""
+    """the processes that remained after GONE_S"""
     output: str
 
 
 def run_cell(cell: Cell, directory: Path) -> Outcome:
-    """Run a network in an empty directory, send the signal, wait for the end, and look at what is there."""
+    """Run a network in an empty directory, send the signal, wait for the end, and inspect the remains."""
     with contextlib.ExitStack() as stack:
         return _Run(cell, directory, stack).outcome()
 
@@ -185,7 +185,7 @@ class _Run:
         self._router.stdout.close()
 
     def _clear(self) -> None:
-        """Nothing of a cell lives on, whatever the table says of it."""
+        """End every process of a cell, whatever its result."""
         for process in self._ours():
             with contextlib.suppress(psutil.NoSuchProcess):
                 process.kill()
@@ -230,10 +230,10 @@ class _Run:
         return Outcome(code, "none", seen, kept, kept_rrd, ended - sent, gone_s, left, self._output.read_text())
 
     def _hurry(self) -> None:
-        """What goes on need not go on for long."""
+        """Speed up the rest of the run."""
         events = self._folder / "events.jsonl"
         self._wait_for(lambda: events.exists() and '"first_step"' in events.read_text(encoding="utf-8"), "a step")
-        with contextlib.suppress(WireError, OSError):  # it may have come to its end
+        with contextlib.suppress(WireError, OSError):  # it may have ended
             for listed in self._runtime.glob("*/*.json"):
                 with Live(Entry(**json.loads(listed.read_text(encoding="utf-8")))) as live:
                     live.rate(0)
@@ -255,7 +255,7 @@ class _Run:
 
     def _at_the_end(self) -> psutil.Process:
         target = self._in_the_middle()
-        # `up` itself must hear Ctrl-C first, and ends only after the plant.
+        # `up` itself must receive Ctrl-C first, and ends only after the plant.
         awaited = self._target("plant") if self._cell.who == "up" else target
         awaited.send_signal(signal.SIGSTOP)
         self._up.send_signal(signal.SIGINT)
@@ -302,7 +302,7 @@ class _Run:
                 raise TimeoutError(f"{self._cell}: never came to {what}: {self._output.read_text()}")
             pause.wait(look_s)
 
-    # ---- what is there
+    # ---- the remains
 
     def _recorded(self) -> int:
         """Steps in the streams of both tables, with the state after them."""
@@ -344,7 +344,7 @@ class _Run:
         return shared
 
     def _left(self) -> tuple[str, ...]:
-        """Whatever of this run is still on the machine, besides what it recorded."""
+        """Return the remains of this run on the machine, besides its recorded files."""
         left = [f"process {one.pid}" for one in self._ours()]
         left += [f"socket {path.name}" for path in self._folder.glob("*.sock*")]
         left += [f"part {path.name}" for path in self._folder.rglob("*.part")]
@@ -354,11 +354,11 @@ class _Run:
         return tuple(left)
 
 
-# ---- what should become of it
+# ---- the expected results
 
 
 def wrong(cell: Cell, outcome: Outcome) -> list[str]:
-    """What is not as promised, in words."""
+    """Return the broken promises, in words."""
     found = [f"left behind: {', '.join(outcome.left)}"] if outcome.left else []
     if "Traceback" in outcome.output:
         found.append("a traceback")
@@ -381,7 +381,7 @@ def wrong(cell: Cell, outcome: Outcome) -> list[str]:
 
 
 def allowed(cell: Cell) -> tuple[int, ...]:
-    """The exit codes that are right: 0 where the run can go on, 3 where it was ended or cannot."""
+    """Return the right exit codes: 0 if the run can continue, 3 if it was ended or cannot continue."""
     match cell:
         case Cell("up", signal.SIGKILL, _):
             return (-signal.SIGKILL,)
@@ -415,11 +415,11 @@ def _try(cell: Cell) -> Outcome:
 
 
 def main() -> None:
-    """Run every cell, print the table, and say what is wrong; exit code 1 if anything is."""
+    """Run every cell, print the table and the broken promises; exit code 1 if there is one."""
     parser = argparse.ArgumentParser(prog="python -m tests.tools.kill_table", description=main.__doc__)
-    parser.add_argument("--only", default="", help="cells whose name has this in it: agent-SIGTERM-start, …")
+    parser.add_argument("--only", default="", help="cells with this text in their names: agent-SIGTERM-start, …")
     parser.add_argument("--write", action="store_true", help="put the table into docs/reliability.md")
-    parser.add_argument("--jobs", type=int, default=1, help="so many cells at once")
+    parser.add_argument("--jobs", type=int, default=1, help="number of cells at once")
     known = parser.parse_args()
     if known.write and known.only:
         parser.error("--write is for the whole table")

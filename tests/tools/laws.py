@@ -9,7 +9,7 @@ from hedgerow.agents.local import Heard, Local
 
 
 class Curious:
-    """Asks for everything, and lets everything that it gets act on u, ahat and the margin."""
+    """Asks for all local data, and uses all of it for u, ahat and the margin."""
 
     def __init__(self, b: float, candidates: Array, *, weight: float = 0.25, local: Local) -> None:
         self.b, self.weight, self.local = b, weight, local
@@ -56,7 +56,7 @@ class LeastSquares:
 
 
 class Damped:
-    """Acts half as hard as equation (6) would on the smallest candidate, and learns nothing."""
+    """Acts with half the input of equation (6) on the smallest candidate, and learns nothing."""
 
     def __init__(self, b: float, candidates: Array) -> None:
         self.gain = 0.5 * b / (1.0 - np.nanmin(candidates, axis=0))

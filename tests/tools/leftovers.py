@@ -1,4 +1,4 @@
-"""What tests start ends with pytest, even if that is killed or given up on: a network in the background, too.
+"""Processes of tests end with pytest, even if that is killed or stuck; this includes detached networks.
 
 A watcher holds on to pytest by a pipe. When that closes, it ends every process that has inherited this session's mark.
 """
@@ -27,7 +27,7 @@ def nothing_lives_on() -> Iterator[None]:
         stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
-        start_new_session=True,  # what ends pytest's group does not end it
+        start_new_session=True,  # a signal to pytest's process group does not end it
     )
     os.environ[MARK] = mark
     yield
@@ -46,7 +46,7 @@ def marked(mark: str) -> list[psutil.Process]:
 
 
 def main() -> None:
-    """Wait for the end of standard input; then end whoever has the mark, and whom they start meanwhile."""
+    """Wait for the end of standard input; then end all processes with the mark, and their new children."""
     sys.stdin.buffer.read()
     while left := marked(sys.argv[1]):
         for process in left:

@@ -29,7 +29,7 @@ with zenoh.open(zenoh.Config.from_file(sys.argv[1].removeprefix("--config="))):
     print("open", flush=True)
     signal.pause()
 """
-"""As the router's image runs: by a file, in the folder of its keys."""
+"""The router runs as in its image: with a file, in the folder of its keys."""
 
 
 def command(*words: str) -> None:
@@ -59,7 +59,7 @@ class Machines:
         hosts = "127.0.0.1 localhost\n" + "".join(f"{ip} {name}\n" for name, ip in self.address.items())
         for number, (name, space) in enumerate(self._spaces.items(), 1):
             command("ip", "netns", "add", space)
-            # `ip netns exec` puts what is here in the place of /etc/hosts.
+            # `ip netns exec` mounts this file over /etc/hosts.
             folder = Path("/etc/netns") / space
             folder.mkdir(parents=True)
             (folder / "hosts").write_text(hosts)
@@ -74,16 +74,16 @@ class Machines:
                 command("ip", "-n", space, "route", "change", *route)
 
     def on(self, name: str) -> tuple[str, ...]:
-        """What runs a command on that machine."""
+        """Return the prefix of a command on that machine."""
         return ("ip", "netns", "exec", self._spaces[name])
 
     def cable(self, name: str, state: str) -> None:
-        """Pull a machine's cable, `down`, or put it back, `up`."""
+        """Disconnect a machine's cable, `down`, or reconnect it, `up`."""
         number = list(self._spaces).index(name) + 1
         command("ip", "-n", self._switch, "link", "set", f"port{number}", state)
 
     def tear_down(self) -> None:
-        """Leave nothing."""
+        """Remove everything."""
         for space in (*self._spaces.values(), self._switch):
             with contextlib.suppress(FileNotFoundError):
                 subprocess.run(("ip", "netns", "del", space), capture_output=True, check=False)
@@ -92,7 +92,7 @@ class Machines:
 
 @contextlib.contextmanager
 def machines(*names: str, rto_min: str | None = "10ms") -> Iterator[Machines]:
-    """The machines of these names, while the block lasts.
+    """Provide the machines with these names, while the block lasts.
 
     TCP waits 200 ms before it repeats a packet, and twice as long each time; on a cable of a few microseconds 10 are
     plenty, unless `rto_min` is None.
@@ -132,7 +132,7 @@ class Program:
 
 
 def scripts(folder: Path) -> Path:
-    """The commands that an installation brings, as pyproject.toml names them, in a folder to put on the path."""
+    """Provide the commands of an installation, as in pyproject.toml, in a folder for the path."""
     folder.mkdir()
     names = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["scripts"]
     for name, where in names.items():

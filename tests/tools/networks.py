@@ -31,7 +31,7 @@ def read(text: str, *overrides: str, folder: Path = Path()) -> Topology:
 
 
 def vector_file(path: Path) -> tuple[str, dict[str, Any]]:
-    """The text of a topology file for the network of a vector, and the numbers it should give."""
+    """Return the text of a topology file for the network of a vector, and the expected numbers."""
     vector = json.loads(path.read_text(encoding="utf-8"))
     nodes = {
         i: {
@@ -53,7 +53,7 @@ def vector_file(path: Path) -> tuple[str, dict[str, Any]]:
 
 
 def from_vector(path: Path) -> tuple[Topology, dict[str, Any]]:
-    """The network of a vector, by way of a topology file, and the numbers it should give."""
+    """Return the network of a vector, read from a topology file, and the expected numbers."""
     text, expected = vector_file(path)
     return read(text), expected
 
@@ -65,7 +65,7 @@ def listed(topology: Topology) -> list[list[float]]:
 
 @dataclass(frozen=True)
 class Trajectory:
-    """What a run left: its telemetry, and the same as arrays."""
+    """The results of a run: its telemetry, and the same as arrays."""
 
     rows: list[Telemetry]
     end: End
@@ -105,14 +105,14 @@ def simulate(topology: Topology, shards: Layout | None = None) -> Trajectory:
 
 
 def gathered(telemetry: Iterable[Telemetry | End]) -> Trajectory:
-    """All that a run tells, to its end."""
+    """Return all messages of a run, to its end."""
     *rows, end = telemetry
     assert isinstance(end, End)
     return Trajectory([row for row in rows if isinstance(row, Telemetry)], end)
 
 
 def observe(topology: Topology, ran: Trajectory) -> tuple[Observer, Batch]:
-    """All metrics of a run, taken in at once."""
+    """Return all metrics of a run, in one batch."""
     observer = Observer(topology)
     batch = observer.take(ran.rows)
     observer.finish(ran.end)
@@ -125,7 +125,7 @@ def floats(low: float, high: float) -> st.SearchStrategy[float]:
 
 
 def disturbances(steps: int) -> st.SearchStrategy[Any]:
-    """A disturbance as a file spells it: one of each kind, or a sum of some."""
+    """Draw a disturbance as in a file: one of each kind, or a sum of some."""
     value = floats(-3, 3)
     one = st.one_of(
         st.just("none"),
@@ -186,6 +186,6 @@ def networks(draw: st.DrawFn, most: int = 6, steps: int = 12, law: str = "minima
 
 @st.composite
 def partitions(draw: st.DrawFn, n: int) -> Layout:
-    """Any way to put n nodes into agent processes."""
+    """Draw any assignment of n nodes to agent processes."""
     home = draw(st.lists(st.integers(0, n - 1), min_size=n, max_size=n))
     return [[k for k in range(n) if home[k] == p] for p in sorted(set(home))]

@@ -42,7 +42,7 @@ def parquet_bytes(folder: Path) -> tuple[bytes, ...]:
 
 
 def gone(processes: Mapping[str, int], within_s: float = 20.0) -> bool:
-    """Whether all these processes end within the time; a zombie has ended."""
+    """Return True if all these processes end within the time; a zombie has ended."""
     deadline = time.monotonic() + within_s
     pause = threading.Event()
     while left := [pid for pid in processes.values() if _runs(pid)]:
@@ -60,10 +60,10 @@ def _runs(pid: int) -> bool:
 
 
 class Orchestrator:
-    """A command that is running; killed at the end of the block if it still is."""
+    """A running command; the end of the block kills it if it still runs."""
 
     def __init__(self, *arguments: str, inside: Sequence[str] = ()) -> None:
-        """`inside` is a command that runs others somewhere else."""
+        """`inside` is a command that runs other commands elsewhere."""
         self._process = subprocess.Popen(
             [*inside, *COMMAND, *arguments],
             stdout=subprocess.PIPE,
@@ -89,11 +89,11 @@ class Orchestrator:
 
     @property
     def output(self) -> str:
-        """All that was said so far, on both streams."""
+        """Return the output so far, of both streams."""
         return self._said
 
     def wait_for(self, text: str) -> None:
-        """Wait until `text` was said."""
+        """Wait until `text` appears."""
         with self._changed:
             assert self._changed.wait_for(lambda: text in self._said or self._ended, DEADLINE_S), self._said
             assert text in self._said, self._said
@@ -106,7 +106,7 @@ class Orchestrator:
             pause.wait(0.005)
 
     def wait_for_event(self, kind: str, times: int = 1) -> dict[str, Any]:
-        """Wait until the latest run's events.jsonl has so many events of a kind; the last of them."""
+        """Wait until the latest run's events.jsonl has `times` events of a kind; return the last of them."""
         deadline = time.monotonic() + DEADLINE_S
         pause = threading.Event()
         while len(found := [event for event in _events() if event["event"] == kind]) < times:
@@ -116,7 +116,7 @@ class Orchestrator:
         return found[-1]
 
     def wait_for_step(self, step: int) -> None:
-        """Wait until the latest run has come so far."""
+        """Wait until the latest run has reached this step."""
         deadline, pause = time.monotonic() + DEADLINE_S, threading.Event()
         with Live() as live:
             while live.status()["step"] < step:
@@ -134,14 +134,14 @@ class Orchestrator:
 
     @property
     def children(self) -> dict[str, int]:
-        """Process ids of the plant and the agents by name, of those that were started last."""
+        """Return the ids of the latest processes of plant and agents by name."""
         pids: dict[str, int] = dict(_events()[0]["pids"])
         again = {event["process"]: event["pid"] for event in _events() if event["event"] == "restarted"}
         return pids | again
 
     @property
     def pid(self) -> int:
-        """Of the command itself."""
+        """Return the process id of the command itself."""
         return self._process.pid
 
     def send(self, number: int) -> None:
@@ -149,7 +149,7 @@ class Orchestrator:
         self._process.send_signal(number)
 
     def kill_until_it_stays_down(self, name: str) -> None:
-        """Kill an agent's process as often as it comes back, each life once it has reached the router."""
+        """Kill an agent's process repeatedly, each life after it has reached the router."""
         for life in range(1, RESTARTS + 2):
             self.wait_for_log(name, "ready: ", life)
             os.kill(self.children[name], signal.SIGKILL)
@@ -185,7 +185,7 @@ class Orchestrator:
             self._process.kill()
         self._process.wait()
         self._listener.join(DEADLINE_S)
-        assert not self._listener.is_alive(), "somebody still holds the output of a command that has ended"
+        assert not self._listener.is_alive(), "another process still holds the output of an ended command"
         assert self._process.stdout is not None
         self._process.stdout.close()
 

@@ -1,4 +1,4 @@
-"""Faults that the tests draw, and what they should do to what a node knows, told in the plainest way."""
+"""Random faults of the tests, and their effects on the knowledge of a node, computed in the simplest way."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def windows(steps: int) -> st.SearchStrategy[list[int]]:
 
 @st.composite
 def schedules(draw: st.DrawFn, topology: Topology, most: int = 5) -> list[dict[str, Any]]:
-    """Some faults of any kinds, as a file spells them."""
+    """Draw some faults of any kinds, as a file spells them."""
     ids, steps = list(topology.ids), topology.steps
     kinds = ["sensor", "actuator", "crash", "jump"]
     if topology.edges:
@@ -64,12 +64,12 @@ def _fault(draw: st.DrawFn, kind: str, topology: Topology, ids: list[Any], steps
 
 
 def with_faults(topology: Topology, faults: list[dict[str, Any]], **more: Any) -> Topology:
-    """The same resolved network, with these faults."""
+    """Return the same resolved network with these faults."""
     return Topology.model_validate(json.loads(topology.model_dump_json()) | {"faults": faults} | more)
 
 
 class Plain:
-    """What every node knows at every step, by sets of rows and the rules of docs/faults.md; slow and obvious."""
+    """The knowledge of every node at every step, by sets of rows and the rules of docs/faults.md; slow and obvious."""
 
     def __init__(self, topology: Topology, ran: Trajectory) -> None:
         self.topology, self.ran, self.graph = topology, ran, topology.graph
@@ -87,7 +87,7 @@ class Plain:
         return [effect for effect in self.effects if effect.kind == kind]
 
     def struck(self, kind: str, t: int) -> set[int]:
-        """What effects of a kind strike at t."""
+        """Return the targets that effects of a kind strike at t."""
         found: set[int] = set()
         for effect in self._of(kind):
             if effect.table is not None:
@@ -108,7 +108,7 @@ class Plain:
         return late
 
     def ahat(self) -> Any:
-        """The estimates that the law should act on, (T, n); NaN where nobody is there."""
+        """Return the estimates that the law should act on, (T, n); NaN for absent nodes."""
         graph, T = self.graph, self.topology.steps
         x = self.ran.x
         known: list[set[int]] = [set() for _ in graph.node]
@@ -124,7 +124,7 @@ class Plain:
                         learned_from[i] = t + 1
                     continue
                 estimates[t, i] = self._estimate(i, t, known, blind, x, int(learned_from[i]))
-            # What crosses at t is known at t + 1.
+            # A message of t is known at t + 1.
             lost, late = self.struck("drop", t), self.late(t)
             for c, (i, j) in enumerate(zip(graph.node.tolist(), graph.neighbour.tolist(), strict=True)):
                 if c in lost or self.absent[t, j] or (self.absent[t, i] and self.absent[t + 1, i]):
@@ -133,7 +133,7 @@ class Plain:
                     known[c] |= set(range(t - late.get(c, 0) + 1))
                 elif c not in late:
                     known[c].add(t)
-            # A row that came to one who is not back yet is lost with all else.
+            # A row that arrives at a node before its return is lost with all else.
             for c, i in enumerate(graph.node.tolist()):
                 if self.absent[t, i] and self.absent[t + 1, i]:
                     known[c].clear()

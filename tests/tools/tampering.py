@@ -1,4 +1,4 @@
-"""Changes to agents, plant and wire that a verdict must find, and the table of what it says of each.
+"""Changes to agents, plant and network that a verdict must find, and the table of its results.
 
 python -m tests.tools.tampering --write     # the table of docs/reliability.md
 """
@@ -38,7 +38,7 @@ PAGE = Path(__file__).parents[2] / "docs" / "reliability.md"
 BEGIN, STOP = "<!-- tampering table: python -m tests.tools.tampering --write -->", "<!-- end of tampering table -->"
 
 NODE = 2
-"""the id of the agent that is changed"""
+"""the id of the changed agent"""
 TEXT = """
 name: watched
 b: 0.1
@@ -64,7 +64,7 @@ FAULTS: list[dict[str, Any]] = [
 ]
 WATCHED = with_faults(read(TEXT), FAULTS)
 FORGETFUL = with_faults(WATCHED, FAULTS, backfill=False)
-"""The same network without back-filling: who crashes begins with no memory."""
+"""The same network without back-filling: a crashed agent begins with no memory."""
 SILENT = with_faults(WATCHED, [{"kind": "drop", "from": 1, "to": 2, "steps": [1, 15]}])
 """The same network with one long gap: many samples are learned late."""
 UNLEARNING = [WATCHED.model_copy(update={"law": law}) for law in ("nominal", "hinf")]
@@ -85,7 +85,7 @@ class Tampering:
     """the changed agent without its law"""
     world: type[World] | None = None
     rows: Rows | None = None
-    """the telemetry that arrives in place of what was sent"""
+    """the telemetry that arrives instead of the sent one"""
     topology: Topology = WATCHED
 
     def run(self) -> Trajectory:
@@ -105,14 +105,14 @@ class Tampering:
             return gathered(reference.run(truth_of(topology, shards), views))
 
     def verdict(self) -> Verdict:
-        """What is said of such a run."""
+        """Return the verdict of such a run."""
         ran = self.run()
         rows, end = (ran.rows, ran.end) if self.rows is None else self.rows(list(ran.rows), ran.end)
         return verdict(self.topology, rows, end)
 
 
 def verdict(topology: Topology, rows: Sequence[Telemetry], end: End | None) -> Verdict:
-    """The verdict of an observer and a replay of these rows."""
+    """Return the verdict of an observer and a replay of these rows."""
     observer, replay = Observer(topology), Replay(topology)
     for row in rows:
         with np.errstate(all="ignore"):
@@ -274,7 +274,7 @@ class ActsBlind(Shard):
 
 
 class ForgedReceipt(Shard):
-    """Says that every row came in time."""
+    """Reports every row as received in time."""
 
     def answer(self, state: State) -> Array:
         u = super().answer(state)
@@ -283,7 +283,7 @@ class ForgedReceipt(Shard):
 
 
 class DeniedReceipt(Shard):
-    """Says at step 3 that one row did not come."""
+    """Reports at step 3 that one row is missing."""
 
     def answer(self, state: State) -> Array:
         u = super().answer(state)
@@ -293,7 +293,7 @@ class DeniedReceipt(Shard):
 
 
 class MessageLost(Shard):
-    """Goes on without a neighbour's message of step 2."""
+    """Continues without a neighbour's message of step 2."""
 
     def hear(self, peer: int, link: Link) -> None:
         if link.t == 2 and not peer:
@@ -339,7 +339,7 @@ class MessagesLate(Shard):
 
 
 class _Changed(World):
-    """A plant whose truth, faults or disturbances are changed."""
+    """A plant with a changed truth, changed faults or changed disturbances."""
 
     def __init__(self, truth: Truth) -> None:
         super().__init__(self.told(truth))
@@ -482,7 +482,7 @@ class LongerCrash(_Changed):
 
 
 class OtherLots(_Changed):
-    """Drops a message that nobody asked for."""
+    """Drops a message without a fault in the file."""
 
     def begin(self) -> None:
         at = self.faults.at
@@ -522,7 +522,7 @@ class HeldInput(_Changed):
 
 
 class EdgeToldOpen(_Changed):
-    """Tells that a closed edge was open."""
+    """Reports a closed edge as open."""
 
     def account(self, report: Array, took: Sequence[Any]) -> Telemetry:
         row = super().account(report, took)
@@ -616,7 +616,7 @@ ALL = list(_all())
 
 
 def told(tampering: Tampering) -> list[str]:
-    """The row of the table: where, what, the verdict, the first check that fails, and the step and node it names."""
+    """Return the row of the table: place, change, verdict, the first failed check, and its step and node."""
     content = tampering.verdict().content
     failed = {name: check for name, check in content["checks"].items() if not check["ok"]}
     named = [(name, check) for name, check in failed.items() if check.get("node") is not None]

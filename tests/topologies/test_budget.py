@@ -1,4 +1,4 @@
-"""Input that is small on disk and large in memory is refused with the estimate, before it is loaded or made."""
+"""Input that is small on disk and large in memory is refused with the estimate, before it is loaded."""
 
 import io
 import os
@@ -120,7 +120,7 @@ def test_samples_are_counted_before_they_are_read(tmp_path: Path, monkeypatch: p
 
 
 def zeros(file: Path, **shapes: tuple[int, ...]) -> None:
-    """Write an archive of zeros that is small on disk, without the memory that it takes."""
+    """Write an archive of zeros that is small on disk, without using the memory."""
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as packed:
         for name, shape in shapes.items():
             header = io.BytesIO()
@@ -148,7 +148,7 @@ def test_an_archive_that_grows_beyond_the_cap_is_refused_unread(
     assert error.value.code == Code.FILE_TOO_LARGE
 
 
-def test_a_table_counts_what_its_arrays_become(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_table_counts_the_size_of_its_parsed_arrays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     zeros(tmp_path / "a.npz", edges=(1_000_000, 2))
     monkeypatch.setenv(budget.VARIABLE, "100")
     archive.read(tmp_path / "a.npz")

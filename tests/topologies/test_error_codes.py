@@ -1,4 +1,4 @@
-"""Every mistake that is raised names its kind: a code, or the option that the message begins with."""
+"""Every raised mistake names its kind: a code, or the option at the start of the message."""
 
 import ast
 
@@ -8,7 +8,7 @@ from tests.tools.fuzz import ROOT
 
 
 def begins(message: ast.expr) -> str:
-    """Return how a message begins, as far as the source tells."""
+    """Return the beginning of a message, as far as the source has it."""
     match message:
         case ast.Constant(value=str(text)):
             return text

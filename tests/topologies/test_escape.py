@@ -1,4 +1,4 @@
-"""Text for a terminal, a log and a shell: nothing in it acts, and a shell reads the words that were meant."""
+"""Text for a terminal, a log and a shell: no character acts, and a shell reads the intended words."""
 
 import ast
 import io
@@ -36,7 +36,7 @@ MANY = ANY | st.text(st.sampled_from([chr(one) for one in ACTS]) | st.characters
 def test_no_character_of_any_text_acts_on_a_terminal(text: str) -> None:
     assert not {ord(one) for one in escape(text)} & (ACTS - {0x0A, 0x09})
     assert not {ord(one) for one in escape(text, keep="")} & ACTS
-    escape(text).encode()  # what is left can be written
+    escape(text).encode()  # the rest can be written
     assert escape(escape(text)) == escape(text)
 
 
@@ -134,7 +134,7 @@ def test_every_mark_of_markdown_is_escaped(text: str) -> None:
 
 
 def test_only_echo_prints() -> None:
-    """A `print` of its own is a way to the screen that no text is escaped on."""
+    """A separate `print` would be a way to the screen without escapes."""
     root = Path(hedgerow.wire.child.__file__).resolve().parents[1]
     assert (root / "topologies" / "escape.py").is_file()
     found = []

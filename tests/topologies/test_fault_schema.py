@@ -1,4 +1,4 @@
-"""Faults as data: what may stand under `faults:`, what is refused and how, and what each does in plain numbers."""
+"""Faults as data: the valid entries of `faults:`, the refusals, and the effects as plain numbers."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ from hedgerow.topologies.resolve import resolve, to_yaml
 from hedgerow.topologies.rules import broken_faults
 from hedgerow.topologies.schema import Topology
 
-# The star of the tests: 2 is the hub of 1, 3 and 4. Position of a node: its id less 1. Its incidences, as (hears):
-#   0: 1 hears 2    1: 2 hears 1    2: 2 hears 3    3: 2 hears 4    4: 3 hears 2    5: 4 hears 2
+# The star of the tests: 2 is the hub of 1, 3 and 4. A node has the position id - 1. Incidences (receiver <- sender):
+#   0: 1 <- 2    1: 2 <- 1    2: 2 <- 3    3: 2 <- 4    4: 3 <- 2    5: 4 <- 2
 NODES = (1, 2, 3, 4)
 EDGES = ((1, 2), (3, 2), (2, 4))
 LINKS = [*EDGES, *(edge[::-1] for edge in EDGES)]
@@ -56,17 +56,17 @@ def star(faults: str, *more: str) -> Topology:
 
 
 def effects_of(faults: str, *more: str) -> list[Effect]:
-    """What the listed faults do to the star."""
+    """Return the effects of the listed faults on the star."""
     network = star(faults, *more)
     return effects(network.faults, network)
 
 
 def again(topology: Topology) -> Topology:
-    """What is read back from the file in the folder of a run."""
+    """Return the topology read back from the file of a run."""
     return parse(to_yaml(topology).encode(), "topology.yaml", Path())
 
 
-# What each kind does.
+# The effects of each kind.
 
 
 @pytest.mark.parametrize(
@@ -101,11 +101,11 @@ def again(topology: Topology) -> Topology:
     ],
 )
 def test_a_fault_becomes_numbers(fault: str, effect: Effect) -> None:
-    """On the star, whose incidences and edges are counted above."""
+    """The star has the incidences and edges that are counted above."""
     assert effects_of(f"[{fault}]") == [effect]
 
 
-def test_effects_say_which_fault_they_are_of_and_a_partition_that_cuts_has_two() -> None:
+def test_effects_name_their_fault_and_a_partition_that_cuts_has_two() -> None:
     listed = (
         "[{kind: sensor, node: 1}, {kind: partition, groups: [[2, 1], [3, 4]], cut: true}, {kind: sensor, node: 1}]"
     )
@@ -125,7 +125,7 @@ def test_a_process_dies_with_all_its_nodes(processes: int, struck: list[list[int
         assert list(effect.targets) == nodes
 
 
-def test_nodes_are_told_by_their_ids_not_by_their_places() -> None:
+def test_effects_are_in_the_positions_of_the_ids() -> None:
     """Names, and whole numbers in another order than theirs."""
     text = "{name: n, b: 0.1, steps: 3, nodes: [hub, 7, -1], edges: [[7, hub], [hub, -1]], faults: "
     listed = "[{kind: drop, from: 7, to: hub}, {kind: cut, edge: [-1, hub]}, {kind: sensor, node: '7'}]}"
@@ -144,8 +144,8 @@ def test_the_plant_needs_no_pydantic_to_read_effects() -> None:
 # From Python.
 
 
-def test_python_says_it_as_a_file_does() -> None:
-    """One fault of each form; ranges stand for windows, `from_` for `from`."""
+def test_python_gives_the_same_faults_as_a_file() -> None:
+    """There is one fault of each form; ranges are windows, and `from_` is `from`."""
     from_python: tuple[Fault, ...] = (
         Drop(link=(2, 4), steps=range(10, 20)),
         Drop(link=(2, 4), steps=(10, 20)),
@@ -192,8 +192,8 @@ def test_a_range_that_is_no_window(steps: range) -> None:
         Drop(link=(2, 4), steps=steps)
 
 
-def test_what_python_builds_is_checked_on_resolving() -> None:
-    """No file, no line; the network's name stands in its place."""
+def test_faults_of_python_are_checked_on_resolving() -> None:
+    """There is no file and no line; the network's name is in their place."""
     network = parse(HEAD.encode(), "star.yaml", Path())
     wrong = network.model_copy(update={"faults": (Drop(link=(1, 4)), Sensor(node=9))})
     assert [str(problem) for problem in broken_faults(wrong)] == [
@@ -285,7 +285,7 @@ def test_what_python_builds_is_checked_on_resolving() -> None:
         ),
     ],
 )
-def test_a_mistake_is_told_with_its_line_and_its_cure(fault: str, said: str) -> None:
+def test_a_mistake_is_reported_with_its_line_and_its_fix(fault: str, said: str) -> None:
     """It is the second of three faults; the others are good."""
     text = f"{HEAD}faults:\n  - {{kind: sensor, node: 1}}\n  - {fault}\n  - {{kind: sensor, node: 1}}\n"
     with pytest.raises(TopologyError) as caught:
@@ -295,8 +295,8 @@ def test_a_mistake_is_told_with_its_line_and_its_cure(fault: str, said: str) -> 
     assert all(problem.line == 9 and problem.place.startswith("fault 2") for problem in found)
 
 
-def test_all_mistakes_are_told_at_once() -> None:
-    """What the schema refuses hides nothing that the rules refuse, and a line within a fault is named."""
+def test_all_mistakes_are_reported_together() -> None:
+    """Mistakes of the schema hide no mistakes of the rules, and a line within a fault is named."""
     text = """\
 name: star
 b: 0.1
@@ -361,7 +361,7 @@ def test_an_override_reaches_into_a_fault() -> None:
     assert network.faults == (Drop(link=(2, 4), steps=(3, 5)), Cut(at={3: ((1, 2),)}))
 
 
-# Jumps that are left to chance.
+# Random jumps.
 
 CHANCE = HEAD.replace("[0.3, 0.6, 0.8], a: 0.6", "{random: 4}")
 JUMPS = "[{kind: jump, node: 2, at: 5, a: random}, {kind: jump, node: 3, at: 5, a: random}]"
@@ -376,7 +376,7 @@ def jumps(text: str) -> list[float]:
 
 @given(st.integers(0, 2**63 - 1))
 def test_a_random_jump_leads_to_another_candidate(seed: int) -> None:
-    """Than the truth until then, which an earlier jump may have changed, wherever that one stands in the list."""
+    """The jump leads to another candidate than the truth before it, which an earlier jump may have changed."""
     listed = "[{kind: jump, node: 2, at: 9, a: random}, {kind: jump, node: 2, at: 5, a: random}]"
     network = resolve(parse(f"{CHANCE}seed: {seed}\nfaults: {listed}".encode(), "n.yaml", Path()))
     later, earlier = (fault.a for fault in network.faults if isinstance(fault, Jump))
@@ -405,8 +405,8 @@ def test_a_jump_changes_no_other_draw() -> None:
     assert jumps(f"{CHANCE}faults: [{other}, {JUMPS[1:]}")[2:] == jumps(f"{CHANCE}faults: {JUMPS}")
 
 
-def test_a_jump_to_a_number_that_was_not_drawn_is_told_what_was() -> None:
-    """The file cannot tell before the draw; the answer can be copied into it."""
+def test_a_jump_to_an_undrawn_number_reports_the_drawn_ones() -> None:
+    """Before the draw, the target is unknown; the answer can be copied into the file."""
     network = parse(f"{CHANCE}faults: [{{kind: jump, node: 2, at: 5, a: 0.3}}]".encode(), "n.yaml", Path())
     with pytest.raises(TopologyError) as caught:
         resolve(network)
@@ -416,7 +416,7 @@ def test_a_jump_to_a_number_that_was_not_drawn_is_told_what_was() -> None:
     assert str(caught.value) == f"star: fault 1: a: 0.3 is not among the candidates of node 2; they are {listed}"
 
 
-# Any faults at all.
+# Draw any faults.
 
 STEP = st.one_of(st.integers(0, 40), st.integers(0, 2**61))
 WINDOW = st.tuples(STEP, st.integers(1, 50)).map(lambda pair: [pair[0], pair[0] + pair[1]])
@@ -465,7 +465,7 @@ WRITTEN = st.one_of(
 @given(st.lists(WRITTEN, max_size=6), st.booleans(), st.booleans())
 @example([{"kind": "drop", "at": {10**18: [], FOREVER: [[2, 4]]}}], True, False)
 def test_faults_survive_the_file_of_a_run(written: list[dict[str, Any]], as_json: bool, backfill: bool) -> None:
-    """YAML or JSON, read, drawn, written and read back: the same faults, each on a line or a line a step."""
+    """YAML or JSON, read, drawn, written and read back: the same faults, each on one line or one line per step."""
     network = yaml.safe_load(HEAD) | {"faults": written, "processes": 3, "backfill": backfill, "history": 7}
     text = json.dumps(network) if as_json else yaml.safe_dump(network)
     read = parse(text.encode(), "any.yaml", Path())
@@ -479,7 +479,7 @@ def test_faults_survive_the_file_of_a_run(written: list[dict[str, Any]], as_json
 
 
 @given(st.lists(WRITTEN, max_size=6))
-def test_effects_survive_json_and_strike_what_there_is(written: list[dict[str, Any]]) -> None:
+def test_effects_survive_json_and_have_existing_targets(written: list[dict[str, Any]]) -> None:
     """Targets are sorted, each once, and in range; steps hold at least one."""
     network = yaml.safe_load(HEAD) | {"faults": written, "processes": 3}
     topology = resolve(parse(yaml.safe_dump(network).encode(), "any.yaml", Path()))
@@ -507,7 +507,7 @@ def test_a_partition_is_the_drop_of_every_link_between_its_groups(groups: list[l
 
 
 def test_every_kind_is_known_by_its_name() -> None:
-    """And describes each of its keys."""
+    """The schema also describes each of its keys."""
     assert list(KINDS) == ["drop", "delay", "cut", "partition", "sensor", "actuator", "crash", "jump"]
     assert known_keys(KINDS["drop"]) == ["kind", "link", "from", "to", "at", "steps", "probability"]
     assert all(
@@ -515,7 +515,7 @@ def test_every_kind_is_known_by_its_name() -> None:
     )
 
 
-def test_no_faults_is_what_a_file_says_that_says_nothing() -> None:
+def test_a_file_without_faults_has_none() -> None:
     network = resolve(load("paper7"))
     assert (network.faults, network.backfill, network.history, network.processes) == ((), True, 100_000, None)
     assert effects(network.faults, network) == []

@@ -1,4 +1,4 @@
-"""Networks by a rule, and in a table: what a file of a few lines stands for."""
+"""Networks by a rule, and in a table: the meaning of a short file."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def test_every_rule_makes_a_graph_within_its_bounds(kind: str, nodes: int, seed:
 
 
 def test_chance_has_the_shape_that_its_name_promises() -> None:
-    """Of 20,000 nodes: hubs in a scale-free graph, few neighbours in a geometric one, a seed for every draw."""
+    """With 20,000 nodes: hubs in a scale-free graph, few neighbours in a geometric one, a seed for every draw."""
     n = 20_000
     hubs = degrees(rule("scale_free", n).edges(1), n)
     assert 3.9 < hubs.mean() <= 4
@@ -154,7 +154,7 @@ def test_a_rule_that_is_none_is_refused(graph: str, said: str) -> None:
 @given(st.sampled_from([*GENERATORS]), st.integers(0, 9))
 @settings(deadline=None, max_examples=30)
 def test_a_generated_network_is_the_one_that_is_written_out(kind: str, seed: int) -> None:
-    """Every number that is drawn, and what single nodes override."""
+    """Every random number, and the overrides of single nodes."""
     own = "{3: {x0: -7, disturbance: none}, 1: {a: 0.6}, 5: {candidates: [0.5, 0.6], a: 0.6}}"
     text = f"{HEAD}{CHANCE}".replace("seed: 5", f"seed: {seed}")
     made = read(f"{text}graph: {{kind: {kind}, nodes: 8}}\nnodes: {own}\n")
@@ -167,7 +167,7 @@ def test_a_generated_network_is_the_one_that_is_written_out(kind: str, seed: int
 
 @pytest.fixture
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A file spells out six nodes at most: those here are many."""
+    """A file lists six nodes at most: these are many."""
     monkeypatch.setattr(resolve, "SPELLED_OUT", 6)
 
 
@@ -221,13 +221,13 @@ def test_the_worst_case_of_a_rule() -> None:
 
 
 def table(folder: Path, more: str = "", **columns: Any) -> Topology:
-    """What a file with this table in it says."""
+    """Return the topology of a file with this table."""
     np.savez(folder / "t.npz", **columns)
     return read(f"{HEAD}table: t.npz\n{more}", folder=folder)
 
 
 def test_users_bring_tables(tmp_path: Path) -> None:
-    """Edges alone will do; a column holds for every node that `nodes:` does not change."""
+    """Edges alone suffice; a column holds for every node that `nodes:` does not change."""
     pairs = np.array([[2, 0], [1, 2]])
     bare = table(tmp_path, "defaults: {x0: 4}", edges=pairs)
     assert (bare.ids, bare.edges, bare.nodes[1].x0) == ((0, 1, 2), ((2, 0), (1, 2)), 4)
@@ -274,8 +274,8 @@ PAIR = np.array([[0, 1]])
         ({"edges": PAIR, "ids": [1, 2], "a": [0.5]}, "`a` has the shape (1,)"),
         ({"edges": PAIR, "candidates": [[0.5], [np.nan]]}, "a list that is empty"),
         ({"edges": PAIR, "candidates": [[0.5], [0.4]], "a": [0.5, 0.5]}, "the truth of node 1 is not among"),
-        ({"edges": PAIR, "c": [1]}, "a column `c`, which means nothing"),
-        ({"edges": PAIR, "w 0 white stdd": [1, 2]}, "which means nothing"),
+        ({"edges": PAIR, "c": [1]}, "a column `c`, which is unknown"),
+        ({"edges": PAIR, "w 0 white stdd": [1, 2]}, "which is unknown"),
         ({"edges": PAIR, "w 0 white nodes": [1]}, "has no `w 0 white std`"),
         ({"edges": PAIR, "w 0 samples values": [[1.0], [2.0]]}, "1 samples are too few for 4 steps"),
         ({"edges": np.array([{"x": 1}])}, "`edges` is an array of Python objects"),
@@ -288,7 +288,7 @@ def test_a_table_that_is_none_is_refused(tmp_path: Path, columns: dict[str, Any]
 
 
 @pytest.mark.parametrize("file", ["../t.npz", "/etc/passwd", "inner/../../t.npz", "link.npz"])
-def test_a_table_lies_beside_its_file(tmp_path: Path, file: str) -> None:
+def test_a_table_is_beside_its_file(tmp_path: Path, file: str) -> None:
     np.savez(tmp_path / "t.npz", edges=PAIR)
     folder = tmp_path / "folder"
     folder.mkdir()
@@ -351,11 +351,11 @@ def test_how_many_processes_there_are(monkeypatch: pytest.MonkeyPatch) -> None:
     assert list(counts.values()) == [2, 2, 2, 2, 64, 3, 64, 2, 3, 3, 65, 2]
     resolved = read(f"{HEAD}graph: {{kind: line, nodes: 65}}")
     monkeypatch.setattr("os.cpu_count", lambda: 8)
-    assert resolved.process_count == 3, "a resolved file says it for every machine"
+    assert resolved.process_count == 3, "a resolved file fixes it for every machine"
 
 
 @pytest.mark.parametrize("kind", ["ring", "random_regular", "scale_free"])
-def test_products_with_q_give_what_its_factors_give(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_products_with_q_agree_with_its_factors(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     network = read(f"{HEAD}graph: {{kind: {kind}, nodes: 600, max_degree: 9}}").network
     exact = hinf.gamma_star(network.a, network.b, network.graph)
     w = np.sin(np.arange(600))

@@ -1,4 +1,4 @@
-"""What a large network does otherwise than a small one gives the same bits: compiled loops, and rows laid aside."""
+"""A large network gives the same bits as a small one: compiled loops, and queued rows."""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Lots: a function of (seed, field, id, step) alone, spread as they should be, and the same bits on every machine."""
+"""Lots: a function of (seed, field, id, step) alone, with the right distribution, and the same bits on every
+machine.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,7 @@ FIELD = "disturbance.0.white"
 def network(
     ids: list[int | str], edges: list[tuple[int | str, int | str]], seed: int, faults: list[dict[str, Any]]
 ) -> Topology:
-    """A network where every number is left to chance."""
+    """Return a network with only random numbers."""
     chance = {
         "x0": {"random": [-1, 1]},
         "candidates": {"random": 3},
@@ -78,7 +80,7 @@ def tree(ids: list[int | str]) -> list[tuple[int | str, int | str]]:
 
 
 def by_chance(ids: list[int | str]) -> list[dict[str, Any]]:
-    """Faults of each kind that is struck by lot, and a jump."""
+    """Return random faults of each kind, and a jump."""
     lot = {"probability": 0.5}
     return [
         {"kind": "drop", "link": [ids[0], ids[1]], **lot},
@@ -108,7 +110,7 @@ def test_the_order_of_nodes_changes_no_lot(ids: list[int | str], seed: int, orde
 @given(st.lists(IDS, min_size=3, max_size=8, unique_by=str), SEEDS, st.data())
 @settings(max_examples=40, deadline=None)
 def test_an_added_node_changes_no_other_lot(ids: list[int | str], seed: int, data: st.DataObject) -> None:
-    """It hangs on one node, whose interval of condition (3) changes; all others keep everything."""
+    """The new node changes the interval of condition (3) of its one neighbour; all other nodes keep everything."""
     *old, new = ids
     at, host = data.draw(st.integers(0, len(old))), data.draw(st.sampled_from(old))
     faults = by_chance(ids)[:-1]
@@ -124,7 +126,7 @@ def test_an_added_node_changes_no_other_lot(ids: list[int | str], seed: int, dat
 
 
 def test_a_fault_that_is_added_late_or_ends_early_has_the_lots_that_the_file_gives_it() -> None:
-    """Otherwise a run with live faults could not be repeated from what it recorded."""
+    """Otherwise a run with live faults could not be repeated from its recorded file."""
     ids: list[int | str] = ["a", "b", "c"]
     lot = {"kind": "sensor", "node": "b", "probability": 0.5}
     recorded = network(ids, tree(ids), 8, [{**lot, "steps": [0, 9]}, {**lot, "steps": [3, 12]}])
@@ -255,7 +257,7 @@ def test_normals_are_normal() -> None:
 @pytest.mark.parametrize("axis", range(3), ids=["seeds", "nodes", "steps"])
 @pytest.mark.parametrize("apart", [1, 2, 8])
 def test_neighbours_are_not_correlated(cube: Array, axis: int, apart: int) -> None:
-    """Of numbers, of their squares, and of low bits, for seeds, nodes and steps that lie near each other."""
+    """This covers numbers, their squares, and low bits, for neighbouring seeds, nodes and steps."""
     centred = (cube - 0.5) * np.sqrt(12)
     low = (cube * 2.0**20) % 1 - 0.5
     for values in (centred, centred**2 - 1, low):

@@ -1,4 +1,4 @@
-"""Messages show what the user wrote and where, the cure that works, and a bounded number of lines."""
+"""Messages show the user's text and its place, a fix that works, and a bounded number of lines."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def test_a_colon_without_a_space_is_named(text: str) -> None:
         ("!!float 1", "plain value"),
     ],
 )
-def test_a_tag_is_met_with_what_writes_none(tag: str, cure: str) -> None:
+def test_a_tag_is_reported_with_a_form_without_tags(tag: str, cure: str) -> None:
     (problem,) = refused(f"{HEAD}edges: {tag}\n").problems
     assert (problem.code, problem.line, problem.column) == (Code.FILE_FORMAT, 5, 8)
     assert cure in problem.cure
@@ -96,7 +96,7 @@ def test_a_tag_is_met_with_what_writes_none(tag: str, cure: str) -> None:
     ["b=-1", "b=0.5", "nodes.1.a=2", "edges=[[1, 9]]", "bb=1", "b=[1", "nodes.3={x0: many}", "b={x: 1, x: 2}", "law=x"],
 )
 def test_a_mistake_of_an_option_is_blamed_on_the_option(override: str) -> None:
-    """Also where it shows at a value of the file, which is right by itself."""
+    """This holds even if it shows at a value of the file that is valid by itself."""
     with pytest.raises(TopologyError) as caught:
         load("paper7", [override])
     assert all(problem.origin == f"--set {override}" for problem in caught.value.problems)
@@ -109,7 +109,7 @@ def test_a_mistake_of_the_file_stays_one_beside_an_option() -> None:
     assert {problem.origin for problem in error.problems} == {"", "--set b=-1"}
 
 
-def test_an_option_with_a_name_of_its_own_is_called_by_it() -> None:
+def test_a_named_option_is_reported_by_its_name() -> None:
     told = orchestrator("check", "paper7", "--steps", "0")
     assert told.returncode == 2
     assert told.stderr.startswith("--steps 0: steps: 0 ")
@@ -180,7 +180,7 @@ except TopologyError as error:
 
 @pytest.mark.parametrize("kind", ["edges", "faults", "pairs"])
 def test_very_many_mistakes_take_bounded_time_and_memory(kind: str) -> None:
-    """Work of the second order would take minutes, and a line for each 4 MB."""
+    """Quadratic work would take minutes, and one line for each mistake 4 MB."""
     done = subprocess.run([sys.executable, "-c", BIG, kind], timeout=60, check=False)
     assert done.returncode == 7
 
@@ -189,7 +189,7 @@ def test_very_many_mistakes_take_bounded_time_and_memory(kind: str) -> None:
 
 
 @pytest.mark.parametrize("text", [b"[" * 100_000, b"{a: " * 5000, b"- " * 500, b"[" * 40 + b"]" * 40])
-def test_depth_is_refused_alike_whatever_the_parser_bounds(text: bytes) -> None:
+def test_depth_is_refused_equally_for_any_bound_of_the_parser(text: bytes) -> None:
     (problem,) = refused(text).problems
     assert (problem.code, problem.line) == (Code.FILE_FORMAT, 1)
     assert str(source.MAX_DEPTH) in problem.what
@@ -203,9 +203,7 @@ def test_depth_is_refused_alike_whatever_the_parser_bounds(text: bytes) -> None:
         yaml.scanner.ScannerError("while increasing flow level", None, "exceeded maximum nesting depth", None),
     ],
 )
-def test_a_parser_with_a_bound_of_its_own_gives_the_same_mistake(
-    raised: Exception, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_parser_with_another_bound_gives_the_same_mistake(raised: Exception, monkeypatch: pytest.MonkeyPatch) -> None:
     def bounded(*_: object, **__: object) -> None:
         raise raised
 

@@ -49,7 +49,7 @@ ODD: Any = st.sampled_from(
 
 
 def key(value: Any, found: ErrorDetails) -> tuple[Any, ...]:
-    # The message of a length tells how many members are right, which one piece does not know.
+    # The message about a length has the number of valid members, which one piece does not know.
     return trace(value, found["loc"])[0], found["type"], "" if found["type"] in LENGTHS else found["msg"]
 
 
@@ -83,7 +83,7 @@ def test_pieces_have_the_mistakes_of_the_whole(changes: list[tuple[tuple[Any, ..
                 del at[path[-1]]
             else:
                 at[path[-1]] = copy.deepcopy(odd)
-        except (LookupError, TypeError):  # another change came before
+        except (LookupError, TypeError):  # an earlier change has removed it
             continue
     # A rule about all members of a collection is no matter of one piece.
     whole = Counter({one: count for one, count in of_the_whole(value).items() if one[1] != "disjoint"})
@@ -109,7 +109,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("kind", WRONG)
-def test_equal_mistakes_of_a_large_file_are_counted_and_said_once(kind: str) -> None:
+def test_equal_mistakes_of_a_large_file_are_counted_and_reported_once(kind: str) -> None:
     with pytest.raises(TopologyError) as error:
         parse(WRONG[kind].encode(), "t.yaml", Path())
     assert error.value.count == 9000
@@ -118,7 +118,7 @@ def test_equal_mistakes_of_a_large_file_are_counted_and_said_once(kind: str) -> 
 
 
 def test_mistakes_in_a_list_are_not_missing_members() -> None:
-    """A list whose members are all wrong still has them: nothing says that it has too few."""
+    """A list with only wrong members still has them: no message claims that it has too few."""
     with pytest.raises(TopologyError) as error:
         parse((HEAD + "nodes: {1: {candidates: [x, y]}}").encode(), "t.yaml", Path())
     assert error.value.count == 2
@@ -138,7 +138,7 @@ except HedgerowError as error:
 
 
 def test_mistakes_take_no_more_memory_than_the_values() -> None:
-    """150,000 wrong values take below 100 MB: 2 kB for each mistake at once were 300 MB."""
+    """150,000 wrong values take below 100 MB; 2 kB for each mistake at once would be 300 MB."""
     text = HEAD + "nodes: {1: {candidates: [" + "x," * 150_000 + "]}}\n"
     done = subprocess.run([sys.executable, "-c", PEAK], input=text.encode(), capture_output=True, check=True)
     count, grown = json.loads(done.stdout)

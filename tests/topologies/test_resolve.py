@@ -1,4 +1,4 @@
-"""Drawing: what a file leaves to chance, and that the resolved file holds all of it."""
+"""Drawing: the random values of a file, and their numbers in the resolved file."""
 
 from __future__ import annotations
 
@@ -12,10 +12,11 @@ from hypothesis import strategies as st
 
 from hedgerow.orchestrator.metrics.observer import Observer
 from hedgerow.orchestrator.metrics.verdict import Ending, judge
+from hedgerow.topologies.disturbances import Constant
 from hedgerow.topologies.hinf import satisfies_condition
 from hedgerow.topologies.load import bundled, load, parse
 from hedgerow.topologies.resolve import resolve, to_yaml, truth
-from hedgerow.topologies.schema import LAWS, Constant, Topology
+from hedgerow.topologies.schema import LAWS, Topology
 from tests.tools.networks import floats, networks, observe, read, simulate
 
 CHANCE = """\
@@ -36,14 +37,14 @@ edges: [[a, b], [b, c], [b, d]]
 
 
 def again(topology: Topology) -> Topology:
-    """What is read back from the file in the folder of a run."""
+    """Return the topology read back from the file of a run."""
     return parse(to_yaml(topology).encode(), "topology.yaml", Path())
 
 
 @given(networks())
 @settings(max_examples=60)
 def test_a_resolved_network_is_final(topology: Topology) -> None:
-    """Resolving again changes nothing, and its file gives back the same bits."""
+    """A second resolution changes nothing, and its file gives the same bits."""
     assert resolve(topology) == topology
     assert again(topology) == topology
     assert to_yaml(again(topology)) == to_yaml(topology)
@@ -71,10 +72,10 @@ def test_every_number_survives_the_file(x0: float, std: float) -> None:
 
 @given(floats(0.005, 0.2), st.integers(1, 50), st.integers(0, 2**63 - 1), st.booleans())
 @settings(max_examples=60)
-def test_what_is_drawn_satisfies_condition_3_and_contains_the_truth(
+def test_drawn_candidates_satisfy_condition_3_and_contain_the_truth(
     b: float, m: int, seed: int, given_truth: bool
 ) -> None:
-    """At a hub and at its leaves, whose intervals differ; a given truth takes one's place."""
+    """A hub and its leaves have different intervals; a given truth replaces one candidate."""
     a = 0.5 if given_truth else "random"
     text = CHANCE.replace("0.15", repr(b)).replace("random: 4", f"random: {m}")
     topology = read(text, f"seed={seed}", f"defaults.a={a}")
@@ -87,7 +88,7 @@ def test_what_is_drawn_satisfies_condition_3_and_contains_the_truth(
         assert own.a == 0.5 or not given_truth
 
 
-def test_another_seed_draws_others_and_the_same_seed_the_same() -> None:
+def test_only_another_seed_draws_other_numbers() -> None:
     one, same, other = read(CHANCE), read(CHANCE), read(CHANCE, "seed=12")
     assert one == same
     for node in one.ids:
@@ -111,7 +112,7 @@ def test_another_seed_draws_others_and_the_same_seed_the_same() -> None:
     ],
 )
 def test_to_pin_one_nodes_number_changes_no_other_nodes(pin: str) -> None:
-    """Only what was pinned differs: neither the others' numbers nor this node's other ones."""
+    """Only the fixed number differs: neither the other nodes' numbers nor this node's other ones."""
     drawn, pinned = read(CHANCE), read(CHANCE, pin)
     key = pin.partition("=")[0].split(".")[2]
     for node in drawn.ids:

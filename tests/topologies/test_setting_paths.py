@@ -1,4 +1,4 @@
-"""`--set path=value`: the path finds a key with points in it, and quotes say where a key ends."""
+"""`--set path=value`: the path finds a key with points in it, and quotes mark the end of a key."""
 
 from pathlib import Path
 

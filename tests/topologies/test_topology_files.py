@@ -1,4 +1,4 @@
-"""Everything that a topology file can have wrong, and what the user is told about it."""
+"""Every possible mistake in a topology file, and the message about it."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ HEAD = "name: n\nb: 0.1\nsteps: 3\n"
 
 
 def problems(text: str | bytes, *overrides: str, folder: Path = Path()) -> list[Problem]:
-    """What is wrong with a file of this text."""
+    """Return the mistakes of a file with this text."""
     text = text.encode() if isinstance(text, str) else text
     with pytest.raises(TopologyError) as caught:
         parse(text, "bad.yaml", folder, overrides)
@@ -46,7 +46,7 @@ def problems(text: str | bytes, *overrides: str, folder: Path = Path()) -> list[
 
 
 def only(text: str | bytes, *overrides: str, folder: Path = Path()) -> Problem:
-    """The one thing that is wrong with it."""
+    """Return the only mistake of a file."""
     (problem,) = problems(text, *overrides, folder=folder)
     return problem
 
@@ -55,8 +55,8 @@ def good(text: str, *overrides: str, folder: Path = Path()) -> Topology:
     return parse(text.encode(), "good.yaml", folder, overrides)
 
 
-def test_all_mistakes_are_told_at_once_each_with_its_line_and_its_cure() -> None:
-    """One file, ten mistakes, one message: file:line, node, value, allowed interval, cure."""
+def test_all_mistakes_are_reported_with_their_lines_and_fixes() -> None:
+    """One file, ten mistakes, one message: file:line, node, value, allowed interval, fix."""
     text = """\
 name: no good
 b: 0.1
@@ -160,15 +160,15 @@ edges:
         ("b: 0.1", "b: 0.5", 2, "8 b² d = 2 is not below 1 (b = 0.5, degree 1)"),
     ],
 )
-def test_a_mistake_is_told_where_it_stands(old: str, new: str, line: int, said: str) -> None:
-    """One change to a good file; the message names line, place, value and cure."""
+def test_a_mistake_is_reported_at_its_place(old: str, new: str, line: int, said: str) -> None:
+    """One change to a valid file; the message names line, place, value and fix."""
     assert old in GOOD
     found = problems(GOOD.replace(old, new))
     assert any(p.line == line and said in str(p) for p in found), [(p.line, str(p)) for p in found]
 
 
-def test_no_interval_is_left_when_a_node_has_too_many_neighbours() -> None:
-    """8 b² d >= 1 at the hub: the cure says which degree, and which b, would do."""
+def test_a_node_with_too_many_neighbours_has_no_interval() -> None:
+    """8 b² d >= 1 at the hub: the fix gives a suitable degree, and a suitable b."""
     problem = only(HEAD.replace("0.1", "0.25") + "nodes: [h, 1, 2]\nedges: [[h, 1], [h, 2]]\n")
     assert (problem.line, problem.place) == (4, "node h")
     assert "0.2499" in problem.cure
@@ -218,8 +218,8 @@ def test_a_disturbance_can_be_wrong_too(disturbance: str, said: str) -> None:
     assert said in str(problem)
 
 
-def test_the_whole_network_has_one_disturbance_or_its_nodes_have_theirs() -> None:
-    """`worst_case` replaces every node's own disturbance, so that both at once are a mistake."""
+def test_the_network_or_its_nodes_have_disturbances() -> None:
+    """`worst_case` replaces the disturbances of all nodes, so both together are a mistake."""
     own = "nodes: {1: {disturbance: {kind: constant, value: 1}}}\n"
     assert "remove one of the two" in str(only(HEAD + own + "disturbance: worst_case\n"))
     wrong = problems(HEAD + "nodes: [1]\ndisturbance: {kind: white}\n")
@@ -253,7 +253,7 @@ def test_the_whole_network_has_one_disturbance_or_its_nodes_have_theirs() -> Non
         (b"".join(b" " * k + b"a:\n" for k in range(40)), 33, "nested more than 32 deep"),
     ],
 )
-def test_what_is_no_topology_at_all_is_refused_by_line(text: bytes, line: int, said: str) -> None:
+def test_a_text_that_is_not_a_topology_is_refused_with_its_line(text: bytes, line: int, said: str) -> None:
     problem = only(text)
     assert problem.line == line
     assert said in str(problem)
@@ -269,13 +269,13 @@ def test_aliases_that_multiply_are_refused_before_they_fill_the_memory() -> None
 
 
 def test_an_honest_alias_is_fine() -> None:
-    """Two nodes may share what an anchor spells out."""
+    """Two nodes may share an anchor's content."""
     nodes = "nodes:\n  1: &same {x0: 3, candidates: [0.4]}\n  2: *same\n"
     assert good(HEAD + nodes).nodes[2].x0 == 3.0
 
 
 def test_the_file_of_a_name_that_does_not_exist() -> None:
-    """A near miss is met with the bundled name that was meant; anything else with all of them."""
+    """A nearly right name gets the intended bundled name; any other gets all of them."""
     with pytest.raises(UserError, match=r"papr7: no such file; did you mean paper7\? bundled"):
         load("papr7")
     with pytest.raises(UserError, match=r"zzz\.yaml: no such file; bundled names are authors7, "):
@@ -350,7 +350,7 @@ def test_a_name_that_looks_like_something_else_survives_a_round_trip(name: str) 
     assert again == topology
 
 
-def test_what_stands_on_no_line_of_the_file_has_no_line() -> None:
+def test_a_value_from_outside_the_file_has_no_line() -> None:
     """A mistake on the command line is not blamed on the file's line."""
     assert str(only(GOOD, "b=-1")) == "b: -1 is not above 0; choose a larger one"
     assert only(GOOD, "b=-1").line == 0
@@ -375,7 +375,7 @@ def test_a_node_is_overridden_by_its_id_in_every_form_of_nodes(nodes: str) -> No
     assert good(f"{HEAD}nodes: {nodes}\n", "nodes.2.x0=5").nodes[2].x0 == 5.0
 
 
-def test_an_override_of_what_an_anchor_shares_changes_one_place() -> None:
+def test_an_override_of_a_shared_anchor_changes_one_place() -> None:
     nodes = "nodes:\n  1: &same {x0: 3}\n  2: *same\n"
     topology = good(HEAD + nodes, "nodes.2.x0=4")
     assert (topology.nodes[1].x0, topology.nodes[2].x0) == (3.0, 4.0)
@@ -437,7 +437,7 @@ def test_a_table_of_samples_can_be_wrong(content: str | None, said: str, tmp_pat
 
 
 @pytest.mark.parametrize("file", ["../w.csv", "/etc/hostname", "inside/../../w.csv"])
-def test_a_table_lies_beside_the_topology(file: str, tmp_path: Path) -> None:
+def test_a_table_is_beside_the_topology(file: str, tmp_path: Path) -> None:
     (tmp_path / "w.csv").write_text("1,2\n" * 3)
     (tmp_path / "own").mkdir()
     problem = only(HEAD + TABLE.replace("w.csv", file), folder=tmp_path / "own")
@@ -488,7 +488,7 @@ def test_a_table_that_each_node_names_is_read_once_to_be_checked(
     assert len(reads) == 2
 
 
-def test_quoted_ids_cost_about_what_bare_ones_do() -> None:
+def test_quoted_ids_cost_about_the_same_as_bare_ones() -> None:
     """Every id of a JSON file is quoted; each was looked for among all lines, which took 30 times as long here."""
 
     def cost_s(quote: str) -> float:
@@ -500,7 +500,7 @@ def test_quoted_ids_cost_about_what_bare_ones_do() -> None:
     assert cost_s('"') < 8 * cost_s("")
 
 
-# Any text at all.
+# Draw any text.
 
 FAULTY = b"""\
 name: faulty

@@ -1,4 +1,4 @@
-"""A file that can be read in two ways is refused with both readings, and an option says which one is meant."""
+"""A file with two readings is refused with both readings, and an option selects one."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ DATA = "0.5,0.25,0.125\n" * 3
 
 
 def sampled(folder: Path, nodes: str, table: str, header: str | None = None) -> Topology:
-    """A network whose disturbance is a CSV file, resolved."""
+    """Return a resolved network with a CSV file as its disturbance."""
     (folder / "w.csv").write_text(table)
     more = f", header: {header}" if header else ""
     text = f"{HEAD}nodes: {nodes}\ndefaults: {{disturbance: {{kind: samples, file: w.csv{more}}}}}\n"
@@ -75,7 +75,7 @@ def test_a_first_row_or_column_with_two_readings_is_refused(nodes: str, table: s
     assert code_of(tmp_path, nodes, table) == Code.FILE_AMBIGUOUS
 
 
-def test_header_says_which_reading_is_meant(tmp_path: Path) -> None:
+def test_header_selects_the_reading(tmp_path: Path) -> None:
     bits = "1,0\n1,1\n0,0\n1,0\n"
     assert first_samples(sampled(tmp_path, "[0, 1]", bits, "ids")) == {1: 1.0, 0: 1.0}
     assert first_samples(sampled(tmp_path, "[0, 1]", bits, "none")) == {0: 1.0, 1: 0.0}
@@ -146,7 +146,7 @@ CELLS = st.one_of(st.integers(-2, 6).map(str), st.sampled_from(["a", "b", "", "t
 )
 @settings(max_examples=300)
 def test_a_file_is_read_in_one_way_or_refused(names: list[str], rows: list[list[str]]) -> None:
-    """Whatever reading is taken, the other option says something else or is impossible, never the same silently."""
+    """For any reading, the other option gives another result or is impossible, never the same silently."""
     ids, table = [node_id(name) for name in names], list(enumerate(rows, 1))
     try:
         named, above = split("w.csv", table, ids, None)
@@ -163,7 +163,7 @@ def test_a_file_is_read_in_one_way_or_refused(names: list[str], rows: list[list[
 
 
 @pytest.mark.parametrize("written", ["007", "012", "-01", "00", "12e4", "1e3", "+7", "1.5", "1.0", "true", ".inf"])
-def test_an_id_with_two_readings_is_refused_wherever_it_stands(written: str) -> None:
+def test_an_id_with_two_readings_is_refused_everywhere(written: str) -> None:
     for text in (f"nodes: [{written}, z]", f"nodes: {{{written}: {{}}, z: }}"):
         with pytest.raises(TopologyError) as refused:
             parse((HEAD + text).encode(), "n.yaml", Path())
@@ -204,7 +204,7 @@ def test_quoted_ids_stay_text_unless_they_are_spelled_as_a_number_is() -> None:
 @given(st.lists(st.integers(-(10**30), 10**30), min_size=2, max_size=5, unique=True))
 @settings(max_examples=30)
 def test_ids_are_any_integers_in_yaml_and_json(ids: list[int]) -> None:
-    """Keys of JSON are text, and references can be numbers: both name the same node, whatever its size."""
+    """Keys in JSON are text, and references can be numbers: both name the same node, of any size."""
     listed = f"{HEAD}nodes: {ids}\nedges: [[{ids[0]}, '{ids[1]}']]\n"
     mapped = ", ".join(f'"{node}": {{}}' for node in ids)
     json = f'{{"name": "n", "b": 0.1, "steps": 3, "nodes": {{{mapped}}}, "edges": [[{ids[0]}, "{ids[1]}"]]}}'
@@ -287,7 +287,7 @@ def test_an_external_word_that_is_a_node_and_something_else_is_refused(word: str
 
 @pytest.mark.parametrize("place", ["paper7", "paper7/topology.yaml"])
 def test_a_file_or_run_named_like_a_bundled_network_is_asked_about(place: str, here: Path) -> None:
-    """Both readings are told, and each has a name of its own."""
+    """The message names both readings, each with a distinct name."""
     file = here / place
     file.parent.mkdir(exist_ok=True)
     file.write_text("{name: mine, b: 0.1, steps: 3, nodes: [1, 2], edges: [[1, 2]]}")

@@ -52,7 +52,7 @@ def test_gains_and_weights_that_are_all_alike_change_no_bit(topology: Topology, 
     ]
 
 
-def test_a_file_whose_gains_and_weights_are_alike_is_a_uniform_one() -> None:
+def test_a_file_with_equal_gains_and_weights_is_uniform() -> None:
     nodes = "nodes: [1, 2]\n"
     spelled = read(HEAD.replace("x0: 3", "x0: 3, b: 0.2") + nodes + "edges: [{ends: [1, 2], weight: 1}]\n")
     assert isinstance(spelled.network.b, float)
@@ -184,7 +184,7 @@ def test_the_same_edge_twice_is_refused_with_any_weights() -> None:
 
 
 def test_a_file_is_judged_by_the_largest_numbers_that_can_be_drawn() -> None:
-    """With b up to 0.3 and weights up to 2 a node of two edges has no interval, whatever the seed draws."""
+    """With b up to 0.3 and weights up to 2, a node with two edges has no interval, for any draw."""
     text = HEAD + "graph: {kind: ring, nodes: 5, weight: {random: [0.1, W]}}\n"
     for seed in range(3):
         with pytest.raises(TopologyError) as refused:
@@ -195,7 +195,7 @@ def test_a_file_is_judged_by_the_largest_numbers_that_can_be_drawn() -> None:
 
 
 @given(networks())
-def test_what_is_drawn_lies_in_the_interval_of_its_own_node(topology: Topology) -> None:
+def test_a_drawn_number_is_in_the_interval_of_its_node(topology: Topology) -> None:
     """Candidates are drawn for the gain and the weighted degree of each node."""
     network = topology.network
     again = resolve(

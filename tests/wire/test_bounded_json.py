@@ -1,4 +1,4 @@
-"""JSON from the network: what is too deep, too large or no text is refused, and all else can be passed on."""
+"""JSON from the network: values that are too deep, too large or not text are refused; others can be forwarded."""
 
 import json
 from typing import Any
@@ -75,7 +75,7 @@ JSON = st.recursive(
 
 
 @given(st.dictionaries(st.text(), JSON, max_size=3))
-def test_what_is_decoded_can_be_encoded_and_is_the_same(event: dict[str, Any]) -> None:
+def test_a_decoded_message_encodes_to_the_same_bytes(event: dict[str, Any]) -> None:
     try:
         decoded = codec.decode_event(codec.encode_event(3, event))
     except codec.MessageError:

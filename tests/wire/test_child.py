@@ -1,4 +1,4 @@
-"""A process of a run ends when it is told to, whatever it does at that moment."""
+"""A process of a run ends on request, at any moment."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ run_alone(lambda: [print("loud", file=sys.stderr) for _ in range(10**6)])
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_a_signal_ends_a_process_whose_main_thread_is_held(number: int, code: int) -> None:
+def test_a_signal_ends_a_process_with_a_blocked_main_thread(number: int, code: int) -> None:
     with subprocess.Popen([sys.executable, "-c", STUCK], stdout=subprocess.PIPE, text=True) as process:
         try:
             assert process.stdout is not None
@@ -73,7 +73,7 @@ def test_a_second_signal_ends_a_process_that_hangs_while_it_ends_in_good_order()
 
 
 def test_a_process_that_hangs_in_a_full_pipe_ends_as_well() -> None:
-    """Nobody reads what it says."""
+    """Its output has no reader."""
     with subprocess.Popen([sys.executable, "-c", LOUD], stderr=subprocess.PIPE) as process:
         try:
             assert process.stderr is not None

@@ -1,4 +1,4 @@
-"""Messages: what is sent is what arrives, bit for bit; anything else is refused in words."""
+"""Messages arrive as they were sent, bit for bit; anything else is refused with a message."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ class Message(NamedTuple):
     sent: tuple[Any, ...]
     read: Callable[[bytes], tuple[Any, ...]]
     fits: Callable[[int], bool] | None = None
-    """whether so many bytes may be such a message; None where its length is fixed"""
+    """returns True if this length is possible; None for a fixed length"""
 
 
 def either(size: int, more: int) -> Callable[[int], bool]:
-    """A message of so many bytes, or of some more."""
+    """Accept a message of this length, or with `more` bytes."""
     return lambda found: found in (size, size + more)
 
 
 def rows(size: int, row: int, least: int = 0) -> Callable[[int], bool]:
-    """A message of so many bytes, and any number of rows behind them, at least some."""
+    """Accept a message of this length, with any number of rows after it, at least `least`."""
     return lambda found: found == size or (row > 0 and (found - size) % row == 0 and found >= size + least * row)
 
 
@@ -117,7 +117,7 @@ def messages(draw: st.DrawFn) -> Message:
 
 
 def same(sent: Any, arrived: Any) -> bool:
-    """Every bit and the shape, where the receiver leaves it in its bytes these alone."""
+    """Check every bit and the shape; the receiver may leave these fields in bytes."""
     if isinstance(arrived, bytes | memoryview):
         return (sent if isinstance(sent, bytes) else np.asarray(sent).tobytes()) == bytes(arrived)
     if isinstance(arrived, np.ndarray):
@@ -126,14 +126,14 @@ def same(sent: Any, arrived: Any) -> bool:
 
 
 @given(messages())
-def test_what_is_sent_is_what_arrives(message: Message) -> None:
-    """Every field has the bits and the shape that it had, NaN payloads and -0.0 included."""
+def test_a_sent_message_arrives_unchanged(message: Message) -> None:
+    """Every field keeps its bits and its shape, NaN payloads and -0.0 included."""
     assert all(same(sent, arrived) for sent, arrived in zip(message.sent, message.read(message.raw), strict=True))
 
 
 @given(messages(), st.data())
 def test_a_message_of_another_length_is_refused(message: Message, data: st.DataObject) -> None:
-    """Cut short anywhere, or with bytes behind it; but for what may be left out, and any number of whole rows."""
+    """The message is cut or extended anywhere, except for optional parts and complete rows."""
     size = data.draw(st.integers(0, len(message.raw) + 50))
     change = size - len(message.raw)
     assume(change and not (message.fits and message.fits(size)))
@@ -159,7 +159,7 @@ def test_another_kind_is_refused(message: Message, kind: int) -> None:
 
 @given(messages(), st.integers(1, 2**32 - 1))
 def test_another_number_of_nodes_is_refused(message: Message, more: int) -> None:
-    """Even where the length would fit."""
+    """This holds even if the length would fit."""
     nodes = (int.from_bytes(message.raw[4:8], "little") + more) % 2**32
     with pytest.raises(MessageError, match=f"with {nodes} nodes in"):
         message.read(message.raw[:4] + nodes.to_bytes(4, "little") + message.raw[8:])
@@ -189,7 +189,7 @@ def test_the_messages_of_a_batch_are_as_they_were(sent: list[Message], number: i
 
 @given(st.lists(messages(), min_size=1, max_size=3), st.data())
 def test_a_batch_of_another_length_is_refused(sent: list[Message], data: st.DataObject) -> None:
-    """But for one that ends with one of its messages: it is a batch too."""
+    """A batch that ends with one of its messages is the exception: it is a batch too."""
     whole = codec.encode_batch(7, [(message.raw,) for message in sent])
     size = data.draw(st.integers(0, len(whole) + 20).filter(lambda size: size != len(whole)))
     raw = whole[:size] + b"?" * (size - len(whole))
@@ -275,7 +275,7 @@ def test_rows_are_of_steps_that_were(t: int, first: int) -> None:
 
 
 def test_the_layout_of_a_message_is_the_documented_one() -> None:
-    """Other implementations rely on these very bytes: little-endian, header first."""
+    """Other implementations depend on these exact bytes: little-endian, header first."""
     one, two = (np.array([value]).tobytes() for value in (1.0, -2.0))
     raw = codec.encode_link(Link(258, 257, one, two), 1)
     assert raw.hex(" ", 4) == (

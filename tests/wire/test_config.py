@@ -1,4 +1,4 @@
-"""What a process far away is told: one TOML text, which says the same as the arrays that a fork is told."""
+"""The config of a remote process: one TOML text with the same data as the arrays of a forked process."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tests.tools.networks import networks, partitions, read
 
 
 def same(one: Any, other: Any) -> bool:
-    """Whether two tellings are equal to the bit, in type and shape."""
+    """Return True if two configs are equal bit for bit, in type and shape."""
     if isinstance(one, np.ndarray):
         if object in (one.dtype, other.dtype):  # ids, some of the network's are names
             return bool(one.tolist() == other.tolist())
@@ -34,7 +34,7 @@ def same(one: Any, other: Any) -> bool:
 
 
 def through_text(told: dict[str, Any]) -> dict[str, Any]:
-    """What arrives of it far away."""
+    """Return the data after its way through a text."""
     text = Config("agent-3", "hedgerow/x", "tcp/bench:7447", "f00", told).to_toml()
     config = Config.parse(text, "here")
     assert (config.process, config.namespace, config.router, config.network) == (

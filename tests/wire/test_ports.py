@@ -1,4 +1,4 @@
-"""A port that was chosen for somebody is still free when that one comes."""
+"""A chosen port stays free for its user."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ IP_LOCAL_PORT_RANGE = 51
 
 
 def choosing_from(port: int) -> socket.socket:
-    """A socket for which the kernel can choose this port alone."""
+    """Provide a socket for which the kernel can choose only this port."""
     one = socket.socket()
     try:
         one.setsockopt(socket.IPPROTO_IP, IP_LOCAL_PORT_RANGE, struct.pack("I", port << 16 | port))
@@ -27,8 +27,10 @@ def choosing_from(port: int) -> socket.socket:
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "127.0.0.2"])
 @pytest.mark.parametrize("asking", ["there", "everywhere"])
-def test_a_free_port_is_given_to_nobody_who_does_not_ask_for_it(host: str, asking: str) -> None:
-    """As happened to a plant at another address than 127.0.0.1: something else of its machine had been given it."""
+def test_a_free_port_is_only_given_on_request(host: str, asking: str) -> None:
+    """This happened to a plant at another address than 127.0.0.1: another program of its machine had received the
+    port.
+    """
     port = free_port(host)
     with choosing_from(port) as other, pytest.raises(OSError, match=r".") as caught:
         other.bind((host if asking == "there" else "0.0.0.0", 0))

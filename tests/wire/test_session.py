@@ -1,4 +1,4 @@
-"""Sessions of the wire: what is waited for, and for how long."""
+"""Sessions: the waits, and their limits."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from hedgerow.topologies.errors import DeadlineError
 from hedgerow.wire.session import open_client, open_router, publisher, wait_for_listeners
 
 
-def test_listeners_who_come_one_after_another_have_one_deadline(tmp_path: Path) -> None:
-    """Each comes within the time of one, and the last long after it."""
+def test_listeners_that_come_one_after_another_have_one_deadline(tmp_path: Path) -> None:
+    """Each arrives within the time limit of one, and the last long after it."""
     endpoint = f"unixsock-stream/{tmp_path}/s"
     over, listening = threading.Event(), []
     with open_router(endpoint, "here") as router, open_client(endpoint, "here") as client:

@@ -84,7 +84,7 @@ def test_the_socket_that_a_router_left_can_be_used_again() -> None:
 
 
 def test_a_file_system_without_sockets_is_passed_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As on some mounts of networks and containers: bind fails there, and nothing is left."""
+    """As on some mounts of networks and containers, bind fails there, and no file remains."""
 
     class NoSockets(socket.socket):
         def bind(self, address: object) -> None:

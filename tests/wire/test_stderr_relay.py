@@ -1,4 +1,4 @@
-"""What a library writes to file descriptor 2 of a running process is escaped, and no byte of it is lost."""
+"""Text that a library writes to file descriptor 2 of a running process is escaped, and no byte of it is lost."""
 
 import os
 import subprocess
@@ -29,7 +29,7 @@ def test_a_panic_is_escaped_while_the_process_runs() -> None:
     assert said.count(b"owned") == 2
 
 
-def test_a_long_text_arrives_whole_and_standard_error_is_back_afterwards() -> None:
+def test_a_long_text_arrives_completely_and_standard_error_is_restored() -> None:
     said = stderr_of("with StderrRelay():\n os.write(2, 'ü'.encode() * 10**5)\nos.write(2, b'after')")
     assert said.decode() == "ü" * 10**5 + "after"
 

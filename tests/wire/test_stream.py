@@ -1,4 +1,4 @@
-"""The stream from plant to observer over a wire that loses what it likes."""
+"""The stream from plant to observer over a network with arbitrary losses."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ ACTIONS = ["send", "lossy send", "soon", "lossy soon", "wait", "tend", "lossy re
 
 
 class Clock:
-    """Time that passes when we say so."""
+    """A clock that the test advances."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now_s = 100.0
@@ -74,8 +74,10 @@ def test_every_message_arrives_once_and_in_order(clock: Clock, actions: list[str
     assert len(outbox) == 0
 
 
-def test_what_is_sent_soon_goes_together(clock: Clock) -> None:
-    """The first at once; then those of TOGETHER_S, with the last of them or by `tend`; and all before what must go."""
+def test_messages_sent_soon_share_a_batch(clock: Clock) -> None:
+    """The first leaves at once; then those of TOGETHER_S, with the last of them or by `tend`; and all of them before an
+    urgent one.
+    """
     inbox, batches = Inbox(), list[int]()
     outbox = Outbox(lambda whole: batches.append(len(inbox.put(whole))))
     for number in range(7):

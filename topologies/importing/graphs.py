@@ -100,7 +100,7 @@ def _json_graph(content: Any) -> Any:
 
 
 def _twice(listed: Sequence[Hashable]) -> Hashable:
-    """Return the first entry that stands in a list before."""
+    """Return the first repeated entry of a list."""
     seen: set[Hashable] = set()
     return next(one for one in listed if one in seen or seen.add(one))  # type: ignore[func-returns-value]
 

@@ -60,7 +60,7 @@ def _array(numbers: Array, n: int, symmetry: str) -> Array:
     if n * n > 2 * len(values) + n:
         raise ValueError(f"{len(values)} numbers for {n} rows")
     matrix = np.zeros((n, n))
-    i, j = np.triu_indices(n, 1 if symmetry == "skew-symmetric" else 0)  # transposed, these go down the columns
+    i, j = np.triu_indices(n, 1 if symmetry == "skew-symmetric" else 0)  # transposed, these are the columns in order
     if symmetry == "general":
         i, j = (index.ravel() for index in np.indices((n, n)))
     if len(values) != len(i):

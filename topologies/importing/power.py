@@ -47,7 +47,7 @@ def read_m(path: Path, options: Options) -> Found:
     text = read_regular(path, growth=GROWTH)
     if b"mpc" not in text:
         raise refuse(path, "is no MATPOWER case: it sets no field of `mpc`", "Name a case file")
-    # The reader takes the tables as they are written: a statement that changes one would be lost without a word.
+    # The reader uses the tables as they are written: a statement that changes one would be ignored silently.
     if (change := _CHANGE.search(text)) is not None:
         line = text.count(b"\n", 0, change.start(1)) + 1
         raise refuse(
@@ -129,7 +129,7 @@ def of_case(
     place = {int(number): k for k, number in enumerate(bus[:, BUS_I])}
     if len(place) < len(bus):
         numbers, count = np.unique(bus[:, BUS_I], return_counts=True)
-        raise refuse(path, f"bus {numbers[count.argmax()]:.0f} stands twice in `bus`", "Give each bus its own number")
+        raise refuse(path, f"bus {numbers[count.argmax()]:.0f} is twice in `bus`", "Give each bus its own number")
     ends = [(int(i), int(j)) for i, j in branch[:, [F_BUS, T_BUS]]]
     for i, j in ends:
         if i not in place or j not in place:

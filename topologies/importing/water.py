@@ -324,7 +324,7 @@ class _Reading:
 
 
 def _head_loss(pipe: Any, q: float, power: float) -> float:
-    """Return the head loss [m] of a pipe at a flow [m^3/s], by Hazen-Williams, else a friction factor of 0.02."""
+    """Return the head loss [m] of a pipe at a flow [m^3/s], by Hazen-Williams, or by a friction factor of 0.02."""
     if power == 1.852:
         return float(10.667 * pipe.length * pipe.roughness**-1.852 * pipe.diameter**-4.871 * q**1.852)
     return float(0.02 * pipe.length / pipe.diameter * (q / (math.pi * pipe.diameter**2 / 4)) ** 2 / (2 * 9.81))

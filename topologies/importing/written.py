@@ -101,7 +101,7 @@ class Imported:
 
 
 def imported(found: Found, options: Options) -> Imported:
-    """Return the topology of what a reader found; raise UserError for an invalid weight or option."""
+    """Return the topology of a reader's result; raise UserError for an invalid weight or option."""
     found = simple(found, options)
     n = len(found.names)
     ids, labels, made = ids_of(found.names, found.labels)

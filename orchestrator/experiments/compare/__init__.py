@@ -60,7 +60,10 @@ class Compared:
         return "\n\n".join([words.text(self.cells), words.words(self.cells, self.tests), self.method])
 
     def mean(self, law: str, metric: str, disturbance: str = "") -> float:
-        """Return a mean over seeds; `disturbance` may be left out if there is one. KeyError if there is no such."""
+        """Return a mean over seeds; `disturbance` may be omitted if there is one.
+
+        Raises KeyError for an unknown name.
+        """
         where = disturbance or self.plan.disturbances[0]
         found = [one for one in self.cells if (one.disturbance, one.law, one.metric) == (where, law, metric)]
         if not found:
@@ -75,10 +78,10 @@ class Compared:
 
 
 def compare(plan: Comparison, out: Path | None = None, jobs: int | None = None, quiet: bool = False) -> Compared | None:
-    """Make the runs that lack, then table, findings and figure; None if it was stopped, which keeps what is there.
+    """Make the missing runs, then table, findings and figure; None if it was stopped, with the finished runs saved.
 
-    `jobs` is the number of processes, all cores by default; with 1, the runs are made in this process.
-    Raises UserError for a mistake, and HedgerowError if a run cannot be made.
+    `jobs` is the number of processes, all cores by default; with 1, the runs are made in this process. Raise UserError
+    for a mistake, and HedgerowError if a run cannot be made.
     """
     with SweepFolder(plan, out or plan.default_out, METRICS) as folder:
         there = folder.there
@@ -86,20 +89,20 @@ def compare(plan: Comparison, out: Path | None = None, jobs: int | None = None, 
             count = f"{len(plan.laws)} laws, {len(plan.disturbances)} disturbances, {len(plan.seeds)} seeds"
             echo(f"{plan.name}: {count}, into {folder.path}" + (f"; {there} of {plan.runs} were there" * (there > 0)))
         if there < plan.runs and (stopped := _run(plan, folder, jobs or cores(), quiet)):
-            echo(f"stopped: {stopped}: {folder.there} of {plan.runs} runs are there; the same command goes on")
+            echo(f"stopped: {stopped}: {folder.there} of {plan.runs} runs are done; the same command continues")
             return None
         found = Compared(plan, [folder.asked(k) for k in range(len(plan.settings))], folder.path)
         try:
             _write(found)
         except OSError as error:
             raise UserError(
-                f"{folder.path}: {error.strerror}; make room, then the same command goes on", code=Code.OUTPUT
+                f"{folder.path}: {error.strerror}; free space, then the same command continues", code=Code.OUTPUT
             ) from None
         return found
 
 
 def _run(plan: Comparison, folder: SweepFolder, jobs: int, quiet: bool) -> str:
-    """Make the runs that lack; return the signal that stopped it, or nothing."""
+    """Make the missing runs; return the signal that stopped it, or an empty text."""
     chunks = plan.chunks(frozenset(folder.rows))
     answers: Generator[Answer | None, None, None]
     answers = over_processes(plan, chunks, jobs, answer) if jobs > 1 else (answer(plan, chunk) for chunk in chunks)

@@ -6,13 +6,12 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
 from hedgerow.orchestrator.experiments.compare.runs import METRICS
 from hedgerow.orchestrator.experiments.compare.statistics import Cell
-from hedgerow.orchestrator.report.style import colour, label_panels, look, save, sheet
+from hedgerow.orchestrator.report.style import PAGE_IN, colour, label_panels, look, save, sheet
 
 LABELS = {
     "share_right": "nodes right [1]",
@@ -23,8 +22,6 @@ LABELS = {
     "switches": "switches per node",
 }
 COLUMNS = 3
-WIDTH_IN = 7.16
-"""The width of a page: six panels with the names of laws do not fit into one column of a journal."""
 ROW_IN, AXIS_IN = 0.22, 0.55
 MARKERS = "osD^vPX"
 _DECADES = 100.0
@@ -42,7 +39,7 @@ def draw(cells: Sequence[Cell]) -> Figure:
     laws = list(dict.fromkeys(cell.law for cell in cells))
     rows = -(-len(METRICS) // COLUMNS)
     lines = len(laws) * max(1.0, 0.6 * len(disturbances))
-    figure = sheet(rows * (ROW_IN * lines + AXIS_IN) + 0.25)
+    figure = sheet(rows * (ROW_IN * lines + AXIS_IN) + 0.25, PAGE_IN)
     axes = figure.subplots(rows, COLUMNS, sharey=True, squeeze=False).ravel()
     for axis, metric in zip(axes, METRICS, strict=True):
         shown = []
@@ -84,5 +81,4 @@ def draw(cells: Sequence[Cell]) -> Figure:
 def write(folder: Path, cells: Sequence[Cell], title: str) -> None:
     """Write compare.pdf and compare.png."""
     with look():
-        matplotlib.rcParams["figure.figsize"] = (WIDTH_IN, matplotlib.rcParams["figure.figsize"][1])
         save(draw(cells), folder, "compare", title)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-import itertools
 import json
-from collections.abc import Container, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hedgerow.orchestrator.experiments.sweep.plan import Chunk, Plan, Setting, split
+from hedgerow.orchestrator.experiments.sweep.plan import Plan, Setting, split
 from hedgerow.orchestrator.ground import laws as law_checks
 from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.law_choice import NAMES
@@ -22,8 +21,6 @@ from hedgerow.topologies.schema import Topology
 
 BESIDE = ("hinf", "nominal")
 """laws that every comparison has: the oracle, and the nominal controller"""
-NODES_AT_ONCE = 350
-"""nodes of all networks that run at once: more of them keep Ctrl-C waiting, fewer are slower"""
 AS_FILE = "file"
 PRESETS: dict[str, Any] = {
     "sinusoid": {
@@ -38,12 +35,12 @@ PRESETS: dict[str, Any] = {
     "confuse": {"kind": "confuse", "candidate": "random"},
     "none": {"kind": "none"},
 }
-"""By name: a disturbance of every node, its numbers drawn by the seed; names joined by + are summed."""
+"""By name: a disturbance of every node, its numbers drawn by the seed; names joined by + are added."""
 
 
 @dataclass(frozen=True)
 class Comparison(Plan):
-    """The plan of a sweep whose keys are `disturbance` and `law`."""
+    """The plan of a sweep with the keys `disturbance` and `law`."""
 
     @property
     def laws(self) -> list[str]:
@@ -54,14 +51,6 @@ class Comparison(Plan):
     def disturbances(self) -> list[str]:
         """Return the disturbances, in the order of the tables."""
         return list(dict.fromkeys(one.values[0] for one in self.settings))
-
-    def chunks(self, done: Container[tuple[int, int]]) -> Iterator[Chunk]:
-        """Return the runs that lack, as many of a setting at once as one process makes together."""
-        for k, setting in enumerate(self.settings):
-            size = max(1, NODES_AT_ONCE // len(setting.topology.ids))
-            lacking = (seed for seed in self.seeds if (k, seed) not in done)
-            while seeds := tuple(itertools.islice(lacking, size)):
-                yield Chunk(k, seeds)
 
     @property
     def default_out(self) -> Path:
@@ -75,8 +64,8 @@ def comparison(
 ) -> Comparison:
     """Return the plan; raise UserError for a mistake in it, TopologyError for one in the file.
 
-    `laws` are texts of LawChoice; `all` stands for every law of the project. A disturbance is the name of a preset,
-    names joined by +, `file`, or what a file may hold as a node's `disturbance:`.
+    `laws` are texts of LawChoice; `all` means every law of the project. A disturbance is the name of a preset, names
+    joined by +, `file`, or a node's `disturbance:` in a file.
     """
     if not seeds:
         raise UserError("seeds: there is none. Give a range such as 0:50.", code=Code.OPTION)
@@ -95,7 +84,7 @@ def comparison(
 
 
 def disturbances_of(text: str) -> list[str]:
-    """Return the disturbances of a command line, apart at the commas that are in no bracket."""
+    """Return the disturbances of a command line, split at the commas outside brackets."""
     return split(text)
 
 
@@ -104,7 +93,7 @@ def _name(given: Any) -> str:
 
 
 def _override(given: Any) -> list[str]:
-    """Return the setting that makes a disturbance that of the defaults."""
+    """Return the setting that makes a disturbance the default one."""
     if given == AS_FILE:
         return []
     if isinstance(given, str) and not given.lstrip().startswith(("{", "[")):
@@ -121,7 +110,7 @@ def _override(given: Any) -> list[str]:
 
 
 def _of_every_node(topology: Topology) -> Topology:
-    """Return a topology of which no node, table or network has a disturbance beside that of the defaults."""
+    """Return a topology with no disturbance except the default one."""
     table = topology.given
     if isinstance(topology.nodes, Nodes) or (table is not None and table.disturbance is not None):
         raise UserError(

@@ -1,30 +1,26 @@
-"""The runs of a comparison, and the numbers that each leaves."""
+"""The runs of a comparison, and their results."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+import math
 from typing import Any
 
 import numpy as np
 
 from hedgerow.agents.loading import LawError
-from hedgerow.orchestrator.experiments.compare import batch
-from hedgerow.orchestrator.experiments.compare.estimates import judged, switches
 from hedgerow.orchestrator.experiments.sweep.plan import Chunk, Plan
-from hedgerow.orchestrator.experiments.sweep.runs import Answer, Failure, Row
+from hedgerow.orchestrator.experiments.sweep.runs import Answer, Row, rows_of
 from hedgerow.orchestrator.ground.assignment import layout, truth_of, views_of
-from hedgerow.orchestrator.ground.law_source import need_same
 from hedgerow.orchestrator.ground.laws import completed
+from hedgerow.orchestrator.metrics.estimates import judged, switches
 from hedgerow.orchestrator.metrics.observer import Batch, Observer, rows_at_once
 from hedgerow.orchestrator.metrics.verdict import VALID, Ending, judge
 from hedgerow.orchestrator.runs import reference
-from hedgerow.topologies.errors import Code, HedgerowError, TopologyError, UserError
+from hedgerow.orchestrator.runs.batch import Runs
 from hedgerow.topologies.resolve import resolve
 from hedgerow.topologies.schema import Topology
-from hedgerow.wire import crash
 from hedgerow.wire.codec import End, Telemetry
-from hedgerow.wire.limits import limit_reached
 
 METRICS = ("share_right", "error", "regret", "cost_regret", "gain", "switches")
 """the numbers of a row that are compared"""
@@ -32,35 +28,20 @@ METRICS = ("share_right", "error", "regret", "cost_regret", "gain", "switches")
 
 def answer(plan: Plan, chunk: Chunk) -> Answer:
     """Return the rows of a chunk; an error travels as text, because the caller may be another process."""
-    where = f"seed {chunk.seeds[0]} and on, {plan.says(chunk.setting)}"
-    try:
+
+    def alone(seed: int) -> Row:
         setting = plan.settings[chunk.setting].topology
-        need_same(setting.law, plan.sources[chunk.setting].digest)
-        drawn = [completed(resolve(setting.model_copy(update={"seed": seed}), plan.folder)) for seed in chunk.seeds]
-        made = simulate_many(drawn)
-        return [{"setting": chunk.setting, "seed": seed, **row} for seed, row in zip(chunk.seeds, made, strict=True)]
-    except TopologyError as error:
-        return Failure(f"{where}: {error.problems[0]}", users=True)
-    except HedgerowError as error:
-        return Failure(f"{where}: {error}", isinstance(error, UserError))
-    except Exception as error:
-        reached = limit_reached(error)
-        code = Code.CRASH if reached is None else reached.code
-        return Failure(f"{where}: {reached or crash.report(error)}", users=False, code=code)
+        return _row(completed(resolve(setting.model_copy(update={"seed": seed}), plan.folder)))
+
+    return rows_of(plan, chunk, alone, _row_at_once)
 
 
-def simulate_many(topologies: Sequence[Topology]) -> list[Row]:
-    """Return the row of each resolved topology; all have the same law.
-
-    They are made at once where they can be. A run in which a number grows beyond all bounds is made again by itself,
-    with every check, so that its row says what is wrong.
-    """
-    if len(topologies) == 1 or batch.why_not(topologies):
-        return [_row(topology) for topology in topologies]
-    return [
-        _row(topology) if row["switches"] is None else {**row, "verdict": VALID, "reasons": ""}
-        for topology, row in zip(topologies, batch.Many(topologies).run(), strict=True)
-    ]
+def _row_at_once(runs: Runs, k: int) -> Row:
+    """Return the row of a run of a batch that passed every check."""
+    values = {name: float(runs.metrics[name][k]) for name in ("regret", "cost_regret", "gain")}
+    row: Row = {name: value if math.isfinite(value) else None for name, value in values.items()}
+    row |= judged(runs.ahat[k], runs.a[k], runs.candidates[:, k])
+    return {**row, "switches": float(runs.switches[k]), "verdict": VALID, "reasons": ""}
 
 
 def _row(topology: Topology) -> Row:

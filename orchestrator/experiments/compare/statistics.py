@@ -1,4 +1,4 @@
-"""Means with their intervals over seeds, and paired tests of which law is better, corrected for their number."""
+"""Means with their intervals over seeds, and paired tests between laws, corrected for their number."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from hedgerow.orchestrator.experiments.sweep.runs import Row
 from hedgerow.topologies.graph import Array
 
 LEVEL = 0.95
-"""of every interval, and 1 - LEVEL of all tests together"""
+"""the confidence of every interval; 1 - LEVEL is the error probability of all tests together"""
 HIGHER_IS_BETTER = frozenset({"share_right"})
 ORACLE = "hinf"
-"""It knows the truth: it is shown, and never wins."""
+"""The oracle knows the truth: it is shown, and never wins."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Cell:
 
     @property
     def n(self) -> int:
-        """Return the number of seeds that have the number."""
+        """Return the number of seeds with a value."""
         return int(np.isfinite(self.values).sum())
 
     @property
@@ -53,7 +53,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class Paired:
-    """A paired Wilcoxon signed-rank test of two laws, over the seeds in which both have the number."""
+    """A paired Wilcoxon signed-rank test of two laws, over the seeds with values of both."""
 
     disturbance: str
     metric: str
@@ -61,7 +61,7 @@ class Paired:
     other: str
     pairs: int
     better: str
-    """the law whose median difference is better; empty if neither is"""
+    """the law with the better median difference; empty if neither is better"""
     p: float
     holm: float
     """p corrected for all tests of the comparison"""
@@ -87,7 +87,9 @@ def cells(plan: Comparison, rows: Sequence[Sequence[Row]]) -> list[Cell]:
 
 
 def paired(found: Sequence[Cell]) -> list[Paired]:
-    """Return a test for every pair of laws but the oracle, under every disturbance, for every metric but `switches`."""
+    """Return a test for every pair of laws except the oracle, under every disturbance, for every metric except
+    `switches`.
+    """
     of: dict[tuple[str, str], list[Cell]] = {}
     for cell in found:
         if cell.law != ORACLE and cell.metric != "switches":
@@ -106,7 +108,7 @@ def _tested(one: Cell, other: Cell) -> Paired:
         ranks = stats.rankdata(np.abs(apart[apart != 0])) * np.sign(apart[apart != 0])
         better = "" if ranks.sum() == 0 else one.law if sign * ranks.sum() > 0 else other.law
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # it says that few pairs decide little, and p says so too
+            warnings.simplefilter("ignore")  # a warning about few pairs; p shows the same
             p = float(stats.wilcoxon(apart).pvalue)
     return Paired(
         one.disturbance, one.metric, one.law, other.law, len(apart), better, p if np.isfinite(p) else 1.0, 1.0
@@ -114,7 +116,7 @@ def _tested(one: Cell, other: Cell) -> Paired:
 
 
 def holm(p: Array) -> Array:
-    """Return p-values corrected by Holm's step-down method, which holds whatever depends on what."""
+    """Return p-values corrected by Holm's step-down method, which holds for any dependence."""
     order = p.argsort(kind="stable")
     left = len(p) - np.arange(len(p))
     corrected = np.empty_like(p)

@@ -26,7 +26,7 @@ def number(cell: Cell) -> str:
         return "undefined"
     if math.isnan(cell.half):
         return f"{cell.mean:.3g}"
-    # Two digits of the interval say how many digits of the mean are worth showing.
+    # The interval determines the digits: show two digits of it.
     digits = 2 if cell.half == 0 else min(6, max(0, 1 - math.floor(math.log10(cell.half))))
     return f"{cell.mean:.{digits}f} ± {cell.half:.{digits}f}"
 
@@ -67,10 +67,10 @@ def words(cells: Sequence[Cell], tests: Sequence[Paired]) -> str:
 
 
 def findings(cells: Sequence[Cell], tests: Sequence[Paired], disturbance: str) -> list[str]:
-    """Return a sentence per metric: which law is best, which laws it beats, and which it does not.
+    """Return a sentence per metric: the best law, the laws that it beats, and the others.
 
-    A law beats another one if the test says so after its correction. The best law is the one with the best mean among
-    those that no other law beats.
+    A law beats another one if the corrected test is significant. The best law has the best mean among the laws that no
+    other law beats.
     """
     found = []
     for metric in METRICS:
@@ -106,7 +106,7 @@ def findings(cells: Sequence[Cell], tests: Sequence[Paired], disturbance: str) -
 
 
 def method(seeds: int, count: int) -> str:
-    """Return how the numbers were made."""
+    """Return the method behind the numbers, in words."""
     return (
         f"mean over {seeds} seeds ± half of its {LEVEL:.0%} interval; {count} paired Wilcoxon tests over seeds,"
         " corrected by Holm"

@@ -1,4 +1,4 @@
-"""Many runs of one network: every combination of some values, under every seed; resumed where it was left."""
+"""Many runs of one network: every combination of some values, under every seed; a stopped sweep can be continued."""
 
 from __future__ import annotations
 
@@ -33,11 +33,10 @@ class Swept(NamedTuple):
 def sweep(
     plan: Plan, out: Path | None = None, jobs: int | None = None, on: str | None = None, quiet: bool = False
 ) -> Swept:
-    """Make the runs of a plan that are not there yet, then the table of all, its summary and its box plots.
+    """Make the missing runs of a plan, then the table of all, its summary and its box plots.
 
-    `on` is `ray` or ray://HOST:PORT, None for the cores of this machine, of which `jobs` are used. `quiet` prints
-    nothing.
-    Raises UserError for a mistake, and HedgerowError where a run cannot be made.
+    `on` is `ray` or ray://HOST:PORT; None for this machine, with `jobs` cores. `quiet` prints nothing. Raise UserError
+    for a mistake, and HedgerowError if a run cannot be made.
     """
     with SweepFolder(plan, out or default_out(plan)) as folder:
         there = folder.there
@@ -47,7 +46,7 @@ def sweep(
             say(f"{some} of {len(plan.settings)} settings run one by one, which is slower: {'; '.join(why)}")
         say(f"{plan.name}: {_counted(plan)}, into {folder.path}" + (f"; {there} were there" if there else ""))
         if stopped := there < plan.runs and _run(plan, folder, jobs, on, quiet):
-            line = f"stopped: {stopped}: {folder.there} of {plan.runs} runs are there; the same command goes on"
+            line = f"stopped: {stopped}: {folder.there} of {plan.runs} runs are done; the same command continues"
             return Swept(EXIT_CODES[UNKNOWN], line)
         return _conclude(plan, folder, say)
 
@@ -62,7 +61,7 @@ def _counted(plan: Plan) -> str:
 
 
 def _run(plan: Plan, folder: SweepFolder, jobs: int | None, on: str | None, quiet: bool) -> str:
-    """Make the runs that lack; who stopped that, or nothing."""
+    """Make the missing runs; return the signal that stopped them, or an empty text."""
     chunks = plan.chunks(frozenset(folder.rows))
     if on is not None:
         from hedgerow.orchestrator.experiments.sweep.on_ray import over_ray  # noqa: PLC0415
@@ -87,7 +86,7 @@ def _run(plan: Plan, folder: SweepFolder, jobs: int | None, on: str | None, quie
 
 
 def cores() -> int:
-    """How many we may use."""
+    """Return the number of available cores."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -99,7 +98,7 @@ def _conclude(plan: Plan, folder: SweepFolder, say: Callable[[str], None]) -> Sw
         drawn = _draw(plan, folder, rows)
     except OSError as error:
         raise UserError(
-            f"{folder.path}: {error.strerror}; make room, then the same command goes on", code=Code.OUTPUT
+            f"{folder.path}: {error.strerror}; free space, then the same command continues", code=Code.OUTPUT
         ) from None
     verdicts = Counter(row["verdict"] for own in rows for row in own)
     worst = next(one for one in (INVALID, UNKNOWN, VALID) if verdicts[one])

@@ -1,4 +1,4 @@
-"""Box plots of a sweep, a box a setting, a panel a metric; needs matplotlib."""
+"""Box plots of a sweep: one box per setting, one panel per metric; needs matplotlib."""
 
 from __future__ import annotations
 
@@ -21,15 +21,17 @@ PANELS = {
     "cost_regret": "$R$ [units of $x^2$]",
     "gain": "gain [1]",
 }
-"""By metric: its axis."""
+"""By metric: the title of its axis."""
 PANEL_IN = 1.4
 FEW, LONG = 8, 12
-"""More boxes, or longer names, and the names stand upright."""
+"""With more boxes or longer names, the names are vertical."""
 _DECADES = 100.0
 
 
 def draw(plan: Plan, rows: Sequence[Sequence[Row]]) -> Figure:
-    """The boxes of every metric: quartiles, median, and whiskers to 5 and 95 %; `rows` are the runs of each setting."""
+    """Return the boxes of every metric: quartiles, median, and whiskers to 5 and 95 %; `rows` are the runs of each
+    setting.
+    """
     places = varied(plan)
     names = [[setting.values[k] for k in places] for setting in plan.settings]
     upright = len(names) > FEW or any(len(value) > LONG for name in names for value in name)
@@ -63,12 +65,12 @@ def _boxes(axis: Axes, values: Sequence[Array]) -> None:
 
 
 def _wide(values: Sequence[Array]) -> bool:
-    """Whether they are all positive, and lie so far apart that the small ones would be flat."""
+    """Return True if all values are positive and so different that a linear axis would hide the small ones."""
     low, high = (np.array([np.quantile(own, q) for own in values if len(own)]) for q in (0.05, 0.95))
     return len(low) > 0 and bool(low.min() > 0 and high.max() / low.min() > _DECADES)
 
 
 def write(folder: Path, plan: Plan, rows: Sequence[Sequence[Row]]) -> None:
-    """Draw boxes.pdf and boxes.png."""
+    """Write boxes.pdf and boxes.png."""
     with look():
         save(draw(plan, rows), folder, "boxes", f"{plan.name}: {plan.runs} runs")

@@ -1,4 +1,4 @@
-"""The folder of a sweep: what it is of, a line a run as they come, and one table once all are there."""
+"""The folder of a sweep: its plan, one line per finished run, and one table at the end."""
 
 from __future__ import annotations
 
@@ -23,16 +23,19 @@ from hedgerow.topologies.regular_file import check_regular
 
 
 def default_out(plan: Plan) -> Path:
-    """The same command finds the same folder again, another one another."""
+    """Return the default folder, which is the same for the same command and differs for others."""
     digest = hashlib.sha256(json.dumps(plan.identity).encode()).hexdigest()
     return Path("sweeps") / f"{plan.name}-{digest[:8]}"
 
 
 class SweepFolder:
-    """Holds the rows of a sweep while the block runs, and lets no other write there; UserError for a wrong one."""
+    """The rows of a sweep; while the block runs, no other process may write there.
+
+    Raises UserError for another sweep.
+    """
 
     def __init__(self, plan: Plan, path: Path, metrics: Sequence[str] = (*METRICS, "share_right")) -> None:
-        """`metrics` are the numbers of a row."""
+        """Prepare the folder; `metrics` are the numbers of a row."""
         self.plan, self.path = plan, path
         self._keys = _keys(metrics)
         self.table = path / "sweep.parquet"
@@ -74,7 +77,7 @@ class SweepFolder:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        with contextlib.suppress(OSError):  # of a full disk `append` has told
+        with contextlib.suppress(OSError):  # `append` has reported a full disk
             self._file.close()
 
     def _refuse_another(self) -> None:
@@ -92,13 +95,13 @@ class SweepFolder:
             and all(isinstance(there.get(key), type(wanted[key])) for key in ("versions", "networks"))
         ):
             raise UserError(
-                f"--out {self.path}: sweep.json is none of a sweep; name a new folder", code=Code.FILE_FORMAT
+                f"--out {self.path}: sweep.json does not belong to a sweep; name a new folder", code=Code.FILE_FORMAT
             )
         if other := _difference(there, wanted):
             raise UserError(f"--out {self.path}: holds another sweep: {other}; name another folder", code=Code.OUTPUT)
 
     def _read(self) -> None:
-        """Take in the runs that are there; a line that was cut short is taken away."""
+        """Read the finished runs; remove an incomplete last line."""
         self._file.seek(0)
         whole = 0
         for line in self._file:
@@ -115,7 +118,7 @@ class SweepFolder:
         self._file.truncate(whole)
 
     def append(self, rows: Sequence[Row]) -> None:
-        """Keep some runs, whatever becomes of us after this; UserError when the disk is full."""
+        """Store some runs safely on the disk; raise UserError if it is full."""
         for row in rows:
             self.rows[row["setting"], row["seed"]] = row
         try:
@@ -123,21 +126,21 @@ class SweepFolder:
             self._file.flush()
         except OSError as error:
             raise UserError(
-                f"{self._lines}: {error.strerror}; make room, then the same command goes on", code=Code.OUTPUT
+                f"{self._lines}: {error.strerror}; free space, then the same command continues", code=Code.OUTPUT
             ) from None
 
     @property
     def there(self) -> int:
-        """How many of the runs that are asked for are there."""
+        """Return the number of requested runs that are done."""
         seeds = self.plan.seeds
         return sum(seed in seeds for _, seed in self.rows)
 
     def asked(self, setting: int) -> list[Row]:
-        """The runs of a setting that are asked for, by seed; all must be there."""
+        """Return the requested runs of a setting, by seed; all must be done."""
         return [self.rows[setting, seed] for seed in self.plan.seeds]
 
     def write_table(self) -> None:
-        """Write sweep.parquet, a row a run, by setting and then by seed: the same runs give the same bytes."""
+        """Write sweep.parquet, one row per run, by setting and then by seed: the same runs give the same bytes."""
         import pyarrow as pa  # noqa: PLC0415
         import pyarrow.parquet as pq  # noqa: PLC0415
 
@@ -159,12 +162,12 @@ class SweepFolder:
         except OSError as error:
             part.unlink(missing_ok=True)
             raise UserError(
-                f"{self.table}: {error.strerror}; make room, then the same command goes on", code=Code.OUTPUT
+                f"{self.table}: {error.strerror}; free space, then the same command continues", code=Code.OUTPUT
             ) from None
 
 
 _GROWTH = 4
-"""bytes of memory for a byte of runs.jsonl, whose lines hold the same few keys"""
+"""the memory per byte of runs.jsonl; its lines repeat the same few keys"""
 
 
 def _keys(metrics: Sequence[str]) -> dict[str, Any]:
@@ -177,7 +180,7 @@ def _keys(metrics: Sequence[str]) -> dict[str, Any]:
 
 
 def _row(row: Any, settings: int, keys: Mapping[str, Any]) -> Row:
-    """Return a run that a line holds, its known keys; raise an error of a lookup, a type or a value if it is none."""
+    """Return the run in a line, with its known keys; raise LookupError, TypeError or ValueError if it is invalid."""
     if not all(isinstance(row[key], kind) and not isinstance(row[key], bool) for key, kind in keys.items()):
         raise TypeError("a value is of another type")
     if row["setting"] not in range(settings) or any(
@@ -188,7 +191,7 @@ def _row(row: Any, settings: int, keys: Mapping[str, Any]) -> Row:
 
 
 def _difference(there: dict[str, Any], wanted: dict[str, Any]) -> str:
-    """In what a sweep is not the one that is wanted, in words; nothing where it is."""
+    """Return the difference between a sweep and the requested one, in words; empty if there is none."""
     there, wanted = ({**about, **{f"`{key}`": own for key, own in about["set"].items()}} for about in (there, wanted))
     for key in dict.fromkeys((*wanted, *there)):
         one, other = there.get(key), wanted.get(key)

@@ -1,4 +1,4 @@
-"""A sweep over a Ray cluster: a task a chunk; Ray places them, and begins those anew whose machine is gone."""
+"""A sweep over a Ray cluster: one task per chunk; Ray distributes them, and restarts those of a lost machine."""
 
 from __future__ import annotations
 
@@ -15,12 +15,14 @@ from hedgerow.topologies.errors import HedgerowError
 def over_ray(
     plan: Plan, chunks: Iterable[Chunk], address: str, jobs: int | None
 ) -> Generator[Answer | None, None, None]:
-    """As `over_processes`; `address` is ray://HOST:PORT, or `ray`: the cluster that we are part of, or this machine."""
+    """Yield answers as `over_processes` does; `address` is ray://HOST:PORT, or `ray`: our own cluster, or this
+    machine.
+    """
     with joined(address) as cluster:
         ray = cluster.ray
         try:
             task, told = ray.remote(answer), ray.put(plan)
-            # Twice as many as run at once, so that no core waits for us.
+            # Twice as many as run in parallel, so that no core waits for us.
             limit = jobs or 2 * max(1, int(ray.cluster_resources().get("CPU", 1)))
             waiting = iter(chunks)
             going: list[Any] = []
@@ -35,5 +37,5 @@ def over_ray(
                 yield from ray.get(ready)
         except ray.exceptions.RayError as error:
             raise HedgerowError(
-                f"--on {address}: {str(error).strip().splitlines()[0]}; the same command goes on"
+                f"--on {address}: {str(error).strip().splitlines()[0]}; the same command continues"
             ) from None

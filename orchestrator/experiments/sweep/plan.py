@@ -1,4 +1,4 @@
-"""What a sweep is to run: every combination of the values that its keys take, under every seed."""
+"""The plan of a sweep: every combination of the values of its keys, under every seed."""
 
 from __future__ import annotations
 
@@ -24,10 +24,12 @@ from hedgerow.topologies.source import read_source
 ENGINES = ("in-process", "zenoh")
 MAX_RUNS = 10_000_000
 _STEPS_A_CHUNK = 600
+LEAST_CHUNKS = 8
+"""chunks of a plan with enough seeds, so that several processes share them"""
 
 
 class Chunk(NamedTuple):
-    """Some runs that one process does in a row: the place of their setting, and their seeds."""
+    """Some runs that one process makes in a row: the place of their setting, and their seeds."""
 
     setting: int
     seeds: tuple[int, ...]
@@ -38,9 +40,9 @@ class Setting:
     """One combination of values."""
 
     values: tuple[str, ...]
-    """a value a key of the sweep, as the command line spells it"""
+    """one value per key of the sweep, as the command line spells it"""
     topology: Topology
-    """not drawn yet: every seed draws its own"""
+    """not drawn yet: every seed draws its own numbers"""
 
 
 @dataclass(frozen=True)
@@ -52,26 +54,28 @@ class Plan:
     seeds: range
     engine: str
     folder: Path
-    """where the CSV files of the topology lie"""
+    """the folder of the topology's CSV files"""
 
     @property
     def name(self) -> str:
-        """The network's."""
+        """Return the name of the network."""
         return self.settings[0].topology.name
 
     @property
     def runs(self) -> int:
-        """How many there are."""
+        """Return the number of runs."""
         return len(self.settings) * len(self.seeds)
 
     def says(self, setting: int) -> str:
-        """A setting in words."""
+        """Return a setting in words."""
         values = self.settings[setting].values
         return ", ".join(f"{key}={value}" for key, value in zip(self.keys, values, strict=True)) or self.name
 
     @cached_property
     def identity(self) -> dict[str, Any]:
-        """What two sweeps have in common whose runs may stand in one table: all but the seeds, which may grow."""
+        """Return the data that two sweeps must share for one table: everything except the seeds, which may be
+        extended.
+        """
         values = zip(*(setting.values for setting in self.settings), strict=True)
         sources = {k: source.digest for k, source in enumerate(self.sources) if source.files}
         return {
@@ -80,13 +84,13 @@ class Plan:
             "engine": self.engine,
             "set": {key: list(dict.fromkeys(own)) for key, own in zip(self.keys, values, strict=True)},
             "versions": dict(versions()),
-            # Drawn with the file's own seed, so that it holds the numbers of CSV files too.
+            # Drawn with the seed of the file, so that it covers the numbers of CSV files too.
             "networks": [_digest(to_yaml(resolve(one.topology, self.folder))) for one in self.settings],
         }
 
     @cached_property
     def one_by_one(self) -> tuple[str, ...]:
-        """Return, by setting, why its runs are made one by one; empty where they are made in batches."""
+        """Return, by setting, the reason why its runs are made one by one; empty if they are made in batches."""
         if self.engine == "zenoh":
             return ("they run over Zenoh",) * len(self.settings)
         return tuple(batch.why_not(setting.topology) for setting in self.settings)
@@ -99,18 +103,19 @@ class Plan:
         return [known[setting.topology.law] for setting in self.settings]
 
     def chunks(self, done: Container[tuple[int, int]]) -> Iterator[Chunk]:
-        """The runs, less those that are `done`: (place of the setting, seed)."""
+        """Yield the runs without those that are `done`: (place of the setting, seed)."""
+        pieces = -(-LEAST_CHUNKS // len(self.settings))
         for k, setting in enumerate(self.settings):
             size = 1 if self.engine == "zenoh" else max(1, _STEPS_A_CHUNK // setting.topology.steps)
             if not self.one_by_one[k]:
-                size = batch.seeds_at_once(setting.topology)
+                size = min(batch.seeds_at_once(setting.topology), -(-len(self.seeds) // pieces))
             lacking = (seed for seed in self.seeds if (k, seed) not in done)
             while seeds := tuple(itertools.islice(lacking, size)):
                 yield Chunk(k, seeds)
 
 
 def plan(file: str, seeds: str, sets: Sequence[str], engine: str) -> Plan:
-    """The plan of a command line; raises UserError for a mistake in it, TopologyError for one in the file."""
+    """Return the plan of a command line; raise UserError for a mistake in it, TopologyError for one in the file."""
     if engine not in ENGINES:
         raise UserError(f"--engine {engine}: is neither {' nor '.join(ENGINES)}; choose one of them")
     asked, values = seeds_of(seeds), _values(sets)
@@ -129,7 +134,7 @@ def plan(file: str, seeds: str, sets: Sequence[str], engine: str) -> Plan:
 
 
 def seeds_of(text: str) -> range:
-    """Return the seeds of FIRST:STOP; raise UserError for a text that is none."""
+    """Return the seeds of FIRST:STOP; raise UserError for another text."""
     first, _, stop = text.partition(":")
     if not (first.isdecimal() and stop.isdecimal()):
         raise UserError(f"--seeds {text}: is not FIRST:STOP; write for example 0:1000, which ends with 999")
@@ -142,7 +147,7 @@ def seeds_of(text: str) -> range:
 
 
 def _values(sets: Sequence[str]) -> dict[str, list[str]]:
-    """By key, the values that it takes."""
+    """Return the values of each key."""
     values: dict[str, list[str]] = {}
     for given in sets:
         key, text = split_setting(given)
@@ -155,13 +160,13 @@ def _values(sets: Sequence[str]) -> dict[str, list[str]]:
         values[key] = split(text)
         for value in values[key]:
             if not value or values[key].count(value) > 1:
-                what = f"{value} stands there twice" if value else "a value is empty"
+                what = f"{value} is there twice" if value else "a value is empty"
                 raise UserError(f"--set {given}: {what}; give each value once, with commas between them")
     return values
 
 
 def split(text: str) -> list[str]:
-    """Values of YAML, apart at the commas that stand in no bracket and in no quotes."""
+    """Return values in YAML, split at the commas outside brackets and quotes."""
     parts, depth, quote = [""], 0, ""
     for sign in text:
         if quote:
@@ -177,7 +182,7 @@ def split(text: str) -> list[str]:
 
 
 def _with(file: str, values: dict[str, str]) -> Topology:
-    """The topology with some values replaced; raises UserError, in a line, for a value that it cannot have."""
+    """Return the topology with some values replaced; raise UserError, in one line, for an invalid value."""
     try:
         topology = load(file, [f"{key}={value}" for key, value in values.items()])
         resolve(topology, find(file).parent)
@@ -188,7 +193,7 @@ def _with(file: str, values: dict[str, str]) -> Topology:
 
 
 def typed(values: Sequence[str]) -> list[Any]:
-    """The values of a key as a column holds them: numbers or truths where all of them are, else as they are written."""
+    """Return the values of a key for a column: numbers or booleans if all of them are, otherwise texts."""
     read = [read_source("--set", value.encode()).value for value in values]
     if all(type(value) is int for value in read) or all(type(value) is bool for value in read):
         return read

@@ -1,4 +1,4 @@
-"""How far a sweep is: a bar on a terminal, a line now and then elsewhere."""
+"""The progress of a sweep: a bar on a terminal, lines from time to time elsewhere."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ LINE_EVERY_S = 10.0
 
 
 class Lines:
-    """For logs and pipes."""
+    """The progress in logs and pipes."""
 
     def __init__(self, there: int, runs: int) -> None:
         self._there, self._done, self._runs = there, there, runs
         self._began = self._said = time.monotonic()
 
     def advance(self, runs: int) -> None:
-        """So many more runs are there."""
+        """Add this number of finished runs."""
         self._done += runs
         if (now := time.monotonic()) - self._said >= LINE_EVERY_S:
             self._said = now
@@ -29,11 +29,11 @@ class Lines:
             echo(f"{self._done} of {self._runs} runs, {rate:.3g} runs/s")
 
     def close(self) -> None:
-        """Nothing is left behind."""
+        """Do nothing: lines need no end."""
 
 
 class Bar:
-    """For a terminal."""
+    """The progress on a terminal."""
 
     def __init__(self, there: int, runs: int, console: Console) -> None:
         self._bar = Progress(
@@ -42,25 +42,25 @@ class Bar:
         )  # fmt: skip
         self._task = self._bar.add_task("runs", total=runs, completed=there)
         self._bar.start()
-        console.show_cursor()  # else somebody would have to bring it back after SIGKILL
+        console.show_cursor()  # otherwise the cursor would stay hidden after SIGKILL
 
     def advance(self, runs: int) -> None:
-        """So many more runs are there."""
+        """Add this number of finished runs."""
         self._bar.advance(self._task, runs)
 
     def close(self) -> None:
-        """Take the bar away."""
+        """Remove the bar."""
         self._bar.stop()
 
 
 class Nothing:
-    """For `--quiet`."""
+    """The display for `--quiet`."""
 
     def advance(self, runs: int) -> None:
         """Print nothing."""
 
     def close(self) -> None:
-        """Leave nothing."""
+        """Do nothing."""
 
 
 def progress(there: int, runs: int, quiet: bool = False) -> Lines | Bar | Nothing:

@@ -1,10 +1,11 @@
-"""One run of a sweep, and the row that it leaves; the same numbers as its verdict.json holds."""
+"""One run of a sweep, and its row: the same numbers as in its verdict.json."""
 
 from __future__ import annotations
 
 import itertools
 import math
 import tempfile
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,8 @@ from hedgerow.orchestrator.ground.laws import completed
 from hedgerow.orchestrator.metrics.observer import Observer, rows_at_once
 from hedgerow.orchestrator.metrics.verdict import VALID, Ending, judge
 from hedgerow.orchestrator.runs import batch, reference
+from hedgerow.orchestrator.runs.batch import Runs
+from hedgerow.orchestrator.runs.union import SizesError
 from hedgerow.topologies.errors import Code, HedgerowError, TopologyError, UserError
 from hedgerow.topologies.json_file import read_json
 from hedgerow.topologies.resolve import resolve
@@ -30,20 +33,20 @@ METRICS = (
     *("regret", "regret_nominal", "cost", "cost_oracle", "cost_regret", "cost_ratio", "disturbance_energy"),
     *("gain", "gain_less_x0", "gamma_star", "rho", "nodes_right", "estimate_error"),
 )
-"""Of verdict.json."""
+"""The metrics from verdict.json."""
 
 
 @dataclass(frozen=True)
 class Failure:
-    """Why a chunk has no rows: the sweep cannot go on."""
+    """The reason why a chunk has no rows: the sweep cannot continue."""
 
     text: str
     users: bool
-    """whether it is a mistake of the user's"""
+    """True for a mistake of the user"""
     code: Code = Code.UNKNOWN
 
     def error(self) -> HedgerowError:
-        """The same, to be raised."""
+        """Return the same as an error to raise."""
         return UserError(self.text, code=self.code) if self.users else HedgerowError(self.text, code=self.code)
 
 
@@ -52,15 +55,33 @@ Answer = list[Row] | Failure
 
 def answer(plan: Plan, chunk: Chunk) -> Answer:
     """Return the rows of a chunk; an error is text, because the caller may be on another machine."""
+
+    def alone(seed: int) -> Row:
+        return _row(_content(plan, chunk.setting, seed))
+
+    return rows_of(plan, chunk, alone, _row_at_once)
+
+
+def rows_of(plan: Plan, chunk: Chunk, alone: Callable[[int], Row], at_once: Callable[[Runs, int], Row]) -> Answer:
+    """Return the rows of a chunk, from one batch where that can be.
+
+    `alone` makes the run of a seed with every check. `at_once` reads the row of a run of a batch. A run that fails a
+    check in a batch is made again alone, so that its row says what is wrong.
+    """
     seed = chunk.seeds[0]
     try:
         need_same(plan.settings[chunk.setting].topology.law, plan.sources[chunk.setting].digest)
-        there = {} if plan.one_by_one[chunk.setting] or len(chunk.seeds) == 1 else _batch(plan, chunk)
-        rows = []
-        for seed in chunk.seeds:
-            row = there.get(seed) or _row(_content(plan, chunk.setting, seed))
-            rows.append({"setting": chunk.setting, "seed": seed, **row})
-        return rows
+        together = None if plan.one_by_one[chunk.setting] or len(chunk.seeds) == 1 else _batch(plan, chunk)
+        topology = plan.settings[chunk.setting].topology
+        if together is not None and batch.needs_proof(topology):
+            ends = [k for k in (0, len(chunk.seeds) - 1) if together.good[k]]
+            if any(at_once(together, k) != alone(chunk.seeds[k]) for k in ends):
+                together = None
+        found: list[Row] = []
+        for k, seed in enumerate(chunk.seeds):
+            row = alone(seed) if together is None or not together.good[k] else at_once(together, k)
+            found.append({"setting": chunk.setting, "seed": seed, **row})
+        return found
     except TopologyError as error:
         return Failure(f"seed {seed}, {plan.says(chunk.setting)}: {error.problems[0]}", users=True)
     except HedgerowError as error:
@@ -71,35 +92,35 @@ def answer(plan: Plan, chunk: Chunk) -> Answer:
         return Failure(f"{where}: {reached or crash.report(error)}", users=False, code=code)
 
 
-def _batch(plan: Plan, chunk: Chunk) -> dict[int, Row]:
-    """Return the rows of the runs of a chunk that pass every check; the others are made by themselves, with reasons."""
+def _batch(plan: Plan, chunk: Chunk) -> Runs | None:
+    """Return the numbers of the runs of a chunk; None if they must be made one by one."""
     topology = plan.settings[chunk.setting].topology
     try:
-        found, n = batch.run(topology, chunk.seeds, plan.folder), len(topology.ids)
+        return batch.run(topology, chunk.seeds, plan.folder)
+    except (LawError, SizesError, TopologyError):
+        return None  # run by itself, each run says what is wrong
     except Exception:
         if ":" not in topology.law:
             raise
-        return {}  # a law of the user's failed; run by itself, each run says where
-    columns = [found.metrics[name].tolist() for name in METRICS]
-    rows: dict[int, Row] = {}
-    for seed, good, *values in zip(chunk.seeds, found.good.tolist(), *columns, strict=True):
-        if good:
-            metrics = {
-                name: value if math.isfinite(value) else None for name, value in zip(METRICS, values, strict=True)
-            }
-            share = float(metrics["nodes_right"] or 0) / n
-            rows[seed] = {**metrics, "share_right": share, "verdict": VALID, "reasons": ""}
-    return rows
+        return None
+
+
+def _row_at_once(runs: Runs, k: int) -> Row:
+    """Return the row of a run that passed every check."""
+    values = {name: float(runs.metrics[name][k]) for name in METRICS}
+    row: Row = {name: value if math.isfinite(value) else None for name, value in values.items()}
+    row["nodes_right"] = int(values["nodes_right"])
+    return {**row, "share_right": row["nodes_right"] / runs.a.shape[1], "verdict": VALID, "reasons": ""}
 
 
 def _content(plan: Plan, setting: int, seed: int) -> dict[str, Any]:
-    """What verdict.json holds, or would hold."""
+    """Return the content of verdict.json, with or without a file."""
     topology = completed(resolve(plan.settings[setting].topology.model_copy(update={"seed": seed}), plan.folder))
     return _over_zenoh(topology) if plan.engine == "zenoh" else run_here(topology)
 
 
 def run_here(topology: Topology) -> dict[str, Any]:
-    """A run in this process that leaves nothing on disk."""
+    """Run a network in this process, without files on disk."""
     shards, observer = layout(topology, 1), Observer(topology)
     ending = Ending(run=topology.name, engine="in-process", processes=0)
     telemetry = reference.run(truth_of(topology, shards), views_of(topology, shards))
@@ -115,7 +136,7 @@ def run_here(topology: Topology) -> dict[str, Any]:
 
 
 def _over_zenoh(topology: Topology) -> dict[str, Any]:
-    """The same by `orchestrator up`: a process an agent."""
+    """Run a network by `orchestrator up`, with one process per agent."""
     from hedgerow.orchestrator.launch.running import run_to_the_end  # noqa: PLC0415
 
     with tempfile.TemporaryDirectory(prefix="hedgerow-") as scratch:

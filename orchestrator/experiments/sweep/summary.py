@@ -1,4 +1,4 @@
-"""What a sweep says: by setting, the middle of each metric and how far it spreads."""
+"""The result of a sweep: by setting, the centre of each metric and its spread."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from hedgerow.orchestrator.experiments.sweep.runs import METRICS, Row
 from hedgerow.topologies.graph import Array
 
 SHOWN = {"regret": "regret D", "regret_nominal": "nominal D", "cost_regret": "cost regret", "gain": "gain"}
-"""Metrics whose quartiles stand on the screen, and what they are called there."""
+"""The metrics with quartiles on the screen, and their names there."""
 
 
 class Spread(NamedTuple):
-    """Some numbers at a glance; NaN where there are too few of them."""
+    """The statistics of some numbers; NaN if there are too few."""
 
     runs: int
-    """that have the number"""
+    """the number of runs with a value"""
     mean: float
     error: float
     """the standard error of the mean, over runs: the nodes of one run are not independent of each other"""
@@ -32,12 +32,12 @@ class Spread(NamedTuple):
 
 
 def values_of(rows: Sequence[Row], metric: str) -> Array:
-    """A metric of some runs, less those in which it is undefined."""
+    """Return a metric of some runs, without undefined values."""
     return np.array([row[metric] for row in rows if row.get(metric) is not None], dtype=float)
 
 
 def spread(values: Array) -> Spread:
-    """Mean, standard error and quartiles."""
+    """Return mean, standard error and quartiles."""
     n = len(values)
     if not n:
         return Spread(0, *[np.nan] * 5)
@@ -46,12 +46,12 @@ def spread(values: Array) -> Spread:
 
 
 def varied(plan: Plan) -> list[int]:
-    """The places of the keys that take more than one value."""
+    """Return the places of the keys with more than one value."""
     return [k for k in range(len(plan.keys)) if len({one.values[k] for one in plan.settings}) > 1]
 
 
 def write_csv(path: Path, plan: Plan, rows: Sequence[Sequence[Row]]) -> None:
-    """A line a setting and metric; `rows` are the runs of each setting."""
+    """Write one line per setting and metric; `rows` are the runs of each setting."""
     with path.open("w", newline="", encoding="utf-8") as file:
         write = csv.writer(file).writerow
         write([*plan.keys, "metric", *Spread._fields])
@@ -61,7 +61,7 @@ def write_csv(path: Path, plan: Plan, rows: Sequence[Sequence[Row]]) -> None:
 
 
 def table(plan: Plan, rows: Sequence[Sequence[Row]]) -> str:
-    """The same for the screen: the metrics that are looked at first."""
+    """Return the main metrics as a table for the screen."""
     places = varied(plan)
     lines = [
         [*(plan.keys[k] for k in places), "runs", "nodes right", *(f"{name} [quartiles]" for name in SHOWN.values())]

@@ -1,7 +1,7 @@
-"""A sweep over the cores of this machine: a process a core, each with a pipe of its own.
+"""A sweep over the cores of this machine: one process per core, each with its own pipe.
 
-A pipe of its own is what makes the rest simple. A worker that is killed, in the middle of a word or not, is the end of
-its pipe and nobody else's: another begins its chunk again. We who are killed are the end of all pipes, and workers end.
+The separate pipes simplify the errors. A killed worker closes only its own pipe, even in the middle of a message, and
+another worker repeats its chunk. If this process is killed, all pipes close, and the workers end.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from hedgerow.wire.runtime import let_numbers_overflow
 
 LOOK_EVERY_S = 0.2
 TRIES = 3
-"""A chunk during which so many workers died is not begun again."""
+"""A chunk is given up after this number of deaths of its workers."""
 END_DEADLINE_S = 30.0
-"""A network of real processes takes a while to end."""
+"""The time that a network of real processes needs to end [s]."""
 Answering = Callable[[Plan, Chunk], Answer]
 """makes the runs of a chunk"""
 _SPAWN = multiprocessing.get_context("spawn")  # a fork would share our pipes, and threads that hold locks
@@ -34,8 +34,8 @@ class _Worker:
     def __init__(self, plan: Plan, answer: Answering) -> None:
         self.connection, theirs = _SPAWN.Pipe()
         self.process = _SPAWN.Process(target=_serve, args=(theirs, plan, answer), daemon=True)
-        # A Ctrl-C in the terminal is for us: it finds the worker deaf from its first instruction on. The tracker, which
-        # the first start would start, leaves SIGINT unblocked.
+        # A Ctrl-C in the terminal is for this process: block it in the worker from its first instruction on. Start the
+        # tracker before, because its start would unblock SIGINT.
         resource_tracker.ensure_running()
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
@@ -48,7 +48,7 @@ class _Worker:
 
     def begin(self, chunk: Chunk, tries: int) -> None:
         self.chunk, self.tries = chunk, tries
-        with contextlib.suppress(OSError):  # it died; the end of the pipe will tell
+        with contextlib.suppress(OSError):  # it died; the end of the pipe will show this
             self.connection.send(chunk)
 
     def close(self) -> None:
@@ -59,7 +59,10 @@ class _Worker:
 def over_processes(
     plan: Plan, chunks: Iterable[Chunk], jobs: int, answer: Answering = answer
 ) -> Generator[Answer | None, None, None]:
-    """The answer to each chunk, in no order; None when for a while there is none. No process outlives this."""
+    """Yield the answer to each chunk, in any order; None if there is none for a while.
+
+    No process outlives this call.
+    """
     waiting, again = iter(chunks), deque[tuple[Chunk, int]]()
     workers: dict[Connection, _Worker] = {}
 
@@ -108,7 +111,7 @@ def over_processes(
 
 
 def _died(plan: Plan, worker: _Worker, again: deque[tuple[Chunk, int]]) -> Answer | None:
-    """Have its chunk begun again, unless it is to blame."""
+    """Repeat the chunk of a dead worker, unless the chunk is the cause."""
     chunk = worker.chunk
     assert chunk is not None
     if worker.tries < TRIES:
@@ -119,16 +122,16 @@ def _died(plan: Plan, worker: _Worker, again: deque[tuple[Chunk, int]]) -> Answe
     how = f"signal {-code}" if code is not None and code < 0 else f"exit code {code}"
     return Failure(
         f"{seeds}, {plan.says(chunk.setting)}: the process died {TRIES} times, the last by {how}; "
-        "look whether memory is short, and give fewer --jobs",
+        "check the free memory, and give fewer --jobs",
         users=False,
     )
 
 
 def _serve(connection: Connection, plan: Plan, answer: Answering) -> None:
-    """Be a worker."""
+    """Run the loop of a worker."""
     let_numbers_overflow()
     signal.signal(signal.SIGTERM, _leave)
-    signal.signal(signal.SIGINT, _stay)  # a handler, unlike a mask, is not handed down to a network's processes
+    signal.signal(signal.SIGINT, _stay)  # a handler, unlike a mask, is not inherited by a network's processes
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     threading.Thread(target=_end_with_parent, name="lifeline", daemon=True).start()
     try:
@@ -139,7 +142,7 @@ def _serve(connection: Connection, plan: Plan, answer: Answering) -> None:
 
 
 def _end_with_parent() -> None:
-    """Even SIGKILL of it ends us, and the network that we may have started."""
+    """End this process with its parent, even after SIGKILL, and so the network that it started."""
     parent = multiprocessing.parent_process()
     assert parent is not None
     parent.join()

@@ -1,7 +1,7 @@
 """The worst disturbance of a network under its law: a lower bound on the gain, beside the upper bounds.
 
-`worst` searches under a budget and writes three files: worst.yaml, a network whose run repeats the gain; worst.json,
-the result; and worst.npz, from which the same search goes on.
+`worst` searches for a given time and writes three files: worst.yaml, a network that repeats the gain; worst.json, the
+result; and worst.npz, the state to continue the search.
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from hedgerow.orchestrator.experiments.worst.hunt import Attack, Hunt
-from hedgerow.orchestrator.metrics.gain_bound import Plant, Premise
+from hedgerow.orchestrator.metrics.gain_bound import Premise
+from hedgerow.orchestrator.metrics.gain_plant import Plant
 from hedgerow.orchestrator.metrics.guarantee import (
     Guarantee,
     fingerprint,
@@ -35,17 +36,17 @@ class Found:
     """The result of a search."""
 
     topology: Topology
-    """a network whose run has the gain"""
+    """a network with this gain in a run"""
     attack: Attack
     """the disturbance and the faults with the largest gain"""
     guarantee: Guarantee
     """the upper bounds on the gain"""
     law: str
-    """the law that was attacked, as a file names it"""
+    """the law that was attacked, as in a file"""
     faults: dict[str, float]
     """by single fault: the best gain with it; empty unless faults were searched"""
     seconds: float
-    """of search, those before an interruption included"""
+    """the search time, including that before an interruption [s]"""
 
     @property
     def gain(self) -> float:
@@ -54,7 +55,7 @@ class Found:
 
     @property
     def limit(self) -> float:
-        """Return the gain that longer runs come near, if the disturbance holds its last value; else `gain`."""
+        """Return the gain that longer runs approach if the disturbance holds its last value; otherwise `gain`."""
         return self.attack.limit
 
     @property
@@ -84,7 +85,7 @@ class Found:
         return "\n".join(lines)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the result as worst.json holds it."""
+        """Return the result as in worst.json."""
         return {
             "network": fingerprint(plant_of(self.topology.network)),
             "law": self.law,
@@ -108,15 +109,15 @@ def worst(
     say: Callable[[str], None] = lambda _: None,
     quit_now: Callable[[], bool] = lambda: False,
 ) -> Found:
-    """Search the worst disturbance of a network for `budget_s` seconds, and write it if `out` names a file.
+    """Search for the worst disturbance of a network for `budget_s` seconds, and write it if `out` names a file.
 
-    `faults` searches cuts and drops too. `steps` is the length of the run of a disturbance that holds its last value.
-    A search that was stopped goes on where `out` was written. Raises UserError for a network that is too large.
+    `faults` searches cuts and drops too. `steps` is the length of the run of a disturbance that holds its last value. A
+    stopped search continues with the files of `out`. Raises UserError for a network that is too large.
     """
     hunt = Hunt(topology, seed, faults, steps)
     kept = None if out is None else out.with_suffix(".npz")
     if kept is not None and kept.exists() and hunt.resume(kept):
-        say(f"goes on after {hunt.state.seconds:.0f} s, with gain {hunt.best_score() ** 0.5:.4f}")
+        say(f"continues after {hunt.state.seconds:.0f} s, with gain {hunt.best_score() ** 0.5:.4f}")
     hunt.run(budget_s, say, quit_now)
     attack, network = hunt.proved()
     found = Found(
@@ -140,7 +141,7 @@ def worst(
 
 
 def at_least(plant: Plant, folder: Path) -> float | None:
-    """Return the gain that `worst` found for minimax on a network without faults, by a worst.json; None if none."""
+    """Return the gain in a worst.json, found for minimax on a network without faults; None if there is none."""
     try:
         told = read_json((folder / NAME).with_suffix(".json"))
         if told["network"] == fingerprint(plant) and told["law"] == "minimax" and not told["faulty"]:

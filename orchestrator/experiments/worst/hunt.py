@@ -1,4 +1,4 @@
-"""The search for the worst disturbance of a network under a budget of time, and the run that repeats it."""
+"""The search for the worst disturbance of a network within a time budget, and the run that repeats it."""
 
 from __future__ import annotations
 
@@ -25,22 +25,22 @@ from hedgerow.topologies.resolve import resolve, to_yaml
 from hedgerow.topologies.schema import Topology
 
 KINDS = (Kind(1, True), Kind(6, False), Kind(4, True), Kind(8, False), Kind(12, False), Kind(20, False))
-"""The disturbances that are tried, in this order."""
+"""The kinds of disturbances, in the order of the search."""
 SIZE = 48
 SLICE_S = 0.25
-"""An island evolves for so long at a time."""
+"""The time slice of an island [s]."""
 STALE = 120
-"""An island whose best gain has not grown for so many generations makes room for a new one."""
+"""The number of generations without a better gain after which a new island replaces an old one."""
 LARGEST = 2_000
-"""Number of nodes up to which a disturbance is sought."""
+"""The maximum number of nodes for a search."""
 SAME = 1e-9
-"""Relative difference of two gains that are the same."""
+"""The relative difference below which two gains are equal."""
 BROKEN_SHARE = 0.5
-"""Share of the budget for faults, where they are asked for."""
+"""The share of the budget for faults, if they are requested."""
 MOST_FAULTS = 3
 LEAST_GENERATIONS = 3
 SETTLED = 1e-6
-"""Change of 1/(1 - ahat) in the second half of a run that has settled."""
+"""The change of 1/(1 - ahat) in the second half of a run that counts as settled."""
 
 Say = Callable[[str], None]
 Quit = Callable[[], bool]
@@ -53,18 +53,18 @@ class Attack:
     w: Array
     """(T, n)"""
     holds: bool
-    """True if the last value stays"""
+    """True if the disturbance keeps its last value"""
     breaks: Breaks
     gain: float
-    """of a run of `steps` steps"""
+    """the gain of a run of `steps` steps"""
     limit: float
-    """of a disturbance that holds the settled gain, which longer runs come near; else the gain"""
+    """the limit for longer runs if the disturbance holds its settled value; otherwise the gain"""
     steps: int
 
 
 @dataclass
 class State:
-    """All that a search needs to go on."""
+    """The data that a search needs to continue."""
 
     islands: list[Island]
     champions: dict[tuple[Kind, Breaks], tuple[Array, float, int]]
@@ -74,7 +74,7 @@ class State:
 
 
 class Hunt:
-    """A search that can be stopped and goes on later."""
+    """A search that can be stopped and continued later."""
 
     def __init__(self, topology: Topology, seed: int = 0, faults: bool = False, steps: int = 4000) -> None:
         if len(topology.ids) > LARGEST:
@@ -92,7 +92,7 @@ class Hunt:
         """by single fault: the best gain with it"""
 
     def run(self, budget_s: float, say: Say, quit_now: Quit = lambda: False) -> None:
-        """Search for so long; `say` gets a line for every gain that is larger than before."""
+        """Search for `budget_s`; pass a line to `say` for every larger gain."""
         until = time.monotonic() + budget_s * (1 - BROKEN_SHARE if self.faults else 1.0)
         best = self.best_score()
         for island in self._turns():
@@ -111,7 +111,7 @@ class Hunt:
         return max((found[1] for found in self.state.champions.values()), default=0.0)
 
     def _turns(self) -> Iterator[int]:
-        """Yield the number of the island whose turn it is: each in turn, and every second time the best."""
+        """Yield the number of the next island: each in turn, and every second time the best."""
         islands = self.state.islands
         if not islands:
             islands += [Island.new(self.scene, kind, SIZE, self.rng) for kind in KINDS]
@@ -204,7 +204,7 @@ class Hunt:
                 yield Attack(w, True, breaks, gain, float(played.cost[-1, 0] / energy[0, -1]) ** 0.5, self.steps)
 
     def proved(self) -> tuple[Attack, Topology]:
-        """Return the best attack whose run repeats its gain, and the topology of that run."""
+        """Return the best attack with a run that repeats its gain, and the topology of that run."""
         for attack in self.attacks():
             topology = self.topology_of(attack)
             content = run_here(topology)
@@ -237,7 +237,7 @@ class Hunt:
         return resolve(parse(text.encode(), "worst.yaml", Path()))
 
     def save(self, file: Path) -> None:
-        """Write all that is needed to go on."""
+        """Write all data that a later search needs to continue."""
         arrays: dict[str, Any] = {}
         listed = []
         for number, ((kind, breaks), (w, score, steps)) in enumerate(self.state.champions.items()):
@@ -259,7 +259,7 @@ class Hunt:
         part.rename(file)
 
     def resume(self, file: Path) -> bool:
-        """Go on where a search of the same network, law and seed was stopped; return False if there is none."""
+        """Continue a stopped search of the same network, law and seed; return False if there is none."""
         try:
             with open_regular(file) as opened, np.load(opened, allow_pickle=False) as kept:
                 head = json.loads(str(kept["head"]))
@@ -284,12 +284,12 @@ class Hunt:
 
 
 def _stretched(w: Array, kind: Kind) -> Array:
-    """Return a disturbance with the number of values of a kind: the last is repeated, or some are left out."""
+    """Return a disturbance with the number of values of a kind: repeat the last one, or omit some."""
     return np.concatenate([w, np.repeat(w[-1:], kind.length, axis=0)])[: kind.length]
 
 
 def _impulses(value: Array) -> list[dict[str, Any]]:
-    """Return what a node's first values are more than its last one."""
+    """Return the excess of a node's first values over its last one, as impulses."""
     more = value[:-1] - value[-1]
     return [{"kind": "impulse", "at": t, "value": float(v)} for t, v in enumerate(more) if v]
 

@@ -1,4 +1,4 @@
-"""Many disturbances at once through one network and its law, and the adjoint of what happened."""
+"""Many disturbances in parallel through one network and its law, and the adjoint of the runs."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from hedgerow.topologies.graph import Array, Graph, Index, Mask
 from hedgerow.topologies.schema import Topology
 
 TIE = 1e-7
-"""A model must win by this share of the disturbance's energy so far: else it may win by rounding, and not again."""
+"""A model must win by this share of the disturbance's energy so far: a smaller margin could be rounding."""
 UNSCORED = 3
-"""Up to this step a law that needs several samples, as notch does, has no scores, which is no tie."""
+"""Until this step, a law that needs several samples, such as notch, has no scores; this is not a tie."""
 DENSE = 400
-"""Number of nodes up to which a product with the dense Laplacian is quicker."""
+"""The maximum number of nodes for which a product with the dense Laplacian is faster."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Breaks:
     cuts: tuple[tuple[int, int], ...] = ()
     """(edge, first step): the edge carries no flow"""
     drops: tuple[tuple[int, int], ...] = ()
-    """(incidence, first step): its node no longer hears the neighbour, and learns nothing"""
+    """(incidence, first step): its node receives no more messages of the neighbour, and learns nothing"""
 
     def __add__(self, other: Breaks) -> Breaks:
         return Breaks(self.cuts + other.cuts, self.drops + other.drops)
@@ -44,7 +44,7 @@ NONE = Breaks()
 
 @dataclass(frozen=True)
 class Scene:
-    """The network that is attacked, and the view of one process that runs all of its nodes."""
+    """The attacked network, and the view of one process with all of its nodes."""
 
     graph: Graph
     a: Array
@@ -122,9 +122,9 @@ class Played:
     theta: Array
     """z / x = 1/(1 - ahat) where the law acts by (6), (T, B, n)"""
     cost: Array
-    """of each step, (T, B)"""
+    """the cost of each step, (T, B)"""
     sound: Mask
-    """True while no model has won or lost by rounding, (T, B)"""
+    """True until a model has won or lost by rounding, (T, B)"""
 
     def gains(self) -> tuple[Array, Index]:
         """Return the largest gain squared of a sound prefix, and its number of steps, both (B,)."""
@@ -136,7 +136,7 @@ class Played:
 
 
 def play(scene: Scene, w: Array, breaks: Breaks = NONE, steps: int | None = None) -> Played:
-    """Run the law under B disturbances w, (B, T, n); of one that is shorter than `steps` the last value stays."""
+    """Run the law under B disturbances w, (B, T, n); a disturbance shorter than `steps` keeps its last value."""
     count, given, n = w.shape
     steps = steps or given
     if steps > given:
@@ -190,8 +190,8 @@ def play(scene: Scene, w: Array, breaks: Breaks = NONE, steps: int | None = None
 def ascend(scene: Scene, played: Played, lengths: Sequence[int] | Index, breaks: Breaks = NONE) -> Array:
     """Return the gradients of the costs of prefixes, scaled to the energy of w, with the switching frozen, (B, T, n).
 
-    For a linear loop this is a step of the power method: lambda(t) = q(t) + (A - B B' Theta)' lambda(t+1), where q is
-    half the gradient of the stage cost, and the new w(t) is along lambda(t+1).
+    For a linear loop this is a step of the power method: lambda(t) = q(t) + (A - B B' Theta)' lambda(t+1). Here q is
+    half the gradient of the stage cost, and the new w(t) is parallel to lambda(t+1).
     """
     steps, count, n = played.theta.shape
     b = np.asarray(scene.b, dtype=float)

@@ -22,7 +22,8 @@ from hedgerow.orchestrator.views.groups import Groups, Scene
 from hedgerow.orchestrator.views.layout import Places, placed, positions
 from hedgerow.orchestrator.views.palette import Packed, flow_colors, packed, state_colors, thickness
 from hedgerow.topologies.graph import Graph, Index, Mask
-from hedgerow.topologies.schema import WHOLE, Topology
+from hedgerow.topologies.record import WHOLE
+from hedgerow.topologies.schema import Topology
 
 NAMED = 40
 """the maximum number of nodes for names at all nodes; larger networks have names only at the WORST nodes"""

@@ -91,7 +91,7 @@ class Viewer:
             return "the viewer does not start; try again, or --viewer web"
         port = urlsplit(self.url).port
         return (
-            f"nobody listens there; start a viewer of rerun-sdk {release('rerun-sdk')} with"
+            f"no viewer listens there; start a viewer of rerun-sdk {release('rerun-sdk')} with"
             f" `rerun --port {port} --bind {LOOPBACK}`, or choose --viewer web"
         )
 

@@ -26,14 +26,14 @@ def compare(viewer: Viewer, say: Callable[[str], None]) -> threading.Thread:
         except (RuntimeError, OSError) as error:
             if "Unimplemented" in str(error):
                 say(
-                    f"the viewer at {viewer.url} does not say its version: it is old, or only passes on what it is"
-                    f" sent; if nothing is shown, install rerun-sdk=={ours} there"
+                    f"the viewer at {viewer.url} does not report its version: it is old, or a relay. If it shows"
+                    f" nothing, install rerun-sdk=={ours} there"
                 )
             return
         if theirs != ours:
             say(
-                f"the viewer at {viewer.url} is Rerun {theirs}, and this is {ours}: what it shows may be wrong;"
-                f" install rerun-sdk=={ours} there"
+                f"the viewer at {viewer.url} is Rerun {theirs}, and this is {ours}: its display may be wrong."
+                f" Install rerun-sdk=={ours} there"
             )
 
     asking = threading.Thread(target=ask, name="version", daemon=True)

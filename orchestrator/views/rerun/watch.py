@@ -259,8 +259,8 @@ def watch(entry: Entry, choice: str, say: Say) -> None:
         topology = load_resolved(folder.path)
         if not (what := kept(topology)).whole:
             raise UserError(
-                f"{entry.run}: keeps {what}, and can only be watched where all is kept; start it with --viewer, or see"
-                f" what it has so far with `{command(['orchestrator', 'open', entry.folder])}`",
+                f"{entry.run}: records only {what}, so it cannot be watched. Start it with --viewer, or see the"
+                f" steps so far with `{command(['orchestrator', 'open', entry.folder])}`",
                 code=Code.NOT_RECORDED,
             )
         if (trail := _attached(entry, topology, wake, interrupts)) is None:
@@ -382,6 +382,8 @@ class _Watch:
             content = read_verdict(self._folder.path)
             text = Verdict(content["verdict"], content).line()
         else:
-            text = f"{self._entry.run}: was killed after step {self._observer.next_step - 1}; what it left is shown"
+            text = (
+                f"{self._entry.run}: was killed after step {self._observer.next_step - 1}; the recorded steps are shown"
+            )
         self._stream.event(text, "INFO", self._observer.next_step)
         self._say(text)

@@ -1,4 +1,4 @@
-"""Every law of the project keeps the contract that every run tests."""
+"""Every law of the project passes the contract test of every run."""
 
 from __future__ import annotations
 

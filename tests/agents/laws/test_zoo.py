@@ -35,7 +35,7 @@ MODELS = [[0.3, 0.6, 0.9], [0.5], [0.2, 0.8, 0.4, 0.7, 0.1]]
 
 
 def law(choice: str, models: Sequence[Sequence[float]] = MODELS, ids: Sequence[int] | None = None) -> Law:
-    """A law of these nodes, which have no neighbours."""
+    """Return a law of these nodes, which have no neighbours."""
     k = len(models)
     none = np.empty(0, dtype=np.int64)
     return new_law(
@@ -170,7 +170,7 @@ def test_every_layout_under_any_fault_gives_the_same_bits(
 
 @pytest.mark.parametrize("choice", CHOICES)
 def test_a_back_filled_memory_is_the_memory_without_the_gap(choice: str) -> None:
-    """Samples of steps 5 to 12 come late: the law gets the memory of step 5 back and learns them again."""
+    """Samples of steps 5 to 12 arrive late: the law returns to the memory of step 5 and learns them again."""
     x, flow = history(30, 3, lost=0.0)
     whole = taught(choice, x, flow)
     late = law(choice)
@@ -306,7 +306,7 @@ def test_exp_is_the_exponential_function(numbers: list[float]) -> None:
 
 
 def test_robust_gets_its_theta_from_the_operator() -> None:
-    """It is among the candidates' range, and its worst gain is no larger than that of other numbers."""
+    """Theta is within the range of the candidates, and its worst gain is at most that of other numbers."""
     from hedgerow.orchestrator.ground.robust import _coupling, theta_of, worst_gain  # noqa: PLC0415
 
     topology = read("{name: r, b: 0.1, steps: 3, seed: 4, nodes: [1, 2, 3], edges: [[1, 2], [2, 3]], law: robust}")

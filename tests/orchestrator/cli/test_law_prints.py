@@ -1,4 +1,4 @@
-"""A law that prints: nothing of it acts on a terminal or a log, and none of it is in the JSON of a command."""
+"""The output of a law acts on no terminal and no log, and is not in the JSON of a command."""
 
 import json
 from pathlib import Path
@@ -43,7 +43,7 @@ def test_what_a_law_prints_acts_on_no_terminal(file: str) -> None:
 
 
 @pytest.mark.parametrize("words", [("simulate", "pair.yaml", "--no-record"), ("worst", "pair.yaml", "--budget", "1s")])
-def test_the_json_of_a_command_stands_alone(file: str, words: tuple[str, ...]) -> None:
+def test_the_json_of_a_command_is_its_only_output(file: str, words: tuple[str, ...]) -> None:
     assert words[1] == file
     done = run(*words, "--json")
     assert done.returncode == 0, done.stderr

@@ -89,7 +89,7 @@ def test_two_networks_of_one_folder_are_listed_there_too(
     assert registry.find("ring").run == "ring-1", "a name leads out of the folder"
 
 
-def test_two_networks_of_one_name_are_told_apart_by_their_folders(
+def test_two_networks_of_one_name_are_distinguished_by_their_folders(
     listed: contextlib.ExitStack, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folders = [tmp_path / "a" / "bench", tmp_path / "b" / "bench"]

@@ -1,4 +1,4 @@
-"""A run behaves on other people's shells and machines: signals, encodings, limits, crashes, and what only helps."""
+"""A run works on other shells and machines: signals, encodings, limits, crashes, and failures of optional parts."""
 
 from __future__ import annotations
 
@@ -49,12 +49,12 @@ def run(
 
 @pytest.fixture(autouse=True)
 def _own_temporary_folder(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Keep the traceback files of crashes out of the folder that all programs share."""
+    """Redirect the traceback files of crashes away from the shared folder for temporary files."""
     monkeypatch.setenv("TMPDIR", str(tmp_path_factory.mktemp("t")))
 
 
 def code(text: str) -> tuple[str, ...]:
-    """A command whose interpreter runs `text` before the command line."""
+    """Return a command with an interpreter that runs `text` before the command line."""
     return (sys.executable, "-P", "-c", f"{text}\nimport sys\nfrom hedgerow.orchestrator.__main__ import main\nmain()")
 
 
@@ -70,9 +70,9 @@ def test_a_signal_that_is_ignored_at_the_start_stays_ignored(number: signal.Sign
     assert run(command=(sys.executable, "-c", text)).returncode == 1
 
 
-def test_a_process_of_a_run_ignores_what_was_ignored_at_the_start() -> None:
+def test_a_process_of_a_run_ignores_signals_that_were_ignored_at_the_start() -> None:
     text = (
-        # A signal that is raised is handled before the next line runs.
+        # A raised signal is handled before the next line runs.
         "import signal\nfrom hedgerow.wire.child import run_alone\n"
         "run_alone(lambda: [signal.raise_signal(signal.SIGINT), print('alive')])"
     )
@@ -224,7 +224,7 @@ def test_a_number_beyond_64_bits_is_the_users_mistake(rule: str) -> None:
         {},
     ],
 )
-def test_an_event_that_no_plant_tells_is_refused(event: dict[str, object]) -> None:
+def test_an_event_that_no_plant_sends_is_refused(event: dict[str, object]) -> None:
     with pytest.raises(MessageError):
         checked({**event, "step": 1}, 3, 1)
 
@@ -243,21 +243,21 @@ def test_a_report_of_files_of_two_runs_is_refused() -> None:
     assert run("report", "runs/latest").returncode == Exit.USER_MISTAKE
 
 
-def test_a_run_goes_on_where_latest_is_a_folder(here: Path) -> None:
+def test_a_run_continues_if_latest_is_a_folder(here: Path) -> None:
     (here / "runs/latest/kept").mkdir(parents=True)
     assert run(*RUN).returncode == Exit.VALID
     assert (here / "runs/latest/kept").is_dir()
     assert not [path for path in (here / "runs").iterdir() if path.name.startswith(".")]
 
 
-def test_a_run_goes_on_without_a_recording_that_is_switched_off() -> None:
+def test_a_run_continues_with_the_recording_switched_off() -> None:
     done = run("simulate", "paper7", "--steps", "3", environment={"RERUN": "0"})
     assert done.returncode == Exit.VALID
     assert not Path("runs/latest/run.rrd").exists()
     assert done.stdout.count(b"RERUN") == 1
 
 
-def test_a_run_goes_on_without_a_numba_that_fails() -> None:
+def test_a_run_continues_if_numba_fails() -> None:
     text = "import sys\nclass N:\n def find_spec(self, name, *_):\n  if name == 'numba': raise SystemError('broken')\n"
     text += "sys.meta_path.insert(0, N())"
     Path("ring.yaml").write_text("{name: r, b: 0.1, steps: 2, graph: {kind: ring, nodes: 5000}}")

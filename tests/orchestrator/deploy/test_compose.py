@@ -1,6 +1,6 @@
 """docker-compose.yml and the Kubernetes manifests: valid by their published schemas, and, the former, executed.
 
-There need be no container engine: each service runs its command, with its environment, on a machine of its own.
+No container engine is needed: each service runs its command, with its environment, on a separate machine.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def services() -> dict[str, Any]:
 
 @pytest.fixture
 def secure(here: Path) -> dict[str, Any]:
-    """What `compose --secure` prints, in the folder where its keys are."""
+    """Return the output of `compose --secure`, in the folder of its keys."""
     done = orchestrator("compose", "paper7", "--secure", "--out", "secure.yml")
     assert done.returncode == 0, done.stderr
     assert (here / "secure.yml").stat().st_mode & 0o777 == 0o600
@@ -55,7 +55,7 @@ def secure(here: Path) -> dict[str, Any]:
 
 
 def unescaped(value: Any) -> Any:
-    """What an engine makes of a value: $$ is $, and a single $ would be a variable."""
+    """Return a value as an engine reads it: $$ is $, and a single $ would be a variable."""
     if isinstance(value, dict):
         return {key: unescaped(one) for key, one in value.items()}
     if isinstance(value, list):
@@ -66,7 +66,7 @@ def unescaped(value: Any) -> Any:
     return value
 
 
-def test_the_file_here_is_what_the_command_prints() -> None:
+def test_the_file_in_the_repository_is_the_output_of_the_command() -> None:
     done = orchestrator("compose", "paper7")
     assert done.returncode == 0, done.stderr
     assert done.stdout == FILE.read_text(), "make it again: orchestrator compose paper7 > docker-compose.yml"
@@ -82,7 +82,7 @@ def test_it_is_valid_by_the_schema_of_compose(here: Path, words: tuple[str, ...]
 
 @pytest.mark.skipif(shutil.which("docker-compose") is None, reason="there is no docker-compose")
 def test_docker_compose_takes_it() -> None:
-    # The system's, in its own Python: what ours finds must not be in its way.
+    # The system's program, in its own Python: our packages must not interfere.
     environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
     words = ("docker-compose", "-f", str(FILE), "config", "--quiet")
     done = subprocess.run(words, capture_output=True, text=True, env=environment, check=False)
@@ -107,7 +107,7 @@ def test_images_are_pulled_from_where_they_were_pushed(here: Path, form: str) ->
     assert images == {*pushed, f"eclipse/zenoh:{version('eclipse-zenoh')}"}
 
 
-def test_one_port_is_published_and_every_service_says_how_it_is(services: dict[str, Any]) -> None:
+def test_one_port_is_published_and_every_service_has_a_health_check(services: dict[str, Any]) -> None:
     assert [port for service in services.values() for port in service.get("ports", [])] == ["127.0.0.1:9090:9090"]
     for name, service in services.items():
         assert service["healthcheck"]["test"][0] == "CMD", name
@@ -115,7 +115,7 @@ def test_one_port_is_published_and_every_service_says_how_it_is(services: dict[s
     assert services["router"]["image"] == f"eclipse/zenoh:{version('eclipse-zenoh')}"
 
 
-def test_no_agent_is_told_what_is_not_its_own(services: dict[str, Any]) -> None:
+def test_no_agent_receives_the_data_of_another(services: dict[str, Any]) -> None:
     truth = yaml.safe_load(services["orchestrator"]["environment"]["HEDGEROW_TOPOLOGY"])["nodes"]
     for node in truth:
         told = services[f"agent-{node}"]["environment"]["HEDGEROW_CONFIG"]
@@ -135,7 +135,7 @@ def test_a_secure_file_is_valid_and_its_services_have_their_own_keys(here: Path,
         for one, target in zip(service["secrets"], targets, strict=True):
             file = here / secure["secrets"][one["source"]]["file"]
             assert file == here / target.relative_to("/"), "what is mounted is what its own folder has"
-        assert service["user"] == f"{os.getuid()}:{os.getgid()}", "who may read them"
+        assert service["user"] == f"{os.getuid()}:{os.getgid()}", "the readers of the secrets"
         seen |= {one["source"] for one in service["secrets"]}
     assert seen == secure["secrets"].keys()
     assert "PRIVATE KEY" not in Path("secure.yml").read_text()
@@ -160,7 +160,7 @@ def test_keys_that_are_there_do_not_change_how_long_they_hold(here: Path) -> Non
     assert orchestrator(*words).returncode == 0
     again = orchestrator(*words)
     assert again.returncode == 2
-    assert again.stderr == "error: --days 2: the keys in keys are there already; name a new folder, --keys DIR\n"
+    assert again.stderr == "error: --days 2: the keys in keys already exist; name a new folder, --keys DIR\n"
 
 
 @pytest.mark.parametrize("words", ["keys {} --out", "bundle {} --secure --out", "compose {} --secure --keys"])
@@ -203,7 +203,7 @@ def test_keys_that_are_interrupted_are_none_and_can_be_made_again(here: Path) ->
 
 
 @pytest.mark.parametrize("command", ["keys", "bundle --secure"])
-def test_a_host_that_no_certificate_can_name_is_said_before_anything_is_written(here: Path, command: str) -> None:
+def test_a_host_that_no_certificate_can_name_is_refused_before_anything_is_written(here: Path, command: str) -> None:
     done = orchestrator(*command.split(), "paper7", "--out", "k", "--router", "tls/bänch:7447")
     assert done.returncode == 2
     assert done.stderr.startswith("error: --router tls/bänch:7447: a certificate cannot name bänch; ")
@@ -226,7 +226,7 @@ def until(ready: Callable[[], bool], what: str) -> None:
 
 
 class Engine:
-    """Runs the services of a Compose file, each on a machine of its own."""
+    """The runner of the services of a Compose file, each on a separate machine."""
 
     def __init__(self, file: dict[str, Any], lab: Machines, folder: Path) -> None:
         self.services: dict[str, Any] = {
@@ -239,7 +239,7 @@ class Engine:
 
     @staticmethod
     def _mounted(file: dict[str, Any], service: dict[str, Any], folder: Path) -> dict[str, Any]:
-        """The service with all that is mounted in a container under a folder of its own, which it finds there."""
+        """Return the service with all of its mounts in a separate folder, where it finds them."""
         for volume in service.get("volumes", []):
             (folder / Path(volume.partition(":")[2]).name).mkdir(parents=True)
         for one in service.get("secrets", []):
@@ -297,7 +297,7 @@ except r.HTTPError as error:
 
 
 @pytest.mark.slow
-def test_what_the_file_says_is_a_valid_run_equal_to_the_local_one(engine: Engine, here: Path) -> None:
+def test_the_file_makes_a_valid_run_equal_to_the_local_one(engine: Engine, here: Path) -> None:
     names = [name for name in engine.services if name != "orchestrator"]
     random.Random(7).shuffle(names)  # no order of starting is needed
     for name in names:
@@ -341,10 +341,10 @@ def test_the_manifests_are_valid_by_the_schemas_of_kubernetes(here: Path, words:
     assert kinds.count("Deployment") == 1
     for job in (document for document in documents if document["kind"] == "Job"):
         mounted = [one["configMap"]["name"] for one in job["spec"]["template"]["spec"]["volumes"] if "configMap" in one]
-        assert mounted == [job["metadata"]["name"]], "a process is told its own and no more"
+        assert mounted == [job["metadata"]["name"]], "a process receives only its own data"
 
 
-def test_secure_manifests_are_valid_and_give_everybody_its_own_secret(here: Path) -> None:
+def test_secure_manifests_are_valid_and_each_process_has_its_secret(here: Path) -> None:
     validator = pytest.importorskip("kubernetes_validate")
     words = ("compose", "paper7", "--secure", "--format", "kubernetes")
     printed = orchestrator(*words)
@@ -379,17 +379,17 @@ def test_secure_manifests_are_valid_and_give_everybody_its_own_secret(here: Path
     assert not any(b"PRIVATE KEY" in yaml.dump(one).encode() for one in documents if one["kind"] != "Secret")
 
 
-def test_what_is_too_large_for_an_environment_is_said(here: Path) -> None:
+def test_a_config_too_large_for_an_environment_is_refused(here: Path) -> None:
     Path("big.yaml").write_text(
         "name: big\nb: 0.1\nsteps: 3\nseed: 1\ndefaults: {candidates: {random: 5}, a: random}\n"
         f"nodes: {list(range(1000))}\nedges: {[[k, k + 1] for k in range(999)]}\n"
     )
     done = orchestrator("compose", "big.yaml", "--processes", "2")
     assert done.returncode == 2
-    assert "a container at most 100000: use more --processes, or `orchestrator bundle`" in done.stderr
+    assert "a container accepts at most 100000: use more --processes, or `orchestrator bundle`" in done.stderr
 
 
-def test_rules_that_are_too_large_for_a_secret_are_said(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rules_too_large_for_a_secret_are_refused(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     topology = resolve(load("paper7"), Path())
     shards = layout(topology, None)
     provide_keys(Path("keys"), places(views_of(topology, shards)), "here", 1)

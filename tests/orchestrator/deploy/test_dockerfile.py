@@ -1,4 +1,4 @@
-"""The Dockerfile: what a linter would ask of it, and its steps, executed without an engine."""
+"""The Dockerfile: the rules of a linter, and its steps, executed without an engine."""
 
 from __future__ import annotations
 
@@ -40,14 +40,14 @@ def values(stage: list[Instruction], kind: str) -> list[str]:
     return [one["value"] for one in stage if one["instruction"] == kind]
 
 
-def test_the_base_is_pinned_and_the_rest_stands_on_it(stages: dict[str, list[Instruction]]) -> None:
+def test_the_base_is_pinned_and_the_other_stages_use_it(stages: dict[str, list[Instruction]]) -> None:
     assert tuple(stages) == STAGES
     assert re.fullmatch(r"python:\d+\.\d+\.\d+-slim-\w+ AS base", values(stages["base"], "FROM")[0])
     assert all(values(stages[name], "FROM") == [f"base AS {name}"] for name in STAGES[1:])
 
 
 @pytest.mark.parametrize("name", ["agent", "orchestrator"])
-def test_what_runs_is_not_root_and_has_nothing_that_builds(stages: dict[str, list[Instruction]], name: str) -> None:
+def test_the_final_image_is_not_root_and_has_no_build_tools(stages: dict[str, list[Instruction]], name: str) -> None:
     stage = stages[name]
     assert values(stage, "USER") == ["hedgerow"]
     assert values(stage, "COPY") == [f"--from=build /opt/{name} /opt/{name}"]
@@ -56,7 +56,7 @@ def test_what_runs_is_not_root_and_has_nothing_that_builds(stages: dict[str, lis
     assert not [one for part in stages.values() for one in part if one["instruction"] == "ADD"]
 
 
-def test_what_is_copied_is_there_and_sent_to_the_engine(stages: dict[str, list[Instruction]]) -> None:
+def test_copied_files_exist_and_are_sent_to_the_engine(stages: dict[str, list[Instruction]]) -> None:
     sent = {line[1:] for line in (ROOT / ".dockerignore").read_text().splitlines() if line.startswith("!")}
     copied = {word for copy in values(stages["build"], "COPY") for word in copy.split()[:-1]}
     assert copied == sent
@@ -64,7 +64,7 @@ def test_what_is_copied_is_there_and_sent_to_the_engine(stages: dict[str, list[I
 
 
 def needed(name: str, extras: set[str], found: set[str]) -> set[str]:
-    """`found`, and what else a package with some extras needs, by what is installed here."""
+    """Return `found` and the further requirements of a package with some extras, from the installed metadata."""
     for said in metadata.distribution(name).requires or ():
         one = Requirement(said)
         other = canonicalize_name(one.name)
@@ -87,7 +87,7 @@ def test_all_that_the_images_hold_is_pinned(stages: dict[str, list[Instruction]]
 
 
 def build(stages: dict[str, list[Instruction]], root: Path) -> dict[str, str]:
-    """Run the steps of the build, below `root` in the place of /; what the environment of its programs is."""
+    """Run the steps of the build, with `root` in the place of /; return the environment of its programs."""
     for copy in values(stages["build"], "COPY"):
         *sources, target = copy.split()
         for source in sources:
@@ -103,9 +103,10 @@ def build(stages: dict[str, list[Instruction]], root: Path) -> dict[str, str]:
     environment["PIP_NO_COMPILE"] = "1"
     environment["PATH"] = f"{root / 'python/bin'}{os.pathsep}{os.environ['PATH']}"
     for run in values(stages["build"], "RUN"):
-        # What was downloaded once is kept: here it is the machine's, and not a layer's.
+        # Downloads are cached: here in the machine's cache, not in a layer.
         words = re.sub(r"(?<=[ (])/(wheels|opt)\b", rf"{root}/\1", run).replace(" --no-cache-dir", "")
-        # All that the orchestrator needs takes minutes, and CI installs it anyway, with the README's first command.
+        # The requirements of the orchestrator take minutes, and CI installs them anyway, with the README's first
+        # command.
         some = environment | ({"PIP_NO_DEPS": "1"} if "/opt/orchestrator/bin" in run else {})
         done = subprocess.run(
             ["/bin/sh", "-ec", words], cwd=root / "src", env=some, capture_output=True, text=True, check=False

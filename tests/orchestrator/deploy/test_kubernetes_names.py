@@ -1,4 +1,4 @@
-"""Names and labels of the manifests: Kubernetes takes each of them, whatever a network and its nodes are called."""
+"""Kubernetes accepts the names and labels of the manifests for any names of a network and its nodes."""
 
 import re
 from pathlib import Path

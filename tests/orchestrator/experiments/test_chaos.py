@@ -14,8 +14,10 @@ from tests.tools.processes import orchestrator
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seeds", [range(first, first + 25) for first in range(0, 200, 25)], ids=str)
-def test_whatever_is_drawn_runs_to_its_end_and_equals_the_reference(seeds: range, here: Path) -> None:
-    """No hang, no lost row, no process left; every check of the verdict, and the reference, bit for bit."""
+def test_every_drawn_network_runs_to_its_end_and_equals_the_reference(seeds: range, here: Path) -> None:
+    """There is no hang, no lost row and no remaining process; every check holds, and the reference is equal bit for
+    bit.
+    """
     said: list[str] = []
     finding = hunt(seeds, 12, here, said.append)
     assert finding is None, said[-2:]
@@ -35,8 +37,8 @@ def has_crash_and_drop(raw: Raw) -> str:
     return "a crash and a drop" if {"crash", "drop"} <= kinds else ""
 
 
-def test_what_is_found_becomes_as_small_as_it_can_be(tmp_path: Path) -> None:
-    """Of a network in which any crash with any drop is a mistake, one of each is left, on two nodes."""
+def test_a_finding_is_reduced_as_far_as_possible(tmp_path: Path) -> None:
+    """If any crash with any drop is a mistake, the reduced network has one of each, on two nodes."""
     seed = next(seed for seed in range(200) if len(drawn(seed)["nodes"]) > 6 and has_crash_and_drop(drawn(seed)))
     raw, wrong = shrunk(drawn(seed), "?", has_crash_and_drop)
     assert wrong == "a crash and a drop"
@@ -49,7 +51,7 @@ def test_what_is_found_becomes_as_small_as_it_can_be(tmp_path: Path) -> None:
     assert resolve(load(str(file))) == read(raw)
 
 
-def test_the_command_says_what_it_tries(here: Path) -> None:
+def test_the_command_prints_each_trial(here: Path) -> None:
     done = orchestrator("chaos", "--seed", "7", "--nodes", "4")
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stdout.startswith("seed 7: ")

@@ -1,4 +1,4 @@
-"""`orchestrator compare` and `hg.compare`: the same numbers as single runs, paired tests, and what is kept."""
+"""`orchestrator compare` and `hg.compare`: the same numbers as single runs, paired tests, and stored results."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import hedgerow as hg
-from hedgerow.orchestrator.experiments.compare import Compared, batch, compare, runs
-from hedgerow.orchestrator.experiments.compare.estimates import judged, switches
-from hedgerow.orchestrator.experiments.compare.plan import Comparison, comparison
-from hedgerow.orchestrator.experiments.compare.runs import METRICS, simulate_many
+from hedgerow.orchestrator.experiments.compare import Compared, compare
+from hedgerow.orchestrator.experiments.compare.plan import comparison
+from hedgerow.orchestrator.experiments.compare.runs import answer
 from hedgerow.orchestrator.experiments.compare.statistics import Cell, cells, holm, paired
 from hedgerow.orchestrator.experiments.compare.words import findings
-from hedgerow.orchestrator.ground.laws import completed
+from hedgerow.orchestrator.experiments.sweep.plan import Chunk
+from hedgerow.orchestrator.metrics.estimates import judged, switches
+from hedgerow.orchestrator.runs import batch
 from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.resolve import resolve
-from hedgerow.topologies.schema import Topology
 from tests.tools.networks import simulate
 from tests.tools.processes import orchestrator
 
@@ -35,46 +35,31 @@ TREES = {
 }
 
 
-def drawn(plan: Comparison, setting: int) -> list[Topology]:
-    own = plan.settings[setting].topology
-    return [completed(resolve(own.model_copy(update={"seed": seed}), plan.folder)) for seed in plan.seeds]
-
-
 @pytest.mark.parametrize("faults", [[], [{"kind": "jump", "node": 3, "at": 9, "a": "random"}]])
 def test_many_runs_at_once_are_the_runs_by_themselves(faults: list[object]) -> None:
     """Every law of the project, with disturbances that are drawn, and one that sees the state."""
     plan = comparison({**TREES, "faults": faults}, ["all"], ["sinusoid", "confuse+ar1"], range(3))
     for k, setting in enumerate(plan.settings):
-        own = drawn(plan, k)
-        assert batch.why_not(own) == ""
-        for many, topology in zip(simulate_many(own), own, strict=True):
-            alone = runs._row(topology)
-            assert (many["verdict"], alone["verdict"]) == ("valid", "valid")
-            for metric in METRICS:
-                assert many[metric] == pytest.approx(alone[metric], rel=1e-9, abs=1e-12), setting.values
+        assert batch.run(setting.topology, range(3)).good.all()
+        together = answer(plan, Chunk(k, (0, 1, 2)))
+        alone = [answer(plan, Chunk(k, (seed,))) for seed in range(3)]
+        assert together == [row for one in alone for row in one], setting.values  # type: ignore[union-attr]
 
 
-def test_a_row_is_what_the_trajectory_says() -> None:
+def test_a_row_agrees_with_the_trajectory() -> None:
     plan = comparison(TREES, ["minimax"], ["white"], range(1))
-    (topology,) = drawn(plan, 0)
+    topology = resolve(plan.settings[0].topology.model_copy(update={"seed": 0}))
     ran = simulate(topology)
     ahat, a = ran.report[:, 0], topology.network.a
-    (row,) = simulate_many([topology])
+    rows = answer(plan, Chunk(0, (0,)))
+    assert isinstance(rows, list)
+    (row,) = rows
     assert row["share_right"] == (ahat[-1] == a).mean()
     assert row["error"] == pytest.approx(np.abs(ahat[-1] - a).mean(), rel=1e-12)
     assert row["switches"] == (ahat[1:] != ahat[:-1]).sum() / 5
 
 
-def test_networks_with_other_faults_run_one_by_one() -> None:
-    plan = comparison(
-        {**TREES, "faults": [{"kind": "sensor", "node": 1, "steps": [3, 9]}]}, ["minimax"], ["white"], range(2)
-    )
-    own = drawn(plan, 0)
-    assert batch.why_not(own)
-    assert [row["verdict"] for row in simulate_many(own)] == ["valid", "valid"]
-
-
-def test_an_estimate_between_candidates_speaks_for_the_nearest() -> None:
+def test_an_estimate_between_candidates_supports_the_nearest() -> None:
     found = judged(
         np.array([0.31, 0.62, np.nan]), np.array([0.3, 0.9, 0.3]), np.array([[0.3, 0.6, 0.3], [0.6, 0.9, np.nan]])
     )
@@ -85,7 +70,7 @@ def test_an_estimate_between_candidates_speaks_for_the_nearest() -> None:
 
 @given(st.lists(st.floats(0, 1), max_size=12))
 def test_holm_is_its_definition(p: list[float]) -> None:
-    """The k-th smallest p is times the number that are left, and never below one before it."""
+    """The k-th smallest p is multiplied by the number of remaining ones, and never below the one before."""
     found = holm(np.array(p))
     largest = 0.0
     for k, place in enumerate(sorted(range(len(p)), key=lambda i: (p[i], i))):
@@ -98,7 +83,7 @@ def cell(law: str, values: list[float], metric: str = "share_right") -> Cell:
 
 
 def test_the_findings_follow_from_the_numbers() -> None:
-    """A law wins where the test says so; the oracle never does; what is not decided is said."""
+    """A law wins if the test decides so; the oracle never wins; undecided pairs are named."""
     draw = np.random.default_rng(1)
     noise = draw.normal(size=40) / 100
     made = [
@@ -125,7 +110,7 @@ def test_intervals_and_undefined_numbers() -> None:
     assert math.isnan(nothing.half)
 
 
-def test_the_oracle_and_the_nominal_law_are_always_there() -> None:
+def test_the_oracle_and_the_nominal_law_are_always_included() -> None:
     plan = comparison(TREES, ["notch", "hinf"], ["white"], range(2))
     assert plan.laws == ["notch", "hinf", "nominal"]
 
@@ -149,8 +134,8 @@ def test_a_comparison_in_python_leaves_its_folder_and_is_found_again(tmp_path: P
     assert [one.mean for one in again.cells if one.n] == [one.mean for one in found.cells if one.n]
 
 
-def test_runs_that_are_there_are_not_made_again(tmp_path: Path) -> None:
-    """A comparison that was stopped in the middle of a line goes on behind the last whole one."""
+def test_finished_runs_are_not_repeated(tmp_path: Path) -> None:
+    """A comparison that was stopped in the middle of a line continues after the last complete one."""
     plan = comparison(TREES, ["minimax"], ["white"], range(3))
     whole = compare(plan, tmp_path / "c", 1, quiet=True)
     assert whole is not None

@@ -20,7 +20,7 @@ from tests.tools.processes import orchestrator
 
 
 def looks(leak_mb: float = 0.0, leak_files: float = 0.0, slower: float = 0.0) -> list[Sample]:
-    """20 minutes of one process that grows by so much a minute, or does so many steps a second less."""
+    """Return 20 minutes of one process with this growth per minute, or with this loss of speed."""
     samples = []
     for t in range(0, 1200, 5):
         grown, files = 100 + leak_mb * t / 60, int(20 + leak_files * t / 60)
@@ -41,7 +41,7 @@ def looks(leak_mb: float = 0.0, leak_files: float = 0.0, slower: float = 0.0) ->
         (looks(slower=1.0), {"pace"}),
     ],
 )
-def test_what_grows_is_found_out(samples: list[Sample], what: set[str]) -> None:
+def test_growth_is_detected(samples: list[Sample], what: set[str]) -> None:
     assert {trend.what for trend in trends_of(samples) if not trend.flat} == what
 
 
@@ -65,13 +65,13 @@ def test_a_process_that_took_anothers_place_is_not_judged_while_it_is_young() ->
     assert {trend.what for trend in trends_of(same_place) if not trend.flat} == {"shard-0 memory"}
 
 
-def test_what_grows_from_one_process_to_the_next_is_found_out() -> None:
+def test_growth_across_restarted_processes_is_detected() -> None:
     reborn = [replace(one, pid=int(one.t_s // 300)) for one in looks(leak_mb=1.0)]
     assert {trend.what for trend in trends_of(reborn) if not trend.flat} == {"plant memory"}
 
 
-def test_who_has_ended_and_was_not_asked_how_is_not_looked_at() -> None:
-    """The kernel keeps it, with no memory and no files, until its parent asks."""
+def test_a_zombie_process_is_not_measured() -> None:
+    """The kernel keeps a zombie, without memory and files, until its parent reads its exit code."""
     with subprocess.Popen([sys.executable, "-c", ""]) as ended:
         os.waitid(os.P_PID, ended.pid, os.WEXITED | os.WNOWAIT)
         assert psutil.Process(ended.pid).memory_info().rss == 0
@@ -80,7 +80,7 @@ def test_who_has_ended_and_was_not_asked_how_is_not_looked_at() -> None:
     assert ended.pid not in pids
 
 
-def test_faults_go_on_for_as_long_as_the_run() -> None:
+def test_faults_continue_during_the_whole_run() -> None:
     topology = with_faults(resolve(load("paper7")).model_copy(update={"steps": STEPS}))
     assert {type(fault).__name__ for fault in topology.faults} == {"Drop", "Delay", "Cut", "Sensor", "Actuator"}
     assert all(getattr(fault, "steps", None) is None for fault in topology.faults)
@@ -88,7 +88,7 @@ def test_faults_go_on_for_as_long_as_the_run() -> None:
 
 @pytest.mark.slow
 def test_a_minute_is_flat_and_leaves_a_table_and_a_picture(here: Path) -> None:
-    """How fast a busy machine is says nothing."""
+    """The speed of a busy machine proves nothing."""
     done = orchestrator("soak", "paper7", "--minutes", "1", "--rate", "50", "--processes", "3", "--run-dir", "soak")
     last = done.stdout.splitlines()[-1]
     assert (done.returncode, last[:6]) == (0, "flat: ") or last.startswith("not flat: pace:"), done.stdout + done.stderr

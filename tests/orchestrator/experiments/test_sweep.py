@@ -1,4 +1,4 @@
-"""Many runs of one network: one table, the same whoever made it and however often it was stopped."""
+"""Many runs of one network give one table, the same for any number of processes and interruptions."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ SINUSOID = (
 )
 WHITE = "{kind: white, std: 1}"
 THEORY_TREES = 100
-"""Of so many trees at least are the shares in docs/theory.md: they have a sampling error of their own."""
+"""The minimum number of trees behind the shares in docs/theory.md, which have a sampling error."""
 
 
 def rows(out: Path) -> list[dict[str, Any]]:
@@ -47,7 +47,7 @@ def rows(out: Path) -> list[dict[str, Any]]:
 
 
 def made(what: Plan, out: Path) -> list[list[Row]]:
-    """The runs of a plan, those that lack made here and the table written; by setting."""
+    """Return the runs of a plan by setting; make the missing ones here, and write the table."""
     with SweepFolder(what, out) as folder:
         for chunk in what.chunks(folder.rows):
             found = answer(what, chunk)
@@ -63,13 +63,13 @@ def of(*sets: str, seeds: str = "0:2", engine: str = "in-process") -> Plan:
 
 
 def lines(out: Path) -> int:
-    """How many runs a sweep has kept."""
+    """Return the number of stored runs of a sweep."""
     file = out / "runs.jsonl"
     return file.read_bytes().count(b"\n") if file.exists() else 0
 
 
 def wait_for_runs(out: Path, runs: int) -> None:
-    """Wait until so many are kept."""
+    """Wait until this number of runs is stored."""
     deadline, pause = time.monotonic() + DEADLINE_S, threading.Event()
     while lines(out) < runs:
         assert time.monotonic() < deadline, f"{lines(out)} runs in {out}"
@@ -82,14 +82,14 @@ def workers(sweeping: Orchestrator) -> dict[str, int]:
     return {str(child.pid): child.pid for child in below}
 
 
-# What the shares of right estimates are.
+# The shares of right estimates.
 
 
 def agrees(shares: Sequence[float], figure: float) -> bool:
-    """Whether runs agree with a rounded figure of other runs, within four standard errors of the difference.
+    """Return True if runs agree with a rounded figure of other runs, within four standard errors of the difference.
 
-    The nodes of a run share its flows, so that a run is one sample (a cluster), and never less spread than if its seven
-    nodes were independent draws.
+    The nodes of a run share its flows, so a run is one sample (a cluster). Its spread is at least that of seven
+    independent nodes.
     """
     deviation = max(float(np.std(shares, ddof=1)), math.sqrt(figure * (1 - figure) / 7))
     error = deviation * math.sqrt(1 / len(shares) + 1 / THEORY_TREES)
@@ -103,7 +103,7 @@ def test_shares_of_right_estimates_after_30_steps_are_those_of_the_theory(here: 
         shares = [r["share_right"] for r in table if (r["defaults.x0"], r["defaults.disturbance"]) == (x0, w)]
         assert len(shares) == 60
         assert agrees(shares, figure), (x0, w, np.mean(shares))
-        assert not agrees(shares, figure - 0.2), "a test that 60 runs cannot fail says nothing"
+        assert not agrees(shares, figure - 0.2), "a test that 60 runs cannot fail proves nothing"
 
 
 @pytest.mark.slow
@@ -114,10 +114,10 @@ def test_shares_of_right_estimates_after_3000_steps_are_those_of_the_theory(here
         assert agrees(shares, figure), (x0, w, np.mean(shares))
 
 
-# What a row is.
+# The content of a row.
 
 
-def test_a_row_holds_what_the_verdict_of_that_run_does(here: Path) -> None:
+def test_a_row_agrees_with_the_verdict_of_its_run(here: Path) -> None:
     made(plan("ring6", "3:5", ["law=minimax,nominal", "steps=5,8"], "in-process"), here / "out")
     table = rows(here / "out")
     assert [(r["law"], r["steps"], r["seed"]) for r in table] == [
@@ -159,22 +159,21 @@ def test_a_law_that_fails_makes_its_runs_unknown_and_no_others(here: Path) -> No
     assert said.stdout.splitlines()[-1].startswith("unknown (first seed 0, law=mine:Tired: ")
 
 
-# Stopped, killed, gone on with.
+# Interruption, kill and continuation.
 
-DROP = "faults=[{kind: drop, link: [2, 4], steps: [0, 300]}]"
-"""a network with faults is run one by one, so that a sweep of it takes a while"""
-LONG = ("sweep", "paper7", "--seeds", "0:24", "--set", "steps=300", "--set", "law=minimax,hinf", "--set", DROP)
+LINE401 = str(Path(__file__).parents[2] / "tools" / "line401.yaml")
+LONG = ("sweep", LINE401, "--seeds", "0:24", "--set", "law=minimax,hinf")
 
 
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    """The table of one job that nobody stops."""
+    """The table of one job without interruption."""
     out = tmp_path_factory.mktemp("sweep") / "out"
     assert orchestrator(*LONG, "--jobs", "1", "--out", str(out)).returncode == 0
     return (out / "sweep.parquet").read_bytes()
 
 
-def test_a_sweep_that_is_stopped_and_killed_goes_on_to_the_same_bytes(here: Path, undisturbed: bytes) -> None:
+def test_a_stopped_and_killed_sweep_continues_to_the_same_bytes(here: Path, undisturbed: bytes) -> None:
     command, out = (*LONG, "--jobs", "3", "--out", "out"), here / "out"
     with Orchestrator(*command) as sweeping:
         wait_for_runs(out, 4)
@@ -183,7 +182,7 @@ def test_a_sweep_that_is_stopped_and_killed_goes_on_to_the_same_bytes(here: Path
         assert sweeping.wait() == 3, sweeping.output
         assert gone(below)
     there = lines(out)
-    assert f"stopped: Ctrl-C: {there} of 48 runs are there; the same command goes on" in sweeping.output
+    assert f"stopped: Ctrl-C: {there} of 48 runs are done; the same command continues" in sweeping.output
     assert "Traceback" not in sweeping.output
     assert not (out / "sweep.parquet").exists()
     with Orchestrator(*command) as sweeping:
@@ -203,7 +202,7 @@ def test_a_sweep_that_is_stopped_and_killed_goes_on_to_the_same_bytes(here: Path
 
 
 def is_a_worker_that_takes_ctrl_c(pid: int) -> bool:
-    """Whether its interpreter is so far that SIGINT would be a KeyboardInterrupt, if it came through."""
+    """Return True if the interpreter has started so far that SIGINT would raise KeyboardInterrupt."""
     with contextlib.suppress(psutil.Error, OSError):
         caught = Path(f"/proc/{pid}/status").read_text().partition("SigCgt:")[2].split()[0]
         return "spawn_main" in " ".join(psutil.Process(pid).cmdline()) and bool(
@@ -221,7 +220,7 @@ def test_ctrl_c_finds_a_worker_deaf_from_its_first_instruction_on(here: Path) ->
             pause.wait(0.001)
         os.killpg(sweeping.pid, signal.SIGINT)  # as a terminal does
         assert sweeping.wait() == 3, sweeping.output
-    assert "the same command goes on" in sweeping.output
+    assert "the same command continues" in sweeping.output
     assert "Traceback" not in sweeping.output
 
 
@@ -234,7 +233,7 @@ def test_a_killed_worker_costs_nothing(here: Path, undisturbed: bytes) -> None:
     assert (here / "out/sweep.parquet").read_bytes() == undisturbed
 
 
-def test_a_sweep_whose_workers_cannot_live_says_so(here: Path) -> None:
+def test_a_sweep_with_dying_workers_is_reported(here: Path) -> None:
     (here / "deadly.py").write_text(
         "import multiprocessing, os, signal\nfrom hedgerow.agents.law import Minimax\n\nclass Deadly(Minimax):\n"
         "    def learn(self, x, flow, x_next):\n"
@@ -273,7 +272,7 @@ def test_seeds_may_grow(tmp_path: Path) -> None:
         ("0:2", ["defaults.x1=3,4"], "did you mean `x0`"),
         ("0:2", ["b=0.1,3"], "the largest b that fits all nodes"),
         ("0:2", ["law=minimax,guess"], "a law is minimax, hinf, nominal"),
-        ("0:2", ["law=minimax,minimax"], "stands there twice; give each value once"),
+        ("0:2", ["law=minimax,minimax"], "is there twice; give each value once"),
         ("0:2", ["law=minimax,"], "a value is empty; give each value once"),
         ("0:2", ["law=hinf", "law=minimax"], "give all its values at once"),
         ("0:2", ["seed=1,2"], "--seeds FIRST:STOP"),
@@ -281,7 +280,7 @@ def test_seeds_may_grow(tmp_path: Path) -> None:
         ("0:20000000", [], "ask for fewer"),
     ],
 )
-def test_a_mistake_is_one_line_that_says_what_to_do(seeds: str, sets: list[str], says: str) -> None:
+def test_a_mistake_is_one_line_with_a_fix(seeds: str, sets: list[str], says: str) -> None:
     with pytest.raises(UserError, match=says) as mistake:
         plan("paper7", seeds, sets, "in-process")
     assert "\n" not in str(mistake.value)
@@ -304,7 +303,7 @@ def test_a_folder_holds_one_sweep(tmp_path: Path, other: Plan, says: str) -> Non
         pass
 
 
-def test_a_file_that_changed_is_another_sweep(tmp_path: Path) -> None:
+def test_a_changed_file_is_a_new_sweep(tmp_path: Path) -> None:
     text = "{name: one, b: 0.1, steps: 3, nodes: {1: {x0: %d}}}"
     file = tmp_path / "one.yaml"
     file.write_text(text % 1, encoding="utf-8")
@@ -316,7 +315,7 @@ def test_a_file_that_changed_is_another_sweep(tmp_path: Path) -> None:
         pass
 
 
-def test_nothing_else_is_written_into(tmp_path: Path) -> None:
+def test_a_foreign_folder_is_not_changed(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").touch()
     with (
         pytest.raises(UserError, match=r"holds thesis\.tex, and no sweep; name a new folder"),
@@ -337,11 +336,11 @@ def test_a_damaged_line_is_named(tmp_path: Path, damage: str) -> None:
         pass
 
 
-def test_a_disk_that_fills_up_keeps_what_was_done_and_the_same_command_goes_on(here: Path, undisturbed: bytes) -> None:
+def test_a_full_disk_keeps_the_finished_runs_and_the_same_command_continues(here: Path, undisturbed: bytes) -> None:
     command = (*LONG, "--jobs", "1", "--out", "out")
     done = orchestrator(*command, largest=10_000)
     assert done.returncode == 2
-    assert "File too large; make room, then the same command goes on" in done.stderr
+    assert "File too large; free space, then the same command continues" in done.stderr
     assert "Traceback" not in done.stderr
     assert orchestrator(*command).returncode == 0
     assert (here / "out/sweep.parquet").read_bytes() == undisturbed
@@ -353,7 +352,7 @@ def test_two_sweeps_do_not_share_a_folder(tmp_path: Path) -> None:
         pass
 
 
-def test_a_seed_whose_network_cannot_be_is_named() -> None:
+def test_a_seed_with_an_impossible_network_is_named() -> None:
     # The file's own seed draws lists of which one holds this a; another seed's does not.
     a = resolve(load("paper7")).nodes[1].candidates[0]  # type: ignore[index]
     what = of(f"faults=[{{kind: jump, node: 1, at: 3, a: {a!r}}}]", seeds="1:9")

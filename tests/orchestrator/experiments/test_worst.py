@@ -107,7 +107,7 @@ def test_a_model_that_wins_by_rounding_is_no_attack() -> None:
     assert played.sound[-1, 1]
 
 
-def test_a_search_writes_a_network_that_repeats_its_gain_and_goes_on(tmp_path: Path) -> None:
+def test_a_search_writes_a_network_that_repeats_its_gain_and_continues(tmp_path: Path) -> None:
     out = tmp_path / "worst.yaml"
     said: list[str] = []
     first = worst(EAGER, 1.0, out=out, say=said.append)
@@ -143,7 +143,7 @@ def test_a_gain_repeats_over_zenoh(law: str, tmp_path: Path) -> None:
     assert content["metrics"]["gain"] == pytest.approx(found.gain, rel=1e-9)
 
 
-def test_a_state_that_is_no_state_is_left_alone(tmp_path: Path) -> None:
+def test_a_foreign_state_file_is_not_changed(tmp_path: Path) -> None:
     for text in (b"", b"no zip", b"PK\x03\x04"):
         (tmp_path / "worst.npz").write_bytes(text)
         assert not Hunt(EAGER).resume(tmp_path / "worst.npz")
@@ -155,7 +155,7 @@ def test_a_budget_is_a_time(text: str, seconds: float) -> None:
 
 
 @pytest.mark.parametrize("text", ["", "0", "-1", "60x", "s", "1e9"])
-def test_what_is_no_time_is_refused(text: str) -> None:
+def test_an_invalid_time_is_refused(text: str) -> None:
     with pytest.raises(UserError):
         seconds_of(text)
 

@@ -1,4 +1,4 @@
-"""What a library writes to file descriptor 2 reaches the screen escaped, and bounded."""
+"""Text that a library writes to file descriptor 2 reaches the screen escaped, and bounded."""
 
 import subprocess
 import sys

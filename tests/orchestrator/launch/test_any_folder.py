@@ -17,7 +17,7 @@ PAIR = "{name: pair, b: 0.1, steps: 6, seed: 3, nodes: [p, q], edges: [[p, q]]}"
 
 
 @pytest.mark.parametrize("beside", ["file", "folder"])
-def test_what_lies_beside_a_folder_with_a_hash_stays(here: Path, monkeypatch: pytest.MonkeyPatch, beside: str) -> None:
+def test_files_beside_a_folder_with_a_hash_remain(here: Path, monkeypatch: pytest.MonkeyPatch, beside: str) -> None:
     """A Zenoh endpoint ends at `#`: a socket in `run#2` would be made, and removed, at `run`."""
     (here / "run#2").mkdir()
     users = here / "run"
@@ -78,7 +78,7 @@ def test_a_refused_run_leaves_no_folder_and_latest_where_it_was(here: Path) -> N
         assert (sorted(one.name for one in Path("runs").iterdir()), os.readlink("runs/latest")) == before, command
 
 
-def test_what_a_run_made_is_withdrawn_and_the_users_files_stay(here: Path) -> None:
+def test_files_of_a_refused_run_are_removed_and_those_of_the_user_remain(here: Path) -> None:
     topology = resolve(load("paper7"))
     first = create(topology, None)
     second = create(topology, None)

@@ -1,4 +1,4 @@
-"""Random networks over Zenoh whose faults begin and end at the boundaries of the run equal the in-process reference."""
+"""Random networks over Zenoh, with faults at the boundaries of the run, equal the in-process reference."""
 
 from __future__ import annotations
 

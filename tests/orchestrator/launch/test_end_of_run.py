@@ -1,4 +1,4 @@
-"""Faults that end exactly with the run: nothing is awaited for a step that does not come."""
+"""Faults that end exactly with the run: no process waits for a step that never happens."""
 
 from __future__ import annotations
 
@@ -131,8 +131,8 @@ def last_step_is_recorded(step: int) -> bool:
     return log.exists() and f"end at step {step + 1}" in log.read_text(encoding="utf-8")
 
 
-def test_what_was_recorded_before_a_disk_was_full_can_be_exported(here: Path) -> None:
-    """The first rows come together: those that do not fit must not take the others with them."""
+def test_steps_recorded_before_a_full_disk_can_be_exported(here: Path) -> None:
+    """The first rows arrive together: rows that do not fit must not affect the others."""
     full = orchestrator("simulate", "paper7", "--steps", "3000", "--no-record", largest=150_000)
     assert full.returncode == 3, full.stdout + full.stderr
     assert verdict()["verdict"] == "unknown"

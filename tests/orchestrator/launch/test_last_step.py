@@ -21,7 +21,7 @@ def verdict() -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("at", [28, 29])
-def test_a_process_whose_crash_ends_with_the_run(at: int, here: Path) -> None:
+def test_a_process_with_a_crash_until_the_end_of_the_run(at: int, here: Path) -> None:
     """One of three processes, with several nodes."""
     faults = f"faults=[{{kind: crash, process: 1, at: {at}, restart_after: {30 - at}}}]"
     done = orchestrator("up", "paper7", "--processes", "3", *UP, "--set", faults)
@@ -34,7 +34,7 @@ def test_a_process_whose_crash_ends_with_the_run(at: int, here: Path) -> None:
 def test_a_live_crash_that_ends_with_the_run(before: int, network: Networks) -> None:
     with network("paper7").up(rate=200, steps=400) as net:
         net.wait_for_step(5)
-        first = net.pause() + 1  # the step that is held has begun
+        first = net.pause() + 1  # the held step has begun
         net.fault.crash(node=3, at=400 - before - first, restart_after=before)
         net.resume()
         result = net.wait()

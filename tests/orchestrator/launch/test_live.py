@@ -1,4 +1,4 @@
-"""Speaking to a running network: what is asked, what is answered, and what the run remembers of it."""
+"""Control of a running network: the requests, the answers, and their record in the run."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ LINE = "{name: line, b: 0.1, steps: 9, nodes: [1, 2, 3, a-b, c], edges: [[1, 2],
 
 
 def named(*nodes: str) -> Topology:
-    """A ring of nodes of these names."""
+    """Return a ring of nodes with these names."""
     ring = [[i, j] for i, j in zip(nodes, [*nodes[1:], nodes[0]], strict=True)][: len(nodes) if len(nodes) > 2 else 1]
     return read(json.dumps({"name": "ring", "b": 0.1, "steps": 3, "nodes": list(nodes), "edges": ring}))
 
@@ -50,7 +50,7 @@ def test_two_nodes_are_named_as_a_person_names_them(text: str, meant: tuple[Any,
         ("12", "12: names no two nodes"),
     ],
 )
-def test_a_name_that_nobody_has_is_said(text: str, said: str) -> None:
+def test_an_unknown_name_is_reported(text: str, said: str) -> None:
     with pytest.raises(UserError, match=said):
         pair(text, read(LINE))
 
@@ -63,7 +63,7 @@ def test_a_name_of_two_readings_is_asked_about() -> None:
 
 
 def reading(text: str, topology: Topology) -> tuple[Any, Any] | str:
-    """What `pair` makes of it: the two nodes, or the question."""
+    """Return the result of `pair`: the two nodes, or the question."""
     try:
         return pair(text, topology)
     except UserError as error:
@@ -136,7 +136,7 @@ def test_a_fault_in_a_few_words(words: str) -> None:
     ],
     ids=json.dumps,
 )
-def test_what_a_file_is_refused_for_is_refused_with_the_same_words(entry: dict[str, Any]) -> None:
+def test_a_mistake_of_a_file_has_the_same_message_in_a_live_fault(entry: dict[str, Any]) -> None:
     with pytest.raises(UserError) as here:
         checked(entry, paper7())
     with pytest.raises(TopologyError) as there:
@@ -160,7 +160,7 @@ def running(here: Path) -> Iterator[Orchestrator]:
 
 
 def say(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
-    """What the command prints; it raises what the command line would say as an error."""
+    """Return the output of the command; raise the exception that the command line would print as an error."""
     capsys.readouterr()
     assert (cli.app(list(arguments), standalone_mode=False) or 0) == 0
     return capsys.readouterr().out
@@ -201,7 +201,7 @@ INJECTED: list[tuple[str, dict[str, Any]]] = [
 
 
 def shifted(entry: dict[str, Any], by: int) -> dict[str, Any]:
-    """The same fault so many steps later."""
+    """Return the same fault `by` steps later."""
     if "at" in entry:
         return entry | {"at": entry["at"] + by}
     return entry | {"steps": [min(t + by, FOREVER) for t in entry["steps"]] if "steps" in entry else [by, FOREVER]}
@@ -211,7 +211,7 @@ def shifted(entry: dict[str, Any], by: int) -> dict[str, Any]:
 def test_every_fault_comes_by_command_and_the_run_can_be_repeated(
     running: Orchestrator, here: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Each is acknowledged with its number and step, listed, and stands in the file; the folder gives the same run."""
+    """Each is acknowledged with its number and step, listed, and written to the file; the folder gives the same run."""
     expected = []
     for number, (command, entry) in enumerate(INJECTED, start=1):
         answer = told(capsys, "fault", *command.split())
@@ -245,7 +245,7 @@ def test_every_fault_comes_by_command_and_the_run_can_be_repeated(
     assert (here / "again/telemetry.parquet").read_bytes() == (here / "runs/latest/telemetry.parquet").read_bytes()
 
 
-def test_a_command_says_what_it_did_or_why_not(
+def test_a_command_reports_its_effect_or_its_refusal(
     running: Orchestrator, here: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     said = say(capsys, "fault", "drop", "2-4", "--for", "50000", "--run", "paper7")
@@ -273,7 +273,7 @@ def test_a_command_says_what_it_did_or_why_not(
 
 
 def test_the_clock_is_held_and_let_go(running: Orchestrator, here: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Paused, nothing moves until it is asked to, step by step; a wait for more has a deadline, and a name past it."""
+    """A paused network makes only the requested steps; a wait for more has a deadline, and then names the network."""
     assert say(capsys, "rate", "0").endswith("\n")
     at = told(capsys, "pause")["step"]
     with Live() as live:
@@ -293,16 +293,14 @@ def test_the_clock_is_held_and_let_go(running: Orchestrator, here: Path, capsys:
     assert running.wait() == 3
 
 
-def test_nobody_runs(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_commands_without_a_running_network(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for command in ("pause", "resume", "step", "heal", "rate 5", "fault list", "fault drop 1-2"):
         with pytest.raises(UserError, match="no network is running"):
             say(capsys, *command.split())
 
 
-def test_what_has_not_begun_cannot_be_healed(
-    running: Orchestrator, here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The fault stands in the file as it was given, and the file can be read."""
+def test_a_future_fault_cannot_be_healed(running: Orchestrator, here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The fault is in the file as it was given, and the file can be read."""
     cut = told(capsys, "fault", "cut", "2-4", "--after", "500000")
     with Live() as live:
         with pytest.raises(UserError, match="fault 1 has not begun"):

@@ -86,8 +86,8 @@ def verdict() -> dict[str, Any]:
     return found
 
 
-def test_a_cable_pulled_for_five_seconds_costs_a_secure_network_time_and_nothing_else(ordinary: Machines) -> None:
-    """The deadline is not the default: should this test be late to put it back, TCP looks again as much later."""
+def test_a_secure_network_loses_only_time_when_a_cable_is_unplugged_for_five_seconds(ordinary: Machines) -> None:
+    """The deadline is longer than the default: if this test reconnects the cable late, TCP also retries later."""
     with Network(ordinary, 300, "--rate", "100", "--deadline", "20", secure=True) as network:
         network.wait_for("running")
         ordinary.cable("left", "down")
@@ -103,7 +103,7 @@ def test_a_cable_pulled_for_five_seconds_costs_a_secure_network_time_and_nothing
     assert parquet_bytes(Path("local")) == parquet_bytes(Path("runs/latest"))
 
 
-def test_a_machine_that_is_gone_for_good_costs_its_edges(lab: Machines) -> None:
+def test_a_lost_machine_closes_its_edges(lab: Machines) -> None:
     with Network(lab, 200, "--rate", "100", "--deadline", "2") as network:
         network.wait_for("running")
         lab.cable("left", "down")

@@ -1,4 +1,4 @@
-"""Networks of real processes over real Zenoh: what they compute, and how they begin and end."""
+"""Networks of real processes over real Zenoh: their results, their start and their end."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def test_the_vectors_hold_with_one_process_a_node(path: Path, here: Path) -> Non
 
 @pytest.mark.slow
 def test_every_layout_over_processes_gives_the_same_bits(here: Path) -> None:
-    """paper7 for 3000 steps: simulated, twice with a process a node, in 3 and in 1: five equal pairs of files."""
+    """paper7 for 3000 steps: simulated, twice with one process per node, in 3 and in 1: five equal pairs of files."""
     runs = {"simulated": ("simulate", "paper7", "--no-record")}
     for name, processes in (("seven", 7), ("seven again", 7), ("three", 3), ("one", 1)):
         runs[name] = ("up", "paper7", *QUIET, "--processes", str(processes))  # type: ignore[assignment]
@@ -110,10 +110,10 @@ def test_every_layout_over_processes_gives_the_same_bits(here: Path) -> None:
     assert pq.read_metadata(here / "seven" / "telemetry.parquet").num_rows == 7 * 3001
 
 
-def test_what_was_missed_for_long_is_said_without_waiting_for_oneself(here: Path) -> None:
-    """A megabyte from each side at once, of processes whose messages are short: it is more than fits into a socket.
+def test_a_long_back_fill_causes_no_deadlock(here: Path) -> None:
+    """Each side sends a megabyte at once, although the messages are usually short: this exceeds the buffer of a socket.
 
-    Zenoh would give such a session up after 5 s.
+    Zenoh would close such a session after 5 s.
     """
     groups = [list(range(200)), list(range(200, 400))]
     partition = f"{{kind: partition, groups: {groups}, steps: [100, 600]}}"
@@ -151,7 +151,7 @@ def test_a_run_leaves_its_folder_and_its_verdict(here: Path) -> None:
 
 
 def test_an_agent_is_a_process_that_knows_its_own_view_only(here: Path, paper7: Orchestrator) -> None:
-    """Eight processes of their own; agent 3's knowledge names its neighbours 2 and 5, and no truth, graph or file."""
+    """There are eight separate processes. Agent 3 knows its neighbours 2 and 5, and no truth, graph or file."""
     start = json.loads((here / "runs/latest/events.jsonl").read_text().splitlines()[0])
     pids = set(start["pids"].values())
     assert len(pids) == 8
@@ -168,7 +168,7 @@ def test_an_agent_is_a_process_that_knows_its_own_view_only(here: Path, paper7: 
     assert not any(package in mapped for package in ("/pydantic", "/rerun", "/scipy/", "/pyarrow"))
 
 
-def test_ctrl_c_ends_cleanly_with_what_was_recorded(here: Path, paper7: Orchestrator) -> None:
+def test_ctrl_c_ends_cleanly_with_the_recorded_steps(here: Path, paper7: Orchestrator) -> None:
     paper7.send(signal.SIGINT)
     assert paper7.wait() == 3
     assert "unknown (stopped at step" in paper7.output
@@ -182,7 +182,7 @@ def test_ctrl_c_ends_cleanly_with_what_was_recorded(here: Path, paper7: Orchestr
 
 
 def test_a_signal_after_the_last_word_changes_nothing(here: Path) -> None:
-    """All is written, and what is left is to end the processes: who is told to end then has done so already."""
+    """All files are written, and only the end of the processes remains: a signal has no more effect."""
     topology = resolve(load("paper7"), here)
     options, shards = Options(watching=Watching(record=False)), layout(topology, 2)
     heard: list[int] = []
@@ -209,7 +209,7 @@ def test_ctrl_c_twice_ends_at_once_even_with_a_frozen_plant(here: Path, paper7: 
     assert (here / "runs/latest/telemetry.parquet").exists()
 
 
-def test_sigkill_of_up_leaves_nobody_behind(here: Path, paper7: Orchestrator) -> None:
+def test_sigkill_of_up_leaves_no_process(here: Path, paper7: Orchestrator) -> None:
     paper7.wait_for("\nstep ")
     children = paper7.children
     paper7.send(signal.SIGKILL)
@@ -224,16 +224,16 @@ def test_sigkill_of_up_leaves_nobody_behind(here: Path, paper7: Orchestrator) ->
 
 @pytest.fixture
 def temporary(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """A folder for temporary files of the test's own, whose path is short enough for a socket."""
+    """Provide a folder for temporary files of the test, with a path short enough for a socket."""
     with tempfile.TemporaryDirectory() as folder:
         monkeypatch.setenv("TMPDIR", folder)
         yield Path(folder)
 
 
-def test_whoever_looks_for_networks_removes_the_socket_of_dead_ones(
+def test_a_look_for_networks_removes_the_sockets_of_dead_ones(
     here: Path, temporary: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The path of the run's folder is too long for one; `up`, its fork server and the plant are killed at once."""
+    """The path of the run's folder is too long for a socket; `up`, its fork server and the plant are killed at once."""
     deep = here / ("d" * 100)
     deep.mkdir()
     monkeypatch.chdir(deep)
@@ -250,15 +250,15 @@ SHORT = ("up", "paper7", "--steps", "900", "--rate", "300", *QUIET, "--verify")
 
 
 def repeats_from_its_folder(here: Path) -> bool:
-    """Whether the run's own folder, with all that happened to it, gives the same tables again."""
+    """Return True if the run's folder, with all changes during the run, gives the same tables again."""
     folder = here / "runs/latest"
     done = orchestrator("simulate", str(folder), "--run-dir", "again", "--no-record")
     assert done.returncode == 0, done.stdout + done.stderr
     return parquet_bytes(here / "again") == parquet_bytes(folder)
 
 
-def test_a_killed_agent_comes_back_with_all_that_it_knew(here: Path) -> None:
-    """The same trajectory as if the file had said when it would die; and its estimates go on as if it had not."""
+def test_a_killed_agent_returns_with_its_knowledge(here: Path) -> None:
+    """The trajectory is the same as with a crash in the file, and the estimates continue as without a crash."""
     with Orchestrator(*SHORT) as network:
         network.wait_for("running")
         os.kill(network.children["agent-4"], signal.SIGKILL)
@@ -270,7 +270,7 @@ def test_a_killed_agent_comes_back_with_all_that_it_knew(here: Path) -> None:
     assert repeats_from_its_folder(here)
 
 
-def test_an_agent_that_keeps_dying_stays_down_and_the_run_goes_on(here: Path) -> None:
+def test_an_agent_that_dies_repeatedly_stays_down_and_the_run_continues(here: Path) -> None:
     with Orchestrator(*LONG) as network:
         network.wait_for("running")
         network.kill_until_it_stays_down("agent-4")
@@ -281,8 +281,8 @@ def test_an_agent_that_keeps_dying_stays_down_and_the_run_goes_on(here: Path) ->
     assert any("agent-4 was killed by SIGKILL" in reason for reason in verdict_of(here / "runs/latest")["reasons"])
 
 
-def test_an_agent_that_stays_down_before_the_first_step_ends_the_run_by_its_name(here: Path) -> None:
-    """Nobody has begun agent-3, who is not to blame."""
+def test_an_agent_that_stays_down_before_the_first_step_ends_the_run_with_its_name(here: Path) -> None:
+    """agent-3 was never started, and is not the cause."""
     where = ("--external", "3", "--listen", f"unixsock-stream/{here}/lab.sock")
     with Orchestrator("up", "paper7", *QUIET, *where) as network:
         network.wait_for_event("start")
@@ -291,8 +291,8 @@ def test_an_agent_that_stays_down_before_the_first_step_ends_the_run_by_its_name
     assert "stopped at step 0: agent-4 was killed by SIGKILL" in network.output
 
 
-def test_a_network_without_anybody_waits_for_them(here: Path) -> None:
-    """One process runs all agents: when it dies, the plant does not go on without control."""
+def test_a_network_without_agents_waits_for_them(here: Path) -> None:
+    """One process runs all agents: when it dies, the plant does not continue without control."""
     with Orchestrator(*SHORT, "--processes", "1") as network:
         network.wait_for("running")
         os.kill(network.children["shard-0"], signal.SIGKILL)
@@ -320,7 +320,7 @@ def test_a_killed_plant_is_named(here: Path, paper7: Orchestrator) -> None:
     assert gone(paper7.children)
 
 
-def test_a_frozen_agent_is_gone_on_without_by_name_and_taken_back_when_it_thaws(here: Path) -> None:
+def test_a_run_continues_without_a_frozen_agent_and_takes_it_back(here: Path) -> None:
     with Orchestrator(*SHORT, "--deadline", "1") as network:
         network.wait_for("running")
         os.kill(network.children["agent-4"], signal.SIGSTOP)
@@ -331,10 +331,10 @@ def test_a_frozen_agent_is_gone_on_without_by_name_and_taken_back_when_it_thaws(
     assert repeats_from_its_folder(here)
 
 
-def test_a_network_whose_agents_are_all_silent_ends_by_name(here: Path) -> None:
+def test_a_network_with_silent_agents_ends_with_their_names(here: Path) -> None:
     with Orchestrator(*LONG, "--deadline", "3", "--processes", "2") as network:
         network.wait_for("running")
-        assert orchestrator("pause").returncode == 0  # or one of them would be late a step before the other
+        assert orchestrator("pause").returncode == 0  # otherwise one of them would be late a step before the other
         for name in ("shard-0", "shard-1"):
             os.kill(network.children[name], signal.SIGSTOP)
         assert orchestrator("resume").returncode == 0
@@ -396,7 +396,7 @@ def test_without_a_runtime_folder_networks_are_listed_under_the_temporary_one(
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root may write there, it seems")
-def test_where_no_list_of_networks_can_be_made_is_said_in_words(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_registry_folder_is_reported(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_RUNTIME_DIR", "/proc")
     done = orchestrator("ps")
     assert done.returncode == 2
@@ -404,9 +404,7 @@ def test_where_no_list_of_networks_can_be_made_is_said_in_words(here: Path, monk
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_who_is_to_be_detached_is_ended_before_its_first_step_with_the_command(
-    here: Path, number: int, code: int
-) -> None:
+def test_a_signal_before_the_first_step_ends_a_detached_run(here: Path, number: int, code: int) -> None:
     with Orchestrator(*LONG, "--detach") as starting:
         starting.wait_for("paper7: 7 nodes")
         (network,) = psutil.Process(starting.pid).children()
@@ -419,14 +417,14 @@ def test_who_is_to_be_detached_is_ended_before_its_first_step_with_the_command(
 @pytest.mark.parametrize(
     "closed", ["<&-", ">&-", "<&- >&- 2>&-"], ids=["standard input", "standard output", "all three"]
 )
-def test_whatever_of_the_standard_streams_is_closed_a_network_runs(here: Path, closed: str) -> None:
+def test_a_network_runs_with_any_standard_stream_closed(here: Path, closed: str) -> None:
     done = shell(f"up paper7 --viewer none --no-record {closed}")
     assert (done.returncode, done.stderr) == (0, "")
     assert verdict_of(here / "runs/latest")["verdict"] == "valid"
 
 
 @pytest.mark.parametrize("words", ["ps", "ps --json", "audit paper7", "compose paper7", "simulate paper7 --json"])
-def test_what_nobody_can_be_told_is_a_mistake_in_words(here: Path, words: str) -> None:
+def test_an_unwritable_output_is_reported_in_one_line(here: Path, words: str) -> None:
     code = Exit.UNKNOWN if words.startswith("simulate") else Exit.USER_MISTAKE
     done = shell(f"{words} >/dev/full")
     assert done.returncode == code
@@ -436,7 +434,7 @@ def test_what_nobody_can_be_told_is_a_mistake_in_words(here: Path, words: str) -
 
 
 @pytest.mark.parametrize("command", ["simulate", "up"])
-def test_a_run_goes_on_whether_it_can_say_so_or_not(here: Path, command: str) -> None:
+def test_a_run_continues_with_or_without_its_output(here: Path, command: str) -> None:
     done = shell(f"{command} paper7 --viewer none --no-record >/dev/full")
     assert done.returncode == Exit.UNKNOWN, done.stderr
     assert done.stderr.count("\n") <= 1
@@ -474,7 +472,7 @@ def test_another_law_comes_in_by_its_name(here: Path) -> None:
 
 
 @pytest.mark.parametrize("command", ["simulate", "up"])
-def test_what_there_was_before_a_law_failed_is_kept(here: Path, command: str) -> None:
+def test_steps_before_a_failure_of_the_law_are_recorded(here: Path, command: str) -> None:
     (here / "laws.py").write_text(LAWS)
     quiet = QUIET if command == "up" else ["--no-record"]
     done = orchestrator(command, "ring6", *quiet, "--law", "laws:Late", "--set", "processes=1")
@@ -497,7 +495,7 @@ def test_what_there_was_before_a_law_failed_is_kept(here: Path, command: str) ->
         ("laws:Tired", 2, "I am tired"),
     ],
 )
-def test_a_law_that_fails_is_refused_and_says_why(here: Path, law: str, code: int, said: str) -> None:
+def test_a_failing_law_is_refused_with_its_reason(here: Path, law: str, code: int, said: str) -> None:
     (here / "laws.py").write_text(LAWS + "LAWS = 3\n")
     for command in (("up", "paper7", *QUIET), ("simulate", "paper7", "--no-record")):
         done = orchestrator(*command, "--law", law)
@@ -506,7 +504,7 @@ def test_a_law_that_fails_is_refused_and_says_why(here: Path, law: str, code: in
         assert "Traceback" not in done.stdout + done.stderr
 
 
-def test_no_router_is_the_users_to_mend(here: Path) -> None:
+def test_a_missing_router_is_a_mistake_of_the_user(here: Path) -> None:
     done = orchestrator("up", "paper7", *QUIET, "--router", "tcp/127.0.0.1:1")
     assert done.returncode == 3
     assert "no router at tcp/127.0.0.1:1" in done.stdout + done.stderr
@@ -522,7 +520,7 @@ def test_a_run_dir_that_is_in_use_is_refused(here: Path) -> None:
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can mount a small disk")
-def test_a_full_disk_ends_the_run_and_says_so(here: Path) -> None:
+def test_a_full_disk_ends_the_run_with_a_message(here: Path) -> None:
     disk = here / "disk"
     disk.mkdir()
     mounted = subprocess.run(

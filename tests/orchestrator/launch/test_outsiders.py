@@ -1,4 +1,4 @@
-"""Outsiders: what a process without rights, or with the rights of one agent, can do to a run."""
+"""Outsiders: the possible effects of a process without rights, or with the rights of one agent, on a run."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class Started:
 
 
 class Lives:
-    """One supervised agent whose lives end as the test says, on a clock of the test's."""
+    """One supervised agent with lives that the test ends, on a clock of the test."""
 
     def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now = 1000.0
@@ -135,7 +135,7 @@ def test_an_allowance_grants_no_more_than_its_rate(asked: list[tuple[float, floa
 
 
 class Scene:
-    """The plant of paper7 as a router, and one outsider who may speak on every key of it."""
+    """The plant of paper7 as a router, and one outsider with the right to publish on every key of it."""
 
     def __init__(self, folder: Path, stack: contextlib.ExitStack) -> None:
         endpoint = f"unixsock-stream/{folder}/s"
@@ -164,7 +164,7 @@ def scene(tmp_path: Path) -> Iterator[Scene]:
         yield Scene(tmp_path, stack)
 
 
-def test_who_is_refused_is_named_by_its_key_and_each_cause_is_told_once(scene: Scene) -> None:
+def test_a_refused_process_is_named_by_its_key_and_each_cause_is_reported_once(scene: Scene) -> None:
     theirs = {**introduction("0123abcd"), "hedgerow": "9.9", "number": 1}
     for _ in range(5):
         assert "error" in scene.ask(keys.join(0), process="agent-7", **theirs)
@@ -214,14 +214,14 @@ def test_tokens_above_the_rate_are_seen_later_and_the_newest_life_wins(scene: Sc
     del tokens
 
 
-def test_a_plant_tells_whether_a_life_had_reached_the_router(scene: Scene) -> None:
+def test_a_plant_reports_if_a_life_had_reached_the_router(scene: Scene) -> None:
     assert scene.ask(keys.control("died"), shard=0, life=0) == {"unreached": True}
     token = scene.session.liveliness().declare_token(keys.alive(keys.shard_name(0), 1))
     assert scene.ask(keys.control("died"), shard=0, life=1) == {}
     del token
 
 
-def test_the_audit_counts_what_plant_and_observer_say_to_each_other() -> None:
+def test_the_audit_counts_the_messages_between_plant_and_observer() -> None:
     word: dict[str, Any] = {"said": {keys.TELEMETRY: 5}, "heard": {keys.SEEN: 9}, "refused": {}, "strange": {}}
     event = {"plant": word, "shards": [None] * len(VIEWS)}
     observed: dict[str, Any] = {"said": {keys.SEEN: 8}, "heard": {keys.TELEMETRY: 6}, "refused": {}, "strange": {}}
@@ -295,7 +295,7 @@ def test_a_connection_without_a_handshake_is_no_refused_certificate() -> None:
 
 @pytest.mark.slow
 def test_an_agent_that_is_killed_while_the_router_is_busy_is_back_in_the_end(here: Path) -> None:
-    """Each bare connection that ends keeps the acceptor of Zenoh's TLS busy for 0.1 s."""
+    """The end of each bare connection blocks the acceptor of Zenoh's TLS for 0.1 s."""
     with Orchestrator("up", "paper7", "--secure", "--steps", "1000000", "--rate", "50", *QUIET) as network:
         network.wait_for("running")
         start = next(json.loads(line) for line in Path("runs/latest/events.jsonl").read_text().splitlines())

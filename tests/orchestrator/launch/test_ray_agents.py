@@ -1,6 +1,6 @@
 """Agents on the machines of a Ray cluster: Ray places them and starts them again, and the run is the same to the bit.
 
-The cluster has two machines, network namespaces with an address each, so that what crosses between them crosses a wire.
+The cluster has two machines, which are network namespaces with an address each. So their messages cross a network.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ START = (sys.executable, "-c", "from ray.scripts.scripts import main; main()", "
 MEMORY = ("--object-store-memory", "80000000")
 ENVIRONMENT = {
     "RAY_USAGE_STATS_ENABLED": "0",
-    # A token that somebody has made for clusters of their own is none for ours, which nobody else can reach.
+    # A user's token for other clusters is not for ours, which no other program can reach.
     "RAY_AUTH_MODE": "disabled",
     # Ray's server for clients starts processes; gRPC, in between fork and exec, may abort them otherwise.
     "GRPC_ENABLE_FORK_SUPPORT": "0",
-    # After how long a machine that says nothing is gone; else that takes Ray more than half a minute.
+    # The silence after which Ray counts a machine as gone; by default that takes more than half a minute.
     "RAY_health_check_period_ms": "500",
     "RAY_health_check_timeout_ms": "2000",
     "RAY_health_check_failure_threshold": "2",
@@ -48,7 +48,7 @@ START_DEADLINE_S = 120.0
 
 
 def runs(program: Program) -> None:
-    """Wait until a machine of the cluster says that it runs."""
+    """Wait until a machine of the cluster reports that it runs."""
     by, pause = time.monotonic() + START_DEADLINE_S, Event()
     while "will now block forever" not in (said := program.log.read_text()):
         assert time.monotonic() < by, said
@@ -58,14 +58,14 @@ def runs(program: Program) -> None:
 
 @pytest.fixture(scope="module")
 def kept_by_ray() -> Iterator[Path]:
-    """Where Ray writes what it writes; its Unix sockets stand below it, and their paths must not be long."""
+    """Provide the folder of Ray's files; its Unix sockets are below it, and their paths must be short."""
     with tempfile.TemporaryDirectory(prefix="ray-", ignore_cleanup_errors=True) as folder:
         yield Path(folder)
 
 
 @pytest.fixture(scope="module")
 def cluster(tmp_path_factory: pytest.TempPathFactory, kept_by_ray: Path) -> Iterator[Machines]:
-    """Two machines, `head` and `other`; `spare`, which a test may add; and `bench`, which is none of the cluster."""
+    """Provide two machines, `head` and `other`; `spare`, which a test may add; and `bench`, outside of the cluster."""
     place = tmp_path_factory.mktemp("ray")
     with ExitStack() as stack:
         head = ("--head", "--port", "6379", "--ray-client-server-port", "10001", "--temp-dir", str(kept_by_ray))
@@ -156,7 +156,7 @@ def test_an_agent_that_is_killed_on_a_cluster_is_started_again_by_ray(
     with Orchestrator("up", *arguments, *UP, inside=cluster.on("head")) as network:
         network.wait_for("Ray has placed")
         victim = events("placed")[0]
-        network.wait_for_log(victim["process"], "ready: shard")  # its log comes by Ray, and later than it is said
+        network.wait_for_log(victim["process"], "ready: shard")  # its log comes through Ray, with a delay
         network.wait_for("running: first step")
         os.kill(victim["pid"], signal.SIGKILL)
         network.wait_for("going on without shard")
@@ -176,10 +176,10 @@ def test_an_agent_that_is_killed_on_a_cluster_is_started_again_by_ray(
 
 @needs_ray
 @pytest.mark.slow
-def test_agents_of_a_machine_that_is_gone_for_good_live_on_where_there_is_room(
+def test_agents_of_a_lost_machine_restart_on_other_machines(
     cluster: Machines, environment: None, tmp_path: Path
 ) -> None:
-    """All processes of it are killed at once, Ray's own among them, and nobody says goodbye."""
+    """All processes of the machine are killed at once, Ray's included, without a farewell message."""
     spare = joined(cluster, "spare", tmp_path)
     # Two of the four fit on a machine: the other two machines have room for all.
     arguments = ("paper7", "--processes", "4", "--steps", "3000", "--rate", "50", "--deadline", "2", "--secure")
@@ -188,7 +188,7 @@ def test_agents_of_a_machine_that_is_gone_for_good_live_on_where_there_is_room(
         network.wait_for("Ray has placed")
         lost = {event["process"] for event in events("placed") if event["machine"] == cluster.address["spare"]}
         assert lost
-        network.wait_for_event("first_step")  # who dies before is waited for, and never lost
+        network.wait_for_event("first_step")  # an agent that dies before is waited for, and never lost
         cut_off(spare)
         network.wait_for_event("back", times=len(lost))
         said = Program(
@@ -234,7 +234,7 @@ def test_ctrl_c_leaves_nothing_of_a_cluster_that_we_started(environment: None) -
 def test_a_cluster_that_is_not_there_is_a_mistake_in_words(environment: None) -> None:
     done = orchestrator("up", "paper7", "--on", "ray://127.0.0.1:1")
     assert done.returncode == 2
-    said = "no cluster: Connection refused; is `ray start --head` running there? clients come in at port 10001"
+    said = "no cluster: Connection refused; is `ray start --head` running there? clients use port 10001"
     assert done.stderr.startswith(f"error: --on ray://127.0.0.1:1: {said}"), done.stderr
     assert not Path("runs").exists()
 
@@ -247,14 +247,14 @@ def test_a_cluster_that_is_not_there_is_a_mistake_in_words(environment: None) ->
         (("--on", "ray", "--external", "3"), "error: --external --on: choose one; on a cluster, Ray starts all agents"),
     ],
 )
-def test_what_names_no_cluster_is_said_at_once(here: Path, arguments: tuple[str, ...], said: str) -> None:
+def test_an_invalid_cluster_is_refused_at_once(here: Path, arguments: tuple[str, ...], said: str) -> None:
     done = orchestrator("up", "paper7", *arguments)
     assert done.returncode == 2
     assert done.stderr == f"{said}\n"
 
 
 @pytest.mark.parametrize("command", [("up", "paper7"), ("sweep", "paper7", "--seeds", "0:2")])
-def test_without_ray_it_says_what_to_install(
+def test_without_ray_the_message_names_the_package(
     here: Path, monkeypatch: pytest.MonkeyPatch, command: tuple[str, ...]
 ) -> None:
     (here / "ray.py").write_text("raise ModuleNotFoundError('there is no ray', name='ray')\n")
@@ -264,8 +264,8 @@ def test_without_ray_it_says_what_to_install(
     assert done.stderr == "error: --on ray: Ray is not installed; install it with: pip install 'hedgerow[ray]'\n"
 
 
-def test_a_machine_of_a_cluster_needs_what_an_agent_needs() -> None:
-    """What Ray loads there brings numpy and Zenoh, and none of the operator's packages."""
+def test_a_machine_of_a_cluster_needs_only_the_packages_of_an_agent() -> None:
+    """The module that Ray loads there imports numpy and Zenoh, but no packages of the operator."""
     code = """
 import sys
 from hedgerow.orchestrator.launch.ray_agents import RemoteAgent
@@ -281,7 +281,7 @@ def test_every_agent_has_a_cpu_where_there_are_enough_and_else_a_part_of_one() -
     for agents, cpus in ((7, [2, 2]), (5, [1, 1, 2]), (38, [2]), (100, [3, 5])):
         share = share_of(agents, float(sum(cpus)), len(cpus))
         assert sum(cpu // share for cpu in cpus) >= agents
-    with pytest.raises(UserError, match=f"{MOST_PER_CPU} a CPU at most: add machines, .* --processes 38"):
+    with pytest.raises(UserError, match=f"{MOST_PER_CPU} per CPU. Add machines, .* --processes 38"):
         share_of(1000, 2.0, 2)
     with pytest.raises(UserError, match="0 free CPUs on 2 machines"):
         share_of(1, 0.0, 2)

@@ -1,5 +1,5 @@
-"""Faults that nobody injects: a link between two hosts that loses packets, goes down and comes back, and a router that
-dies and returns. The hosts are network namespaces, which need root; the router runs in one, the network in the other.
+"""Real faults: a link between two hosts that loses packets, goes down and comes back, and a router that dies and
+returns. The hosts are network namespaces, which need root; the router runs in one, the network in the other.
 """
 
 from __future__ import annotations
@@ -49,10 +49,10 @@ class Lab:
             command("ip", "-n", host, "route", "change", *route)
 
     def lose(self, one_of: int) -> None:
-        """Let every so many-th packet be lost on its way in, at both ends.
+        """Drop every Nth received packet, at both ends.
 
-        Not by chance, and once all are connected: TCP doubles its wait with each loss in a row, and waits 3 s at first
-        where the loss was in its handshake. Chance brings, sooner or later, a silence longer than any deadline.
+        The loss is regular and starts after the connection. TCP doubles its wait with each loss in a row, and waits 3 s
+        after a loss in its handshake. Random losses would cause, sooner or later, a silence longer than any deadline.
         """
         drop = f"numgen inc mod {one_of} == 0 drop"
         chain = f'chain in {{ type filter hook ingress device "wire" priority 0; {drop}; }}'
@@ -60,7 +60,7 @@ class Lab:
             command("ip", "netns", "exec", host, "nft", f"table netdev faults {{ {chain}; }}")
 
     def link(self, state: str) -> None:
-        """Take the link `down` or `up`."""
+        """Set the link `down` or `up`."""
         command("ip", "-n", self.hosts[1], "link", "set", "wire", state)
 
     def start_router(self) -> None:
@@ -86,7 +86,7 @@ class Lab:
         return Orchestrator("up", "paper7", *RUN, "--router", self.endpoint, *arguments, inside=inside)
 
     def tear_down(self) -> None:
-        """Leave nothing."""
+        """Remove everything."""
         self.kill_router()
         for host in self.hosts:
             with contextlib.suppress(FileNotFoundError):
@@ -116,12 +116,12 @@ def complete(folder: Path) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("one_of", [20, 5])
-def test_a_link_that_loses_packets_costs_time_and_nothing_else(lab: Lab, one_of: int) -> None:
+def test_a_link_that_loses_packets_costs_only_time(lab: Lab, one_of: int) -> None:
     with lab.up("--steps", "100", "--rate", "50", "--deadline", "60") as network:
         network.wait_for("running")
         lab.lose(one_of)
         assert network.wait() == 0, network.output
-        print(network.output)  # `pytest -rP` shows what it does to the round trips
+        print(network.output)  # `pytest -rP` shows the effect on the answer times
         assert gone(network.children)
     assert complete(Path("runs/latest"))["missing_inputs"] == 0
 
@@ -146,12 +146,12 @@ def test_a_router_that_dies_and_returns(lab: Lab) -> None:
     assert complete(Path("runs/latest"))["missing_inputs"] == 0
 
 
-def test_a_link_that_stays_down_ends_the_run_by_name_with_what_was_recorded(lab: Lab) -> None:
+def test_a_link_that_stays_down_ends_the_run_with_names_and_recorded_steps(lab: Lab) -> None:
     with lab.up("--steps", "100000", "--rate", "200", "--deadline", "2") as network:
         network.wait_for("running")
         lab.link("down")
         assert network.wait() == 3, network.output
-        # Whoever notices first: the plant that nobody answers, or `up` that has no router any more.
+        # One of these notices first: the plant without inputs, or `up` without a router.
         named = ("no input from agent ", "the router at tcp/10.77.0.1:7447 is gone")
         assert any(cause in network.output for cause in named), network.output
         assert gone(network.children)

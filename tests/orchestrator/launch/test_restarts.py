@@ -29,7 +29,7 @@ def test_lives_that_did_not_are_restarted_for_some_time() -> None:
     assert restarts.deaths == 0
 
 
-def test_a_life_that_reaches_the_router_begins_that_time_anew() -> None:
+def test_a_life_that_reaches_the_router_restarts_that_time() -> None:
     restarts = Restarts()
     restarts.after_death(False, 0.0)
     restarts.after_death(True, 1.0)

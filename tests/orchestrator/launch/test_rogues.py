@@ -1,4 +1,4 @@
-"""Processes that do not keep to the information structure, over real Zenoh: what they try, and what becomes of it."""
+"""Processes that violate the information structure, over real Zenoh: their attempts, and the results."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ WILD = ["**", "link/**", "link/*/1", "state/*"]
 
 
 class Secure:
-    """The router of a secure paper7, without its processes: everybody who connects is the test's."""
+    """The router of a secure paper7, without its processes: all clients belong to the test."""
 
     def __init__(self, folder: Path, stack: contextlib.ExitStack, processes: Sequence[Place] = PLACES) -> None:
         self.folder, self._stack = folder, stack
@@ -60,7 +60,7 @@ class Secure:
         stack.callback(close, self.router)
 
     def client(self, credentials: Path | None) -> zenoh.Session:
-        """A session with these credentials; WireError if they do not do."""
+        """Return a session with these credentials; raise WireError if they are refused."""
         session = open_client(self.endpoint, NAMESPACE, credentials, timeout_s=2)
         self._stack.callback(close, session)
         return session
@@ -73,7 +73,7 @@ def secure(tmp_path: Path) -> Iterator[Secure]:
 
 
 class Heard:
-    """All that sessions heard from others: (who said it, on which key) by who heard it."""
+    """All messages between sessions: (sender, key) by receiver."""
 
     def __init__(self) -> None:
         self.what: dict[str, set[tuple[str, str]]] = {}
@@ -97,10 +97,10 @@ class Heard:
 
 
 def test_of_all_pairs_of_writer_key_and_reader_exactly_the_allowed_ones_succeed(secure: Secure) -> None:
-    """Everybody listens on every key and on wildcards, and speaks on every key; what arrives is what the rules say.
+    """Each client subscribes to every key and to wildcards, and publishes on every key; the rules decide what arrives.
 
-    Each says the forbidden first. What the router has from one client it takes in order: when the plant has heard the
-    last of everybody, all of it is through, and what the plant says then comes behind it.
+    Each sends the forbidden messages first. The router processes the messages of one client in order. When the plant
+    has received the last message of each client, all are through, and the messages of the plant follow.
     """
     sessions = {name: secure.client(secure.folder / name) for name in RIGHTS if name != keys.PLANT}
     heard = Heard()
@@ -110,7 +110,7 @@ def test_of_all_pairs_of_writer_key_and_reader_exactly_the_allowed_ones_succeed(
         for keys_of in ([key for key in [*KEYS, *WILD] if key not in RIGHTS[name].says], RIGHTS[name].says):
             for key in keys_of:
                 session.put(key, name, congestion_control=zenoh.CongestionControl.BLOCK)
-            # What was said on `**` counts on every key: a message on one of them right behind it would be one too many.
+            # A message on `**` counts on every key: a message right after it would exceed the rate.
             list(session.get(keys.control("status"), timeout=DEADLINE_S))
         list(session.get(keys.control("status"), timeout=DEADLINE_S))  # an answer, or none: it is behind them
     for name in sessions:
@@ -120,14 +120,15 @@ def test_of_all_pairs_of_writer_key_and_reader_exactly_the_allowed_ones_succeed(
     for name in sessions:
         mine = {(keys.PLANT, key) for key in RIGHTS[keys.PLANT].says if key in RIGHTS[name].hears}
         heard.wait(name, mine)
-    list(sessions[OPERATOR].get(keys.control("status"), timeout=DEADLINE_S))  # who may hear nothing at all
+    # The operator may not subscribe to anything.
+    list(sessions[OPERATOR].get(keys.control("status"), timeout=DEADLINE_S))
 
     allowed = {
         reader: {(writer, key) for writer, some in RIGHTS.items() for key in some.says if key in granted.hears}
         for reader, granted in RIGHTS.items()
     }
     allowed[keys.PLANT] = {(name, key) for name in sessions for key in RIGHTS[name].says}
-    # The plant is the router: it hears all that gets in, and nothing got in but what its sender may say.
+    # The plant is the router: it receives every permitted message, and each one has a permitted sender.
     assert heard.what == allowed
     pairs = [(reader, key) for reader in sessions for key in KEYS if key in RIGHTS[reader].hears]
     assert len(pairs) == 2 * len(PAPER7.edges) + N + 1
@@ -135,7 +136,7 @@ def test_of_all_pairs_of_writer_key_and_reader_exactly_the_allowed_ones_succeed(
 
 
 def test_tokens_and_commands_are_their_owners(secure: Secure) -> None:
-    """Nobody can claim that another is alive, or ask for another's place, and an agent cannot command the plant."""
+    """No client can show another's token or ask for another's place, and an agent cannot command the plant."""
     tokens: set[str] = set()
     late_rows = threading.Condition()
 
@@ -184,8 +185,8 @@ def test_tokens_and_commands_are_their_owners(secure: Secure) -> None:
     }
 
 
-def test_who_asks_for_its_place_without_end_is_heard_now_and_then(secure: Secure) -> None:
-    """Each question costs the plant an answer, and a refusal is told to everybody; others are heard all the same."""
+def test_endless_requests_for_a_place_are_limited(secure: Secure) -> None:
+    """Each request costs the plant an answer, and every observer receives a refusal; other requests still arrive."""
     asked, began = Counter[str](), time.monotonic()
 
     def answer(query: zenoh.Query) -> None:
@@ -204,8 +205,8 @@ def test_who_asks_for_its_place_without_end_is_heard_now_and_then(secure: Secure
     del declared
 
 
-def test_the_largest_command_gets_to_the_plant_where_agents_say_little(tmp_path: Path) -> None:
-    """Without back-filling no agent has more than some hundred bytes to say; a fault may name a link at each step."""
+def test_the_largest_command_reaches_the_plant_of_a_small_network(tmp_path: Path) -> None:
+    """Without back-filling, an agent's largest message has some hundred bytes; a fault may name a link at each step."""
     network = resolve(load("paper7", ["backfill=false"]))
     small = places(views_of(network, layout(network, None)))
     command = bytes(LEAST_BYTES + BYTES_PER_INCIDENCE * 2 * len(network.edges))
@@ -224,7 +225,7 @@ def test_the_largest_command_gets_to_the_plant_where_agents_say_little(tmp_path:
         del declared
 
 
-def test_who_has_no_certificate_of_this_run_is_not_let_in(secure: Secure, tmp_path: Path) -> None:
+def test_a_client_without_a_certificate_of_the_run_is_refused(secure: Secure, tmp_path: Path) -> None:
     (tmp_path / "other").mkdir()
     Authority().issue(tmp_path / "other/agent-1", "agent-1")
     for credentials in (None, tmp_path / "other/agent-1"):
@@ -232,8 +233,8 @@ def test_who_has_no_certificate_of_this_run_is_not_let_in(secure: Secure, tmp_pa
             secure.client(credentials)
 
 
-def test_a_name_that_is_nobodys_may_do_nothing(secure: Secure, tmp_path: Path) -> None:
-    """By the run's own authority, yet under another name: it can connect, and that is all."""
+def test_an_unknown_name_has_no_rights(secure: Secure, tmp_path: Path) -> None:
+    """The certificate is from the run's own authority but has another name: it can connect, and has no rights."""
     with contextlib.ExitStack() as stack:
         authority = Authority()
         endpoint = f"tls/127.0.0.1:{free_port()}"
@@ -268,7 +269,7 @@ def put(session: zenoh.Session, key: str, message: bytes) -> None:
 
 
 def garbage(good: bytes) -> list[bytes]:
-    """What is no message of a key, made of one that is."""
+    """Return invalid messages of a key, made from a valid one."""
     version, kind, _, n, t = struct.unpack_from("<BBHIq", good)
     return [
         b"",
@@ -303,7 +304,7 @@ FLOOD_S = 1.5
 
 
 class Victim:
-    """paper7 making its first hundred steps, slowly, and waiting there however long it is disturbed; a way into it."""
+    """paper7 after its first hundred slow steps, waiting during any disturbance; and a way into it."""
 
     def __init__(self, here: Path, stack: contextlib.ExitStack, *options: str) -> None:
         self._here, self._stack = here, stack
@@ -315,7 +316,7 @@ class Victim:
         self.entry = json.loads(orchestrator("ps", "--json").stdout)[0]
 
     def rogue(self, name: str) -> zenoh.Session:
-        """With what was stolen from a process, if there is anything to steal."""
+        """The intruder uses the keys of a process, if the run has keys."""
         own = self.entry["credentials"]
         credentials = Path(own).parent / name if own else None
         session = open_client(self.entry["endpoint"], self.entry["namespace"], credentials)
@@ -342,7 +343,7 @@ class Victim:
         return verdict
 
     def end(self) -> dict[str, Any]:
-        """The same, and its numbers are those of a run that nobody disturbed."""
+        """Return the verdict; the numbers must be those of an undisturbed run."""
         verdict = self.verdict()
         reference = orchestrator("simulate", "paper7", "--steps", str(STEPS), "--no-record", "--run-dir", "reference")
         assert reference.returncode == 0
@@ -350,7 +351,7 @@ class Victim:
         return verdict
 
     def named(self) -> Counter[str]:
-        """How often the logs of all processes name a key whose message was refused."""
+        """Count the keys of refused messages in the logs of all processes."""
         logs = (self.run / "logs").glob("*.log")
         lines = [line for log in logs for line in log.read_text().splitlines() if ": refused: " in line]
         return Counter(line.split(" wire: ")[1].split(": refused")[0] for line in lines)
@@ -362,10 +363,13 @@ def victim(here: Path) -> Iterator[Callable[..., Victim]]:
         yield lambda *options: Victim(here, stack, *options)
 
 
-def test_a_stolen_certificate_is_worth_what_its_agent_may_do_and_no_more(victim: Callable[..., Victim]) -> None:
-    """Agent 1's, whose one neighbour is agent 2: the router drops all else, and its own channels take no garbage.
+def test_a_stolen_certificate_gives_only_the_rights_of_its_agent(victim: Callable[..., Victim]) -> None:
+    """The certificate is that of agent 1, with agent 2 as its only neighbour.
 
-    It forges, replays, floods, eavesdrops, claims lives and gives commands; the run goes on unchanged, and is valid.
+    The router drops all other messages, and the agent's own channels refuse garbage.
+
+    The intruder forges, replays, floods, eavesdrops, claims lives and sends commands; the run continues unchanged, and
+    is valid.
     """
     running = victim("--secure")
     rogue = running.rogue("agent-1")
@@ -398,15 +402,17 @@ def test_a_stolen_certificate_is_worth_what_its_agent_may_do_and_no_more(victim:
     assert verdict["verdict"] == "valid", verdict["reasons"]
     assert set(overheard) <= {keys.link(1, 0), keys.state(0)}
     refused = {one["key"]: one["refused"] for one in verdict["information"]["channels"] if one["refused"]}
-    # The router takes nothing so large in from an agent as the 16 MB, nor, on a busy machine, one right behind another.
+    # The router accepts from an agent neither a message of 16 MB nor, on a busy machine, one right after another.
     assert refused.keys() == {keys.link(0, 1), keys.input_(0)}
     assert max(refused.values()) <= 9
     assert running.named() == {keys.link(0, 1): 1, keys.input_(0): 1}
     del eavesdropper, tokens
 
 
-def test_a_stolen_certificate_may_lie_of_its_own_agent_which_the_audit_finds(victim: Callable[..., Victim]) -> None:
-    """Inputs of this step and of the next, well formed, that agent 1 never gave; one that is no number is missing."""
+def test_the_audit_finds_false_messages_under_a_stolen_certificate(victim: Callable[..., Victim]) -> None:
+    """These are valid inputs of this step and of the next that agent 1 never sent; one that is NaN counts as
+    missing.
+    """
     running = victim("--secure")
     rogue = running.rogue("agent-1")
     now, slowly = running.step(), threading.Event()
@@ -420,16 +426,17 @@ def test_a_stolen_certificate_may_lie_of_its_own_agent_which_the_audit_finds(vic
     wrong = " ".join(verdict["checks"]["information"]["why"])
     assert verdict["verdict"] == "INVALID"
     assert "agent-2 heard" in wrong
-    assert "messages on link/0/1, of which agent-1 said" in wrong
-    assert "messages on input/0, of which agent-1 said" in wrong
+    assert "messages on link/0/1, but agent-1 sent" in wrong
+    assert "messages on input/0, but agent-1 sent" in wrong
     assert verdict["steps_done"] == STEPS
     assert np.isfinite(load_run(running.run).x).all()
 
 
-def test_who_floods_its_own_channels_holds_nobody_up(victim: Callable[..., Victim]) -> None:
-    """As many messages on each as it can say, and one of 64 MB, while the run goes on: a trickle is let through.
+def test_flooding_of_its_own_channels_delays_no_process(victim: Callable[..., Victim]) -> None:
+    """The intruder sends as many messages as possible on each channel, and one of 64 MB, during the run: few get
+    through.
 
-    Nobody is late, no edge is closed, nothing grows; what is no message is refused, and named once.
+    No agent is late, no edge is closed, no memory grows; an invalid message is refused, and named once.
     """
     running = victim("--secure")
     rogue = running.rogue("agent-1")
@@ -460,12 +467,15 @@ def test_who_floods_its_own_channels_holds_nobody_up(victim: Callable[..., Victi
     assert running.named() == {keys.link(0, 1): 1, keys.input_(0): 1}
 
 
-def test_on_an_open_router_what_is_no_message_changes_nothing_and_what_is_one_is_found_out(
+def test_on_an_open_router_garbage_changes_nothing_and_the_audit_finds_forged_messages(
     victim: Callable[..., Victim],
 ) -> None:
-    """Without security anybody may speak on any key. Garbage is refused; the past and the far future have no effect.
+    """Without security, any client may publish on any key.
 
-    Yet whoever took in a message that its neighbour never said heard what it should not have, and the verdict says so.
+    Garbage is refused; the past and the far future have no effect.
+
+    But a process that accepted a message which its neighbour never sent received a forged one, and the verdict reports
+    this.
     """
     running = victim()
     rogue = running.rogue("")

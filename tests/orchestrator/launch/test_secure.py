@@ -1,4 +1,4 @@
-"""Secure runs: nothing but what the information structure allows, the same numbers, and no key left anywhere."""
+"""Secure runs: only the messages of the information structure, the same numbers, and no remaining keys."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def contents(folder: Path) -> bytes:
 
 
 def test_a_secure_run_gives_the_same_bits_through_a_crash(here: Path) -> None:
-    """The reference knows no security: equal to it is equal to the open run. A restarted agent is let in again."""
+    """The reference knows no security: equal to it is equal to the open run. A restarted agent may connect again."""
     crash = "faults=[{kind: crash, node: 3, at: 8, restart_after: 5}, {kind: drop, link: [2, 4], steps: [0, 12]}]"
     done = orchestrator("up", "paper7", "--secure", "--verify", "--set", crash, *QUIET)
     assert done.returncode == 0, done.stdout + done.stderr
@@ -55,7 +55,7 @@ def test_a_secure_run_gives_the_same_bits_through_a_crash(here: Path) -> None:
     assert "secure: true" in (here / "runs/latest/topology.yaml").read_text()
 
 
-def test_everybody_heard_what_was_said_to_them_and_nothing_else(here: Path) -> None:
+def test_every_process_received_exactly_its_messages(here: Path) -> None:
     done = orchestrator("up", "paper7", *QUIET)
     assert done.returncode == 0, done.stderr
     information = verdict_of(here / "runs/latest")["information"]
@@ -70,8 +70,8 @@ def test_everybody_heard_what_was_said_to_them_and_nothing_else(here: Path) -> N
     ]
 
 
-def test_what_is_said_again_passes_a_router_that_drops_what_comes_too_often(here: Path) -> None:
-    """While one agent is frozen, all others say something again with every state that the plant repeats."""
+def test_repeated_messages_pass_a_router_with_a_rate_limit(here: Path) -> None:
+    """While one agent is frozen, the others repeat their messages with every state that the plant repeats."""
     with Orchestrator("up", "paper7", "--secure", "--steps", "200", "--rate", "200", *QUIET) as network:
         network.wait_for("running")
         os.kill(network.children["agent-3"], signal.SIGSTOP)
@@ -113,7 +113,7 @@ def test_keys_are_their_users_alone_short_lived_and_in_no_log(here: Path, networ
     said = contents(here / "runs") + network.output.encode()
     assert b"PRIVATE KEY" not in said
     assert not any(path.read_text().splitlines()[1].encode() in said for path in files if path.name == "key.pem")
-    # Who operates the network has keys of their own.
+    # The operator has separate keys.
     assert orchestrator("status").returncode == 0
     assert orchestrator("fault", "drop", "2-4", "--for", "5").returncode == 0
     assert orchestrator("stop").returncode == 0
@@ -131,7 +131,7 @@ def test_a_killed_up_leaves_no_key(here: Path, network: Orchestrator) -> None:
 
 
 def test_a_fork_server_that_outlives_its_children_leaves_no_key(here: Path, network: Orchestrator) -> None:
-    """It wakes up, and there is nobody left to tell that they have died."""
+    """The server wakes up after its client has gone, and cannot report the deaths."""
     children = network.children
     fork_client = psutil.Process(children["plant"]).ppid()
     os.kill(fork_client, signal.SIGSTOP)
@@ -143,15 +143,15 @@ def test_a_fork_server_that_outlives_its_children_leaves_no_key(here: Path, netw
     assert secrets(here) == []
 
 
-def test_whoever_looks_for_networks_removes_the_keys_of_dead_ones(here: Path, network: Orchestrator) -> None:
-    """`up`, its fork server and the plant killed at once: nobody of the run is left to do it."""
+def test_a_look_for_networks_removes_the_keys_of_dead_ones(here: Path, network: Orchestrator) -> None:
+    """`up`, its fork server and the plant are killed at once: no process of the run can remove the keys."""
     assert gone(network.kill_all_who_could_clean_up())
     assert secrets(here) != []
     assert orchestrator("ps").stdout == "no network is running\n"
     assert secrets(here) == []
 
 
-def test_a_router_elsewhere_keeps_the_same_rules(here: Path) -> None:
+def test_a_separate_router_has_the_same_rules(here: Path) -> None:
     endpoint = f"tls/127.0.0.1:{free_port()}"
     made = orchestrator("keys", "paper7", "--router", endpoint, "--out", "keys")
     assert made.returncode == 0, made.stderr
@@ -175,7 +175,7 @@ def test_a_router_elsewhere_keeps_the_same_rules(here: Path) -> None:
             assert "keys/observer/key.pem: every user of this machine can read it" in network.output
         finally:
             router.kill()
-    assert (here / "keys/agent-1/key.pem").exists()  # theirs who made them
+    assert (here / "keys/agent-1/key.pem").exists()  # these belong to their creator
     other = orchestrator("up", "ring6", "--secure", "--keys", "keys", *QUIET)
     assert other.returncode == 2
     assert "made for another network" in other.stderr
@@ -190,12 +190,14 @@ def test_the_command_that_uses_keys_can_be_copied(here: Path) -> None:
     ("options", "said"),
     [
         (("--secure", "--router", "tcp/127.0.0.1:7447"), "needs a router that speaks TLS: tls/HOST:PORT"),
-        (("--secure", "--router", "tls/127.0.0.1:7447"), "makes its configuration and everybody's keys"),
+        (("--secure", "--router", "tls/127.0.0.1:7447"), "makes its configuration and the keys of all processes"),
         (("--secure", "--keys", "nowhere"), "no folder of keys"),
         (("--keys", "nowhere"), "give --secure too"),
     ],
 )
-def test_what_cannot_be_secure_is_said_before_anything_runs(here: Path, options: tuple[str, ...], said: str) -> None:
+def test_an_insecure_combination_is_refused_before_anything_runs(
+    here: Path, options: tuple[str, ...], said: str
+) -> None:
     done = orchestrator("up", "paper7", *options, *QUIET)
     assert done.returncode == 2
     assert said in done.stderr
@@ -214,9 +216,9 @@ def test_a_missing_library_is_named(here: Path) -> None:
     assert done.stderr == ("error: --secure: needs cryptography. Install it with: pip install cryptography\n")
 
 
-def test_a_folder_of_somebody_else_is_not_trusted(here: Path) -> None:
+def test_a_folder_of_another_user_is_not_trusted(here: Path) -> None:
     (here / f"hedgerow-{os.getuid()}").mkdir(mode=0o777)
     (here / f"hedgerow-{os.getuid()}").chmod(0o777)
     done = orchestrator("up", "paper7", "--secure", *QUIET)
     assert done.returncode == 2
-    assert "must be a folder that is yours alone" in done.stderr
+    assert "must be a folder that only you can read" in done.stderr

@@ -1,4 +1,4 @@
-"""Secure processes that somebody else starts: what each carries, who is let in, and what those are told who are not."""
+"""Secure separate processes: their files, the permitted connections, and the messages about refusals."""
 
 from __future__ import annotations
 
@@ -43,12 +43,12 @@ def bundle(port: int, *arguments: str) -> None:
 
 
 def up(port: int, *arguments: str) -> Orchestrator:
-    """A run whose plant opens that port."""
+    """Return a run with a plant that opens that port."""
     listen = ("--listen", f"tls/0.0.0.0:{port}", "--keys", "lab")
     return Orchestrator("up", "lab/topology.yaml", *listen, *UP, *arguments)
 
 
-def test_everybody_carries_their_own_and_nobody_elses(here: Path, port: int) -> None:
+def test_every_folder_has_only_its_own_keys(here: Path, port: int) -> None:
     bundle(port, "--days", "2")
     folders = {path.name: path for path in Path("lab").iterdir() if path.is_dir()}
     agents = {f"agent-{name}" for name in range(1, 8)}
@@ -74,8 +74,8 @@ def test_everybody_carries_their_own_and_nobody_elses(here: Path, port: int) -> 
     assert "holds something already" in again.stderr
 
 
-def test_agents_elsewhere_are_let_in_with_their_keys_and_change_nothing(here: Path, port: int, start: Any) -> None:
-    """One is given its folder, one finds it by its name, one is told where its keys lie; all end with the run."""
+def test_separate_agents_join_with_their_keys_and_change_nothing(here: Path, port: int, start: Any) -> None:
+    """One receives its folder, one finds it by its name, one gets the path of its keys; all end with the run."""
     bundle(port)
     shutil.copytree("lab/agent-6", "keys-of-6")
     (here / "lab/agent-6/key.pem").unlink()
@@ -88,10 +88,10 @@ def test_agents_elsewhere_are_let_in_with_their_keys_and_change_nothing(here: Pa
     assert verdict()["checks"]["reference"]["ok"]
     assert verdict()["checks"]["information"]["ok"]
     assert [agent.wait()[0] for agent in agents] == [0, 0, 0]
-    assert (here / "lab/agent-3/key.pem").exists()  # theirs who made them
+    assert (here / "lab/agent-3/key.pem").exists()  # these belong to their creator
 
 
-def test_everybody_elsewhere_over_a_router_with_the_rules_it_was_given(here: Path, port: int, start: Any) -> None:
+def test_separate_processes_over_a_router_with_its_rules(here: Path, port: int, start: Any) -> None:
     bundle(port, "--processes", "2", "--steps", "20")
     router = Program((), (sys.executable, "-c", ROUTER), Path("lab/router").absolute())
     try:
@@ -107,7 +107,7 @@ def test_everybody_elsewhere_over_a_router_with_the_rules_it_was_given(here: Pat
     assert parquet_bytes(Path("here")) == parquet_bytes(Path("runs/latest"))
 
 
-def test_plant_and_observer_may_see_that_a_plant_is_there(here: Path, port: int, start: Any) -> None:
+def test_plant_and_observer_may_see_the_token_of_a_plant(here: Path, port: int, start: Any) -> None:
     bundle(port)
     router = Program((), (sys.executable, "-c", ROUTER), Path("lab/router").absolute())
     try:
@@ -117,7 +117,7 @@ def test_plant_and_observer_may_see_that_a_plant_is_there(here: Path, port: int,
             told: list[str] = []
             with room(session, "hedgerow/paper7", told.append, lambda: bool(told)):
                 assert told
-        start("plant", "--config", "lab/plant").wait_for("a plant is there already at hedgerow/paper7")
+        start("plant", "--config", "lab/plant").wait_for("another plant already runs at hedgerow/paper7")
         assert first.process.poll() is None
     finally:
         router.end()
@@ -129,7 +129,7 @@ def test_a_plant_elsewhere_is_the_router_with_the_routers_keys(here: Path, port:
     code, said = start("plant", "--config", "lab/plant", *listen).wait()
     assert code == 3
     assert "no keys of a router" in said
-    assert "take the folder `router`" in said
+    assert "give the complete folder `router`" in said
     plant = start("plant", "--config", "lab/plant", *listen, "--credentials", "lab/router")
     agents = [start("agents", "--config", f"lab/shard-{p}") for p in (0, 1)]
     with Orchestrator("up", "lab/topology.yaml", "--external", "plant,all", "--keys", "lab", *UP) as network:
@@ -145,8 +145,8 @@ def in_place_of_agent_3(folder: str, other: str, *files: str) -> None:
         shutil.copy(f"{other}/{file}", folder)
 
 
-def test_who_has_no_right_keys_is_told_why_at_both_ends(here: Path, port: int, start: Any) -> None:
-    """Another authority's keys, and those of another agent: one line each, soon, and no traceback."""
+def test_wrong_keys_are_reported_at_both_ends(here: Path, port: int, start: Any) -> None:
+    """Keys of another authority, and those of another agent: each gives one line, soon, and no traceback."""
     bundle(port, "--steps", "20")
     Authority().issue(Path("issued"), "agent-3")
     in_place_of_agent_3("foreign", "issued", CERTIFICATE, PRIVATE_KEY)  # the router refuses it
@@ -170,11 +170,11 @@ def test_who_has_no_right_keys_is_told_why_at_both_ends(here: Path, port: int, s
     assert refuses in said["foreign"]
     assert f"we refuse the certificate of the router at tls/localhost:{port}" in said["distrusting"]
     assert "take keys that were made together with the router's" in said["distrusting"]
-    assert "are those the keys of agent-3?" in said["swapped"]
+    assert "check that the keys are those of agent-3" in said["swapped"]
     assert "needs a router that speaks TLS" in said["open"]
 
 
-def test_an_observer_whose_keys_are_wrong_does_not_wait_for_all_others(here: Path, port: int) -> None:
+def test_an_observer_with_wrong_keys_does_not_wait(here: Path, port: int) -> None:
     for folder in ("lab", "other"):
         to_carry(Path(folder), PLACES, "hedgerow/paper7", f"tls/localhost:{port}", days=1)
     router = open_router(f"tls/127.0.0.1:{port}", "hedgerow/paper7", Path("other/router"))
@@ -195,14 +195,16 @@ def test_an_observer_whose_keys_are_wrong_does_not_wait_for_all_others(here: Pat
         '{"access_control": {"enabled": true, "default_permission": "allow"}}',
     ],
 )
-def test_a_router_that_would_keep_nobody_out_does_not_open(here: Path, rules: str) -> None:
+def test_a_router_without_rules_does_not_open(here: Path, rules: str) -> None:
     Authority().issue(Path("router"), "router", host="localhost")
     Path("router/access.json").write_text(rules)
-    with pytest.raises(UserError, match=r"access.json: does not refuse what it does not allow .*; take the folder"):
+    with pytest.raises(
+        UserError, match=r"access.json: permits messages outside its rules .*; give the complete folder"
+    ):
         open_router(f"tls/127.0.0.1:{free_port()}", "here", Path("router"))
 
 
-def test_what_has_expired_is_said_at_both_ends(here: Path, port: int, capfd: pytest.CaptureFixture[str]) -> None:
+def test_expired_keys_are_reported_at_both_ends(here: Path, port: int, capfd: pytest.CaptureFixture[str]) -> None:
     authority = Authority()
     authority.issue(Path("router"), "router", host="localhost")
     Path("router/access.json").write_text(json.dumps({"access_control": access_control({}, "here")}))
@@ -228,7 +230,7 @@ def test_what_has_expired_is_said_at_both_ends(here: Path, port: int, capfd: pyt
         (("ring6", "--secure", "--keys", "lab"), "made for another network"),
     ],
 )  # fmt: skip
-def test_what_cannot_work_is_said_at_once(here: Path, arguments: tuple[str, ...], said: str) -> None:
+def test_impossible_options_are_refused_at_once(here: Path, arguments: tuple[str, ...], said: str) -> None:
     if "old" in arguments:
         to_carry(Path("old"), PLACES, "hedgerow/paper7", "tls/localhost:1", days=-0.001)
     bundle(1)
@@ -238,7 +240,7 @@ def test_what_cannot_work_is_said_at_once(here: Path, arguments: tuple[str, ...]
     assert not (here / "runs").exists()
 
 
-def test_without_keys_nobody_is_let_in(here: Path, start: Any) -> None:
+def test_without_keys_no_process_may_join(here: Path, start: Any) -> None:
     bundle(1)
     told = Path("lab/agent-3/told.toml")
     told.write_text(told.read_text().replace('credentials = "."\n', ""))

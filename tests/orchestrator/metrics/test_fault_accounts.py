@@ -51,7 +51,7 @@ def verdict(topology: Topology, ran: Trajectory, ending: Ending | None = None) -
 
 
 def struck(effect: Effect, lots: Lots, t: int) -> Sequence[int]:
-    """What one effect strikes at t."""
+    """Return the targets that one effect strikes at t."""
     if effect.table is not None:
         return effect.table.get(t, ())
     if effect.kind in ("crash", "jump"):
@@ -79,7 +79,7 @@ class Recount:
         return bool(t >= 0 and self.plain.absent[t, i])
 
     def says(self, c: int, t: int, flag: Flag) -> bool | None:
-        """Whether the node of an incidence says that it took this in of step t; None where it says nothing."""
+        """Return True if the node of an incidence reports that it used this input of step t; None without a report."""
         if t + 1 == len(self.rows) or self.absent(self.graph.node[c], t + 1):
             return None
         return bool(self.rows[t + 1].took[c] & flag)
@@ -122,7 +122,7 @@ class Recount:
 
 
 def cannot_strike(topology: Topology, ran: Trajectory) -> set[int]:
-    """Faults, from 1, with nothing to strike at any step of the run, whatever is drawn."""
+    """Return the faults, from 1, without a target at any step of the run, for any draw."""
     effects, steps = Plain(topology, ran).effects, range(topology.steps)
     able = {
         one.fault
@@ -135,8 +135,8 @@ def cannot_strike(topology: Topology, ran: Trajectory) -> set[int]:
 
 @settings(max_examples=150)
 @given(faulty())
-def test_whatever_goes_wrong_is_accounted_for(topology: Topology) -> None:
-    """Any network, any schedule: the run is valid unless a fault lies beyond its end, and the counts agree."""
+def test_every_failure_is_accounted_for(topology: Topology) -> None:
+    """For any network and schedule, the run is valid unless a fault is beyond its end, and the counts agree."""
     ran = simulate(topology)
     judged = verdict(topology, ran)
     names = ("scheduled", "fired", "masked", "seen")
@@ -185,7 +185,7 @@ def test_faults_that_come_while_it_runs_are_accounted_for_alike(topology: Topolo
     assert judge(topology, live, ending).content == verdict(topology, ran, ending).content
 
 
-def test_a_fault_that_is_healed_is_judged_by_what_it_was() -> None:
+def test_a_healed_fault_is_judged_by_its_original_schedule() -> None:
     """Endless until step 10, when it is ended at 12: 5 .. 11 were scheduled, and not a step more."""
     ended = with_faults(PAPER, [{"kind": "cut", "edge": [2, 4], "steps": [5, 12]}])
     endless = with_faults(PAPER, [{"kind": "cut", "edge": [2, 4], "steps": [5, 2**62]}])
@@ -200,7 +200,7 @@ def test_a_fault_that_is_healed_is_judged_by_what_it_was() -> None:
     assert [entry["scheduled"] for entry in judged.content["faults"]] == [7]
 
 
-# What is wrong is told, by the name of the check and the step.
+# Each mistake is reported by the name of the check and the step.
 
 ONE_OF_EACH: list[dict[str, Any]] = [
     {"kind": "drop", "from": 2, "to": 4, "steps": [10, 14]},
@@ -215,13 +215,13 @@ KINDS = pytest.mark.parametrize("fault", ONE_OF_EACH, ids=lambda fault: str(faul
 
 
 @KINDS
-def test_what_nobody_scheduled_is_noticed(fault: dict[str, Any]) -> None:
+def test_an_unscheduled_failure_is_noticed(fault: dict[str, Any]) -> None:
     """The plant has a fault that the file has not."""
     ran = simulate(with_faults(PAPER, [fault]))
     bad = verdict(PAPER, ran)
     assert (bad.verdict, bad.exit_code) == ("INVALID", 1)
     assert "faults fails at step 10" in bad.content["reasons"]
-    assert bad.content["checks"]["links"]["ok"] == (fault["kind"] != "crash"), "who is there tells what was"
+    assert bad.content["checks"]["links"]["ok"] == (fault["kind"] != "crash"), "each present node reports its inputs"
 
 
 @KINDS
@@ -257,7 +257,7 @@ def changed(ran: Trajectory, step: int, column: str, place: Any, value: Any) -> 
 
 
 def test_flow_without_an_input_is_noticed() -> None:
-    """An edge that is open although one of its ends sent nothing."""
+    """An edge is open, although one of its ends sent nothing."""
     topology = with_faults(PAPER, [{"kind": "sensor", "node": 4, "steps": [10, 14]}])
     edge = int(PAPER.graph.edge[PAPER.graph.node == 3][0])
     bad = verdict(topology, changed(simulate(topology), 12, "edge_open", edge, 1))
@@ -274,8 +274,10 @@ def test_an_input_that_is_missing_alone_is_noticed() -> None:
 
 @settings(max_examples=60)
 @given(faulty(), st.data())
-def test_a_bit_that_is_not_what_was_is_noticed(topology: Topology, data: st.DataObject) -> None:
-    """Of any step, any node that tells: to have heard what did not cross, or not what did, open or closed likewise."""
+def test_a_wrong_bit_is_noticed(topology: Topology, data: st.DataObject) -> None:
+    """The bit is at any step and reporting node: it claims a message that was not delivered, or hides one; likewise for
+    edges.
+    """
     ran, graph = simulate(topology), topology.graph
     absent = Plain(topology, ran).absent
     telling = [(t, c) for t in range(1, len(ran.rows)) for c, i in enumerate(graph.node) if not absent[t, i]]
@@ -304,7 +306,7 @@ def test_one_that_should_be_dead_and_reports_is_noticed() -> None:
     assert bad.content["reasons"] == ["faults fails at step 12"]
 
 
-# What could not be.
+# Impossible faults.
 
 
 @pytest.mark.parametrize(
@@ -337,7 +339,7 @@ def test_a_fault_that_cannot_fire_makes_the_verdict_unknown(fault: dict[str, Any
         ({"kind": "crash", "node": 4, "at": 29}, 1, 0),
     ],
 )
-def test_what_lies_beyond_the_end_is_counted(fault: dict[str, Any], scheduled: int, beyond: int) -> None:
+def test_instances_beyond_the_end_are_counted(fault: dict[str, Any], scheduled: int, beyond: int) -> None:
     """A fault with a step within the run, and one that might have drawn none, leave no doubt."""
     topology = with_faults(PAPER, [fault])
     judged = verdict(topology, simulate(topology))
@@ -346,7 +348,7 @@ def test_what_lies_beyond_the_end_is_counted(fault: dict[str, Any], scheduled: i
     assert (entry["scheduled"], entry["fired"], entry["beyond"]) == (scheduled, scheduled, beyond)
 
 
-def test_who_stays_down_makes_the_verdict_unknown() -> None:
+def test_an_agent_that_stays_down_makes_the_verdict_unknown() -> None:
     ending = Ending("run", "zenoh", 7, restarts=5, down=["agent-4 was killed by SIGSEGV"])
     topology = with_faults(PAPER, [{"kind": "crash", "node": 4, "at": 10}])
     unsure = verdict(topology, simulate(topology), ending)
@@ -366,7 +368,7 @@ def _listed(own: Node) -> tuple[float, ...]:
 
 @st.composite
 def jumping(draw: st.DrawFn) -> Topology:
-    """Any network whose truths jump, under cuts and other faults."""
+    """Return a network with jumps of the truth, under cuts and other faults."""
     topology = draw(networks(most=4, steps=12))
     jumps = [
         {"kind": "jump", "node": node, "at": draw(st.integers(0, 12)), "a": draw(st.sampled_from(_listed(own)))}
@@ -408,7 +410,7 @@ def test_truth_twins_and_least_squares_go_by_the_a_that_holds(topology: Topology
 
 
 def test_the_contraction_is_that_of_the_a_that_holds() -> None:
-    """rho is .6 with a = .3, and .9 from step 5 on: what shrinks by .7 breaks it at step 2, and not at step 7."""
+    """rho is .6 with a = .3, and .9 from step 5 on: a contraction of .7 violates it at step 2, but not at step 7."""
     topology = read(
         "{name: one, b: 0.1, steps: 9, nodes: {1: {a: 0.3, candidates: [0.3, 0.9], x0: 1}},"
         " faults: [{kind: jump, node: 1, at: 5, a: 0.9}]}"
@@ -420,11 +422,11 @@ def test_the_contraction_is_that_of_the_a_that_holds() -> None:
     assert bad.content["metrics"]["rho"] == 0.9
 
 
-# What a run leaves behind.
+# The files of a run.
 
 
 def test_a_faulty_run_leaves_nulls_where_there_was_nothing(tmp_path: Path) -> None:
-    """u, ahat and index of who was not there; u of who saw nothing; and which rows crossed to which end."""
+    """u, ahat and index of absent nodes, u of nodes without a reading, and the delivered rows at both ends."""
     faults = [
         {"kind": "crash", "node": 4, "at": 10, "restart_after": 4},
         {"kind": "sensor", "node": 1, "steps": [20, 22]},

@@ -17,12 +17,14 @@ from hypothesis import strategies as st
 from hedgerow.agents.law import Minimax, control
 from hedgerow.agents.laws import LAWS
 from hedgerow.orchestrator.ground.assignment import layout
-from hedgerow.orchestrator.launch.recording import CERTIFIED, Watching
+from hedgerow.orchestrator.launch import recording
+from hedgerow.orchestrator.launch.recording import Watching
 from hedgerow.orchestrator.launch.simulation import simulate_into
 from hedgerow.orchestrator.metrics.checks import Worst
-from hedgerow.orchestrator.metrics.gain_bound import Plant, Premise, bound
+from hedgerow.orchestrator.metrics.gain_bound import Method, Premise, bound
 from hedgerow.orchestrator.metrics.gain_certificate import GainCertificate
-from hedgerow.orchestrator.metrics.guarantee import Guarantee, guarantee, plant_of
+from hedgerow.orchestrator.metrics.gain_plant import Plant
+from hedgerow.orchestrator.metrics.guarantee import SOLVED, Guarantee, guarantee, plant_of
 from hedgerow.orchestrator.metrics.observer import Observer
 from hedgerow.orchestrator.metrics.verdict import INVALID, VALID, Ending, judge
 from hedgerow.orchestrator.runs.folder import create
@@ -72,7 +74,7 @@ COVERED = (
 
 
 def certified(topology: Topology, ran: Trajectory, batch: int = 7, known: Guarantee | None = None) -> GainCertificate:
-    """Return the certificate of a run whose bounds are known from the first step."""
+    """Return the certificate of a run with bounds known from the first step."""
     observer = Observer(topology)
     observer.adaptive = GainCertificate(plant_of(topology.network), observer.x0)
     observer.adaptive.known = guarantee(plant_of(topology.network)) if known is None else known
@@ -149,7 +151,7 @@ def test_a_lost_row_ends_every_premise() -> None:
 
 
 def constant_run(plant: Plant, reported: Array, steps: int, scale: float) -> Worst:
-    """Return the check of a run under hinf whose plant adds `scale` times the w that it reports, from x(0) = 0."""
+    """Return the check of a run under hinf; the plant adds `scale` times the w that it reports, from x(0) = 0."""
     certificate = GainCertificate(plant, np.zeros(plant.n))
     certificate.known = Guarantee(1.0, {Premise.ESTIMATES: bound(plant, Premise.ESTIMATES)})
     incidence = np.zeros((plant.n, len(plant.edges)))
@@ -167,8 +169,8 @@ def constant_run(plant: Plant, reported: Array, steps: int, scale: float) -> Wor
     return certificate.tracks[Premise.ESTIMATES].check
 
 
-def test_a_plant_whose_w_is_one_per_cent_larger_than_reported_violates_it() -> None:
-    """The worst constant disturbance of the oracle leaves it nothing to hide in."""
+def test_a_plant_with_one_per_cent_more_w_than_reported_violates_it() -> None:
+    """The worst constant disturbance of the oracle leaves no slack."""
     plant = UNEQUAL
     incidence = np.array([[1.0, 0.0], [-1.0, 1.0], [0.0, -1.0]]) * plant.root_weights
     B = plant.b[:, None] * incidence
@@ -210,16 +212,25 @@ def test_a_recorded_run_has_the_bound_and_the_slack_of_every_step(tmp_path: Path
         run.certificate_slack("hope")
 
 
-def test_a_network_too_large_for_a_bound_in_time_says_so(tmp_path: Path) -> None:
-    ring = {"name": "ring", "b": 0.1, "steps": 2, "seed": 1, "graph": {"kind": "ring", "nodes": CERTIFIED + 1}}
-    content = folder_run(read(json.dumps(ring)), tmp_path / "run")
+def test_a_network_too_large_for_a_bound_in_time_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recording, "CERTIFIED", 2)
+    content = folder_run(read(TEXT), tmp_path / "run")
     assert content["verdict"] == VALID
-    assert str(CERTIFIED) in content["gain_bounds"]["not_computed"]
+    assert "3 nodes" in content["gain_bounds"]["not_computed"]
     assert not any(name.startswith("gain_") for name in content["checks"])
 
 
+def test_a_network_past_the_solver_is_certified_by_the_closed_forms(tmp_path: Path) -> None:
+    ring = {"name": "ring", "b": 0.1, "steps": 3, "seed": 1, "graph": {"kind": "ring", "nodes": SOLVED + 1}}
+    content = folder_run(read(json.dumps(ring | {"defaults": {"candidates": [0.2, 0.5, 0.8]}})), tmp_path / "run")
+    assert content["verdict"] == VALID
+    told = content["gain_bounds"]["bounds"]
+    assert {told[premise]["method"] for premise in Premise} == {Method.UNIFORM}
+    assert {content["checks"][f"gain_{premise}"]["steps"] for premise in Premise} == {3}
+
+
 def test_a_violation_is_invalid() -> None:
-    """Telemetry whose w is smaller than what the plant added; the check of the dynamics is silenced."""
+    """The w in telemetry is smaller than that of the plant; the check of the dynamics is disabled."""
     topology = read(TEXT, "law=hinf", "defaults.x0=0", "defaults.disturbance={kind: constant, value: 1}", "steps=400")
     ran = simulate(topology)
     observer = Observer(topology)

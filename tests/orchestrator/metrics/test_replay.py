@@ -1,4 +1,4 @@
-"""The replay agrees with every run that is as its file says, and names the first node and step of any other."""
+"""The replay agrees with every run that equals its file, and names the first node and step of any other."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def assert_agrees(replayed: Replay, ran: Trajectory) -> None:
 
 @settings(max_examples=150, deadline=None)
 @given(faulty(), st.data())
-def test_a_run_as_its_file_says_agrees_with_its_replay(topology: Topology, data: st.DataObject) -> None:
+def test_a_run_that_equals_its_file_agrees_with_its_replay(topology: Topology, data: st.DataObject) -> None:
     """Any network, any faults, any layout over processes, and with any number of replayed nodes."""
     ran = simulate(topology, data.draw(partitions(topology.graph.n)))
     assert_agrees(replay(topology, ran.rows), ran)
@@ -73,7 +73,7 @@ def test_faults_that_come_while_it_runs_are_replayed_alike(topology: Topology, d
 @settings(max_examples=100, deadline=None)
 @given(faulty(), st.data())
 def test_any_one_number_that_is_an_ulp_off_is_found(topology: Topology, data: st.DataObject) -> None:
-    """Of w, u, ahat and margin: the step and the node are named."""
+    """The change is in w, u, ahat or margin; the step and the node are named."""
     ran = simulate(topology)
     t = data.draw(st.integers(0, len(ran.rows) - 1))
     node = data.draw(st.integers(0, topology.graph.n - 1))
@@ -129,7 +129,7 @@ def test_nothing_is_claimed_from_a_lost_row_on(lost: int) -> None:
 
 
 def test_a_run_without_its_replay_is_unknown(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The replay cannot be had: nothing is claimed, and nothing is blamed."""
+    """The replay is impossible: there are no claims and no failures."""
 
     def no_room(*_: object) -> None:
         raise MemoryError

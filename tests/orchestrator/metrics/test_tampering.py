@@ -1,4 +1,4 @@
-"""Whatever is changed in agents, plant or wire is found and named, or changes nothing."""
+"""Every change to agents, plant or network is found and named, or has no effect."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_a_change_is_found_or_changes_nothing(change: Tampering) -> None:
     json.dumps(content, allow_nan=False)
 
 
-def test_the_table_of_the_page_is_what_the_verdicts_say() -> None:
+def test_the_table_of_the_page_agrees_with_the_verdicts() -> None:
     """Written by `python -m tests.tools.tampering --write`."""
     assert tampering.written() == tampering.table()
 
@@ -62,7 +62,7 @@ class TwoFaced(Minimax):
 
 
 def test_agents_that_run_another_law_than_the_file_names(here: Path) -> None:
-    """Seven processes over Zenoh, whose code is not what the observer loads by that name."""
+    """There are seven processes over Zenoh, with other code than the observer loads by that name."""
     (here / "two_faced.py").write_text(TWO_FACED)
     done = orchestrator(
         "up", "paper7", "--law", "two_faced:TwoFaced", "--no-record", "--viewer", "none", "--run-dir", "run"
@@ -85,8 +85,8 @@ main()
 """
 
 
-def test_a_crash_whose_process_never_dies(here: Path) -> None:
-    """The supervisor tells the plant of a death that did not happen."""
+def test_a_crash_without_a_death(here: Path) -> None:
+    """The supervisor reports to the plant a death that did not happen."""
     faults = "faults=[{kind: crash, node: 3, at: 10}]"
     command = [sys.executable, "-P", "-c", IMMORTAL, "up", "paper7", "--no-record", "--viewer", "none"]
     done = subprocess.run(

@@ -1,4 +1,4 @@
-"""The verdict: a run that is broken on purpose is told from a good one, and its step is named."""
+"""The verdict distinguishes a run that is broken on purpose from a good one, and names its step."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from tests.tools.networks import Trajectory, listed, networks, observe, read, si
 
 PAPER = resolve(load("paper7"))
 GOOD = simulate(PAPER)
-"""30 steps of the paper's network, in which nothing is wrong."""
+"""Thirty steps of the paper's network without a mistake."""
 
 
 def verdict(ran: Trajectory, topology: Topology = PAPER, ending: Ending | None = None) -> Verdict:
@@ -41,7 +41,7 @@ def failures(judged: Verdict) -> list[str]:
 
 
 def altered(step: int, **columns: Any) -> Trajectory:
-    """The good run with other telemetry at one step."""
+    """Return the good run with other telemetry at one step."""
     rows = list(GOOD.rows)
     rows[step] = rows[step]._replace(**columns)
     return Trajectory(rows, GOOD.end)
@@ -55,7 +55,7 @@ def one_ulp_off(values: Array, node: int = 2) -> Array:
 
 
 class Careless(Minimax):
-    """A law that is not (6): it acts on half of its state."""
+    """A law other than (6): it acts on half of its state."""
 
     def act(self, x: Array) -> Array:
         return control(self.b, 0.5 * x, self.ahat)
@@ -65,7 +65,7 @@ CARELESS = f"{__name__}:Careless"
 
 
 def test_a_good_run_is_valid() -> None:
-    """Seven claims, each checked at every step; of the last, nobody tells what was taken in."""
+    """There are seven claims, each checked at every step; the used inputs of the last step are not reported."""
     good = verdict(GOOD)
     assert (good.verdict, good.exit_code) == ("valid", 0)
     assert good.line().startswith("valid: 30 of 30 steps")
@@ -99,7 +99,7 @@ def test_the_first_of_many_wrong_steps_is_named() -> None:
 
 
 def test_an_input_that_is_not_equation_6_is_noticed() -> None:
-    """An agent that acts on half its state, in a world that is right: that claim fails alone."""
+    """An agent acts on half of its state in a correct world: only that claim fails."""
     shards = layout(PAPER, None)
     views = views_of(PAPER, shards)
     views[3] = replace(views[3], law=CARELESS)
@@ -121,7 +121,7 @@ def test_an_estimate_that_is_no_candidate_is_noticed() -> None:
 
 
 @pytest.mark.parametrize("column", ["x", "u", "w"])
-def test_what_is_not_a_number_is_never_valid(column: str) -> None:
+def test_nan_is_never_valid(column: str) -> None:
     values = getattr(GOOD.rows[6], column).copy()
     values[1] = np.nan
     bad = verdict(altered(6, **{column: values}))
@@ -130,7 +130,7 @@ def test_what_is_not_a_number_is_never_valid(column: str) -> None:
 
 
 def one_sided(topology: Topology, ahat: Sequence[Sequence[float]]) -> Trajectory:
-    """A plant that is wrong: from step 2 on, the edge carries flow at its first end only."""
+    """The plant is wrong: from step 2 on, the edge carries flow at its first end only."""
     a, b, graph = truth(topology), topology.b, topology.graph
     x = np.array([own.x0 for own in topology.nodes.values()], dtype=float)
     rows, on, no_w = [], np.ones(1, np.uint8), np.zeros(2)
@@ -146,7 +146,7 @@ def one_sided(topology: Topology, ahat: Sequence[Sequence[float]]) -> Trajectory
     return Trajectory(rows, End(topology.steps, x, 0.0))
 
 
-def test_one_sided_flow_is_noticed_and_so_is_what_it_does_to_stability() -> None:
+def test_one_sided_flow_and_its_effect_on_stability_are_noticed() -> None:
     """Two nodes, b = .1, a = .97: with switching estimates such a plant is unstable."""
     topology = read(
         "{name: pair, b: 0.1, steps: 4, nodes: [1, 2], edges: [[1, 2]],"
@@ -159,8 +159,8 @@ def test_one_sided_flow_is_noticed_and_so_is_what_it_does_to_stability() -> None
     assert bad.content["checks"]["estimates"]["ok"], "its agents did nothing wrong"
 
 
-def test_a_law_of_ones_own_makes_no_claim_of_the_papers() -> None:
-    """Nobody promises (6) or the contraction of it; the dynamics must hold all the same."""
+def test_a_users_law_has_no_claims_of_the_paper() -> None:
+    """No claim covers (6) or its contraction; but the dynamics must hold."""
     topology = PAPER.model_copy(update={"law": CARELESS})
     ran = simulate(topology)
     own = verdict(ran, topology)
@@ -173,7 +173,7 @@ def test_a_law_of_ones_own_makes_no_claim_of_the_papers() -> None:
 @given(st.sets(st.integers(0, 29), min_size=1, max_size=28), st.integers(1, 30))
 @settings(max_examples=50)
 def test_lost_telemetry_makes_the_verdict_unknown(lost: set[int], size: int) -> None:
-    """Wherever rows are lost, and however the rest arrives, the run is not blamed: nobody knows."""
+    """For any lost rows and any batches, the run is not blamed: the verdict is unknown."""
     rows = [row for row in GOOD.rows if row.t not in lost]
     observer = Observer(PAPER)
     for k in range(0, len(rows), size):
@@ -209,7 +209,7 @@ def test_a_run_that_was_stopped_is_unknown() -> None:
 
 
 def test_a_run_without_a_single_row_is_unknown() -> None:
-    """Stopped before its first step: no metrics, and nothing to divide by."""
+    """The run was stopped before its first step: there are no metrics, and no division by zero."""
     observer = Observer(PAPER)
     observer.finish(End(0, observer.x0, 0.0))
     nothing = judge(PAPER, observer, Ending("run", "in-process", 1, stopped="stopped at step 0"))
@@ -223,7 +223,7 @@ def test_a_final_state_that_never_came_is_unknown() -> None:
     observer.take(GOOD.rows)
     unsure = judge(PAPER, observer, Ending("run", "in-process", 1))
     assert unsure.exit_code == 3
-    assert unsure.content["reasons"] == ["the final state never came"]
+    assert unsure.content["reasons"] == ["the final state is missing"]
 
 
 def test_a_run_that_differs_from_its_reference_is_invalid() -> None:
@@ -236,7 +236,7 @@ def test_a_run_that_differs_from_its_reference_is_invalid() -> None:
 
 
 def test_without_a_disturbance_there_is_no_gain() -> None:
-    """w = 0 from rest: every ratio is undefined, said as null and never as NaN."""
+    """With w = 0 from rest, every ratio is undefined, and written as null, never as NaN."""
     topology = read("{name: still, b: 0.1, steps: 5, nodes: [1, 2], edges: [[1, 2]]}")
     still = verdict(simulate(topology), topology)
     assert still.verdict == "valid"
@@ -255,13 +255,13 @@ def test_without_a_disturbance_there_is_no_gain() -> None:
         (0, "{kind: drop, link: [2, 4], steps: [9, 10]}", "(gamma* 2.974 is the oracle's)"),
     ],
 )
-def test_gains_are_told_with_what_they_may_be_compared_with(x0: float, faults: str, said: str) -> None:
+def test_gains_are_reported_with_their_references(x0: float, faults: str, said: str) -> None:
     topology = resolve(load("paper7", [f"defaults.x0={x0}", f"faults=[{faults}]"]))
     assert said in verdict(simulate(topology), topology).line()
 
 
 def in_batches(topology: Topology, ran: Trajectory, cuts: Sequence[int]) -> tuple[Observer, Batch]:
-    """The metrics of a run whose rows arrived in batches that end at `cuts`."""
+    """Return the metrics of a run with rows in batches that end at `cuts`."""
     observer = Observer(topology)
     ends = sorted({*cuts, len(ran.rows)})
     batches = [observer.take(ran.rows[i:j]) for i, j in zip([0, *ends], ends, strict=False)]

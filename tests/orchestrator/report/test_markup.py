@@ -30,7 +30,7 @@ ANY = st.text(st.characters()) | st.lists(st.sampled_from(PIECES)).map("".join)
 
 
 class Read(HTMLParser):
-    """What a browser finds: elements, attributes and text."""
+    """The result of a browser's reading: elements, attributes and text."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -79,7 +79,7 @@ def test_any_text_stays_text_in_tables_and_lists(texts: list[str], class_: str) 
 
 
 @given(ANY)
-def test_what_is_made_of_markup_and_text_is_text(text: str) -> None:
+def test_text_inside_markup_stays_text(text: str) -> None:
     """Only `tag` and `join` make markup: `+`, `%`, f-strings and the methods of str make text of it, to be escaped."""
     made = tag("b", text)
     for mixed in (made + text, f"{made}", made.upper(), "".join([made]), made[:2], made.replace("b", text), f"{made}"):

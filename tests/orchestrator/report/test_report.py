@@ -1,4 +1,4 @@
-"""The report: figures that hold the run's own numbers, files that a journal takes, and a page that needs nothing else.
+"""The report: figures with the numbers of the run, files for a journal, and a self-contained page.
 
 paper  --report-->  figures 2 3 4 5, estimates, regret, cost, gain
 faulty --report-->  the same, and faults
@@ -51,6 +51,8 @@ from tests.tools.networks import read
 
 ROOT = Path(__file__).parents[3]
 KINDS = {kind.key: kind for kind in FIGURES}
+DRAWN = [kind for kind in FIGURES if kind.key != "faults" and not kind.on_request]
+"""The figures of a run without faults."""
 PAPERS = {"2": "x", "3": "x_oracle", "4": "regret", "5": "nominal_gap"}
 
 
@@ -113,7 +115,9 @@ def names(figure: Figure) -> list[str]:
 
 
 def test_the_network_is_its_graph(paper: Run) -> None:
-    """The paper's tree: seven named nodes, six edges that meet them, and node 6, whose estimate is wrong, in red."""
+    """The figure shows the paper's tree: seven named nodes, six edges that meet them, and node 6, with a wrong
+    estimate, in red.
+    """
     figure = drawn("1", paper)
     (axis,) = figure.axes
     edges, nodes = axis.collections
@@ -128,7 +132,7 @@ def test_the_network_is_its_graph(paper: Run) -> None:
 
 @pytest.mark.parametrize("key", PAPERS)
 def test_a_figure_of_the_paper_is_its_array(key: str, paper: Run) -> None:
-    """A line a node, equal to the bit, named, with units, each in a colour of its own."""
+    """There is one line per node, equal bit for bit, named, with units, each in a different colour."""
     figure = drawn(key, paper)
     (axis,) = figure.axes
     drawn_nodes, behind = curves(axis)[:7], curves(axis)[7:]
@@ -143,7 +147,7 @@ def test_a_figure_of_the_paper_is_its_array(key: str, paper: Run) -> None:
     assert len({to_hex(line.get_color()) for line in axis.lines[:7]}) == 7
 
 
-def test_what_is_to_be_compared_has_the_same_axes(paper: Run) -> None:
+def test_compared_figures_have_the_same_axes(paper: Run) -> None:
     """Figure 3 beside 2, and 5 beside 4, whichever of them are drawn."""
     limits = {key: drawn(key, paper).axes[0].get_ylim() for key in PAPERS}
     assert limits["2"] == limits["3"] != limits["4"] == limits["5"]
@@ -151,7 +155,7 @@ def test_what_is_to_be_compared_has_the_same_axes(paper: Run) -> None:
 
 
 def test_estimates_stand_over_the_truth(paper: Run) -> None:
-    """A panel a node; node 6 is wrong by too little to be seen, so a bar and a number say it."""
+    """There is one panel per node; node 6 is wrong by an invisible amount, which a bar and a number show."""
     figure = drawn("estimates", paper)
     panels = [axis for axis in figure.axes if axis.get_visible()]
     assert [axis.get_title("left") for axis in panels] == [f"node {node}" for node in paper.ids]
@@ -165,7 +169,7 @@ def test_estimates_stand_over_the_truth(paper: Run) -> None:
 
 
 def test_totals_are_the_runs(paper: Run) -> None:
-    """D of both, R with its sign, the gains; gamma* is said to be the oracle's."""
+    """The figures are D of both, R with its sign, and the gains; gamma* is marked as the oracle's."""
     figure = drawn("regret", paper)
     for values, expected in zip(curves(figure.axes[0]), (paper.regret_sum, paper.nominal_regret_sum), strict=True):
         np.testing.assert_array_equal(values, expected)
@@ -184,7 +188,7 @@ def test_totals_are_the_runs(paper: Run) -> None:
     assert f"above the axis, at up to {paper.gain[0]:.3g}" in KINDS["gain"].caption([paper])
 
 
-def test_the_timeline_is_what_was_recorded(faulty: Run) -> None:
+def test_the_timeline_equals_the_recording(faulty: Run) -> None:
     """2-3 is dropped, 3-4 is cut, 3 crashes: its edges carry nothing then, and its messages are lost."""
     figure = drawn("faults", faulty)
     (axis,) = figure.axes
@@ -215,8 +219,8 @@ def test_an_a_that_jumps_is_marked(folder: Path) -> None:
     assert [*figure.axes[0].lines[0].get_xdata()] == [15]  # type: ignore[misc]
 
 
-def test_many_nodes_are_quantiles_and_the_caption_says_so(grid: Run) -> None:
-    """16 nodes: median and bands of figure 2, a heat map of the errors; nothing is hidden."""
+def test_many_nodes_are_quantiles_as_the_caption_explains(grid: Run) -> None:
+    """16 nodes: median and bands in figure 2, and a heat map of the errors; every node is included."""
     figure = drawn("2", grid)
     (axis,) = figure.axes
     np.testing.assert_array_equal(curves(axis)[0], np.median(grid.x, axis=1))
@@ -230,7 +234,9 @@ def test_many_nodes_are_quantiles_and_the_caption_says_so(grid: Run) -> None:
 
 
 def test_long_runs_are_drawn_by_the_extremes_of_bins(folder: Path) -> None:
-    """2500 steps: 500 bins; the largest regret of each is drawn, so that no peak is lost, and the caption says so."""
+    """2500 steps give 500 bins; the largest regret of each is drawn, so no peak is lost, and the caption explains
+    this.
+    """
     run = ran(resolve(load("paper7", ["steps=2500"])), folder / "long")
     (axis,) = drawn("4", run).axes
     for line, values in zip(axis.lines, run.regret.T, strict=True):
@@ -242,7 +248,7 @@ def test_long_runs_are_drawn_by_the_extremes_of_bins(folder: Path) -> None:
     assert f"in {BINS} bins" in KINDS["4"].caption([run])
 
 
-def test_what_was_lost_is_a_gap() -> None:
+def test_lost_steps_are_gaps() -> None:
     values = np.where(np.arange(2000) // 100 == 7, np.nan, 1.0)[:, None]
     _, (median,) = quantiles(values, (0.5,))
     assert np.isnan(median).sum() == BINS // 20
@@ -259,7 +265,7 @@ def test_names_that_mean_something_to_matplotlib_stay_names(folder: Path) -> Non
 
 
 def test_a_law_without_estimates_has_no_such_figure(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nothing is estimated, nothing was disturbed: the gain is undefined, and the page is written all the same."""
+    """There are no estimates and no disturbance: the gain is undefined, and the page is still written."""
     (folder / "still.py").write_text(
         "import numpy as np\n\nclass Still:\n    def __init__(self, b, candidates):\n"
         "        self.n, self.memory = candidates.shape[1], np.zeros((1, candidates.shape[1]))\n"
@@ -278,7 +284,7 @@ def test_a_law_without_estimates_has_no_such_figure(folder: Path, monkeypatch: p
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 @pytest.mark.parametrize("steps", [160, 2000])
-def test_a_law_that_lets_the_network_run_away_is_drawn_and_told(
+def test_a_law_under_which_the_network_diverges_is_drawn_and_reported(
     steps: int, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its states are numbers for 161 steps, their squares for half as many."""
@@ -312,7 +318,7 @@ def written(paper: Run, folder: Path) -> dict[str, Path]:
 
 
 def test_every_figure_is_there_as_pdf_and_png(written: dict[str, Path], folder: Path) -> None:
-    expected = {f"{kind.file}.{kind_of}" for kind in FIGURES for kind_of in ("pdf", "png") if kind.key != "faults"}
+    expected = {f"{kind.file}.{kind_of}" for kind in FIGURES for kind_of in ("pdf", "png") if kind in DRAWN}
     assert written.keys() == {"report.html", *expected}
     assert {path.name for path in (folder / "paper-report").iterdir()} == written.keys()
 
@@ -335,7 +341,7 @@ def test_a_figure_is_a_column_wide_with_its_fonts_in_it(written: dict[str, Path]
 
 
 def test_the_same_run_gives_the_same_bytes(paper: Run, folder: Path) -> None:
-    """In another process, on another day, under other settings of matplotlib, with other hashes."""
+    """The second report is from another process and day, with other settings of matplotlib and other hashes."""
     keys = "1,4"
     here = report([paper], folder / "once", keys)
     (folder / "matplotlibrc").write_text("lines.linewidth: 9\npdf.fonttype: 3\n", encoding="utf-8")
@@ -368,7 +374,7 @@ def test_the_operator_loads_matplotlib_only_to_report() -> None:
 
 
 class Page(HTMLParser):
-    """A page as a reader gets it: its elements are closed in order, what they ask for, and the text in them."""
+    """A page for a reader: its elements are closed in order; its references, and its text."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -406,7 +412,7 @@ def page(path: Path) -> Page:
 
 
 def test_the_page_has_the_numbers_of_the_verdict(paper: Run, written: dict[str, Path]) -> None:
-    """As a table of all metrics and checks, and verdict.json itself, whole."""
+    """The page has a table of all metrics and checks, and the complete verdict.json."""
     shown = page(written["report.html"])
     for name, words in METRICS.items():
         value = paper.verdict.content["metrics"][name]
@@ -435,7 +441,7 @@ def test_the_page_asks_for_nothing(written: dict[str, Path]) -> None:
     assert not re.search(r"@import|url\(", content)
     assert not {"script", "link", "iframe", "object", "base"} & {tag for tag, _ in shown.elements}
     pictures = [base64.b64decode(link.partition("base64,")[2]) for link in shown.links if "svg" in link]
-    assert len(pictures) == len(FIGURES) - 1
+    assert len(pictures) == len(DRAWN)
     for svg in pictures:
         assert svg.startswith(b"<?xml")
         assert not re.search(rb"href=\"(?!#|data:)|<script|url\((?!#)", svg)
@@ -444,7 +450,7 @@ def test_the_page_asks_for_nothing(written: dict[str, Path]) -> None:
 
 
 def test_the_file_in_the_page_repeats_the_run(paper: Run, written: dict[str, Path], folder: Path) -> None:
-    """What the page offers to download is the run's own topology, and its run is the same to the bit."""
+    """The download in the page is the run's own topology, and its run is the same bit for bit."""
     (link,) = (link for link in page(written["report.html"]).links if "yaml" in link)
     text = base64.b64decode(link.partition("base64,")[2])
     again = ran(resolve(parse(text, "paper.yaml", folder)), folder / "again")
@@ -452,14 +458,14 @@ def test_the_file_in_the_page_repeats_the_run(paper: Run, written: dict[str, Pat
         assert (again.folder / table).read_bytes() == (paper.folder / table).read_bytes()
 
 
-def test_what_repeats_a_run_that_was_stopped_stops_there_too(paper: Run, folder: Path) -> None:
+def test_the_repetition_of_a_stopped_run_stops_at_the_same_step(paper: Run, folder: Path) -> None:
     longer = paper.topology.model_copy(update={"steps": 1000})
     path, *_ = report([replace(paper, topology=longer)], folder / "stopped-report", "gain")
     assert "orchestrator simulate paper.yaml --steps 30\n" in "".join(page(path).text)
 
 
 def test_names_are_text(paper: Run, folder: Path) -> None:
-    """A run whose folder is called like a script does not run, nor is it mathematics."""
+    """A run with the name of a script does not run it, and its name is not mathematics."""
     name = """<script>alert("$x$")&'"""
     shutil.copytree(paper.folder, folder / name)
     run = load_run(folder / name)
@@ -473,8 +479,8 @@ def test_names_are_text(paper: Run, folder: Path) -> None:
     assert "orchestrator report '<script>alert(\"$x$\")&'\"'\"'' paper" in shown.text
 
 
-def test_faults_and_what_they_did(faulty: Run, folder: Path) -> None:
-    """Each with its account, and how much of D came about in its steps."""
+def test_faults_and_their_effects(faulty: Run, folder: Path) -> None:
+    """Each fault has its account, and the part of D from its steps."""
     path, *_ = report([faulty], folder / "faulty-report", "faults")
     shown = page(path)
     D = faulty.regret_sum
@@ -484,7 +490,7 @@ def test_faults_and_what_they_did(faulty: Run, folder: Path) -> None:
 
 
 def test_a_run_without_a_verdict_is_reported_so_far(paper: Run, folder: Path) -> None:
-    """`up` was killed, or goes on: the numbers are computed again, and nobody says that it is valid."""
+    """`up` was killed, or still runs: the numbers are computed again, and the page does not claim validity."""
     shutil.copytree(paper.folder, folder / "killed", ignore=shutil.ignore_patterns("verdict.json"))
     path, *_ = report([load_run(folder / "killed")], folder / "killed-report", "4")
     shown = page(path)
@@ -496,7 +502,9 @@ def test_a_run_without_a_verdict_is_reported_so_far(paper: Run, folder: Path) ->
 
 
 def test_two_laws_on_the_same_axes(paper: Run, fixed: Run, folder: Path) -> None:
-    """A panel each with the same limits, totals over each other, numbers side by side, and what differs in words."""
+    """Each run has a panel with the same limits; totals overlap, numbers are side by side, and differences are in
+    words.
+    """
     upper, lower = drawn("4", paper, fixed).axes
     np.testing.assert_array_equal(np.array(curves(upper)).T, paper.regret)
     np.testing.assert_array_equal(np.array(curves(lower)).T, fixed.regret)
@@ -527,31 +535,34 @@ def test_other_networks_are_not_compared_without_a_warning(paper: Run, grid: Run
     ("overrides", "said"),
     [
         ([], "B repeats A"),
-        (["seed=2"], "B differs from A in true a and candidates and the disturbances. So its oracle is another"),
+        (["seed=2"], "B differs from A in true a and candidates and the disturbances. So it has a different oracle"),
         (["faults=[{kind: drop, link: [2, 4], steps: [3, 9]}]"], "B differs from A in the faults."),
-        (["steps=20", "defaults.x0=1"], "B differs from A in x(0) and the steps (20, not 30). So its oracle"),
+        (
+            ["steps=20", "defaults.x0=1"],
+            "B differs from A in x(0) and the steps (20, not 30). So it has a different oracle",
+        ),
         (["b=0.09"], "B is of another network than A: it has other b (0.09, not 0.1)."),
     ],
 )
-def test_what_differs_is_said(paper: Run, tmp_path: Path, overrides: Sequence[str], said: str) -> None:
+def test_differences_are_reported(paper: Run, tmp_path: Path, overrides: Sequence[str], said: str) -> None:
     comparable, sentences = notices([paper, ran(resolve(load("paper7", overrides)), tmp_path / "run")])
     assert sentences[0].startswith(said)
     assert comparable == ("another network" not in said)
 
 
-# What goes wrong
+# Failures
 
 
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Figures take no time where they are not what is looked at."""
+    """Figures take time only if they are wanted."""
     monkeypatch.setattr("hedgerow.orchestrator.report.style.save", lambda *_: b"<svg/>")
 
 
 @pytest.mark.parametrize(
     ("figures", "said"),
     [
-        ("9", "there is no figure 9; choose of 1, 2, 3, 4, 5, estimates, regret, cost, gain, faults"),
+        ("9", "there is no figure 9; choose of 1, 2, 3, 4, 5, paper, estimates, regret, cost, gain, faults"),
         ("2,", "there is no figure without a name; choose of 1"),
         ("faults", "there is nothing to show of faults in paper; leave it out"),
     ],
@@ -563,11 +574,11 @@ def test_a_figure_that_there_is_not(paper: Run, tmp_path: Path, figures: str, sa
 
 
 @pytest.mark.usefixtures("quick")
-def test_what_is_there_is_replaced_only_when_asked(paper: Run, tmp_path: Path) -> None:
-    """And what is of no report never is."""
+def test_existing_files_are_replaced_only_on_request(paper: Run, tmp_path: Path) -> None:
+    """Foreign files are never replaced."""
     out = tmp_path / "deep" / "out"
     report([paper], out, "2")
-    with pytest.raises(UserError, match="is there already; --force replaces it"):
+    with pytest.raises(UserError, match="already exists; --force replaces it"):
         report([paper], out, "4")
     (out / "report.html").write_text("old", encoding="utf-8")
     report([paper], out, "4", force=True)
@@ -579,8 +590,8 @@ def test_what_is_there_is_replaced_only_when_asked(paper: Run, tmp_path: Path) -
         report([paper], out / "thesis.tex", "4", force=True)
 
 
-def test_whole_or_not_at_all(paper: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The disk fills up at the second figure: the old report stays, and nothing else is left."""
+def test_a_report_is_complete_or_absent(paper: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The disk fills up at the second figure: the old report remains, without further files."""
     out = tmp_path / "out"
     out.mkdir()
     (out / "report.html").write_text("old", encoding="utf-8")
@@ -604,7 +615,7 @@ def test_too_many_runs(paper: Run, tmp_path: Path) -> None:
         report([paper] * 8, tmp_path / "out")
 
 
-def test_without_matplotlib_it_says_what_to_install(
+def test_without_matplotlib_the_message_names_the_package(
     paper: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name in [*sys.modules]:
@@ -643,7 +654,7 @@ def test_every_figure_is_in_report_md() -> None:
 
 
 def test_the_pictures_in_the_documents_are_fresh(paper: Run, tmp_path: Path) -> None:
-    """docs/make_report_images.py draws; what stands in the documents was drawn of today's numbers, and is small."""
+    """docs/make_report_images.py draws the pictures; those in the documents show the same numbers, and are small."""
     command = [
         sys.executable,
         "-W",

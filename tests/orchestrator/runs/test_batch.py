@@ -1,4 +1,4 @@
-"""Many runs at once: the metrics of each are those of the run by itself, to the bit."""
+"""Many runs in one batch: the metrics of each equal those of a single run, bit for bit."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hedgerow.orchestrator.experiments.sweep.plan import Chunk, plan
 from hedgerow.orchestrator.experiments.sweep.runs import answer
 from hedgerow.orchestrator.runs import batch
-from hedgerow.topologies.load import load
+from hedgerow.topologies.named import resolved
 from hedgerow.topologies.schema import Topology
 from tests.tools.networks import networks
 
@@ -52,14 +52,7 @@ def test_any_network_gives_the_same_rows(topology: Topology, count: int) -> None
         assert values.tobytes() == again.metrics[name][::-1].tobytes(), name
 
 
-@pytest.mark.parametrize(
-    ("setting", "why"),
-    [
-        ("faults=[{kind: drop, link: [2, 4]}]", "faults"),
-        ("law=tests.tools.laws:Curious", "law"),
-        ("defaults.b={random: [0.05, 0.1]}", "gains"),
-        ("disturbance=worst_case", "worst"),
-    ],
-)
-def test_a_network_that_a_batch_does_not_know_is_run_by_itself(setting: str, why: str) -> None:
-    assert why in batch.why_not(load("paper7", [setting]))
+def test_large_networks_are_run_by_themselves() -> None:
+    line = {"name": "line", "b": 0.1, "steps": 5, "defaults": {"candidates": {"random": 3}}}
+    assert not batch.why_not(resolved({**line, "graph": {"kind": "line", "nodes": 400}}))
+    assert "400" in batch.why_not(resolved({**line, "graph": {"kind": "line", "nodes": 401}}))

@@ -1,4 +1,4 @@
-"""Every reader of a file that lies in a folder of ours: a FIFO, a device, a link out, a bomb are refused in words."""
+"""Every reader of a file in a folder of ours refuses a FIFO, a device, a link out and a bomb with a message."""
 
 import contextlib
 import json
@@ -70,7 +70,7 @@ def _said(why: str) -> None:
 
 @pytest.mark.parametrize("name", READERS)
 @pytest.mark.parametrize("what", ["FIFO", "device", "folder"])
-def test_what_is_no_regular_file_is_refused(name: str, what: str, here: Path) -> None:
+def test_a_file_that_is_not_regular_is_refused(name: str, what: str, here: Path) -> None:
     file, read = READERS[name]
     path = here / "folder" / file
     path.parent.mkdir(parents=True)
@@ -140,7 +140,7 @@ def test_text_that_is_no_toml_is_refused(text: str) -> None:
     assert error.value.code == Code.FILE_FORMAT
 
 
-def test_toml_and_json_count_what_they_become(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_toml_and_json_count_their_parsed_size(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(budget.VARIABLE, "1")
     for read in (
         lambda: toml.loads("a = [" + "[]," * 20_000 + "]", "told.toml"),
@@ -192,7 +192,7 @@ def test_a_compressed_batch_is_refused_before_it_is_unpacked(here: Path) -> None
 
 
 def test_a_damaged_head_of_a_batch_is_refused(here: Path) -> None:
-    """Every byte of the heads, one after the other: an error of one type, or rows."""
+    """For every changed byte of the heads, there is an error of one type, or rows."""
     table = pa.table({"x": [1.0, 2.0], "n": ["a", "b"]})
     file = here / "telemetry.arrows"
     options = pa.ipc.IpcWriteOptions(compression="lz4")

@@ -108,10 +108,10 @@ def same(one: Any, other: Any) -> bool:
     return bool((one == other).all())
 
 
-# What is loaded is what was computed live.
+# Loaded arrays equal the live ones.
 
 OBSERVED = ("x", "u", "w", "x_oracle", "x_nominal", "regret", "nominal_gap")
-"""Of these the Run may have the final state too."""
+"""The arrays of Run that may also have the final state."""
 COMPUTED = (
     "a",
     "ahat",
@@ -128,7 +128,7 @@ COMPUTED = (
 
 
 def assert_as_live(run: Run, live: Batch, observer: Observer) -> None:
-    """All that the run says of the steps of `live` are the bits that the observer computed."""
+    """Check that the run has the bits of the observer at the steps of `live`."""
     for name in OBSERVED:
         assert same(getattr(run, name)[live.t], getattr(live, name)), name
     for name in (*COMPUTED, "u_edge", "cost_regret"):
@@ -147,8 +147,8 @@ def assert_as_live(run: Run, live: Batch, observer: Observer) -> None:
 
 @settings(max_examples=10)
 @given(topology=faulty())
-def test_every_array_is_what_was_computed_live(topology: Topology) -> None:
-    """Of any network under any faults: jumps, crashes, cuts, lost messages."""
+def test_every_array_equals_the_live_one(topology: Topology) -> None:
+    """The network has any faults: jumps, crashes, cuts, lost messages."""
     with tempfile.TemporaryDirectory() as folder:
         run = ran(topology, Path(folder) / "run")
         observer, live = observe(topology, networks.simulate(topology))
@@ -158,8 +158,8 @@ def test_every_array_is_what_was_computed_live(topology: Topology) -> None:
         assert ended == run.verdict.content["metrics"]
 
 
-def test_what_is_identifiable_is_estimated(paper7: Run) -> None:
-    """Where nothing is missing, (7) chooses the candidate nearest a_LS; and that is a + beta."""
+def test_identifiable_models_are_estimated(paper7: Run) -> None:
+    """Without missing samples, (7) chooses the candidate nearest to a_LS, which is a + beta."""
     known = np.isfinite(paper7.a_ls)
     assert (paper7.identifiable == (paper7.ahat == paper7.a))[known].all()
     assert 0 < paper7.identifiable[known].sum() < known.sum()
@@ -167,14 +167,14 @@ def test_what_is_identifiable_is_estimated(paper7: Run) -> None:
     assert paper7.faultless
 
 
-def test_a_run_says_who_heard_whom(run: Run) -> None:
+def test_a_run_has_the_received_messages(run: Run) -> None:
     """Arrays of edges have the ends where the file has them."""
     for k, (i, j) in enumerate(run.edges):
         assert (run.ids[i], run.ids[j]) == run.topology.pairs[k]
         flows = np.where(run.edge_open[:, k], run.u[:, j] - run.u[:, i], 0.0)
         assert same(run.u_edge[:, k], flows)
     if run.name == "named":
-        assert np.flatnonzero(~run.i_hears[:, 0]).tolist() == [2, 3, 4, 6, 7]  # what 3 says, until it is dead
+        assert np.flatnonzero(~run.i_hears[:, 0]).tolist() == [2, 3, 4, 6, 7]  # messages of 3, until it dies
         assert np.flatnonzero(~run.edge_open[:, 0]).tolist() == [4, 5, 6, 7]
         assert (
             np.flatnonzero(np.isnan(run.u[:, 2])).tolist() == np.flatnonzero(run.index[:, 2] == -1).tolist() == [6, 7]
@@ -199,8 +199,8 @@ def test_a_run_cannot_be_changed(run: Run) -> None:
 # The tables as frames.
 
 
-def test_frames_hold_what_the_table_holds(run: Run) -> None:
-    """Whole numbers stay whole where some are missing, and what is null is missing in each library's own way."""
+def test_frames_equal_the_table(run: Run) -> None:
+    """Whole numbers stay whole beside missing ones, and null is the missing value of each library."""
     pandas = importlib.import_module("pandas")
     for arrow, frames in (
         (run.telemetry(), {kind: run.telemetry(kind) for kind in ("pandas", "polars")}),
@@ -215,7 +215,7 @@ def test_frames_hold_what_the_table_holds(run: Run) -> None:
 
 
 def test_to_record_a_run_loads_no_library_of_frames(here: Path) -> None:
-    """It would take half a second of its first steps."""
+    """An import would take half a second of the first steps."""
     told = [sys.executable, "-X", "importtime", *COMMAND[1:], "simulate", "paper7", "--no-record"]
     done = subprocess.run(told, capture_output=True, text=True, check=True, timeout=DEADLINE_S)
     loaded = {line.rpartition("|")[2].strip() for line in done.stderr.splitlines() if line.startswith("import time")}
@@ -223,7 +223,7 @@ def test_to_record_a_run_loads_no_library_of_frames(here: Path) -> None:
     assert not {"pandas", "polars"} & loaded
 
 
-def test_a_frame_of_a_library_that_is_not_there(paper7: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_frame_of_a_missing_library(paper7: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(UserError, match=r"pandas is not installed; install it with: pip install pandas"):
         paper7.telemetry("pandas")
@@ -231,7 +231,7 @@ def test_a_frame_of_a_library_that_is_not_there(paper7: Run, monkeypatch: pytest
         paper7.edges_table("excel")
 
 
-# What is exported is what is loaded.
+# Exported arrays equal the loaded ones.
 
 
 def test_csv_is_read_back_to_the_bit(run: Run, tmp_path: Path) -> None:
@@ -259,12 +259,12 @@ def test_csv_is_read_back_to_the_bit(run: Run, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("value", [5e-324, -0.0, 0.1, 1e16, 1e22, 123456789.0, 2**53 + 1.0, 1.7976931348623157e308])
 def test_a_number_in_csv_is_the_number(value: float, tmp_path: Path) -> None:
-    """Of any size, and with its sign: what Arrow writes, float reads."""
+    """Arrow writes numbers of any size and sign, and float reads them back."""
     pa.csv.write_csv(pa.table({"x": [value]}), tmp_path / "x.csv")
     assert float((tmp_path / "x.csv").read_text().splitlines()[1]).hex() == value.hex()
 
 
-def test_parquet_is_what_the_run_left(run: Run, tmp_path: Path) -> None:
+def test_parquet_equals_the_tables_of_the_run(run: Run, tmp_path: Path) -> None:
     for file in export(run, "parquet", tmp_path / "tables"):
         assert file.read_bytes() == (run.folder / file.name).read_bytes()
 
@@ -286,7 +286,7 @@ def test_npz_is_read_back_to_the_bit(run: Run, tmp_path: Path) -> None:
 
 
 def test_mat_is_read_back_to_the_bit(run: Run, tmp_path: Path) -> None:
-    """Numbers are doubles, flags logical, names cells of text; what counts places counts from 1."""
+    """Numbers are doubles, flags logical, names cells of text; positions count from 1."""
     (file,) = export(run, "mat", tmp_path / "run.mat")
     kinds = {name: kind for name, _, kind in whosmat(file)}
     content = loadmat(file)
@@ -336,7 +336,7 @@ def lively(here: Path) -> Iterator[Orchestrator]:
 
 
 def come_to(step: int) -> Run:
-    """The latest run, once so many of its steps are recorded."""
+    """Return the latest run, once this step is recorded."""
     by, pause = time.monotonic() + DEADLINE_S, threading.Event()
     while time.monotonic() < by:
         with contextlib.suppress(UserError):  # not a step yet
@@ -347,7 +347,7 @@ def come_to(step: int) -> Run:
 
 
 def continues(before: Run, after: Run) -> bool:
-    """Whether a later look at a run shows the same steps, and more."""
+    """Return True if a later reading of a run has the same steps, and more."""
     states = ("x", "x_oracle", "x_nominal", "regret", "regret_sum")
     assert before.T <= after.T
     return all(
@@ -356,8 +356,10 @@ def continues(before: Run, after: Run) -> bool:
     )
 
 
-def test_a_run_that_goes_on_and_then_is_killed(lively: Orchestrator, here: Path) -> None:
-    """As far as it has come; then as far as it came: the numbers stay what they were, and the twins go on from them."""
+def test_a_run_that_continues_and_then_is_killed(lively: Orchestrator, here: Path) -> None:
+    """The run is read while it grows, and after its end: earlier numbers do not change, and the twins continue from
+    them.
+    """
     running = load_run("paper7")
     assert (running.verdict.content, running.events[0]["event"]) == ({}, "start")
     (file,) = export(running, "npz")
@@ -381,7 +383,7 @@ def test_a_run_that_goes_on_and_then_is_killed(lively: Orchestrator, here: Path)
 
 
 def test_a_run_that_is_interrupted_after_a_jump(lively: Orchestrator, here: Path) -> None:
-    """What was done to it while it ran is in its folder: the numbers are those of its own verdict."""
+    """The changes during the run are in its folder: the numbers are those of the verdict."""
     with Live() as live:
         step = live.fault.jump(4, to=0.3).step
     come_to(step + 20)
@@ -395,7 +397,7 @@ def test_a_run_that_is_interrupted_after_a_jump(lively: Orchestrator, here: Path
 
 
 def test_a_simulation_that_is_interrupted(tmp_path: Path) -> None:
-    """Its tables are closed, and the state after the last input never came."""
+    """Its tables are closed, and the state after the last input is missing."""
     topology = NETWORKS["named"]()
     ran, folder = networks.simulate(topology), create(topology, tmp_path / "run")
     recording = Recording(topology, folder, Watching(record=False), Ending("run", "in-process", 0, stopped="by SIGINT"))
@@ -409,7 +411,7 @@ def test_a_simulation_that_is_interrupted(tmp_path: Path) -> None:
 
 
 def streamed(topology: Topology, folder: Path) -> tuple[Trajectory, Path]:
-    """A run of which only the streams are there, as of one whose `up` was killed: 12 steps in batches of 5."""
+    """Return a run that has only the streams, as after a killed `up`: 12 steps in batches of 5."""
     ran = networks.simulate(topology)
     place = create(topology, folder)
     place.event("start", engine="zenoh")
@@ -420,7 +422,7 @@ def streamed(topology: Topology, folder: Path) -> tuple[Trajectory, Path]:
 
 
 @pytest.mark.parametrize("kept", [1.0, 0.99, 0.8, 0.6])
-def test_a_stream_cut_short_is_whole_up_to_its_last_batch(kept: float, tmp_path: Path) -> None:
+def test_a_truncated_stream_is_complete_up_to_its_last_batch(kept: float, tmp_path: Path) -> None:
     topology = NETWORKS["named"]()
     ran, folder = streamed(topology, tmp_path / "run")
     for stream in folder.glob("*.arrows"):
@@ -446,7 +448,7 @@ def test_a_stream_cut_short_is_whole_up_to_its_last_batch(kept: float, tmp_path:
 
 
 def test_a_table_that_is_behind_the_other(tmp_path: Path) -> None:
-    """One is written before the other, and who reads may come between."""
+    """One table is written before the other, and a reader may come in between."""
     ran, folder = streamed(NETWORKS["named"](), tmp_path / "run")
     os.truncate(folder / "edges.arrows", (folder / "edges.arrows").stat().st_size - 8)
     run = load_run(folder)
@@ -454,8 +456,8 @@ def test_a_table_that_is_behind_the_other(tmp_path: Path) -> None:
     assert same(run.x, ran.x[:11])
 
 
-def test_steps_whose_telemetry_was_lost(tmp_path: Path) -> None:
-    """Row t stays step t: what is not known is NaN, and the others are what the observer made of them."""
+def test_steps_without_telemetry(tmp_path: Path) -> None:
+    """Row t stays step t: unknown values are NaN, and the others are those of the observer."""
     topology = NETWORKS["named"]()
     ran = networks.simulate(topology)
     folder = create(topology, tmp_path / "run")
@@ -506,7 +508,7 @@ def without(folder: Path, *names: str) -> Path:
     return folder
 
 
-def test_what_is_no_run_says_so(paper7: Run, here: Path) -> None:
+def test_a_folder_that_is_not_a_run_is_reported(paper7: Run, here: Path) -> None:
     def copy() -> Path:
         shutil.rmtree(here / "copy", ignore_errors=True)
         return shutil.copytree(paper7.folder, here / "copy")
@@ -541,7 +543,7 @@ def test_what_is_no_run_says_so(paper7: Run, here: Path) -> None:
 
 
 def test_a_file_that_is_not_of_this_run_is_noticed(paper7: Run, here: Path) -> None:
-    """Nobody gets numbers that were computed for another network."""
+    """The reader refuses numbers that were computed for another network."""
     text = (paper7.folder / "topology.yaml").read_text()
     (paper7.folder / "topology.yaml").write_text(text.replace("b: 0.1", "b: 0.101"))
     with pytest.raises(HedgerowError, match=r"topology.yaml is not that of this telemetry"):
@@ -553,7 +555,7 @@ def test_a_file_that_is_not_of_this_run_is_noticed(paper7: Run, here: Path) -> N
 
 
 def test_a_text_that_came_to_harm_is_not_read_from_elsewhere(paper7: Run) -> None:
-    """An Arrow stream says where each text begins: by a number that is too large, in memory that is somebody else's."""
+    """An Arrow stream stores the start of each text. Here that number is too large and points into foreign memory."""
     table, stream = paper7.telemetry(), paper7.folder / "telemetry.arrows"
     table = table.set_column(1, "node", table["node"].cast(pa.string()))  # as of nodes that have names
     with pa.ipc.new_stream(str(stream), table.schema) as writer:
@@ -567,7 +569,7 @@ def test_a_text_that_came_to_harm_is_not_read_from_elsewhere(paper7: Run) -> Non
         load_run(paper7.folder)
 
 
-def test_a_run_of_no_whole_step_says_so(here: Path) -> None:
+def test_a_run_without_a_complete_step_is_reported(here: Path) -> None:
     """One row is there, and the state after it is not."""
     topology = NETWORKS["paper7"]()
     folder, rows = create(topology, here / "run"), networks.simulate(topology).rows
@@ -577,7 +579,7 @@ def test_a_run_of_no_whole_step_says_so(here: Path) -> None:
 
 
 def refused(*arguments: str) -> str:
-    """What the command says to a mistake."""
+    """Return the message about a mistake."""
     done = orchestrator("export", *arguments)
     assert (done.returncode, done.stdout) == (2, ""), done.stderr
     assert "Traceback" not in done.stderr
@@ -591,7 +593,7 @@ def test_mistakes_at_the_command_line(paper7: Run, here: Path) -> None:
     assert not list(here.glob("paper7*[.-]*"))
     first = orchestrator("export", "paper7", "--to", "mat")
     assert (first.returncode, first.stdout) == (0, "30 steps of paper7: paper7.mat\n")
-    assert refused("paper7", "--to", "mat").startswith("error: paper7.mat: is there already; --force replaces it")
+    assert refused("paper7", "--to", "mat").startswith("error: paper7.mat: already exists; --force replaces it")
 
 
 def test_nothing_is_overwritten_unasked(paper7: Run, here: Path) -> None:
@@ -616,7 +618,7 @@ def test_nothing_is_overwritten_unasked(paper7: Run, here: Path) -> None:
 
 
 def small_files_only() -> None:
-    """In the command's process alone: what this one writes its report to may be a large file."""
+    """The limit is in the command's process alone, because this process may write a large report."""
     resource.setrlimit(resource.RLIMIT_FSIZE, (2048, 2048))
 
 
@@ -637,7 +639,7 @@ def test_a_full_disk_leaves_nothing_half_written(to: str, paper7: Run, here: Pat
     assert all(path.read_text() == "old" for path in left)
 
 
-# What it costs to have it.
+# The time of the load.
 
 
 def test_a_run_is_made_as_by_the_command(paper7: Run, here: Path) -> None:
@@ -674,7 +676,7 @@ def test_the_package_itself_loads_nothing() -> None:
     assert set(eval(loaded.stdout)) <= {"hedgerow", "hedgerow.orchestrator", "__future__"}
 
 
-# What docs/data.md and the notebook say of it.
+# The examples of docs/data.md and the notebook.
 
 
 def test_the_page_names_every_array_and_its_shape(run: Run) -> None:
@@ -695,7 +697,7 @@ def test_the_page_names_every_array_and_its_shape(run: Run) -> None:
 
 
 def test_the_page_names_every_attribute() -> None:
-    """What a Run has beside the arrays."""
+    """The page also names the attributes of Run beside the arrays."""
     public = {name for name in vars(Run) if not name.startswith("_")}
     public |= Run.__dataclass_fields__.keys()
     tables = (table("data.md", "In Python"), table("data.md", "Runs with some rows only"))
@@ -721,7 +723,7 @@ NOTEBOOK = ROOT / "docs/figure4.ipynb"
 
 @pytest.mark.slow
 def test_the_notebook_ends_with_figure_4(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As a reader would run it, in an empty folder; its last picture shows r_i(t) of all nodes."""
+    """The notebook runs in an empty folder; its last picture shows r_i(t) of all nodes."""
     nbformat, nbclient = importlib.import_module("nbformat"), importlib.import_module("nbclient")
     monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
     for name in ("IPYTHONDIR", "JUPYTER_RUNTIME_DIR", "JUPYTER_CONFIG_DIR"):

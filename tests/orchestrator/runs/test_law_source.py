@@ -1,4 +1,4 @@
-"""The source of a law is part of a run: kept, compared, and never a stale one."""
+"""The source of a law is part of a run: stored, compared, and always current."""
 
 from __future__ import annotations
 
@@ -12,6 +12,9 @@ from pathlib import Path
 import pytest
 
 import hedgerow as hg
+from hedgerow.agents.law_source import source_of
+from hedgerow.agents.process import Agent, Begin, Joined
+from hedgerow.agents.view import View
 from hedgerow.orchestrator.deploy.bundle import write
 from hedgerow.orchestrator.experiments.sweep import sweep
 from hedgerow.orchestrator.experiments.sweep.plan import plan
@@ -35,7 +38,7 @@ EDITS = count()
 
 
 def edit(here: Path, factor: float, gain: float = 1.0) -> None:
-    """Write the law and its module, of the same size and with times in one second, as a quick edit leaves them."""
+    """Write the law and its module with equal sizes and with times in one second, as after a fast edit."""
     second = int(time.time()) * 10**9 + 10**6 * next(EDITS)
     for name, text in {"kept_law.py": LAW.format(factor=factor), "gains_of_mine.py": f"GAIN = {gain}\n"}.items():
         (here / name).write_text(text)
@@ -46,7 +49,7 @@ def edit(here: Path, factor: float, gain: float = 1.0) -> None:
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
-    for name in ("kept_law", "gains_of_mine"):
+    for name in ("kept_law", "gains_of_mine", "deep_gain"):
         monkeypatch.delitem(sys.modules, name, raising=False)
     edit(tmp_path, 0.5)
     return tmp_path
@@ -85,15 +88,70 @@ def test_a_run_is_repeated_with_a_warning_if_its_law_is_another(here: Path) -> N
     hg.simulate("paper7", law="kept_law:Mine", steps=3, run_dir="first")
     hg.simulate("first")  # no warning: it is the same
     edit(here, 0.7)
-    with pytest.warns(UserWarning, match="PYTHONPATH="):
+    with pytest.warns(UserWarning, match="kept_law=True"):
         hg.simulate("first")
     done = orchestrator("simulate", "first", "--no-record")
     assert done.returncode == 0
-    assert f"PYTHONPATH={here / 'first' / 'law'}" in done.stderr + done.stdout
+    assert "--kept-law" in done.stderr + done.stdout
     (here / "kept_law.py").unlink()
     done = orchestrator("simulate", "first", "--no-record")
     assert done.returncode == 2
-    assert "PYTHONPATH=" in done.stderr
+    assert "--kept-law" in done.stderr
+
+
+@pytest.mark.parametrize("missing", [False, True], ids=["edited", "missing"])
+def test_the_kept_law_runs_where_it_is_asked_for(here: Path, missing: bool) -> None:
+    first = hg.simulate("paper7", law="kept_law:Mine", steps=3, run_dir="first")
+    edit(here, 0.7)
+    if missing:
+        (here / "kept_law.py").unlink()
+        del sys.modules["kept_law"]
+    again = hg.simulate("first", kept_law=True)
+    assert again.u.tolist() == first.u.tolist()
+    assert again.verdict.content["law_source"] == first.verdict.content["law_source"]
+    if not missing:  # the edited one is back
+        assert hg.simulate("paper7", law="kept_law:Mine", steps=3).u.tolist() != first.u.tolist()
+    for words in (["simulate"], ["up", "--viewer", "none", "--verify"]):
+        done = orchestrator(words[0], "first", "--kept-law", "--no-record", "--run-dir", words[0], *words[1:])
+        assert done.returncode == 0, done.stderr + done.stdout
+        assert hg.load_run(words[0]).u.tolist() == first.u.tolist()
+
+
+def test_a_run_without_a_law_of_its_own_keeps_none(here: Path) -> None:
+    hg.simulate("paper7", steps=3, run_dir="first")
+    with pytest.raises(UserError) as refused:
+        hg.simulate("first", kept_law=True)
+    assert refused.value.code == Code.LAW
+    assert orchestrator("simulate", "first", "--kept-law", "--no-record").returncode == 2
+
+
+def test_an_agent_refuses_another_source_than_the_operators(here: Path) -> None:
+    topology = hg.load("paper7", law="kept_law:Mine")
+    view = View.from_dict(configs(topology, layout(topology, 7), "tcp/localhost:7447", "n")[1].told)
+    assert view.law_source
+    edit(here, 0.7)
+    with pytest.raises(UserError) as refused:
+        Agent(view, "n", "tcp/localhost:1", Begin(lambda _: Joined(0), 0.1))
+    assert refused.value.code == Code.LAW
+
+
+def test_modules_that_a_law_uses_later_are_part_of_its_source(here: Path) -> None:
+    (here / "lazy").mkdir()
+    (here / "lazy" / "__init__.py").write_text("")
+    (here / "lazy" / "inner.py").write_text("X = 1\n")
+    text = "def later():\n    from lazy import inner\n    return inner.X\n"
+    (here / "kept_law.py").write_text(LAW.format(factor=0.5) + text)
+    assert set(source_of("kept_law:Mine").files) == {
+        *("kept_law.py", "gains_of_mine.py", "lazy/__init__.py", "lazy/inner.py")
+    }
+
+
+def test_a_module_between_the_law_and_an_edited_one_is_loaded_again(here: Path) -> None:
+    (here / "gains_of_mine.py").write_text("from deep_gain import GAIN\n")
+    for name, factor in (("first", 1.0), ("second", 1.4)):
+        (here / "deep_gain.py").write_text(f"GAIN = {factor}\n")
+        hg.simulate("paper7", law="kept_law:Mine", steps=3, run_dir=name)
+    assert hg.load_run("first").u[0].tolist() != hg.load_run("second").u[0].tolist()
 
 
 def test_a_sweep_does_not_resume_with_another_source(here: Path) -> None:
@@ -110,15 +168,12 @@ def test_a_sweep_does_not_resume_with_another_source(here: Path) -> None:
         swept()
 
 
-def test_a_bundle_carries_the_law_and_containers_refuse_it(here: Path) -> None:
+def test_a_bundle_carries_the_law(here: Path) -> None:
     topology = hg.load("paper7", law="kept_law:Mine")
     (here / "bundle").mkdir()
     write(here / "bundle", topology, configs(topology, layout(topology, 7), "tcp/localhost:7447", "n"))
     assert set(LawSource.read(here / "bundle").files) == {"kept_law.py", "gains_of_mine.py"}
     assert "kept_law.py" in (here / "bundle" / "README.md").read_text()
-    done = orchestrator("compose", "paper7", "--law", "kept_law:Mine")
-    assert done.returncode == 2
-    assert "orchestrator bundle" in done.stderr
 
 
 def test_a_wrong_edit_is_refused_at_its_line(here: Path) -> None:

@@ -1,4 +1,4 @@
-"""How long processes take to answer: told by the step, shown, summed up, and apart from what is the same every time."""
+"""The answer times of processes: recorded by step, shown, summarised, and separate from the reproducible tables."""
 
 from __future__ import annotations
 
@@ -31,7 +31,9 @@ NAN = float("nan")
     st.integers(1, 7),
 )
 def test_the_figures_are_those_of_all_answers(rows: list[tuple[float, float]], at_once: int) -> None:
-    """However they come: the longest to a microsecond, a percentile to 1 %, and who never answers has none."""
+    """For any batches: the maximum has an error of a microsecond, a percentile 1 %; a process without answers has
+    none.
+    """
     seconds = np.array(rows)
     with tempfile.TemporaryDirectory() as folder:
         trips = RoundTrips(["agent-1", "shard-1", "agent-9"], Path(folder))
@@ -84,7 +86,7 @@ def test_the_viewer_has_a_line_a_process_or_the_quantiles_of_many(tmp_path: Path
         assert shown.shape == (3, 3)
 
 
-def test_an_agent_that_sleeps_is_the_one_whose_answer_takes_long(here: Path) -> None:
+def test_a_sleeping_agent_has_the_longest_answer_time(here: Path) -> None:
     arguments = ("paper7", "--steps", "400", "--rate", "200", "--viewer", "none", "--no-record", "--verify")
     with Orchestrator("up", *arguments) as network:
         network.wait_for("running")
@@ -102,7 +104,7 @@ def test_an_agent_that_sleeps_is_the_one_whose_answer_takes_long(here: Path) -> 
     assert table.shape == (400 * 7, 3)
     longest = table.sort("round_trip_ms")[-1].row(0, named=True)
     assert (longest["process"], longest["round_trip_ms"]) == ("agent-3", trips["agent-3"]["max_ms"])
-    # The others have answered that step before it slept, or right after: they waited for nobody.
+    # The other agents have answered that step before or right after it slept: they did not wait.
     then = table.filter(pl.col("step") == longest["step"])["round_trip_ms"].sort()
     assert then[-2] < 500
 

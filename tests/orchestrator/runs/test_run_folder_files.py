@@ -1,4 +1,4 @@
-"""Readers of a run's folder open regular files inside it, and nothing that is larger in memory than is allowed."""
+"""Readers of a run folder open only regular files inside it, within the memory limit."""
 
 import os
 import shutil
@@ -74,7 +74,7 @@ def outside(file: Path) -> None:
 
 @pytest.mark.parametrize("make", [fifo, device, folder_instead, outside])
 @pytest.mark.parametrize(("name", "read"), CASES)
-def test_what_is_no_regular_file_of_the_folder_is_refused(
+def test_a_file_of_the_folder_that_is_not_regular_is_refused(
     name: str, read: Callable[[Path], object], make: Callable[[Path], None], run: Path
 ) -> None:
     (run / name).unlink()

@@ -1,8 +1,8 @@
-"""What of a run is written down: `record:` of a file says which nodes and steps have rows, and changes nothing else.
+"""The recorded part of a run: `record:` of a file selects the nodes and steps with rows, and changes nothing else.
 
-all rows --+--> verdict, metrics, regret: of all nodes and steps, whatever is kept
-           +--> summary.parquet: a row a step, of all nodes
-           '--> telemetry, edges, run.rrd: the rows that are kept, the bits that they always were
+all rows --+--> verdict, metrics, regret: of all nodes and steps, for any selection
+           +--> summary.parquet: one row per step, of all nodes
+           '--> telemetry, edges, run.rrd: the selected rows, with unchanged bits
 """
 
 from __future__ import annotations
@@ -32,8 +32,9 @@ from hedgerow.orchestrator.views.screen import Quiet
 from hedgerow.topologies import hinf
 from hedgerow.topologies.errors import TopologyError, UserError
 from hedgerow.topologies.load import load
+from hedgerow.topologies.record import Record
 from hedgerow.topologies.resolve import resolve
-from hedgerow.topologies.schema import Record, Topology
+from hedgerow.topologies.schema import Topology
 from tests.test_faults import faulty
 from tests.tools.networks import read
 from tests.tools.processes import orchestrator, parquet_bytes
@@ -64,8 +65,8 @@ def records(draw: st.DrawFn, n: int) -> dict[str, Any]:
 
 @given(faulty(), st.data())
 @settings(max_examples=25, deadline=None)
-def test_what_is_kept_changes_nothing_but_how_much_there_is(topology: Topology, data: st.DataObject) -> None:
-    """The verdict and its metrics are equal, the rows that are kept are those of the whole run, bit for bit."""
+def test_the_recorded_part_changes_only_the_amount_of_data(topology: Topology, data: st.DataObject) -> None:
+    """The verdict and its metrics are equal, and the recorded rows are those of the whole run, bit for bit."""
     n = len(topology.ids)
     record = data.draw(records(n))
     if isinstance(record["nodes"], list):
@@ -87,7 +88,7 @@ def test_what_is_kept_changes_nothing_but_how_much_there_is(topology: Topology, 
             assert (some / "summary.parquet").read_bytes() == (whole / "summary.parquet").read_bytes()
 
 
-def test_a_summary_is_what_the_rows_of_all_nodes_add_up_to(tmp_path: Path) -> None:
+def test_a_summary_is_the_sum_of_the_rows_of_all_nodes(tmp_path: Path) -> None:
     topology = read((load_text("paper7")), FAULTS)
     ran(topology, tmp_path / "run")
     run = load_run(tmp_path / "run")
@@ -115,7 +116,7 @@ def thin(tmp_path: Path) -> tuple[Run, Run]:
     return load_run(tmp_path / "whole"), load_run(tmp_path / "thin")
 
 
-def test_what_is_there_is_read_and_the_sums_are_of_all(thin: tuple[Run, Run]) -> None:
+def test_the_recorded_rows_are_read_and_the_sums_cover_all_nodes(thin: tuple[Run, Run]) -> None:
     whole, some = thin
     assert (some.T, some.ids) == (30, (2, 6))
     assert some.rows.tolist() == [0, 7, 14, 21, 28, 29, 30]
@@ -135,7 +136,7 @@ def test_what_is_there_is_read_and_the_sums_are_of_all(thin: tuple[Run, Run]) ->
     assert shown == [tuple(end if end in (2, 6) else None for end in edge) for edge in touching]
 
 
-def test_what_takes_all_rows_says_how_to_have_them(thin: tuple[Run, Run], tmp_path: Path) -> None:
+def test_an_array_that_needs_all_rows_explains_how_to_record_them(thin: tuple[Run, Run], tmp_path: Path) -> None:
     _, some = thin
     how = r"kept every 7th step and the last of 2 of 7 nodes.*orchestrator simulate .* --set 'record={nodes: all}'"
     with pytest.raises(UserError, match=how):
@@ -151,8 +152,8 @@ def test_what_takes_all_rows_says_how_to_have_them(thin: tuple[Run, Run], tmp_pa
         assert arrays["rows"].tolist() == some.rows.tolist()
 
 
-def test_a_run_is_made_whole_again_from_its_folder(here: Path) -> None:
-    """What a run kept is in its file, and so is all that it did not keep."""
+def test_a_run_can_be_recorded_fully_from_its_folder(here: Path) -> None:
+    """The file of a run has the recorded part and the omitted part."""
     done = orchestrator(
         "simulate", "paper7", "--no-record", "--run-dir", "thin", "--set", "record={every: 7, nodes: 2}"
     )
@@ -180,7 +181,7 @@ def test_a_network_of_processes_is_verified_at_all_nodes_though_few_have_rows(he
 
 
 def test_of_a_large_network_a_sample_has_rows(tmp_path: Path) -> None:
-    """And the file of the run says so, whatever a later version would choose."""
+    """The file of the run names the sample, so a later version cannot choose another one."""
     text = "{name: n, b: 0.1, steps: 3, graph: {kind: ring, nodes: 10001}}"
     topology = read(text)
     assert topology.record == Record(nodes=1000)
@@ -210,7 +211,7 @@ def test_mistakes_are_refused(override: str, said: str) -> None:
 
 @pytest.mark.parametrize("kind", ["ring", "grid", "scale_free"])
 def test_of_a_large_network_the_supply_is_known_from_both_sides(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """w'Q^-1 w by its factors lies between what conjugate gradients prove, for noise and for what hardly changes."""
+    """w'Q^-1 w by its factors is between the bounds of conjugate gradients, for noise and for a slow disturbance."""
     network = read(f"{{name: n, b: 0.1, steps: 1, graph: {{kind: {kind}, nodes: 600, max_degree: 9}}}}").network
     exact = hinf.supply_rate(network.a, network.b, network.graph)
     monkeypatch.setattr(hinf, "FACTORED", 500)

@@ -1,4 +1,4 @@
-"""The fixture `network`, and what pytest makes of it: scenarios, results, explanations, and no process left."""
+"""The fixture `network` in pytest: scenarios, results, explanations, and no remaining process."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from hedgerow.topologies.resolve import resolve
 pytest_plugins = ["pytester"]
 
 ALONE = ("-p", "no:cacheprovider", "-p", "no:hypothesispytest")
-"""Of a pytest in a process of its own: without what takes time and has nothing to do with us."""
+"""The options of a pytest in a separate process, without slow and unrelated plugins."""
 PAIR = "{name: pair, b: 0.1, steps: 4, defaults: {x0: 5}, nodes: {1: {}, two: {x0: 1}}, edges: [[two, 1]]}"
 
 
@@ -52,8 +52,8 @@ def test_a_scenario_never_changes(network: Networks) -> None:
     assert plain == network("paper7")
 
 
-def test_every_method_is_what_a_file_spells(network: Networks) -> None:
-    """The faults of the file come first, in its order, and those that are added after them."""
+def test_every_method_equals_an_entry_of_a_file(network: Networks) -> None:
+    """The faults of the file come first, in its order, and added ones after them."""
     file = [{"kind": "sensor", "node": 1, "steps": [0, 1]}]
     scenario = (
         network("paper7", "nodes.4={a: 0.6, candidates: [0.3, 0.6]}", f"faults={json.dumps(file)}")
@@ -159,7 +159,7 @@ def test_a_result_has_the_arrays_of_the_run(network: Networks) -> None:
         run.estimates_at(12)
 
 
-def test_what_was_missed_and_what_was_closed(network: Networks) -> None:
+def test_missed_messages_and_closed_edges(network: Networks) -> None:
     run = network("paper7").delay((2, 4), by=2, steps=(3, 5), one_way=True).cut((4, 2), steps=(8, 10)).run(steps=12)
     assert run.missing((2, 4)) == [3, 4]
     assert run.missing((4, 2)) == run.missing((1, 2)) == []
@@ -175,7 +175,7 @@ def test_a_network_without_edges_has_nothing_to_miss(network: Networks) -> None:
     assert run.heard.shape == run.edge_open.shape == (3, 0)
 
 
-def test_who_is_not_there_has_no_estimate_and_no_input(network: Networks) -> None:
+def test_an_absent_node_has_no_estimate_and_no_input(network: Networks) -> None:
     run = network("paper7").crash(4, at=3, restart_after=2).run(steps=8)
     assert [run.estimates_at(t)[4] is None for t in range(8)] == [False] * 3 + [True] * 2 + [False] * 3
     assert np.flatnonzero(np.isnan(run.u[:, run.column(4)])).tolist() == [3, 4]
@@ -199,7 +199,7 @@ def test_two_runs_are_equal_to_the_last_bit(network: Networks) -> None:
 
 @pytest.fixture(scope="module")
 def apart(network: Networks) -> tuple[Run, Run]:
-    """Two runs that part: nothing is made up for in the first."""
+    """Two runs that diverge; the first has no back-filling."""
     forgetful = network("paper7", "backfill=false")
     return forgetful.drop((2, 4), steps=range(25)).run(), forgetful.run()
 
@@ -212,7 +212,7 @@ def test_a_difference_is_explained(apart: tuple[Run, Run]) -> None:
     assert said[0].startswith("estimates at step 5 differ: node 2: ")
     assert said[1].startswith("first at step 1: ahat of node 2 ")
     assert said[2:4] == [
-        "until then, left:  messages lost or late: 4->2 at 0-1, 2->4 at 0-1",
+        "lost messages before, left:  messages lost or late: 4->2 at 0-1, 2->4 at 0-1",
         "until then, right: no message lost or late",
     ]
     assert explain(one, other) == ["runs differ", *said[1:]]
@@ -222,7 +222,7 @@ def test_a_difference_is_explained(apart: tuple[Run, Run]) -> None:
     one.assert_same_estimates(other, 0)
 
 
-def test_a_failing_test_says_why_and_where_to_look(pytester: pytest.Pytester) -> None:
+def test_a_failing_test_shows_the_reason_and_the_folder(pytester: pytest.Pytester) -> None:
     pytester.makepyfile(
         """
         def test_estimates(network):
@@ -245,7 +245,7 @@ def test_a_failing_test_says_why_and_where_to_look(pytester: pytest.Pytester) ->
         [
             "E       assert estimates at step 5 differ: node 2: *",
             "E         first at step 1: ahat of node 2 *",
-            "E         until then, left:  messages lost or late: 4->2 at 0-1, 2->4 at 0-1",
+            "E         lost messages before, left:  messages lost or late: 4->2 at 0-1, 2->4 at 0-1",
             "* networks *",
             "  fault 1: drop 2-4 from step 0 to 25",
             "  valid: 30 of 30 steps*",
@@ -261,7 +261,7 @@ def test_a_failing_test_says_why_and_where_to_look(pytester: pytest.Pytester) ->
 
 
 def test_the_plugin_is_light(tmp_path: Path) -> None:
-    """A test session that never asks for a network loads nothing of ours but the plugin."""
+    """A test session without networks loads only the plugin."""
     code = "import sys, hedgerow.orchestrator.testing.pytest_plugin; print(*sys.modules)"
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
     heavy = {"numpy", "pyarrow", "zenoh", "rerun", "scipy", "pydantic", "hedgerow.topologies"}
@@ -287,7 +287,7 @@ EVERYTHING = (
 
 @pytest.mark.parametrize("processes", [None, 3])
 def test_both_engines_give_the_same_bits(network: Networks, processes: int | None) -> None:
-    """With everything that can go wrong, for a process a node and for three."""
+    """All kinds of faults are in the run, for one process per node and for three processes."""
     scenario = network("paper7").set(f"faults={json.dumps(EVERYTHING)}")
     if processes:
         scenario = scenario.set(f"processes={processes}")
@@ -301,7 +301,7 @@ def test_both_engines_give_the_same_bits(network: Networks, processes: int | Non
 
 
 def processes_of(folder: Path) -> list[psutil.Process]:
-    """Every process of runs in this folder or below it: they keep their list of running networks beside the run."""
+    """Return every process of runs in this folder or below it; their registry is beside the run."""
     found = []
     for process in psutil.process_iter():
         with contextlib.suppress(psutil.Error, OSError):  # it ends while it is looked at
@@ -331,10 +331,10 @@ def test_a_run_that_takes_too_long_is_ended_and_named(tmp_path: Path) -> None:
     assert folder.with_name("run.runtime").exists(), "what is looked for has another name now"
     wait_until(
         lambda: processes_of(folder) == [], "all are gone", within_s=30
-    )  # who was still loading ends a bit later
+    )  # a process that was still loading ends a bit later
 
 
-def test_a_law_that_cannot_be_loaded_is_said_by_both_engines(network: Networks) -> None:
+def test_both_engines_report_a_law_that_cannot_be_loaded(network: Networks) -> None:
     engines: tuple[Literal["in-process"], Literal["zenoh"]] = "in-process", "zenoh"
     for engine in engines:
         with pytest.raises(HedgerowError, match=r"law no\.such:Law: cannot be loaded"):
@@ -346,7 +346,7 @@ def test_a_network_is_spoken_to_while_it_runs(network: Networks) -> None:
     """Faults by call, a real SIGKILL and a real freeze; and the same course again from its folder, to the bit."""
     with network("paper7", "seed=3").up(rate=200, step_deadline_s=3.0) as net:
         assert {*net.processes} == {"plant", *(f"agent-{k}" for k in range(1, 8))}
-        assert net.folder.name not in [entry.run for entry in registry.running()], "nobody else may stop it"
+        assert net.folder.name not in [entry.run for entry in registry.running()], "no other user may stop it"
         lost = net.fault.drop((2, 4), steps=range(20))
         with pytest.raises(UserError, match="drop: link: 2 and 5 are not neighbours"):
             net.fault.drop((2, 5))
@@ -385,7 +385,7 @@ def test_a_network_is_spoken_to_while_it_runs(network: Networks) -> None:
 
 
 def test_the_clock_of_a_network_is_the_tests(network: Networks) -> None:
-    """Held, it makes the steps that it is told to and no other."""
+    """A paused network makes exactly the requested steps."""
     with network("paper7").up(processes=3) as net:
         assert {*net.processes} == {"plant", "shard-0", "shard-1", "shard-2"}
         at = net.pause()
@@ -407,8 +407,8 @@ def test_a_network_may_come_to_its_end(network: Networks) -> None:
     assert net.stop() == network("paper7").run()
 
 
-def test_nothing_is_left_of_a_network_when_its_test_fails(network: Networks) -> None:
-    """Not even an agent that is frozen and cannot notice that all others are gone."""
+def test_nothing_of_a_network_remains_after_its_test_fails(network: Networks) -> None:
+    """This includes a frozen agent, which cannot notice that all others have ended."""
     net = network("paper7").up(rate=50)
 
     def test_that_fails() -> None:
@@ -430,7 +430,7 @@ WAITING = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("body", "how"), [("up", signal.SIGINT), ("run", signal.SIGKILL)])
-def test_nothing_is_left_when_pytest_is_interrupted_or_killed(
+def test_nothing_remains_after_pytest_is_interrupted_or_killed(
     pytester: pytest.Pytester, body: str, how: signal.Signals
 ) -> None:
     pytester.makepyfile(f"def test_that_waits(network):\n    {WAITING[body]}\n")
@@ -448,7 +448,7 @@ def test_nothing_is_left_when_pytest_is_interrupted_or_killed(
 
 @pytest.mark.slow
 def test_tests_may_run_in_parallel(pytester: pytest.Pytester) -> None:
-    """Networks of one name, in two workers of pytest-xdist: neither goes on before the other is there."""
+    """Networks of one name run in two workers of pytest-xdist, and wait for each other."""
     pytester.makepyfile(
         """
         import pathlib, time

@@ -1,4 +1,6 @@
-"""docs/testing.md, run as a reader would: its programs are tests that pass, and what fails says what is shown."""
+"""docs/testing.md, run as a reader would: its programs are passing tests, and its failures show the text of the
+page.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +42,7 @@ def test_the_examples_are_tests_and_pass(tmp_path: Path) -> None:
 
 
 def test_every_method_is_in_a_table() -> None:
-    """What the tables of the page name is there, and what is there they name."""
+    """The tables of the page name exactly the existing methods."""
     rows = [table("testing.md", "Reference", k) for k in range(3)]
     named = [set(re.findall(r"\b[a-z_]\w*", " ".join(next(iter(row.values())) for row in some))) for some in rows]
     assert named[1] <= {*dir(testing.Run), *testing.Run.__dataclass_fields__, "t", "i", "j", "node", "other"}
@@ -57,4 +59,4 @@ _INSIDE = {
     testing.Scenario: {"text", "name", "folder", "new_folder", "on_result", "settings", "faults", "topology"},
     testing.Running: {"topology", "folder"},
 }
-"""What a test has no need of."""
+"""Methods that a test does not need."""

@@ -26,7 +26,7 @@ def test_nodes_stand_at_their_positions_with_y_upwards() -> None:
     np.testing.assert_allclose(places, [[0, 1], [1, 1], [1, 0], [0, 0]])
 
 
-def test_a_node_without_a_position_stands_between_its_neighbours() -> None:
+def test_a_node_without_a_position_is_between_its_neighbours() -> None:
     net = hg.Network.of(SQUARE).with_node("t").with_edge("t", "p").with_edge("t", "r")
     places = placed(net.topology)
     assert np.hypot(*(places[4] - places[:4].mean(axis=0))) < 0.2

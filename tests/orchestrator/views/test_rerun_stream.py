@@ -1,4 +1,4 @@
-"""A run streamed to Rerun: run.rrd holds every bit of it, whatever the viewer does.
+"""A run streamed to Rerun: run.rrd has every bit of it, for any behaviour of the viewer.
 
 batches -> run.rrd            all of them, always
        \\-> queue -> viewer    live, late, frozen, or never there
@@ -51,7 +51,7 @@ def paper7() -> Topology:
 
 
 def batches_of(observer: Observer, rows: int) -> list[Batch]:
-    """The whole run in batches of some rows, the end taken in too."""
+    """Return the whole run in batches of some rows, including its end."""
     ran = simulate(observer.topology)
     batches = [observer.take(ran.rows[k : k + rows]) for k in range(0, len(ran.rows), rows)]
     observer.finish(ran.end)
@@ -193,7 +193,7 @@ def test_a_node_without_rival_has_an_infinite_margin_and_the_plot_a_gap(tmp_path
     assert np.isnan(read(tmp_path / "run.rrd", "margin")[1]).all()
 
 
-def test_what_is_missing_is_a_gap_and_a_truth_that_jumps_is_a_step(tmp_path: Path) -> None:
+def test_missing_values_are_gaps_and_a_jump_is_a_step(tmp_path: Path) -> None:
     """Node 4 is dead for three steps, node 1 blind for two; then the a of node 2 is another."""
     candidates = paper7().nodes[2].candidates
     assert isinstance(candidates, tuple)
@@ -219,9 +219,9 @@ def test_what_is_missing_is_a_gap_and_a_truth_that_jumps_is_a_step(tmp_path: Pat
 
 
 def growth_mb(path: Path) -> float:
-    """What this process grows by over 100 writes, as a rule: the median of eight times.
+    """Return the usual growth of this process over 100 writes [MB]: the median of eight times.
 
-    What is freed late, or given back to the system, makes some of them large, and is no growth.
+    Late or returned memory makes some of them large, but is not growth.
     """
     observer = Observer(paper7().model_copy(update={"steps": 10**9}))
     stream = RerunStream(observer.topology, observer, "story", path, None)
@@ -237,10 +237,10 @@ def growth_mb(path: Path) -> float:
 
 
 @pytest.mark.slow
-def test_a_long_run_keeps_nothing_of_what_it_wrote(tmp_path: Path) -> None:
+def test_a_long_run_holds_no_written_data_in_memory(tmp_path: Path) -> None:
     """The index that shorter runs end with would cost 3 to 5 MB; without it, 0.3 at most.
 
-    It is measured in a process of its own: what the tests before have left behind comes and goes as well.
+    It is measured in a separate process, because memory of earlier tests would disturb it.
     """
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as alone:
         assert alone.submit(growth_mb, tmp_path / "run.rrd").result() < 1.5
@@ -263,7 +263,7 @@ def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
         RerunStream(observer.topology, observer, "story", tmp_path / "missing" / "run.rrd", None)
 
 
-def test_where_nobody_listens_nothing_waits_and_nothing_is_lost(tmp_path: Path) -> None:
+def test_without_a_viewer_nothing_waits_and_nothing_is_lost(tmp_path: Path) -> None:
     url = f"rerun+http://127.0.0.1:{free_port()}/proxy"
     observer = Observer(paper7())
     stream = RerunStream(observer.topology, observer, "story", tmp_path / "run.rrd", Viewer(url))
@@ -290,7 +290,7 @@ def stream_all(path: Path, viewer: Viewer) -> tuple[RerunStream, float]:
 
 
 def closes_late(stream: RerunStream) -> bool:
-    """Close within 2 s, or a little more on a busy machine; whether it says that a thread is left."""
+    """Close within 2 s, or a little more on a busy machine; return True if a thread remains."""
     began = time.monotonic()
     clean = stream.close(2.0)
     assert time.monotonic() - began < 15.0
@@ -387,7 +387,7 @@ def test_our_viewer_never_is_a_stranger_on_its_port(stranger: tuple[socket.socke
     "asked",
     ["", "nativ", "rerun+http://127.0.0.1/proxy", "rerun+http://127.0.0.1:99999/proxy", "http://127.0.0.1:9876/proxy"],
 )
-def test_what_is_no_viewer_is_refused(asked: str) -> None:
+def test_an_address_that_is_not_a_viewer_is_refused(asked: str) -> None:
     with pytest.raises(UserError, match="none of auto, native, web, none"):
         choose(asked)
 

@@ -1,4 +1,4 @@
-"""What a person sees of a run on a terminal: a live table, whose last line is followed by the verdict and nothing else.
+"""The terminal's view of a run: a live table; only the verdict follows its last line.
 
 paper7:  1 - 2 - 3 - 5      drop  1->2 at every step
              |              cut   2-4 from 30 to 60
@@ -64,7 +64,7 @@ def terminal(width: int = 80, height: int = 24) -> Console:
 
 
 def after(topology: Topology, step: int) -> Standing:
-    """How a run stands once `step` steps are done, in batches of five that take half a second each."""
+    """Return the status of a run after `step` steps, in batches of five that take half a second each."""
     standing = Standing(topology)
     for k, batch in enumerate(batches(topology)):
         standing.take(batch, k / 2)
@@ -74,7 +74,7 @@ def after(topology: Topology, step: int) -> Standing:
 
 
 def picture(standing: Standing, width: int = 80, height: int = 24, styles: bool = False) -> list[str]:
-    """What a terminal shows of it."""
+    """Return the picture on a terminal."""
     console = terminal(width, height)
     for line in standing.lines(width, height):
         console.print(line, highlight=False)
@@ -86,7 +86,7 @@ def row_of(node: int, lines: list[str]) -> list[str]:
     return row
 
 
-def test_the_table_says_how_far_the_run_is_and_what_it_costs() -> None:
+def test_the_table_shows_progress_and_costs() -> None:
     topology = paper7()
     lines = picture(after(topology, 40))
     standing = list(batches(topology))[7]
@@ -113,7 +113,7 @@ def test_a_wrong_model_is_a_word_as_well_as_a_colour() -> None:
     assert "\x1b[32mright" in coloured
 
 
-def test_who_is_dead_and_what_is_cut_stands_there_while_it_lasts() -> None:
+def test_dead_nodes_and_cut_edges_are_shown_while_they_last() -> None:
     topology = paper7(*FAULTS)
     before, while_it_lasts, afterwards = (picture(after(topology, step)) for step in (30, 40, 65))
     assert not [line for line in before if line.startswith("edges down") or line.endswith("dead")]
@@ -134,13 +134,13 @@ def test_who_is_dead_and_what_is_cut_stands_there_while_it_lasts() -> None:
     assert "20 missing inputs" in " ".join(afterwards)
 
 
-def test_a_node_that_lives_and_sends_nothing_is_not_called_dead() -> None:
+def test_a_silent_but_running_node_is_not_shown_as_dead() -> None:
     lines = picture(after(paper7({"kind": "sensor", "node": 6, "steps": [8, 10]}), 10))
     assert row_of(6, lines)[-3:] == ["2", "no", "input"]
     assert lines[2].split()[0] == "6"
 
 
-def test_what_has_no_room_is_counted() -> None:
+def test_rows_without_space_are_counted() -> None:
     topology = ring(100)
     lines = picture(after(topology, 10), height=12)
     assert len(lines) == 12
@@ -184,7 +184,7 @@ def test_it_is_drawn_four_times_a_second_at_most_and_once_more_at_the_end() -> N
     assert "gamma*" in last
 
 
-def test_what_is_said_while_the_table_stands_is_among_its_last_three_events() -> None:
+def test_messages_during_the_table_are_among_its_last_three_events() -> None:
     now, console = [0.0], terminal()
     table = Table(paper7(), console, lambda: now[0])
     table.progress(next(batches(paper7())))
@@ -197,7 +197,7 @@ def test_what_is_said_while_the_table_stands_is_among_its_last_three_events() ->
 
 
 class Pty:
-    """A command on a terminal of its own."""
+    """A command on a separate terminal."""
 
     def __init__(self, *arguments: str, width: int = 100, height: int = 30, **environment: str) -> None:
         self._master, slave = pty.openpty()
@@ -223,7 +223,7 @@ class Pty:
         while True:
             try:
                 some = os.read(self._master, 65536)
-            except OSError:  # nobody has the other end
+            except OSError:  # the other end is closed
                 some = b""
             with self._changed:
                 self.output += some.decode(errors="replace")
@@ -236,7 +236,7 @@ class Pty:
         fcntl.ioctl(self._master, termios.TIOCSWINSZ, struct.pack("HHHH", height, width, 0, 0))
 
     def wait_for(self, text: str, after: int = 0) -> int:
-        """Wait until `text` was written after so many characters; where it begins."""
+        """Wait until `text` appears after this number of characters; return its place."""
         with self._changed:
             assert self._changed.wait_for(lambda: text in self.output[after:] or self._ended, DEADLINE_S), self.output
             assert text in self.output[after:], self.output
@@ -253,11 +253,13 @@ class Pty:
 
     @property
     def last_line(self) -> str:
-        """What stands in the last line, without its colours."""
+        """Return the last line without its colours."""
         return re.sub(r"\x1b\[[\d;?]*[a-zA-Z]", "", self.output).replace("\r", "").rstrip("\n").rpartition("\n")[2]
 
     def leaves_the_terminal_as_it_was(self) -> bool:
-        """The cursor shows, nothing is coloured, there is no other screen, and the prompt has a line of its own."""
+        """Return True if the cursor is visible, colours are reset, there is no other screen, and the prompt has its own
+        line.
+        """
         cursor, colour = re.findall(r"\x1b\[\?25([hl])", self.output), re.findall(r"\x1b\[([\d;]*)m", self.output)
         return (
             cursor[-1:] in (["h"], [])
@@ -325,7 +327,7 @@ def test_a_network_on_a_terminal_that_is_resized_and_interrupted() -> None:
     assert ran.leaves_the_terminal_as_it_was()
 
 
-def test_even_when_it_is_killed_the_cursor_is_there() -> None:
+def test_the_cursor_is_visible_even_after_a_kill() -> None:
     with Pty("simulate", "paper7", "--no-record", "--steps", "1000000") as ran:
         ran.wait_for("left")
     assert re.findall(r"\x1b\[\?25([hl])", ran.output)[-1:] == ["h"]
@@ -346,11 +348,11 @@ class Tty(io.StringIO):
         (Json, {"as_json": True, "plain": True}, "xterm"),
     ],
 )
-def test_what_a_terminal_shows(
+def test_the_picture_on_a_terminal(
     expected: type, options: dict[str, bool], term: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("TERM", term)
     monkeypatch.setattr("sys.stdout", Tty())
     chosen = screen(paper7(), **{"as_json": False, **options})
     assert type(chosen) is expected
-    assert chosen.interactive == (expected is not Json), "a page stays for whoever can press Ctrl-C"
+    assert chosen.interactive == (expected is not Json), "a page stays if a user can press Ctrl-C"

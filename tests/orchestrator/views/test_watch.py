@@ -55,7 +55,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:RRD file has no footer")  # its 
 
 Array = NDArray[np.float64]
 LOST_S = 2.5
-"""how much of a killed run may be missing from run.rrd; docs/watching.md says it"""
+"""the time before a kill that may be missing from run.rrd, as in docs/watching.md [s]"""
 LONG = ("--processes", "1", "--steps", "100000", "--rate", "100", "--viewer", "none", "--no-record")
 SPLIT = ("--split-recording", "0.1")
 
@@ -69,7 +69,7 @@ def inside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 class Saver:
-    """A viewer that draws nothing, and writes down all that it is sent."""
+    """A viewer that draws nothing and writes all received data to a file."""
 
     def __init__(self, path: Path) -> None:
         port = free_port()
@@ -79,7 +79,7 @@ class Saver:
         Viewer(self.url).wait_until_it_listens()
 
     def close(self) -> None:
-        """End it, once it has written down what it was sent: it does not say so, but its file stops growing."""
+        """End it after it has written its received data: its file then stops growing."""
         sizes = [-1] * 20
 
         def still() -> bool:
@@ -91,7 +91,7 @@ class Saver:
         self.process.wait(20)
 
     def stores(self) -> dict[str, Path]:
-        """What it was sent, a file a recording, by its name."""
+        """Return its received recordings by name, one file each."""
         files = {}
         reader = RrdReader(self.path)
         for number, store in enumerate(reader.recordings()):
@@ -129,7 +129,7 @@ def shown(files: list[Path] | Path, entity: str) -> tuple[Array, Array]:
 
 
 def recorded(folder: Path, column: str, nodes: int = 7) -> Array:
-    """A column of telemetry.parquet, a row a step."""
+    """Return a column of telemetry.parquet, one row per step."""
     values: Array = pq.read_table(folder / "telemetry.parquet")[column].to_numpy().astype(float).reshape(-1, nodes)
     return values
 
@@ -147,7 +147,7 @@ def assert_shows(files: list[Path] | Path, folder: Path, done: int | None = None
     for column in columns:
         table = recorded(folder, column)
         if not column.startswith("x"):
-            table = table[:-1] if done is None else table  # at the last step nothing acts
+            table = table[:-1] if done is None else table  # no input acts at the last step
         steps, values = shown(files, column)
         expected = table[:done]
         np.testing.assert_array_equal(steps, np.arange(len(expected)), err_msg=column)
@@ -155,7 +155,7 @@ def assert_shows(files: list[Path] | Path, folder: Path, done: int | None = None
 
 
 def bits(values: Array) -> bytes:
-    """What they are, -0 and 0 told apart; one NaN is as good as another."""
+    """Return the bits of values, with -0 distinct from 0, and all NaN equal."""
     return np.where(np.isnan(values), np.nan, values).tobytes()
 
 
@@ -172,7 +172,7 @@ def series(files: list[Path] | Path, entity: str) -> list[list[str]]:
 
 
 def test_a_stream_is_read_while_it_grows(tmp_path: Path) -> None:
-    """However few bytes come at a time, each batch comes once and whole, and the end is known."""
+    """For any number of bytes at a time, each batch arrives once and complete, and the end is known."""
     folder = tmp_path / "run"
     folder.mkdir()
     topology = resolve(load("paper7", ["steps=20"]))
@@ -197,7 +197,7 @@ def test_a_stream_is_read_while_it_grows(tmp_path: Path) -> None:
 
 
 def test_a_trail_is_the_telemetry_that_made_it(tmp_path: Path) -> None:
-    """Rows that were recorded come back, links that were down and readings that failed among them."""
+    """Recorded rows are read back, including links that were down and failed readings."""
     faults = [
         {"kind": "drop", "from": 1, "to": 2, "steps": [5, 9]},
         {"kind": "cut", "edge": [2, 3], "steps": [8, 12]},
@@ -231,7 +231,7 @@ def test_a_trail_is_the_telemetry_that_made_it(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_whoever_comes_late_sees_all_of_it(saver: Saver) -> None:
+def test_a_late_watcher_sees_the_whole_run(saver: Saver) -> None:
     """Two watch a run that began long ago; a fault begins meanwhile; both were shown every step, and the verdict."""
     with Orchestrator("up", "paper7", *LONG) as up:
         up.wait_for("running")
@@ -262,7 +262,7 @@ def test_whoever_comes_late_sees_all_of_it(saver: Saver) -> None:
 
 
 @pytest.mark.slow
-def test_a_watcher_whose_viewer_is_closed_says_so_and_the_run_goes_on() -> None:
+def test_a_watcher_reports_a_closed_viewer_and_the_run_continues() -> None:
     viewer = begin_headless()
     try:
         with Orchestrator(
@@ -273,7 +273,7 @@ def test_a_watcher_whose_viewer_is_closed_says_so_and_the_run_goes_on() -> None:
                 until(lambda: draws(viewer) and last_step(viewer.url) > 0)
                 kill(viewer)
                 assert watching.wait() == 3
-                assert "nobody listens there; start a viewer" in watching.output
+                assert "no viewer listens there; start a viewer" in watching.output
             before = json.loads(orchestrator("status", "--json").stdout)["step"]
             up.wait_for_step(before + 1)
     finally:
@@ -281,8 +281,8 @@ def test_a_watcher_whose_viewer_is_closed_says_so_and_the_run_goes_on() -> None:
 
 
 @pytest.mark.slow
-def test_a_frozen_viewer_holds_up_nobody() -> None:
-    """`up` and `watch` feed a viewer, which freezes: steps go on, Ctrl-C works, run.rrd has every step."""
+def test_a_frozen_viewer_delays_no_process() -> None:
+    """`up` and `watch` feed a viewer, which freezes: the steps continue, Ctrl-C works, run.rrd has every step."""
     viewer = begin_headless()
     assert viewer.process is not None
     try:
@@ -309,14 +309,14 @@ def test_a_frozen_viewer_holds_up_nobody() -> None:
     assert_shows(folder / "run.rrd", folder)
 
 
-def test_a_viewer_of_another_version_is_told_with_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whoever feeds it names both versions, and goes on; of a viewer too old to answer, that it does not."""
+def test_a_viewer_of_another_version_is_reported_with_a_fix(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Both commands name the two versions and continue; for a viewer too old to answer, they report that."""
     ours = rr.__version__
     monkeypatch.setattr(rr, "__version__", "0.99.0")
     viewer, said = begin_headless(), list[str]()
     stranger = Viewer(viewer.url)
-    expected = f"the viewer at {viewer.url} is Rerun {ours}, and this is 0.99.0: what it shows may be wrong;"
-    expected += " install rerun-sdk==0.99.0 there"
+    expected = f"the viewer at {viewer.url} is Rerun {ours}, and this is 0.99.0: its display may be wrong."
+    expected += " Install rerun-sdk==0.99.0 there"
     topology = resolve(load("paper7"))
     observer, run = Observer(topology), simulate(topology)
     try:
@@ -332,14 +332,14 @@ def test_a_viewer_of_another_version_is_told_with_what_to_do(monkeypatch: pytest
         kill(viewer)
 
 
-def test_a_viewer_that_does_not_say_its_version_is_told() -> None:
-    """As one before 0.41 does not, nor a page's server."""
+def test_a_viewer_without_a_version_is_reported() -> None:
+    """Neither a viewer before 0.41 nor a page's server reports its version."""
     server, said = start("web"), list[str]()
     assert server is not None
     try:
         server.wait_until_it_listens()
         compare(Viewer(server.url), said.append).join()
-        assert said[0].startswith(f"the viewer at {server.url} does not say its version: it is old")
+        assert said[0].startswith(f"the viewer at {server.url} does not report its version: it is old")
         assert f"install rerun-sdk=={rr.__version__} there" in said[0]
         compare(server, said.append).join()
         assert len(said) == 1, "we know what we have started"
@@ -417,8 +417,8 @@ def send(stream: rr.RecordingStream, values: Array, first: int) -> None:
     stream.send_columns("x", index, rr.Scalars.columns(scalars=values))
 
 
-def test_a_recording_goes_on_in_parts(tmp_path: Path) -> None:
-    """Each part is about as large as asked for, begins with what does not change, and together they have all rows."""
+def test_a_recording_continues_in_parts(tmp_path: Path) -> None:
+    """Each part has about the requested size and begins with the static data; together they have all rows."""
     path = tmp_path / "run.rrd"
     file = RrdFile(path, streams, part_bytes=200_000)
     values = np.random.default_rng(1).normal(size=(100, 500, 1))
@@ -443,7 +443,7 @@ def test_a_recording_goes_on_in_parts(tmp_path: Path) -> None:
     np.testing.assert_array_equal(shown(whole, "x")[1], values.reshape(-1, 1))
 
 
-def test_a_part_that_is_deleted_is_missed_by_nobody(tmp_path: Path) -> None:
+def test_a_deleted_part_causes_no_error(tmp_path: Path) -> None:
     file = RrdFile(tmp_path / "run.rrd", streams, part_bytes=10**9)
     (tmp_path / "run.rrd").unlink()
     file.write(lambda stream: stream.log("x", rr.Scalars([1.0])))
@@ -490,7 +490,7 @@ def test_a_run_opens_from_its_recording_or_its_tables_alike(saver: Saver) -> Non
 
 @pytest.mark.slow
 def test_two_runs_share_their_axes(saver: Saver) -> None:
-    """Two laws: each run's entities stand in a folder of its own, every step of them."""
+    """Two laws: each run's entities are in a separate folder, with every step."""
     folders = {"minimax": ran("one"), "hinf": ran("two", "paper7", "law=hinf")}
     open_runs(["one", "two"], saver.url, print)
     saver.close()
@@ -507,7 +507,7 @@ def test_two_runs_share_their_axes(saver: Saver) -> None:
 
 @pytest.mark.parametrize(("steps", "drawn"), [(300, 300), (60_000, 20_000)])
 def test_a_past_is_drawn_evenly_however_fast_it_is_read(steps: int, drawn: int) -> None:
-    """A loop draws some steps a second; whoever plays back has all of them, or every third of very many."""
+    """A live view draws some steps per second; a replay draws all, or every third of very many."""
     pace = Pace(20.0, steps, -(-steps * 7 // DRAWN_NODES))
     picked = np.concatenate([first + pace.pick(2000) for first in range(0, max(steps, 2000), 2000)])[:drawn]
     np.testing.assert_array_equal(picked, np.arange(drawn) * (steps // drawn))
@@ -532,7 +532,7 @@ def test_a_viewer_that_is_not_there_is_named_with_its_cure() -> None:
     assert "there is no display" in nobody.stderr
     assert f"copy {folder / 'run.rrd'}" in nobody.stderr
     port = free_port()
-    with pytest.raises(HedgerowError, match=rf"nobody listens there; start a viewer .* `rerun --port {port}"):
+    with pytest.raises(HedgerowError, match=rf"no viewer listens there; start a viewer .* `rerun --port {port}"):
         Viewer(f"rerun+http://127.0.0.1:{port}/proxy").wait_until_it_listens(0.1)
 
 
@@ -546,7 +546,7 @@ FLAGS = (
 
 
 def drawn(screenshot: Path) -> list[int]:
-    """How many pixels have the colour of each node of paper7: none on a page without a run."""
+    """Return the number of pixels in the colour of each node of paper7: zero on a page without a run."""
     pixels = np.asarray(Image.open(screenshot).convert("RGB")).astype(int)
     topology = resolve(load("paper7"))
     (x,) = (quantity for quantity in quantities(topology, Observer(topology)) if quantity.entity == "x")
@@ -556,7 +556,7 @@ def drawn(screenshot: Path) -> list[int]:
 @pytest.mark.slow
 @pytest.mark.skipif(not CHROMIUM.exists(), reason="there is no Chromium here")
 def test_a_page_shows_the_run_while_it_runs(tmp_path: Path) -> None:
-    """The link that `up` prints opens in Chromium: each node's line is drawn, what is lost and cut is broken."""
+    """The link of `up` opens in Chromium: each node's line is drawn, with breaks at lost messages and cuts."""
     api: Any = pytest.importorskip("playwright.sync_api", reason="pip install playwright")
     faults = "--set=faults=[{kind: drop, link: [2, 4]}, {kind: cut, edge: [3, 5]}]"
     options = ["--processes", "1", "--steps", "1000000", "--rate", "50", "--viewer", "web", "--no-record", faults]

@@ -149,7 +149,7 @@ def test_a_file_is_replaced_only_if_it_is_asked_for(here: Path) -> None:
     found.save(Path("out.yaml"), force=True)
 
 
-def test_a_comment_of_the_file_is_one_line_whatever_the_source_is_called(here: Path) -> None:
+def test_a_comment_is_one_line_for_any_name_of_the_source(here: Path) -> None:
     Path("t\nsteps: 7.csv").write_text("p,q\nq,r\n")
     found = import_file(Path("t\nsteps: 7.csv"), Options())
     found.save(Path("out.yaml"))

@@ -1,6 +1,6 @@
-"""Public networks that packages of PyPI ship: each becomes a valid topology that runs, or is refused with a cure.
+"""Public networks that packages of PyPI ship: each becomes a valid topology that runs, or is refused with a fix.
 
-The readers of water and power networks are extras. A test whose reader is not installed is skipped.
+The readers of water and power networks are extras. A test is skipped if its reader is not installed.
 """
 
 from __future__ import annotations

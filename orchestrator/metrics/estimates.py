@@ -1,4 +1,4 @@
-"""How good estimates are: their error, whether the nearest candidate is the truth, and how often they change."""
+"""The quality of estimates: their error, if the nearest candidate is the truth, and how often they change."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from hedgerow.topologies.graph import Array
 
 
 def judged(ahat: Array, a: Array, candidates: Array) -> dict[str, float | None]:
-    """Return how good the estimates are, (n,) each; `candidates` (M, n).
+    """Return the quality of the estimates, (n,) each; `candidates` (M, n).
 
-    An estimate is right if the candidate nearest it is the truth. For an estimate from the list this is equality; for a
-    real number it says which candidate it speaks for. A node without an estimate is not right, and has no error.
+    An estimate is right if the candidate nearest it is the truth. For an estimate from the list this is equality. For a
+    real number it is the candidate that the number supports. A node without an estimate is not right, and has no error.
     """
     there = np.isfinite(ahat)
     apart = np.where(np.isnan(candidates), np.inf, np.abs(candidates - np.where(there, ahat, 0.0)))

@@ -1,0 +1,40 @@
+"""The plant of a network as the bounds on the gain of its law see it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hedgerow.topologies.graph import Array, Index
+
+
+@dataclass(frozen=True)
+class Plant:
+    """The numbers of a network that a bound depends on."""
+
+    a: Array
+    """the truth, (n,)"""
+    b: Array
+    """gains, (n,)"""
+    edges: Index
+    """pairs of nodes, (E, 2)"""
+    root_weights: Array
+    """sqrt(k_e), (E,)"""
+    lowest: Array
+    """the smallest candidate per node, (n,)"""
+    highest: Array
+    """the largest candidate per node, (n,)"""
+
+    @classmethod
+    def of(
+        cls, a: Array, b: float | Array, edges: Index, weights: Array | None, lowest: Array, highest: Array
+    ) -> Plant:
+        """Return the plant of a network with gains b (one, or one per node) and weights (None: all 1)."""
+        root = np.ones(len(edges)) if weights is None else np.sqrt(weights)
+        return cls(a, np.broadcast_to(np.asarray(b, dtype=float), a.shape), edges, root, lowest, highest)
+
+    @property
+    def n(self) -> int:
+        """Return the number of nodes."""
+        return len(self.a)
