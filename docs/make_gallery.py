@@ -1,7 +1,7 @@
 """Make the pictures and the numbers of docs/gallery.md: python docs/make_gallery.py FOLDER [PACKAGE ...]
 
-It needs the extras `water` and `power`, and the package topohub, which contain the networks. PACKAGE restricts it to the
-networks of some packages.
+It needs the extras `water` and `power`, and the package topohub, which contain the networks. PACKAGE restricts it to
+the networks of some packages.
 """
 
 from __future__ import annotations

@@ -20,6 +20,8 @@ from hedgerow.topologies.errors import Code, HedgerowError
 from hedgerow.wire import bounded_json
 
 VERSION = 4
+FEW_STATES = 512
+"""So many states are copied faster than a view of them is made."""
 REPORT_ROWS = 2
 """Numbers that a node reports about itself: ahat and the margin J_(2) - J_(1)."""
 
@@ -31,6 +33,7 @@ _F8 = np.dtype("<f8")
 _U1 = np.dtype("u1")
 _STEP = struct.Struct("<q")
 _SPAN = struct.Struct("<IIIII")
+_PLACE = struct.Struct("<qq")
 _LINK_HEADER = struct.Struct(_HEADER.format + "q")
 """the same, and the first step"""
 
@@ -52,6 +55,7 @@ class Kind(IntEnum):
     RECORD = 6
     EVENT = 7
     TRIPS = 8
+    PLACE = 9
 
 
 class Flag(IntEnum):
@@ -256,10 +260,12 @@ def encode_state(t: int, x: Buffer, flags: Buffer, spans: Sequence[Span] = ()) -
 
 def encode_quiet_states(t: int, x: Array, sizes: Iterable[int]) -> list[bytes]:
     """Return the State messages of all shards, of `sizes` nodes each; each carries x alone, and all flags are set."""
-    whole, pack, start, messages = x.tobytes(), _HEADER.pack, 0, list[bytes]()
+    # A view of a long array: a copy of the whole and one of the part would cost as much as the message.
+    whole: Buffer = x.tobytes() if len(x) <= FEW_STATES else np.ascontiguousarray(x).view(_U1)
+    pack, start, messages = _HEADER.pack, 0, list[bytes]()
     for k in sizes:
         stop = start + 8 * k
-        messages.append(pack(VERSION, _STATE, 0, k, t) + whole[start:stop])
+        messages.append(join((pack(VERSION, _STATE, 0, k, t), whole[start:stop])))
         start = stop
     return messages
 
@@ -367,6 +373,20 @@ def _whole(e: int) -> tuple[Flags, Flags, Flags]:
     """Return the flags of a step in which all e edges are open, all links are up and every input was used."""
     edge_open, link_up, took = (np.broadcast_to(np.uint8(bit), c) for bit, c in ((1, e), (1, 2 * e), (TAKEN, 2 * e)))
     return edge_open, link_up, took
+
+
+def encode_place(t: int, start: int, length: int) -> bytes:
+    """Return the message that stands for the telemetry of t: its place in the shared memory [bytes]."""
+    return _pack(Kind.PLACE, 0, t, _PLACE.pack(start, length))
+
+
+def decode_place(message: bytes) -> tuple[int, int]:
+    """Return the place and the length of a row in the shared memory [bytes]; raise MessageError for negative ones."""
+    _open(message, Kind.PLACE, 0, _PLACE.size)
+    start, length = _PLACE.unpack_from(message, _SIZE)
+    if start < 0 or length < _SIZE:
+        raise MessageError(f"a row of {length} bytes at {start}")
+    return start, length
 
 
 def encode_trips(trips: Trips) -> bytes:
