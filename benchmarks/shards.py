@@ -257,7 +257,7 @@ def main() -> None:
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--cuts", action="store_true", help="a random graph by an order of its nodes, and by METIS")
-    parser.add_argument("--unequal", action="store_true", help="a ring, and one whose gains and weights differ")
+    parser.add_argument("--unequal", action="store_true", help="a ring, and one with gains and weights that differ")
     parser.add_argument("--shared", action="store_true", help="telemetry in messages, and in shared memory")
     parser.add_argument("--json", action="store_true")
     known = parser.parse_args()

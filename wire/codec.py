@@ -21,7 +21,7 @@ from hedgerow.wire import bounded_json
 
 VERSION = 4
 FEW_STATES = 512
-"""So many states are copied faster than a view of them is made."""
+"""Up to this number, states are copied faster than a view of them is made."""
 REPORT_ROWS = 2
 """Numbers that a node reports about itself: ahat and the margin J_(2) - J_(1)."""
 
@@ -376,7 +376,7 @@ def _whole(e: int) -> tuple[Flags, Flags, Flags]:
 
 
 def encode_place(t: int, start: int, length: int) -> bytes:
-    """Return the message that stands for the telemetry of t: its place in the shared memory [bytes]."""
+    """Return the message with the place of the telemetry of t in the shared memory [bytes]."""
     return _pack(Kind.PLACE, 0, t, _PLACE.pack(start, length))
 
 

@@ -1,4 +1,4 @@
-"""The process of each node stands in the resolved file where a fault depends on it: a run repeats on every machine."""
+"""The resolved file records the process of each node if a fault depends on it: a run repeats on every machine."""
 
 from __future__ import annotations
 

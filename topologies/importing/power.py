@@ -191,7 +191,7 @@ def read_pandapower(path: Path, options: Options) -> Found:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             net = pandapower.from_json_string(content.decode())
-            # Without the check of connectivity, parts that no supply reaches stay: they are a network all the same.
+            # Without the check of connectivity, parts without a supply remain: they are a network too.
             case = to_ppc(net, init="flat", calculate_voltage_angles=True, mode="pf", check_connectivity=False)
     except Exception as error:  # the conversion passes on all errors of its parts
         raise refuse(
