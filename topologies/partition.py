@@ -15,7 +15,7 @@ IN_ORDER = 64
 
 
 def parts_of(graph: Graph, processes: int, layout: Sequence[int] | None) -> tuple[Index, ...]:
-    """Return the positions of nodes by process, ascending: those of a layout for this number of processes, otherwise a partition.
+    """Return the positions of nodes by process, ascending: those of a layout for `processes`, otherwise a partition.
 
     layout: the process of each node, from 0, (n,), as a resolved file records it; None if nothing is recorded.
     """
