@@ -23,11 +23,12 @@ from hedgerow.topologies.schema import Topology
 from tests.tools.networks import gathered, networks
 from tests.tools.schedules import schedules, with_faults
 
+HISTORIES: list[dict[str, Any]] = [{}, {"history": 3}, {"backfill": False}]
 EXAMPLES = int(os.environ.get("HEDGEROW_EXAMPLES", "25"))
 
 
 def same_bits(topology: Topology, seeds: list[int]) -> None:
-    """Compare the telemetry of a union with that of each run by itself: x, w and what the agents say, to the bit."""
+    """Compare the telemetry of a union with that of single runs, bit for bit: x, w and the reports of the agents."""
     union = of_seeds(topology, seeds)
     together = gathered(reference.run(union.truth(), [union.view()], union.law()))
     edge, link = 0, 0
@@ -52,7 +53,7 @@ def test_any_faults_in_any_network_have_the_bits_of_single_runs(data: st.DataObj
     topology = data.draw(networks(most=4, steps=12))
     law = data.draw(st.sampled_from(["minimax", "notch", "thompson", "rls", "tests.tools.laws:LeastSquares"]))
     faults = data.draw(schedules(topology, 4))
-    history = data.draw(st.sampled_from([{}, {"history": 3}, {"backfill": False}]))
+    history = data.draw(st.sampled_from(HISTORIES))
     same_bits(with_faults(topology, faults, law=law, **history), [3, 1, 8])
 
 
