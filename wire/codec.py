@@ -286,14 +286,15 @@ def encode_state(t: int, x: Buffer, flags: Buffer, spans: Sequence[Span] = ()) -
 
 def encode_quiet_states(t: int, x: Array, sizes: Iterable[int]) -> list[bytes]:
     """Return the State messages of all shards, of `sizes` nodes each; each carries x alone, and all flags are set."""
-    # A view of a long array: a copy of the whole and one of the part would cost as much as the message.
-    whole: Buffer = x.tobytes() if len(x) <= FEW_STATES else np.ascontiguousarray(x).view(_U1)
     start, messages, last, head = 0, list[bytes](), -1, b""
+    # A view of a long array: a copy of the whole and one of the part would cost as much as the message.
+    view = np.ascontiguousarray(x).view(_U1) if len(x) > FEW_STATES else None
+    whole = x.tobytes() if view is None else b""
     for k in sizes:
         if k != last:
             last, head = k, header(_STATE, k, t)
         stop = start + 8 * k
-        messages.append(join((head, whole[start:stop])))
+        messages.append(head + whole[start:stop] if view is None else join((head, view[start:stop])))
         start = stop
     return messages
 
