@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hedgerow.topologies import archive
+from hedgerow.topologies.errors import Code, UserError
+from hedgerow.topologies.json_file import read_json
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -69,7 +71,10 @@ class View:
         return len(self.ids)
 
     def write(self, path: Path) -> None:
-        """Write the view as the .npz file that `read` reads."""
+        """Write the view as the file that `read` reads: JSON if the name ends with .json, else .npz."""
+        if path.suffix == ".json":
+            path.write_text(self.to_json(), encoding="utf-8")
+            return
         settings: dict[str, Any] = {
             "shard": self.shard,
             "law": self.law,
@@ -99,6 +104,14 @@ class View:
     @classmethod
     def read(cls, path: Path) -> View:
         """Return the view stored in a file."""
+        if path.suffix == ".json":
+            told = read_json(path)
+            try:
+                return cls.from_dict(told)
+            except (KeyError, TypeError, ValueError, AttributeError) as error:
+                raise UserError(
+                    f"{path}: is not a local view: {type(error).__name__}. Start the run again.", code=Code.FILE_FORMAT
+                ) from None
         settings, arrays = archive.read(path)
         with archive.reading(path):
             shards, says, hears = arrays.pop("peers").T

@@ -2,37 +2,96 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
-import sys
-import time
+from hedgerow.wire import first
 
-import hedgerow
-from hedgerow.topologies.escape import echo
-from hedgerow.wire import start
+first.quiet()
+
+import contextlib  # noqa: E402 (a Ctrl-C while they load must find the handler of `first`)
+import os  # noqa: E402
+import sys  # noqa: E402
+import threading  # noqa: E402
+import time  # noqa: E402
+from typing import NoReturn  # noqa: E402
+
+import hedgerow  # noqa: E402
+from hedgerow.topologies.escape import echo  # noqa: E402
+from hedgerow.wire import start  # noqa: E402
 
 BEGAN = time.monotonic()
+MIN_OPEN_FILES, MIN_MEMORY, MIN_MEMORY_UP = 32, 1200 * 10**6, 2000 * 10**6
+"""With less, libraries end a process without a message, or wait for ever. Most of the memory is only reserved."""
 
 
-def main() -> None:
+def main() -> NoReturn:
+    """Run the command line as the whole of this process, and exit with its code."""
+    code: int = start.INTERRUPTED
+    with contextlib.suppress(KeyboardInterrupt):
+        # Before all other imports: until then, a Ctrl-C ends with a traceback.
+        start.begin()
+        start.end_by_signals()
+        _settle_environment()
+        from hedgerow.wire.stderr_relay import StderrRelay  # noqa: PLC0415
+
+        with StderrRelay():
+            sys.unraisablehook, threading.excepthook = _ignored, _failed_thread
+            code = _code()
+    with contextlib.suppress(OSError, ValueError, KeyboardInterrupt):
+        sys.stdout.flush()
+        sys.stderr.flush()
+    # Not sys.exit: a stalled viewer's threads must not hold the process (orchestrator.views.rerun.stream).
+    os._exit(code)
+
+
+def _code() -> int:
     """Run the command line; for `up`, start the fork server first, so that both load at the same time."""
-    start.begin()
-    _settle_environment()
+    from hedgerow.topologies.errors import Exit, HedgerowError  # noqa: PLC0415
+    from hedgerow.wire import limits  # noqa: PLC0415
+
     launches = "up" in sys.argv[1:2] and not {"--help", "--detach"} & set(sys.argv)
     try:
+        limits.need_open_files(MIN_OPEN_FILES, "a command")
+        limits.need_memory(MIN_MEMORY_UP if launches else MIN_MEMORY, "`up`" if launches else "a command")
         from hedgerow.orchestrator.launch.fork_client import ForkClient  # noqa: PLC0415
 
         fork_client = ForkClient() if launches else None
         from hedgerow.orchestrator.cli.main import run_command  # noqa: PLC0415
 
-        run_command(BEGAN, fork_client)
-    except KeyboardInterrupt:  # no run has begun that must end properly
-        os._exit(start.INTERRUPTED)
+        start.command_begins()
+        return run_command(BEGAN, fork_client)
+    except KeyboardInterrupt:  # before there was a run to end
+        return start.code_after_signal()
+    except HedgerowError as error:
+        with contextlib.suppress(OSError):
+            echo(f"error: {error}", error=True)
+        return Exit.UNKNOWN
     except BaseException as error:
         if isinstance(error, ModuleNotFoundError) and (error.name or "").partition(".")[0] in hedgerow.NEEDED:
             echo(f"error: {hedgerow.missing('this command', error.name)}", error=True)
-            os._exit(2)
-        os._exit(_failed(error))
+            return Exit.USER_MISTAKE
+        return _failed(error)
+
+
+MOST_FILES = 10
+"""Tracebacks of threads that are kept: a law may start a thread at every step."""
+_FAILED: list[BaseException] = []
+
+
+def _ignored(found: sys.UnraisableHookArgs) -> None:
+    """Report in one line an exception that Python ignores, for example while a library frees an object."""
+    with contextlib.suppress(Exception):
+        echo(f"ignored: {found.exc_type.__name__}: {found.exc_value}", error=True)
+
+
+def _failed_thread(found: threading.ExceptHookArgs) -> None:
+    """Report in one line the exception that ended a thread, and the file with its traceback."""
+    from hedgerow.wire import crash  # noqa: PLC0415
+
+    if found.exc_value is not None and not isinstance(found.exc_value, SystemExit) and len(_FAILED) < MOST_FILES:
+        _FAILED.append(found.exc_value)
+        with contextlib.suppress(Exception):
+            echo(
+                f"error: a thread ended: {crash.summary(found.exc_value)}; {crash.record(found.exc_value)}", error=True
+            )
 
 
 def _settle_environment() -> None:
@@ -53,10 +112,9 @@ def _is_size(text: str) -> bool:
 def _failed(error: BaseException) -> int:
     """Print one line about an error before the command line existed; return the exit code."""
     from hedgerow.topologies.errors import Exit  # noqa: PLC0415
-    from hedgerow.wire import crash  # noqa: PLC0415
-    from hedgerow.wire.limits import limit_reached  # noqa: PLC0415
+    from hedgerow.wire import crash, limits  # noqa: PLC0415
 
-    reached = limit_reached(error)
+    reached = limits.limit_reached(error)
     with contextlib.suppress(OSError):
         echo(f"error: {reached or crash.report(error)}", error=True)
     return Exit.CRASH if reached is None else Exit.UNKNOWN

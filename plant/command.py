@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-from typing import NoReturn
+from hedgerow.wire import first
 
-from hedgerow.wire import start
+first.quiet()
+
+from typing import NoReturn  # noqa: E402 (a Ctrl-C while it loads must find the handler of `first`)
+
+from hedgerow.wire import start  # noqa: E402
 
 
 def main() -> NoReturn:

@@ -65,8 +65,19 @@ class HedgerowError(Exception):
     default_code: ClassVar[Code] = Code.UNKNOWN
 
     def __init__(self, *args: object, code: Code | None = None) -> None:
-        super().__init__(*args)
+        super().__init__(*(bounded(one) if isinstance(one, str) else one for one in args))
         self.code = code or self.default_code
+
+
+MOST_CHARACTERS = 12_000
+"""of a message: 20 lines, of which each may quote a long name"""
+
+
+def bounded(text: str) -> str:
+    """Return a text of at most `MOST_CHARACTERS`: of a longer one the beginning and, with the fix, the end."""
+    if len(text) <= MOST_CHARACTERS:
+        return text
+    return f"{text[: MOST_CHARACTERS - 2000]} … {text[3 - 2000 :]}"
 
 
 class UserError(HedgerowError):
@@ -164,7 +175,7 @@ class Problems:
     """lines of a message"""
 
     def __init__(self, problems: Iterable[Problem] = ()) -> None:
-        self._kept: dict[Problem, None] = {}
+        self._problems: dict[Problem, None] = {}
         self._counts: dict[tuple[str, str, str, str], int] = {}
         self._others = 0
         """the number of mistakes of further kinds; `_counts` is full"""
@@ -172,7 +183,7 @@ class Problems:
 
     def append(self, problem: Problem) -> None:
         """Add a mistake, once."""
-        if problem in self._kept:
+        if problem in self._problems:
             return
         if (kind := problem.kind) in self._counts:
             self._counts[kind] += 1
@@ -182,8 +193,8 @@ class Problems:
             self._others += 1
             return
         # Keep room for the first mistake of each later kind: a message names every kind by its first mistake.
-        if self._counts[kind] == 1 or len(self._kept) < self.KEPT:
-            self._kept[problem] = None
+        if self._counts[kind] == 1 or len(self._problems) < self.KEPT:
+            self._problems[problem] = None
 
     def count_more(self, like: Problem) -> None:
         """Count one more mistake of the same kind as `like`, which was appended before."""
@@ -207,7 +218,7 @@ class Problems:
             self.append(problem)
 
     def __iter__(self) -> Iterator[Problem]:
-        return iter(self._kept)
+        return iter(self._problems)
 
     def __len__(self) -> int:
         return sum(self._counts.values()) + self._others
@@ -215,7 +226,7 @@ class Problems:
     def lines(self, source: str) -> list[str]:
         """Return the message: a line for each kind of mistake, or for each mistake if few are equal; at most 20."""
         grouped: dict[tuple[str, str, str, str], list[Problem]] = {}
-        for problem in sorted(self._kept, key=_in_order):
+        for problem in sorted(self._problems, key=_in_order):
             grouped.setdefault(problem.kind, []).append(problem)
         lines: list[tuple[Problem, str, int]] = []
         for kind, found in grouped.items():

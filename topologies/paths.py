@@ -4,9 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from hedgerow.topologies.errors import Code, UserError
+
 
 def user_path(text: str) -> Path:
-    """Return the path that an option names; shells leave the `~` of `--option=~/folder` to the program."""
+    """Return the path that an option names; shells leave the `~` of `--option=~/folder` to the program.
+
+    Raises UserError for a text that is no path of any file.
+    """
+    if "\0" in str(text):  # typer hands over a default as a path
+        raise UserError("a path has a zero byte. Name another one.", code=Code.OPTION)
     path = Path(text)
     try:
         return path.expanduser()

@@ -83,7 +83,8 @@ def run_alone(body: Callable[[], None], logged: bool = False) -> NoReturn:
     # kernel would still deliver it while it is blocked.
     ends = set(_ENDS) - start.ignored(_ENDS)
     signal.pthread_sigmask(signal.SIG_BLOCK, ends)
-    with StderrRelay():
+    # A log keeps what libraries write as it is: a process for each agent would cost too much.
+    with contextlib.nullcontext() if logged else StderrRelay():
         code = _run(body, logged, ends)
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError, ValueError):  # standard error has no reader
@@ -117,7 +118,7 @@ def _run(body: Callable[[], None], logged: bool, ends: Collection[signal.Signals
             if logged:
                 with contextlib.suppress(Exception):
                     logging.error("unexpected", exc_info=error)
-            _say(f"this is a defect of hedgerow: {crash.told(error)}" if logged else crash.report(error))
+            _say(f"this is a defect of hedgerow: {crash.summary(error)}" if logged else crash.report(error))
     return code
 
 

@@ -9,7 +9,7 @@ import traceback
 from pathlib import Path
 
 
-def told(error: BaseException) -> str:
+def summary(error: BaseException) -> str:
     """Return one line about an unexpected exception."""
     words = " ".join(str(error).split())
     return f"{type(error).__name__}: {words[:200]}" if words else type(error).__name__
@@ -17,10 +17,13 @@ def told(error: BaseException) -> str:
 
 def report(error: BaseException, log: Path | None = None) -> str:
     """Write the traceback to `log`, or to a new file if that fails; return one line that names the file."""
-    text = "".join(traceback.format_exception(error))
-    file = _written(text, log)
-    where = f"the traceback is in {file}" if file is not None else f"no file can be written; it was at {_place(error)}"
-    return f"this is a defect of hedgerow: {told(error)}; {where}"
+    return f"this is a defect of hedgerow: {summary(error)}; {record(error, log)}"
+
+
+def record(error: BaseException, log: Path | None = None) -> str:
+    """Write the traceback to `log`, or to a new file if that fails; return where it is."""
+    file = _written("".join(traceback.format_exception(error)), log)
+    return f"the traceback is in {file}" if file is not None else f"no file can be written; it was at {_place(error)}"
 
 
 def _written(text: str, log: Path | None) -> Path | None:
@@ -32,8 +35,12 @@ def _written(text: str, log: Path | None) -> Path | None:
     for folder in (tempfile.gettempdir, os.getcwd, lambda: str(Path.home())):
         with contextlib.suppress(OSError, RuntimeError):
             number, name = tempfile.mkstemp(prefix="hedgerow-crash-", suffix=".txt", dir=folder())
-            with open(number, "wb") as opened:
-                opened.write(data)
+            try:
+                with open(number, "wb") as opened:
+                    opened.write(data)
+            except OSError:  # the disk is full
+                os.unlink(name)
+                raise
             return Path(name)
     return None
 

@@ -57,14 +57,22 @@ _BY_WORDS = (
 )  # fmt: skip
 
 
+def limits_now() -> str:
+    """Return the limits of memory and processes that the user has, with the cure; the machine's memory if none."""
+    limited = [
+        limit for limit in (_MEMORY, _PROCESSES) if resource.getrlimit(limit.number)[0] != resource.RLIM_INFINITY
+    ]
+    return " ".join(f"Is it that {limit}" for limit in limited) or "Look at the memory and processes of the machine."
+
+
 def limit_in(words: str) -> str | None:
     """Return the limit of the machine that a library's message is about, with the fix; None if it names none."""
     return next((str(limit) for pattern, limit in _BY_WORDS if pattern.search(words)), None)
 
 
 def limit_reached(error: BaseException) -> HedgerowError | None:
-    """Return the limit of the machine that an exception, or one of its causes, is about; None if there is none."""
-    for one in _causes(error):
+    """Return the limit of the machine that an exception, or a cause of it, is about; None if there is none."""
+    for one in causes(error):
         if isinstance(one, HedgerowError):
             continue
         found: str | None = None
@@ -79,7 +87,8 @@ def limit_reached(error: BaseException) -> HedgerowError | None:
     return None
 
 
-def _causes(error: BaseException) -> Iterator[BaseException]:
+def causes(error: BaseException) -> Iterator[BaseException]:
+    """Return an exception, and those that it came of."""
     seen: set[int] = set()
     one: BaseException | None = error
     while one is not None and id(one) not in seen:
@@ -98,3 +107,14 @@ def need_open_files(count: int, who: str) -> None:
                 " Raise the limit with `ulimit -n`, or use fewer --processes.",
                 code=Code.LIMIT,
             )
+
+
+def need_memory(size: int, who: str) -> None:
+    """Raise HedgerowError if `who` needs more bytes of address space than a process may have."""
+    soft, _ = resource.getrlimit(_MEMORY.number)
+    if soft != resource.RLIM_INFINITY and size > soft:
+        raise HedgerowError(
+            f"{who} needs about {size // 10**6} MB of address space, and a process may have {soft // 10**6} MB."
+            " Raise the limit with `ulimit -v`.",
+            code=Code.LIMIT,
+        )

@@ -10,8 +10,8 @@ import shutil
 import threading
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from queue import Empty, SimpleQueue
 from typing import Any, cast
 
 import zenoh
@@ -21,13 +21,15 @@ from hedgerow.topologies.escape import escape
 from hedgerow.topologies.json_file import read_json
 from hedgerow.wire.codec import MessageError
 from hedgerow.wire.credentials import Credentials, router_tls
-from hedgerow.wire.limits import limit_in
-from hedgerow.wire.runtime import keep_thread
+from hedgerow.wire.limits import limit_in, limits_now
+from hedgerow.wire.runtime import KEPT, keep_thread
 
 LOG = logging.getLogger("wire")
 MAX_SESSIONS = 100_000
 MOST_PORT = 65535
 CONNECT_TIMEOUT_S = 10.0
+OPEN_TIMEOUT_S = 15.0
+"""The longest time for Zenoh to open a session, in addition to its own timeout [s]."""
 LEASE_S = 30.0
 """The silence after which a process counts as gone, if nothing else reports it earlier [s]."""
 LOOK_S, MOST_LOOK_S = 2.0, 30.0
@@ -141,7 +143,7 @@ def open_router(endpoint: str, namespace: str | None = None, credentials: Path |
 
         log_refusals()
     try:
-        return zenoh.open(_config(namespace, router_settings(endpoint, credentials, rules)))
+        return _open_aside(_config(namespace, router_settings(endpoint, credentials, rules)), OPEN_TIMEOUT_S)
     except zenoh.ZError as error:
         raise WireError(f"no router on {endpoint}: {_why(error)}") from None
 
@@ -206,7 +208,7 @@ def open_client(
         left = max(0.0, by - time.monotonic())
         settings["connect/timeout_ms"] = int(1000 * min(left, patience_s))
         try:
-            return _open_aside(_config(namespace, settings))
+            return _open_aside(_config(namespace, settings), patience_s + OPEN_TIMEOUT_S)
         except zenoh.ZError as error:
             patience_s = min(2 * patience_s, MOST_LOOK_S)
             # Zenoh would try until the timeout, even if the router refuses our certificate.
@@ -217,13 +219,30 @@ def open_client(
             time.sleep(PAUSE_S)  # some mistakes fail at once on every try
 
 
-def _open_aside(config: zenoh.Config) -> zenoh.Session:
+def _open_aside(config: zenoh.Config, timeout_s: float) -> zenoh.Session:
     """Open a session on a separate thread. Zenoh would block the main thread, which handles the signals.
 
-    Several short tries would never reach a router that is slow to answer.
+    Several short tries would never reach a router that is slow to answer. Raises HedgerowError past `timeout_s`: at a
+    limit of the machine, a thread of Zenoh can end so that its open never returns.
     """
-    with ThreadPoolExecutor(1) as pool:
-        return pool.submit(zenoh.open, config).result()
+    opened: SimpleQueue[zenoh.Session | BaseException] = SimpleQueue()
+
+    def open_it() -> None:
+        try:
+            opened.put(zenoh.open(config))
+        except BaseException as error:  # a panic is no Exception
+            opened.put(error)
+
+    threading.Thread(target=open_it, name="open", daemon=True).start()
+    try:
+        result = opened.get(timeout=timeout_s)
+    except Empty:
+        raise HedgerowError(
+            f"Zenoh opened no session within {timeout_s:g} s. {limits_now()}", code=Code.LIMIT
+        ) from None
+    if isinstance(result, BaseException):
+        raise result
+    return result
 
 
 def _why(error: zenoh.ZError) -> str:
@@ -330,29 +349,39 @@ class Receiver:
         self.key, self.heard, self.refused = key, 0, 0
         self.strange: dict[str, int] = {}
         """the number of messages by unexpected keys; such a key contains a `*`, which no process of a run uses"""
-        self._take = take
-        self._declared = session.declare_subscriber(key, direct(self._on_sample))
+        own = zenoh.KeyExpr(key)
+
+        def on_sample(sample: zenoh.Sample) -> None:
+            # One function for what every message needs: a call more costs as much as the copy of a payload.
+            if not hasattr(KEPT, "here"):
+                keep_thread()
+            if sample.key_expr != own:
+                self._refuse_key(str(sample.key_expr))
+                return
+            try:
+                take(sample.payload.to_bytes())
+            except MessageError as error:
+                self._refuse(error)
+            else:
+                self.heard += 1
+
+        self._declared = session.declare_subscriber(key, zenoh.handlers.Callback(on_sample, indirect=False))
 
     def close(self) -> None:
         """Stop receiving messages."""
         with contextlib.suppress(zenoh.ZError):  # the session may be closed
             self._declared.undeclare()  # type: ignore[no-untyped-call]
 
-    def _on_sample(self, sample: zenoh.Sample) -> None:
-        if (key := str(sample.key_expr)) != self.key:
-            if not self.strange:
-                LOG.warning("%s: refused: a message on %s, which is no key of the run", self.key, key)
-            if key in self.strange or len(self.strange) < STRANGE_KEYS:
-                self.strange[key] = self.strange.get(key, 0) + 1
-            return
-        try:
-            self._take(sample.payload.to_bytes())
-        except MessageError as error:
-            self.refused += 1
-            if self.refused == 1:
-                LOG.warning("%s: refused: %s", self.key, error)
-        else:
-            self.heard += 1
+    def _refuse_key(self, key: str) -> None:
+        if not self.strange:
+            LOG.warning("%s: refused: a message on %s, which is no key of the run", self.key, key)
+        if key in self.strange or len(self.strange) < STRANGE_KEYS:
+            self.strange[key] = self.strange.get(key, 0) + 1
+
+    def _refuse(self, error: MessageError) -> None:
+        self.refused += 1
+        if self.refused == 1:
+            LOG.warning("%s: refused: %s", self.key, error)
 
 
 def counts(senders: Iterable[Sender], receivers: Iterable[Receiver]) -> dict[str, dict[str, int]]:

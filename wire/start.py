@@ -17,6 +17,7 @@ from types import FrameType
 from typing import Any
 
 from hedgerow.topologies.escape import EscapedStream
+from hedgerow.wire import first
 
 INTERRUPTED = 128 + signal.SIGINT
 """The exit code after a Ctrl-C."""
@@ -83,14 +84,43 @@ def quiet_ctrl_c() -> None:
     Python's own stays: a SIGINT that was ignored at the start stays ignored.
     """
     here = threading.current_thread() is threading.main_thread()
-    if here and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+    if here and signal.getsignal(signal.SIGINT) in (signal.default_int_handler, first.end):
         signal.signal(signal.SIGINT, _interrupt)
 
 
-def _interrupt(_: int, frame: FrameType | None) -> None:
+def end_by_signals() -> None:
+    """End on SIGTERM and SIGHUP as on Ctrl-C, so that a command removes its temporary files."""
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) is signal.SIG_DFL:
+            signal.signal(number, _interrupt)
+
+
+def code_after_signal() -> int:
+    """Return the exit code after the signal that ended a command."""
+    return 128 + _last
+
+
+def command_begins() -> None:
+    """From now on, a signal during an import waits for its end: there may be temporary files to remove."""
+    global _has_command  # noqa: PLW0603 (a process has one command)
+    _has_command = True
+
+
+_has_command = False
+_last: int = signal.SIGINT
+_AGAIN_S = 0.02
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    global _last  # noqa: PLW0603
+    _last = number
     while frame is not None:
         if frame.f_code.co_filename.startswith("<frozen importlib"):
-            os._exit(INTERRUPTED)
+            if not _has_command:
+                os._exit(128 + number)
+            signal.signal(signal.SIGALRM, lambda _, later: _interrupt(number, later))
+            signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
+            return
         frame = frame.f_back
     raise KeyboardInterrupt
 

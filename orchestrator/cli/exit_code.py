@@ -5,32 +5,38 @@ from __future__ import annotations
 import contextlib
 import errno
 import io
-import os
 import select
 import sys
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING
 
 import typer
 
 from hedgerow.topologies.errors import Code, Exit, HedgerowError, TopologyError, UserError
 from hedgerow.topologies.escape import echo
 from hedgerow.wire import crash, start
-from hedgerow.wire.limits import limit_reached
+from hedgerow.wire.limits import causes, limit_reached
 
 if TYPE_CHECKING:
     from hedgerow.orchestrator.metrics.verdict import Verdict
     from hedgerow.orchestrator.views.screen import Screen
 
 FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
-"""The errors of a standard output that accepts no more data."""
+"""Where standard output leads, no more can be written."""
+OF_PATHS = {
+    *(errno.EACCES, errno.EEXIST, errno.EISDIR, errno.ELOOP, errno.ENAMETOOLONG, errno.ENOENT, errno.ENOTDIR),
+    *(errno.ENOTEMPTY, errno.EPERM, errno.EROFS, errno.ETXTBSY, errno.ESTALE, errno.ENXIO, errno.EINVAL),
+}
+"""Errors due to a path that the user gave, or to a folder on it."""
 
 
 def run_to_exit_code(command: Callable[[], int]) -> int:
     """Run `command` and return the exit code of this process."""
     try:
         code = command()
-        with contextlib.suppress(BrokenPipeError):  # the reader of the pipe has left
+        if code == start.INTERRUPTED:  # typer has caught the KeyboardInterrupt
+            code = start.code_after_signal()
+        with contextlib.suppress(BrokenPipeError):  # the reader of the pipe has closed it, and needs no more
             sys.stdout.flush()
     except TopologyError as error:
         _complain(f"{error}\n{error.summary}")
@@ -42,7 +48,7 @@ def run_to_exit_code(command: Callable[[], int]) -> int:
         _complain(f"error: {error}")
         code = Exit.CRASH if error.code == Code.CRASH else Exit.UNKNOWN
     except (typer.Abort, KeyboardInterrupt):
-        code = start.INTERRUPTED
+        code = start.code_after_signal()
     except BaseException as error:  # a panic of a Rust library is not an Exception
         code = _unexpected(error)
     return code
@@ -54,8 +60,10 @@ def _unexpected(error: BaseException) -> int:
         return Exit.VALID  # the reader has left; click turns this into a SystemExit
     if isinstance(error, SystemExit):
         return error.code if isinstance(error.code, int) else 0 if error.code is None else Exit.UNKNOWN
-    if isinstance(error, OSError) and error.errno in FULL:
-        _complain(f"error: the output is incomplete: {error.strerror}; free space, or choose another place")
+    # A library that closes its file may fail for a second time, and hide the first error.
+    full = next((one for one in causes(error) if isinstance(one, OSError) and one.errno in FULL), None)
+    if full is not None:
+        _complain(f"error: the output is incomplete: {full.strerror}; free space, or choose another place")
         return Exit.USER_MISTAKE
     if isinstance(error, Exception) and hasattr(error, "show"):
         with contextlib.suppress(OSError):
@@ -64,6 +72,9 @@ def _unexpected(error: BaseException) -> int:
             echo(said.getvalue(), error=True, end="")
         return Exit.USER_MISTAKE
     reached = limit_reached(error)
+    if reached is None and isinstance(error, OSError) and error.errno in OF_PATHS and error.filename is not None:
+        _complain(f"error: {error.filename!s}: {error.strerror}. Name another path, or correct its permissions.")
+        return Exit.USER_MISTAKE
     _complain(f"error: {reached or crash.report(error)}")
     return Exit.CRASH if reached is None else Exit.UNKNOWN
 
@@ -88,12 +99,3 @@ def code_of_run(verdict: Verdict, display: Screen) -> int:
 def _complain(text: str) -> None:
     with contextlib.suppress(OSError):
         echo(text, error=True)
-
-
-def leave(code: int) -> NoReturn:
-    """End this process, even with threads of a stalled viewer."""
-    # Do not use sys.exit: the threads of a stalled viewer must not block the process (orchestrator.views.rerun.stream).
-    for stream in (sys.stdout, sys.stderr):
-        with contextlib.suppress(OSError):
-            stream.flush()
-    os._exit(code)

@@ -31,7 +31,7 @@ from hedgerow.orchestrator.cli import runs as cli_runs
 from hedgerow.orchestrator.cli import soak as cli_soak
 from hedgerow.orchestrator.cli import sweep as cli_sweep
 from hedgerow.orchestrator.cli import watch as cli_watch
-from hedgerow.orchestrator.cli.exit_code import code_of_run, leave, run_to_exit_code
+from hedgerow.orchestrator.cli.exit_code import code_of_run, run_to_exit_code
 from hedgerow.orchestrator.cli.names import EXPERIMENT, INSPECT, RUN, WATCH, Commands
 from hedgerow.orchestrator.cli.options import (
     AsJson,
@@ -53,7 +53,6 @@ from hedgerow.topologies.escape import command, echo
 from hedgerow.topologies.paths import user_path
 from hedgerow.wire.child import escape_warnings
 from hedgerow.wire.runtime import let_numbers_overflow
-from hedgerow.wire.stderr_relay import StderrRelay
 
 # Loading the topology modules takes most of a second: each command imports what it needs.
 if TYPE_CHECKING:
@@ -102,15 +101,13 @@ def _whole(
     """Run networks of independent controllers, each its own process, over Zenoh."""
 
 
-def run_command(began: float, fork_client: ForkClient | None) -> None:
-    """Run the command line, and exit with its code. `began` is the start of the process by time.monotonic()."""
+def run_command(began: float, fork_client: ForkClient | None) -> int:
+    """Run the command line, and return its exit code. `began` is the start of the process by time.monotonic()."""
     global _BEGAN, _FORK_CLIENT
     _BEGAN, _FORK_CLIENT = began, fork_client
     let_numbers_overflow()
     escape_warnings()
-    with StderrRelay():
-        code = run_to_exit_code(lambda: app(standalone_mode=False) or 0)
-    leave(code)
+    return run_to_exit_code(lambda: app(standalone_mode=False) or 0)
 
 
 @app.command(rich_help_panel=RUN)
@@ -250,9 +247,10 @@ def _elsewhere(
                 code=Code.OPTION,
             )
         return None
-    from hedgerow.orchestrator.launch.external_agents import chosen, namespace_of  # noqa: PLC0415
+    from hedgerow.orchestrator.launch.endpoints import namespace_of  # noqa: PLC0415
+    from hedgerow.orchestrator.launch.external_agents import chosen  # noqa: PLC0415
 
-    meet = namespace or namespace_of(topology)
+    meet = namespace or namespace_of(topology.name)
     return chosen(external, topology, shards, router, listen, meet, wait or 600.0)
 
 
@@ -268,13 +266,13 @@ def _check_cluster(on: str, external: str | None) -> None:
 def _introduce(topology: Topology, processes: int, folder: RunFolder, display: Screen) -> None:
     """Print the size of the network, the run folder, and the rows that are recorded."""
     from hedgerow.orchestrator.metrics.summary import count  # noqa: PLC0415
-    from hedgerow.orchestrator.runs.selection import told  # noqa: PLC0415
+    from hedgerow.orchestrator.runs.selection import notes  # noqa: PLC0415
 
     what = f"{count(len(topology.ids), 'node')} in {count(processes, 'process', 'es')}, {topology.steps} steps"
     display.say(f"{topology.name}: {what}, run {folder.name}")
     if folder.note:
         display.say(folder.note)
-    for line in told(topology):
+    for line in notes(topology):
         display.say(line)
 
 
@@ -311,17 +309,18 @@ def simulate(
     from hedgerow.orchestrator.launch.recording import Watching  # noqa: PLC0415
     from hedgerow.orchestrator.launch.simulation import simulate_into  # noqa: PLC0415
     from hedgerow.orchestrator.runs import folder as folders  # noqa: PLC0415
-    from hedgerow.orchestrator.runs.selection import told  # noqa: PLC0415
+    from hedgerow.orchestrator.runs.selection import notes  # noqa: PLC0415
     from hedgerow.orchestrator.views.screen import screen  # noqa: PLC0415
 
     topology = importable(read(file, sets, steps=steps, seed=seed, law=law), file, kept_law)
-    folder = folders.create(topology, run_dir)
     viewer = _viewer(viewer)
+    folder = folders.create(topology, run_dir)
     with contextlib.closing(screen(topology, as_json, plain, quiet, watched=viewer != "none")) as display:
-        for line in filter(None, [folder.note, *told(topology)]):
+        for line in filter(None, [folder.note, *notes(topology)]):
             display.say(line)
         watching = Watching(record, viewer, split_recording)
-        return code_of_run(simulate_into(topology, folder, layout(topology, 1), watching, display), display)
+        begin = functools.partial(simulate_into, topology, folder, layout(topology, 1), watching, display)
+        return code_of_run(folders.begun_or_withdrawn(folder, begin), display)
 
 
 @app.command(rich_help_panel=RUN)

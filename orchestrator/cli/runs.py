@@ -33,8 +33,9 @@ def runs(
 
     found = listing.listed(directory, {entry.folder for entry in registry.running()})
     removed = [] if keep is None else listing.removable(found, keep)
-    if not dry_run:
-        listing.remove(removed, directory)
+    stays = [] if dry_run else listing.remove(removed, directory)
+    for line in stays:
+        echo(line, error=True)
     shown = found if keep is None else removed
     if as_json:
         echo(json.dumps([vars(one) | {"folder": str(one.folder)} for one in shown]))

@@ -71,11 +71,6 @@ class External:
         return ", ".join(self.names)
 
 
-def namespace_of(topology: Topology) -> str:
-    """Return the default namespace of a network, for processes without an option for it."""
-    return f"hedgerow/{topology.name}"
-
-
 def fingerprint(topology: Topology) -> str:
     """Return a hash of a resolved network, which differs from that of any other network."""
     return hashlib.sha256(to_yaml(topology).encode()).hexdigest()[:16]
@@ -146,10 +141,10 @@ def local(endpoint: str, here: str = "127.0.0.1") -> str:
 def configs(topology: Topology, shards: Layout, router: str, namespace: str) -> list[Config]:
     """Return the config of each process, the plant first; see `orchestrator bundle`."""
     network = fingerprint(topology)
-    told = {keys.PLANT: truth_of(topology, shards).to_dict()}
+    parts = {keys.PLANT: truth_of(topology, shards).to_dict()}
     views = views_of(topology, shards, source_digest(topology.law))
-    told |= {process_name(view): view.to_dict() for view in views}
-    return [Config(name, namespace, router, network, one) for name, one in told.items()]
+    parts |= {process_name(view): view.to_dict() for view in views}
+    return [Config(name, namespace, router, network, one) for name, one in parts.items()]
 
 
 class Meeting:

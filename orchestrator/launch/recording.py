@@ -35,6 +35,10 @@ if TYPE_CHECKING:
     from hedgerow.orchestrator.views.screen import Screen
 
 CLOSE_DEADLINE_S = 5.0
+RERUN_DEADLINE_S = 30.0
+"""the longest time for one job of Rerun [s]: after a failed write, some of its calls never return"""
+BOUNDS_DEADLINE_S = 120.0
+"""the longest time for the bounds [s]: at a limit of memory, the solver may never return"""
 CERTIFIED = 10_000
 """The maximum number of nodes for a computation of the gain bounds beside the run. The end of the run waits for it."""
 TABLES = ("telemetry", "edges", "summary")
@@ -82,6 +86,7 @@ class Recording:
         """the thread of the replay: its step takes as long as that of an agent, and the loop must not wait"""
         self._replayed = replayed
         self._stream: RerunStream | None = None
+        self._left_out = False
         self._bounding: BackgroundThread | None = None
         """the thread that computes the gain bounds: it begins after the first step"""
         if len(topology.ids) <= CERTIFIED:
@@ -144,7 +149,7 @@ class Recording:
         def solve() -> None:
             certificate.known = certified(plant_of(self.topology.network), self.topology.network.gamma_star)
 
-        self._bounding = BackgroundThread("bounds", self._leave_out_bounds)
+        self._bounding = BackgroundThread("the solver of the bounds", self._leave_out_bounds, BOUNDS_DEADLINE_S)
         self._bounding.do(solve)
 
     def _leave_out_bounds(self, error: BaseException) -> None:
@@ -236,7 +241,7 @@ class Recording:
             )
         if path is None and self.viewer is None:
             return
-        self._background = BackgroundThread("rerun", self._leave_out)
+        self._background = BackgroundThread("Rerun", self._leave_out, RERUN_DEADLINE_S)
         self._background.do(lambda: self._load(path))
         for note in self._notes:
             self.note(*note)
@@ -248,7 +253,7 @@ class Recording:
         from hedgerow.orchestrator.views.rerun.stream import RerunStream  # noqa: PLC0415
 
         part_bytes = int(self._watching.split_mb * 1e6)
-        self._stream = RerunStream(
+        stream = RerunStream(
             self.topology,
             self.observer,
             self.folder.name,
@@ -258,10 +263,12 @@ class Recording:
             self.warnings.append,
             processes=self._processes,
         )
+        if not self._left_out:  # it came too late
+            self._stream = stream
 
     def _leave_out(self, error: BaseException) -> None:
-        """Continue without the recording and the viewer, which are optional, and report this once."""
-        self._stream = None
+        """Continue without the recording and the viewer, which are optional, and warn once."""
+        self._stream, self._left_out = None, True
         why = str(limit_reached(error) or error)
         expected = isinstance(error, HedgerowError | OSError | ImportError) or limit_reached(error) is not None
         if not expected:
@@ -300,8 +307,8 @@ class Recording:
             if self.observer.adaptive is not None:
                 self.observer.adaptive.finish()
             if self._background is not None:
+                self._background.do(self._close_stream)
                 self._background.close()
-            self._close_stream()
             self.close_tables()
         # A full disk: the stream files hold the recorded steps, and can be read.
         except (OSError, HedgerowError) as error:

@@ -105,8 +105,8 @@ class Network:
                 self._ending.comparison = compare(run)
             verdict = run.close()
             run.warn(self._screen)
-            if told := line(verdict.content["round_trips"] or {}):
-                self._screen.say(told)
+            if times := line(verdict.content["round_trips"] or {}):
+                self._screen.say(times)
             self._screen.verdict(verdict, self._folder.path)
             if run.viewer is not None:
                 self._serve(run.viewer, interrupts)

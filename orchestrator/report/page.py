@@ -199,10 +199,10 @@ def _faults(run: Run, behind: str) -> list[Markup]:
     faults = run.topology.faults
     if not faults:
         return []
-    accounts = run.verdict.content.get("faults") or [{"what": str(fault.written())} for fault in faults]
+    outcomes = run.verdict.content.get("faults") or [{"what": str(fault.written())} for fault in faults]
     rows = [
         [k, account["what"], *("—" if account.get(c) is None else account[c] for c in _COUNTS), grew]
-        for k, (account, grew) in enumerate(zip(accounts, growth(run), strict=True), 1)
+        for k, (account, grew) in enumerate(zip(outcomes, growth(run), strict=True), 1)
     ]
     note = (
         "An instance is one target at one step. It fired if it took effect, and was masked if there was nothing to"

@@ -20,7 +20,7 @@ from hedgerow.agents.loading import law_class
 from hedgerow.agents.local import asks
 from hedgerow.orchestrator.metrics.checks import ROUNDING, TINY
 from hedgerow.orchestrator.metrics.estimates import switches
-from hedgerow.orchestrator.metrics.fault_accounts import Accounts, Told
+from hedgerow.orchestrator.metrics.fault_accounts import Accounts, Observed
 from hedgerow.orchestrator.metrics.fault_schedule import Schedule
 from hedgerow.orchestrator.metrics.observer import mean_error
 from hedgerow.orchestrator.runs import reference
@@ -111,11 +111,11 @@ class _Batch:
         self._bound: Array | None = None
         self._ahat, self._changed = np.full(S * n, np.nan), np.zeros(S)
         self._listed = is_listed(union.topology.law)
-        self._accounts: Accounts | None = None
+        self._fault_accounts: Accounts | None = None
         self._rows: list[Telemetry] = []
         if any(one.kind != "jump" for one in union.effects):
             self._schedule = Schedule.of(union.graph, union.ids, union.words, len(union.topology.faults), union.effects)
-            self._accounts = Accounts(union.graph, self._schedule)
+            self._fault_accounts = Accounts(union.graph, self._schedule)
 
     def run(self) -> Runs:
         """Make every step, and return the numbers."""
@@ -157,7 +157,7 @@ class _Batch:
         self._x_oracle = dynamics(a, b, graph, self._x_oracle, u_oracle, w, closed)
         self._x_nominal = dynamics(a, b, graph, self._x_nominal, u_nominal, w, closed)
         self._check_certificate(w, row)
-        if self._accounts is not None:
+        if self._fault_accounts is not None:
             self._rows.append(row)
             if len(self._rows) == TOLD_AT_ONCE:
                 self._account()
@@ -166,22 +166,22 @@ class _Batch:
         self._check(end.x)
         self._sums[0] += np.square((end.x - self._x_oracle).reshape(self._shape)).sum(axis=1)
         self._sums[1] += np.square((self._x_nominal - self._x_oracle).reshape(self._shape)).sum(axis=1)
-        if self._accounts is not None:
+        if self._fault_accounts is not None:
             self._account()
-            self._accounts.finish()
+            self._fault_accounts.finish()
             # All runs share one account: if it fails, each run is judged alone.
-            self._good &= all(worst.excess <= 0 for worst in self._accounts.checks.values())
+            self._good &= all(worst.excess <= 0 for worst in self._fault_accounts.checks.values())
 
     def _account(self) -> None:
         """Judge the faults of the stored rows."""
-        if not self._rows or self._accounts is None:
+        if not self._rows or self._fault_accounts is None:
             return
         names = ("u", "edge_open", "link_up", "took")
         u, edge_open, link_up, took = (np.array([getattr(row, name) for row in self._rows]) for name in names)
         missing = ~np.isfinite(u)
         silent = missing & np.array([np.isnan(row.report).all(axis=0) for row in self._rows])
         t = np.array([row.t for row in self._rows])
-        self._accounts.take(Told(t, missing, silent, edge_open.astype(bool), link_up.astype(bool), took))
+        self._fault_accounts.take(Observed(t, missing, silent, edge_open.astype(bool), link_up.astype(bool), took))
         self._rows.clear()
 
     def _jump(self, t: int) -> None:
@@ -207,14 +207,14 @@ class _Batch:
         """Check that every input is finite, or missing by a fault, and is (6) of a candidate where it should be."""
         u, ahat, x = row.u, row.report[0], row.x
         good = there = np.isfinite(u)
-        if self._accounts is not None:
+        if self._fault_accounts is not None:
             good = np.ones(len(u), dtype=bool)  # the accounts judge missing inputs
         if self._listed:
             listed = np.zeros(len(u), dtype=bool)
             for models in self._union.models:
                 listed |= ahat == models
             good &= (listed & (control(self._b, x, ahat) == u)) | (listed & ~there)
-            if self._accounts is not None and not there.all():
+            if self._fault_accounts is not None and not there.all():
                 good |= self._schedule.absent(np.array([row.t]))[0]
         self._good &= good.reshape(self._shape).all(axis=1)
 

@@ -90,7 +90,8 @@ def whole_folder(folder: Path, said: str, mode: int = 0o777) -> Iterator[Path]:
     except BaseException:
         shutil.rmtree(part, ignore_errors=True)
         if made:
-            folder.rmdir()
+            with contextlib.suppress(OSError):  # the user has put something into it
+                folder.rmdir()
         raise
 
 
@@ -122,7 +123,7 @@ def create(topology: Topology, directory: Path | None) -> RunFolder:
             folder.note = _point_latest(folder.path.parent, folder.path)
     except OSError as error:
         raise UserError(
-            f"no run folder: {error.filename or directory}: {error.strerror}; choose another with --run-dir",
+            f"no run folder: {error.filename or directory or 'runs'}: {error.strerror}; choose another with --run-dir",
             code=Code.OUTPUT,
         ) from None
     return folder
@@ -143,16 +144,18 @@ def reserve(name: str) -> RunFolder:
 
 
 def begun_or_withdrawn(folder: RunFolder, begin: Callable[[], T]) -> T:
-    """Return `begin()`; if it raises HedgerowError, undo `create` first."""
+    """Return `begin()`; if it raises HedgerowError, or a signal ends it, undo `create` first."""
     try:
         return begin()
-    except HedgerowError:
+    except (HedgerowError, KeyboardInterrupt):
         withdraw(folder)
         raise
 
 
 def withdraw(folder: RunFolder) -> None:
-    """Undo `create` for a run that was refused before it began: remove its folder, and restore runs/latest."""
+    """Undo `create` for a run that was refused before it began: its folder goes, and runs/latest points back."""
+    if any(path.suffix in (".arrows", ".parquet", ".json") for path in folder.path.iterdir()):
+        return  # it began: the second Ctrl-C may come at any moment
     _empty(folder.path)
     with contextlib.suppress(OSError):
         if folder.made:
@@ -169,7 +172,7 @@ def withdraw(folder: RunFolder) -> None:
 def _empty(folder: Path) -> None:
     """Remove the files that `create` wrote into a folder."""
     shutil.rmtree(folder / LAW, ignore_errors=True)
-    for path in (folder / "topology.yaml", folder / "logs", folder / "processes"):
+    for path in (folder / "topology.yaml", folder / "events.jsonl", folder / "logs", folder / "processes"):
         with contextlib.suppress(OSError):
             path.rmdir() if path.is_dir() else path.unlink(missing_ok=True)
 
@@ -192,9 +195,12 @@ def _point_latest(runs: Path, path: Path) -> str:
     """Point runs/latest to a run; return the reason for a failure in one line, otherwise an empty text."""
     # Replace it by a rename, so that `latest` exists at every moment while other runs start.
     link = runs / f".latest-{os.getpid()}"
+    latest = runs / "latest"
+    if latest.exists() and not latest.is_symlink():
+        return "runs/latest: does not point to this run: it is no link. Move what is there away, or name the run."
     try:
         link.symlink_to(path.name, target_is_directory=True)
-        link.replace(runs / "latest")
+        link.replace(latest)
     except OSError as error:
         with contextlib.suppress(OSError):
             link.unlink(missing_ok=True)

@@ -40,12 +40,12 @@ def _steps(world: World, views: Sequence[View], steps: int, law: Law | None) -> 
     """By sender and receiver: the index of the receiver among the sender's peers."""
     while world.t < steps:
         world.begin()
-        told = world.states()
+        messages = world.states()
         inputs: list[Array] = []
         reports: list[Array] = []
         took: list[bytes] = []
         said = []
-        for view, shard, (state, record) in zip(views, shards, told, strict=True):
+        for view, shard, (state, record) in zip(views, shards, messages, strict=True):
             if state is None:
                 nothing, no_report, taken = shard.silence
                 inputs.append(gather([nothing]))

@@ -55,7 +55,8 @@ def _directory() -> Path:
         found = directory.lstat()
     except OSError as error:
         raise UserError(
-            f"{base}: no place to list running networks: {error.strerror}; set XDG_RUNTIME_DIR to a folder of your own",
+            f"{base or 'TMPDIR'}: no place to list running networks: {error.strerror};"
+            " set XDG_RUNTIME_DIR to a folder of your own",
             code=Code.OUTPUT,
         ) from None
     if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o077:
@@ -185,7 +186,7 @@ def find(run: str | None) -> Entry:
 def _named(run: str, entries: Sequence[Entry]) -> list[Entry]:
     """Return the networks with a name or folder; if there are none, those with a name that begins with it."""
     # A relative path is a folder of this working directory; a bare word is a name first.
-    path = os.path.realpath(os.path.expanduser(run)) if run else ""
+    path = os.path.realpath(os.path.expanduser(run)) if run and "\0" not in run else ""
     for fits in (
         lambda entry: entry.run == run,
         lambda entry: run in (entry.folder, Path(entry.folder).name) or path == os.path.realpath(entry.folder),

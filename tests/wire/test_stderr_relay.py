@@ -1,6 +1,7 @@
 """Text that a library writes to file descriptor 2 of a running process is escaped, and no byte of it is lost."""
 
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -40,7 +41,7 @@ def test_a_process_without_standard_error_runs(first: Callable[[], object]) -> N
 
 
 def test_a_process_that_may_open_no_more_files_runs() -> None:
-    limit = "import resource\nresource.setrlimit(resource.RLIMIT_NOFILE, (4, 4))\n"
+    limit = "import resource\nresource.setrlimit(resource.RLIMIT_NOFILE, (5, 5))\n"
     assert stderr_of(f"{limit}with StderrRelay():\n os.write(2, b'as it is')") == b"as it is"
 
 
@@ -49,3 +50,25 @@ def test_a_child_that_holds_the_pipe_does_not_hold_the_process() -> None:
         "import subprocess\nwith StderrRelay():\n subprocess.Popen(['sleep', '5'])\n os.write(2, b'done')\nos._exit(0)"
     )
     assert stderr_of(text).startswith(b"done")
+
+
+def test_the_last_words_before_an_abort_arrive() -> None:
+    text = f"with StderrRelay():\n os.write(2, {HOSTILE.encode()!r})\n os.abort()"
+    read, write = os.pipe()
+    with subprocess.Popen([sys.executable, "-P", "-c", BEGIN + text], stderr=write) as aborted:
+        os.close(write)
+        with open(read, "rb") as said:
+            assert said.read().count(b"owned") == 1
+        assert aborted.wait(20) == -signal.SIGABRT
+
+
+def test_nothing_waits_for_a_relay_of_a_killed_process() -> None:
+    """The end of standard output and standard error shows that the process has ended."""
+    with subprocess.Popen(
+        [sys.executable, "-P", "-c", f"{BEGIN}with StderrRelay():\n print(1, flush=True)\n sys.stdin.read()"],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    ) as killed:  # fmt: skip
+        assert killed.stdout is not None
+        killed.stdout.readline()
+        killed.kill()
+        assert killed.communicate(timeout=20) == (b"", b"")

@@ -183,8 +183,10 @@ def _row(row: Any, settings: int, keys: Mapping[str, Any]) -> Row:
     """Return the run in a line, with its known keys; raise LookupError, TypeError or ValueError if it is invalid."""
     if not all(isinstance(row[key], kind) and not isinstance(row[key], bool) for key, kind in keys.items()):
         raise TypeError("a value is of another type")
+    # A metric becomes a float64, which holds every whole number up to 2**53.
+    most = {"seed": 2**63 - 1}
     if row["setting"] not in range(settings) or any(
-        isinstance(row[key], int) and abs(row[key]) >= 2**63 for key in keys
+        isinstance(row[key], int) and abs(row[key]) > most.get(key, 2**53) for key in keys
     ):
         raise ValueError("a number is out of range")
     return {key: row[key] for key in keys}

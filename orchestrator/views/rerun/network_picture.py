@@ -339,14 +339,14 @@ class Legend:
         words = ["x = 0", "", "wrong model", "no input", "agent dead"]
         words += ["no flow", "strong flow", "lost one", "lost both", "edge cut"]
         below = np.array([[x, y + 0.2 * unit] for y in (first, second) for x in self.x])
-        kept = [k for k, word in enumerate(words) if word]
+        labelled = [k for k, word in enumerate(words) if word]
         stream.log(
             "network/legend/words",
             rr.Points2D(
-                below[kept],
-                radii=[-0.1] * len(kept),
-                colors=[palette.TEXT] * len(kept),
-                labels=[words[k] for k in kept],
+                below[labelled],
+                radii=[-0.1] * len(labelled),
+                colors=[palette.TEXT] * len(labelled),
+                labels=[words[k] for k in labelled],
                 show_labels=True,
             ),
             static=True,

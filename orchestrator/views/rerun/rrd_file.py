@@ -16,6 +16,8 @@ from rerun_bindings import flush_and_cleanup_orphaned_recordings
 from hedgerow.orchestrator.ground.spelling import spelled
 from hedgerow.topologies.errors import HedgerowError
 
+ROOM_BYTES = 2**18
+"""the disk has this much room before a part begins"""
 Write = Callable[[rr.RecordingStream], None]
 
 
@@ -76,9 +78,18 @@ class RrdFile:
 
     def _begin(self) -> rr.RecordingStream:
         try:
+            self._make_room()
             return self._open(rr.FileSink(spelled(self.part), write_footer=self._footer))
-        except RuntimeError as error:
+        except (RuntimeError, OSError) as error:
             raise self._unwritable(error) from None
+
+    def _make_room(self) -> None:
+        """Raise OSError if the beginning of a part has no room: Rerun may wait for ever after a failed write."""
+        room = self.part.with_suffix(".room")
+        try:
+            room.write_bytes(bytes(ROOM_BYTES))
+        finally:
+            room.unlink(missing_ok=True)
 
     def _finish(self, timeout_s: float) -> None:
         try:
@@ -92,7 +103,7 @@ class RrdFile:
             return self.part.stat().st_size
         return self._part_bytes  # the file was deleted: write further data to the next part
 
-    def _unwritable(self, error: RuntimeError) -> HedgerowError:
+    def _unwritable(self, error: RuntimeError | OSError) -> HedgerowError:
         return HedgerowError(
             f"{self.part}: is not complete: {error}; see that the disk has room and the folder can be written"
         )

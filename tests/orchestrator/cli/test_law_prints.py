@@ -53,6 +53,8 @@ def test_the_json_of_a_command_is_its_only_output(file: str, words: tuple[str, .
 
 
 def test_the_log_of_an_agent_acts_on_no_terminal(file: str, here: Path) -> None:
+    # What C code writes to an agent's log stays as it is.
+    (here / "loud.py").write_text(LAW.replace("os.write", "print"), encoding="utf-8")
     done = run("up", file, "--viewer", "none", "--no-record", "--json")
     assert done.returncode == 0, done.stderr
     assert isinstance(json.loads(done.stdout), dict)

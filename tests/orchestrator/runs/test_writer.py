@@ -27,7 +27,7 @@ from hedgerow.orchestrator.runs.export import export
 from hedgerow.orchestrator.runs.folder import create
 from hedgerow.orchestrator.runs.reader import load_run
 from hedgerow.orchestrator.runs.run import Run
-from hedgerow.orchestrator.runs.selection import kept
+from hedgerow.orchestrator.runs.selection import selection
 from hedgerow.orchestrator.views.screen import Quiet
 from hedgerow.topologies import hinf
 from hedgerow.topologies.errors import TopologyError, UserError
@@ -74,7 +74,7 @@ def test_the_recorded_part_changes_only_the_amount_of_data(topology: Topology, d
     with tempfile.TemporaryDirectory() as scratch:
         whole, some = Path(scratch) / "whole", Path(scratch) / "some"
         assert said(ran(topology, whole, {"nodes": "all"})) == said(ran(topology, some, record))
-        what = kept(topology.model_copy(update={"record": Record.model_validate(record)}))
+        what = selection(topology.model_copy(update={"record": Record.model_validate(record)}))
         T, ids = topology.steps, [topology.ids[k] for k in what.nodes]
         steps = [t for t in range(T) if t % record["every"] == 0 or t == T - 1]
         of_nodes = pl.read_parquet(whole / "telemetry.parquet")

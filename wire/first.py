@@ -1,0 +1,18 @@
+"""The very first thing that a command does: a Ctrl-C while Python still loads modules ends it without a traceback.
+
+Nothing is imported here that Python has not loaded already: until `quiet` was called, a Ctrl-C shows a traceback.
+"""
+
+import _signal  # type: ignore[import-not-found]
+import os
+
+
+def end(*_: object) -> None:
+    """End this process with the exit code of a Ctrl-C."""
+    os._exit(128 + _signal.SIGINT)
+
+
+def quiet() -> None:
+    """End without a traceback on Ctrl-C, until `wire.start` takes over; an ignored SIGINT stays ignored."""
+    if _signal.getsignal(_signal.SIGINT) is _signal.default_int_handler:
+        _signal.signal(_signal.SIGINT, end)
