@@ -299,7 +299,7 @@ class Samples:
         return Heard(t, nodes.copy(), x, inputs, np.where(got, t, -1))
 
     def _learn(self, x: Array, flow: Array, x_next: Array, sample: Heard | None = None) -> None:
-        if np.isnan(np.add.reduce(x + x_next)):  # without a reading, the samples before and after it are missing
+        if not all_finite(x + x_next):  # without a reading, the samples before and after it are missing
             flow = np.where(np.isnan(x + x_next), np.nan, flow)
         if sample is None:
             self._law.learn(x, flow, x_next)

@@ -28,7 +28,6 @@ from hedgerow.wire import keys
 from hedgerow.wire.access import OBSERVER
 from hedgerow.wire.config import Config
 from hedgerow.wire.handshake import introduction
-from hedgerow.wire.refusal import refused
 from hedgerow.wire.session import WireError, direct
 
 PLANT_GONE_S = 30.0
@@ -189,6 +188,8 @@ class Meeting:
         """Return the new refusals of our plant's router, each cause once."""
         if not self._log.exists():
             return []
+        from hedgerow.wire.refusal import refused  # noqa: PLC0415  # ssl delays the first step
+
         with open_regular(self._log) as log:
             log.seek(self._read)
             # Strangers can make the router write any amount: read the rest next time.

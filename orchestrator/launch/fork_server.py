@@ -23,6 +23,7 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
+import hedgerow.agents.laws.minimax  # most agents need it, and a fork shares it
 import hedgerow.agents.process
 import hedgerow.plant.process
 from hedgerow.topologies.errors import Exit

@@ -1,4 +1,4 @@
-"""A background thread delays no other thread if its jobs fail or never return."""
+"""A job of a background thread that fails or never returns does not block its caller."""
 
 import threading
 
