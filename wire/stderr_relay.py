@@ -73,7 +73,7 @@ class StderrRelay:
 
 
 def _relay(reads: int, real: int) -> NoReturn:
-    """Copy the pipe to standard error as the whole of this process, until no process holds its other end."""
+    """Copy the pipe to standard error until no process holds its other end; then end this process."""
     try:
         gc.disable()
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP, signal.SIGPIPE):

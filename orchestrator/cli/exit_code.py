@@ -36,7 +36,7 @@ def run_to_exit_code(command: Callable[[], int]) -> int:
         code = command()
         if code == start.INTERRUPTED:  # typer has caught the KeyboardInterrupt
             code = start.code_after_signal()
-        with contextlib.suppress(BrokenPipeError):  # a reader who has left has read enough
+        with contextlib.suppress(BrokenPipeError):  # the reader of the pipe has closed it, and needs no more
             sys.stdout.flush()
     except TopologyError as error:
         _complain(f"{error}\n{error.summary}")

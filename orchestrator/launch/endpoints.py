@@ -144,7 +144,7 @@ def meeting_place(
 
 
 def namespace_of(network: str) -> str:
-    """Return the namespace of a network whose processes start separately, and so know no run."""
+    """Return the namespace of a network with separately started processes, which know no run."""
     return f"hedgerow/{chunk(network)}"
 
 

@@ -1,4 +1,4 @@
-"""The network whose runs are tampered with."""
+"""The network for the runs that the tampering tests change."""
 
 from __future__ import annotations
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import json
+import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -130,12 +131,35 @@ def worst(
     A search that was stopped goes on where `out` was written. Raises UserError for a network that is too large.
     """
     hunt = Hunt(topology, seed, faults, steps)
-    state_file = None if out is None else out.with_suffix(".npz")
+    state_file = None if out is None else _state_beside(out)
     with contextlib.nullcontext() if state_file is None else _held(state_file):
         if state_file is not None and hunt.resume(state_file):
             say(f"continues after {hunt.state.seconds:.0f} s, with gain {hunt.best_score() ** 0.5:.4f}")
         hunt.run(budget_s, say, quit_now)
         return _written(hunt, topology, out, state_file)
+
+
+def _state_beside(out: Path) -> Path:
+    """Return the file of a search's state beside `out`. Raises UserError if a file of the user would be replaced."""
+    if not out.name or out.suffix in (".npz", ".json"):
+        raise UserError(f"--out {out}: is no name of a network. Name a file such as {NAME}.", code=Code.OPTION)
+    state_file, result = out.with_suffix(".npz"), out.with_suffix(".json")
+    try:
+        if not os.access(out.parent, os.W_OK | os.X_OK) or not out.parent.is_dir():
+            raise UserError(f"--out {out}: {out.parent} is no folder to write in. Choose another.", code=Code.OUTPUT)
+        is_ours = state_file.exists()  # else `Hunt.resume` refuses it
+        if result.exists():
+            content = read_json(result)
+            is_ours = isinstance(content, dict) and content.keys() >= {"network", "law", "gain", "guarantee"}
+            if not is_ours:
+                raise UserError(
+                    f"{result}: exists and is no result of `worst`. Choose another --out.", code=Code.OUTPUT
+                )
+        if out.exists() and not is_ours:
+            raise UserError(f"{out}: exists and is no result of `worst`. Choose another --out.", code=Code.OUTPUT)
+    except OSError as error:
+        raise UserError(f"--out {out}: {error.strerror}. Choose another.", code=Code.OUTPUT) from None
+    return state_file
 
 
 @contextlib.contextmanager

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -17,10 +16,10 @@ from hedgerow.orchestrator.experiments.sweep.runs import run_here
 from hedgerow.orchestrator.experiments.worst.loop import NONE, Breaks, Played, Scene, play
 from hedgerow.orchestrator.experiments.worst.search import Island, Kind
 from hedgerow.orchestrator.metrics.guarantee import fingerprint, plant_of
+from hedgerow.topologies import archive
 from hedgerow.topologies.errors import Code, HedgerowError, UserError
 from hedgerow.topologies.graph import Array
 from hedgerow.topologies.load import parse
-from hedgerow.topologies.regular_file import open_regular
 from hedgerow.topologies.resolve import resolve, to_yaml
 from hedgerow.topologies.schema import Topology
 
@@ -302,33 +301,57 @@ class Hunt:
             "rng": self.rng.bit_generator.state,
         }
         part = file.with_name(file.name + ".part")
-        with part.open("wb") as to:
-            np.savez(to, head=np.array(json.dumps(head)), **arrays)
+        archive.write(part, {"worst": head}, arrays)
         part.rename(file)
 
     def resume(self, file: Path) -> bool:
-        """Go on where a search of the same network, law and seed was stopped; return False if there is none."""
-        try:
-            with open_regular(file) as opened, np.load(opened, allow_pickle=False) as stored:
-                head = json.loads(str(stored["head"]))
-                if head["key"] != self._key:
-                    return False
-                for number, (length, holds, cuts, drops, score, steps) in enumerate(head["champions"]):
-                    breaks = Breaks(*(tuple((int(k), int(first)) for k, first in one) for one in (cuts, drops)))
-                    self.state.champions[Kind(int(length), bool(holds)), breaks] = (
-                        stored[f"w{number}"],
-                        float(score),
-                        int(steps),
-                    )
-                for number, (_, holds, generation) in enumerate(head["islands"]):
-                    members, score, steps = (stored[f"{name}{number}"] for name in "mst")
-                    self.state.islands.append(Island(bool(holds), members, NONE, score, steps, int(generation)))
-                self.state.stale, self.state.seconds = list(head["stale"]), float(head["seconds"])
-                self.rng.bit_generator.state = head["rng"]
-        except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
-            self.state = State([], {})
+        """Continue a stopped search of the same network, law and seed; return False for another search.
+
+        Raises UserError for a file that `save` did not write.
+        """
+        if not file.stat().st_size:  # a new search has just made it
             return False
+        settings, arrays = archive.read(file)
+        with archive.reading(file):
+            if not isinstance(settings.get("worst"), dict):
+                raise UserError(
+                    f"{file}: exists and is no state of `worst`. Choose another --out.", code=Code.FILE_FORMAT
+                )
+            head = settings["worst"]
+            if head["key"] != self._key:
+                return False
+            self.state = self._state(head, arrays)
+            self.rng.bit_generator.state = head["rng"]
         return True
+
+    def _state(self, head: Mapping[str, Any], arrays: Mapping[str, Array]) -> State:
+        """Return the state that a file holds. Raises ValueError if it does not fit this network."""
+        nodes, state = len(self.topology.ids), State([], {})
+        for number, (length, holds, cuts, drops, score, steps) in enumerate(head["champions"]):
+            breaks = Breaks(*(tuple((int(k), int(first)) for k, first in one) for one in (cuts, drops)))
+            w = _numbers(arrays[f"w{number}"], (None, nodes))
+            state.champions[Kind(int(length), bool(holds)), breaks] = w, float(score), int(steps)
+        for number, (_, holds, generation) in enumerate(head["islands"]):
+            members = _numbers(arrays[f"m{number}"], (self.size, None, nodes))
+            score, taken = arrays[f"s{number}"], arrays[f"t{number}"]
+            shapes = {score.shape, taken.shape}
+            if shapes not in ({(self.size,)}, {(0,)}) or not {score.dtype.kind, taken.dtype.kind} <= {"i", "f"}:
+                raise ValueError("it has other arrays")
+            state.islands.append(Island(bool(holds), members, NONE, score, taken, int(generation)))
+        state.stale, state.seconds = [int(one) for one in head["stale"]], float(head["seconds"])
+        if len(state.stale) != len(state.islands) or not 0 <= state.seconds < np.inf:
+            raise ValueError("it has other numbers")
+        return state
+
+
+def _numbers(array: Array, shape: Sequence[int | None]) -> Array:
+    """Return an array of finite numbers of a shape, of which None is any length from 1. Raises ValueError."""
+    fits = array.ndim == len(shape) and all(
+        have == want or (want is None and have > 0) for have, want in zip(array.shape, shape, strict=True)
+    )
+    if not fits or array.dtype != np.float64 or not np.isfinite(array).all():
+        raise ValueError("it has other arrays")
+    return array
 
 
 def _stretched(w: Array, kind: Kind) -> Array:

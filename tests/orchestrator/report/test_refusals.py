@@ -1,4 +1,4 @@
-"""What `orchestrator report` refuses, and the page about it."""
+"""`orchestrator report` refuses some folders, and the page about it lists them."""
 
 from __future__ import annotations
 
