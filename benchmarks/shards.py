@@ -20,6 +20,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -28,19 +29,21 @@ import psutil
 
 from benchmarks.table import show
 from hedgerow.agents.view import View
-from hedgerow.orchestrator.ground.assignment import truth_of, views_of
+from hedgerow.orchestrator.ground.assignment import Layout, truth_of, views_of
 from hedgerow.orchestrator.runs import reference
 from hedgerow.plant.truth import Truth
 from hedgerow.topologies.graph import Array
 from hedgerow.topologies.load import load
-from hedgerow.topologies.partition import partition
+from hedgerow.topologies.partition import by_orders, cut, partition
 from hedgerow.topologies.resolve import resolve
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire import keys
-from hedgerow.wire.codec import Kind, Telemetry, decode_end, encode_seen, kind_of
-from hedgerow.wire.runtime import keep_memory, runtime_environment
+from hedgerow.wire.codec import Kind, Telemetry, decode_end, encode_seen, kind_of, telemetry_bytes
+from hedgerow.wire.runtime import LONG_BYTES, keep_memory, runtime_environment
 from hedgerow.wire.session import WireError, close, open_client, publisher, subscriber
-from hedgerow.wire.stream import Inbox
+from hedgerow.wire.shared_rows import SharedRows, create
+from hedgerow.wire.shared_rows import close as close_shared
+from hedgerow.wire.stream import Inbox, rows_ahead
 
 SIZES = [10**2, 10**3, 10**4, 10**5, 10**6]
 NODE_STEPS = 4_000_000
@@ -50,12 +53,19 @@ WARM_UP = 4
 DEADLINE_S = 300.0
 
 
-def ring(nodes: int, steps: int, folder: Path) -> Topology:
-    """Return a ring with three candidates and a sinusoid per node."""
-    file = folder / "ring.yaml"
+NUMBERS = "candidates: {random: 3}, disturbance: {kind: sinusoid, amplitude: 1, omega: {random: [0, 3.14159]}}"
+"""the defaults of the nodes, besides x(0)"""
+UNEQUAL = (", weight: {random: [0.5, 1]}", "b: {random: [0.05, 0.1]}, ")
+"""of `graph:` and of `defaults:`"""
+
+
+def network_of(kind: str, nodes: int, steps: int, folder: Path, unequal: bool = False) -> Topology:
+    """Return a graph by a rule, with three candidates and a sinusoid per node, and other gains and weights if asked."""
+    file = folder / "network.yaml"
+    weight, gain = UNEQUAL if unequal else ("", "")
     file.write_text(
-        f"{{name: ring, b: 0.1, steps: {steps}, seed: 1, graph: {{kind: ring, nodes: {nodes}}}, defaults: {{x0: 10, "
-        "candidates: {random: 3}, disturbance: {kind: sinusoid, amplitude: 1, omega: {random: [0, 3.14159]}}}}\n"
+        f"{{name: network, b: 0.1, steps: {steps}, seed: 1, graph: {{kind: {kind}, nodes: {nodes}{weight}}}, "
+        f"defaults: {{{gain}x0: 10, {NUMBERS}}}}}\n"
     )
     return resolve(load(str(file)), folder)
 
@@ -79,36 +89,44 @@ class Apart(NamedTuple):
     """the CPU time per step of the plant, of the agents' processes, and of the receiver of telemetry"""
 
 
-def shards(truth: Truth, views: Sequence[View], folder: Path) -> Apart:
+def shards(truth: Truth, views: Sequence[View], folder: Path, share: bool = True) -> Apart:
     """Return the same for separate processes: the plant, and one for each view."""
     endpoint = f"unixsock-stream/{folder / 'router.sock'}"
     truth.write(folder / "plant.npz")
-    commands = [["plant", str(folder / "plant.npz"), "--listen", endpoint]]
+    n, e = len(truth.ids), len(truth.edges)
+    size = telemetry_bytes(n, e)
+    shared, path = create(size, rows_ahead(n, e)) if share and size > LONG_BYTES else (None, "")
+    commands = [["plant", str(folder / "plant.npz"), "--listen", endpoint, *(["--shared", path] if path else [])]]
     for view in views:
         view.write(folder / f"{view.shard}.npz")
         commands.append(["agents", str(folder / f"{view.shard}.npz"), "--connect", endpoint])
     environment = os.environ | runtime_environment()
-    base = [sys.executable, "-m"]
     processes = [
         subprocess.Popen(
-            [*base, *command, "--namespace", "ring"], env=environment, stdin=subprocess.PIPE, stderr=subprocess.PIPE
+            [sys.executable, "-c", f"from hedgerow.{module}.process import main; main()", *rest, "--namespace", "ring"],
+            env=environment,
+            stdin=subprocess.PIPE,
+            stderr=subprocess.PIPE,
         )
-        for command in commands
+        for module, *rest in commands
     ]
     try:
         pids = [*(process.pid for process in processes), os.getpid()]
-        return _observe(endpoint, truth.steps, len(truth.ids), [psutil.Process(pid) for pid in pids])
+        return _observe(endpoint, truth.steps, len(truth.ids), [psutil.Process(pid) for pid in pids], shared)
     finally:
+        close_shared(path)
         for command, process in zip(commands, processes, strict=True):
             _, said = process.communicate()  # this closes its lifeline, in case it still runs
             if process.returncode:
                 print(f"{' '.join(command)}: {said.decode()}", file=sys.stderr)
 
 
-def _observe(endpoint: str, steps: int, n: int, processes: Sequence[psutil.Process]) -> Apart:
+def _observe(
+    endpoint: str, steps: int, n: int, processes: Sequence[psutil.Process], shared: SharedRows | None
+) -> Apart:
     """Receive and acknowledge all messages, until the end."""
     keep_memory()
-    inbox, something = Inbox(), threading.Event()
+    inbox, something = Inbox(None if shared is None else shared.read), threading.Event()
 
     def put(whole: bytes) -> None:
         inbox.put(whole)
@@ -152,7 +170,7 @@ def measure(nodes: int, processes: int, rounds: int) -> dict[str, float]:
     runs = []
     with tempfile.TemporaryDirectory(prefix="hedgerow-") as scratch:
         folder = Path(scratch)
-        network = ring(nodes, steps, folder)
+        network = network_of("ring", nodes, steps, folder)
         whole, parts = ([range(nodes)], partition(network.graph, processes))
         for _ in range(rounds):
             alone, x = engine(truth_of(network, whole), views_of(network, whole))
@@ -172,16 +190,86 @@ def measure(nodes: int, processes: int, rounds: int) -> dict[str, float]:
     }
 
 
+def measure_cuts(nodes: int, processes: int, rounds: int) -> dict[str, float]:
+    """Return one row of the table of `--cuts`: shards by the orders of nodes, and by METIS."""
+    with tempfile.TemporaryDirectory(prefix="hedgerow-") as scratch:
+        network = network_of("random_regular", nodes, _steps(nodes), Path(scratch))
+        graph, edges = network.graph, len(network.edges)
+        before, after = min(by_orders(graph, processes), key=partial(cut, graph)), partition(graph, processes)
+        return {
+            "nodes": nodes,
+            "cut by an order [%]": 100 * cut(graph, before) / edges,
+            "cut by METIS [%]": 100 * cut(graph, after) / edges,
+            **_in_turns((network, before), (network, after), rounds, Path(scratch)),
+        }
+
+
+def measure_unequal(nodes: int, processes: int, rounds: int) -> dict[str, float]:
+    """Return one row of the table of `--unequal`: a ring, and a ring with gains and weights that differ."""
+    with tempfile.TemporaryDirectory(prefix="hedgerow-") as scratch:
+        one, other = (network_of("ring", nodes, _steps(nodes), Path(scratch), unequal) for unequal in (False, True))
+        parts = partition(one.graph, processes)
+        return {"nodes": nodes, **_in_turns((one, parts), (other, parts), rounds, Path(scratch))}
+
+
+def measure_shared(nodes: int, processes: int, rounds: int) -> dict[str, float]:
+    """Return one row of the table of `--shared`: a ring with telemetry in messages, and in shared memory."""
+    with tempfile.TemporaryDirectory(prefix="hedgerow-") as scratch:
+        network = network_of("ring", nodes, _steps(nodes), Path(scratch))
+        case = network, partition(network.graph, processes)
+        return {"nodes": nodes, **_in_turns(case, case, rounds, Path(scratch), shared=(False, True))}
+
+
+def _steps(nodes: int) -> int:
+    return WARM_UP + max(10, min(1000, NODE_STEPS // nodes))
+
+
+def _in_turns(
+    before: tuple[Topology, Layout],
+    after: tuple[Topology, Layout],
+    rounds: int,
+    folder: Path,
+    shared: tuple[bool, bool] = (True, True),
+) -> dict[str, float]:
+    """Return the medians of the ratios of two networks of shards, the second to the first, within a round."""
+    runs = []
+    for _ in range(rounds):
+        old, new = (
+            shards(truth_of(*case), views_of(*case), folder, share)
+            for case, share in zip((before, after), shared, strict=True)
+        )
+        if before[0] is after[0] and old.x.tobytes() != new.x.tobytes():
+            raise SystemExit("the trajectories differ")
+        runs.append((old, new))
+    return {
+        "steps/s, ratio": statistics.median(new.steps_per_s / old.steps_per_s for old, new in runs),
+        "CPU, ratio": statistics.median(sum(new.cpu_ms) / sum(old.cpu_ms) for old, new in runs),
+        "CPU of plant, ratio": statistics.median(new.cpu_ms[0] / old.cpu_ms[0] for old, new in runs),
+        "CPU of agents, ratio": statistics.median(sum(new.cpu_ms[1:-1]) / sum(old.cpu_ms[1:-1]) for old, new in runs),
+        "CPU, ms of the second": statistics.median(sum(new.cpu_ms) for _, new in runs),
+    }
+
+
 def main() -> None:
     """Print the table, or JSON with `--json`."""
     parser = argparse.ArgumentParser(description=main.__doc__)
     parser.add_argument("--nodes", type=int, nargs="+", default=SIZES)
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--cuts", action="store_true", help="a random graph by an order of its nodes, and by METIS")
+    parser.add_argument("--unequal", action="store_true", help="a ring, and one with gains and weights that differ")
+    parser.add_argument("--shared", action="store_true", help="telemetry in messages, and in shared memory")
     parser.add_argument("--json", action="store_true")
     known = parser.parse_args()
     print(f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}", file=sys.stderr)
-    show((measure(n, known.processes, known.rounds) for n in known.nodes), 26, known.json)
+    of_size = measure
+    for asked, other in (
+        (known.cuts, measure_cuts),
+        (known.unequal, measure_unequal),
+        (known.shared, measure_shared),
+    ):
+        of_size = other if asked else of_size
+    show((of_size(n, known.processes, known.rounds) for n in known.nodes), 26, known.json)
 
 
 if __name__ == "__main__":

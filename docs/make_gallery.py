@@ -1,6 +1,7 @@
-"""Make the pictures and the numbers of docs/gallery.md: python docs/make_gallery.py FOLDER
+"""Make the pictures and the numbers of docs/gallery.md: python docs/make_gallery.py FOLDER [PACKAGE ...]
 
-It needs the extras `water` and `power`, and the package topohub, which contain the networks.
+It needs the extras `water` and `power`, and the package topohub, which contain the networks. PACKAGE restricts it to
+the networks of some packages.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ import importlib.util
 import sys
 import tempfile
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -38,12 +40,14 @@ NETWORKS = (
 )
 
 
-def main(folder: Path) -> None:
+def main(folder: Path, packages: Sequence[str]) -> None:
     """Import and run each network, draw it, and print a line of numbers."""
     mpl.use("agg")
     warnings.simplefilter("ignore")
     print(f"{'network':9} nodes edges steps  gamma*  gain  right  peak |x| at")
     for shown in NETWORKS:
+        if packages and shown.package not in packages:
+            continue
         spec = importlib.util.find_spec(shown.package)
         if spec is None or spec.origin is None:
             sys.exit(f"{shown.package} is not installed")
@@ -76,4 +80,4 @@ def show(shown: Shown, run: hg.Run, folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    main(Path(sys.argv[1]), sys.argv[2:])

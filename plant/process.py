@@ -33,6 +33,7 @@ from hedgerow.topologies.paths import user_path
 from hedgerow.wire import keys
 from hedgerow.wire.child import run_child
 from hedgerow.wire.codec import (
+    Buffer,
     End,
     Kind,
     decode_event,
@@ -56,6 +57,7 @@ from hedgerow.wire.session import (
     publisher,
     wait_for_listeners,
 )
+from hedgerow.wire.shared_rows import open_shared
 from hedgerow.wire.stream import Outbox, rows_ahead
 
 LOG = logging.getLogger("plant")
@@ -82,8 +84,11 @@ class Plant:
         deadline_s: float,
         start_s: float = START_DEADLINE_S,
         network: str = "",
+        shared: str = "",
     ) -> None:
         """Connect the plant.
+
+        `shared` is the path of memory that the observer shares; without it, telemetry travels in messages.
 
         `start_s` is the time that all processes have to join [s]; `network` is the fingerprint that each must have.
         """
@@ -116,6 +121,11 @@ class Plant:
         self._telemetry = publisher(session, keys.TELEMETRY)
         self._outbox = Outbox(self._telemetry.put)
         self._send_row = self._outbox.send_soon if telemetry_bytes(n, e) <= LONG_BYTES else self._outbox.send
+        self._shared = open_shared(shared, telemetry_bytes(n, e)) if shared else None
+        if self._shared is not None:
+            self._send_row = self._share_row
+        elif shared:
+            LOG.warning("%s: cannot be opened here; telemetry travels in messages", shared)
         self.shards = Shards(truth, self.world, session, self.tell)
         self._token_allowances = [Allowance(TOKENS_PER_S, TOKENS_AT_ONCE) for _ in self.shards.all]
         self._late_tokens: dict[int, tuple[int, bool]] = {}
@@ -299,6 +309,14 @@ class Plant:
         if tell:
             self._tell_trips()
 
+    def _share_row(self, *row: Buffer) -> None:
+        """Write a row into the shared memory, and send its place; send the row if all places are in use."""
+        shared = self._shared
+        if shared is not None and len(self._outbox) < shared.rows:
+            self._outbox.send(shared.write(self.world.t, row))
+        else:
+            self._outbox.send(*row)
+
     def tell(self, event: str, **details: Any) -> None:
         """Report an event of this step to the observer."""
         self._outbox.send(encode_event(self.world.t, {"event": event, **details}))
@@ -320,7 +338,7 @@ class Plant:
                 lambda: all(shard.word or not shard.ready for shard in self.shards.all), WORD_DEADLINE_S
             )
             counted = counts([shard.state for shard in self.shards.all], self._receivers)
-            counted["said"][keys.TELEMETRY] = self._outbox.said + 1  # this event included
+            counted["said"][keys.TELEMETRY] = self._outbox.sent + 1  # this event included
             self.tell(
                 "heard",
                 plant=counted,
@@ -425,6 +443,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     parser.add_argument("--start", type=float, default=START_DEADLINE_S, help="time for all processes to join [s]")
     parser.add_argument("--network", default="", help="the fingerprint that each joining process must have")
     parser.add_argument("--credentials", type=user_path, help="the folder with its certificate")
+    parser.add_argument("--shared", default="", help="memory that it shares with the observer")
     known = parser.parse_args(arguments)
 
     def body() -> None:
@@ -433,7 +452,9 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
             session = open_router(known.listen, known.namespace, known.credentials)
         else:
             session = open_client(known.connect, known.namespace, known.credentials)
-        plant = Plant(Truth.read(known.truth), session, known.rate, known.deadline, known.start, known.network)
+        plant = Plant(
+            Truth.read(known.truth), session, known.rate, known.deadline, known.start, known.network, known.shared
+        )
         try:
             plant.run()
         finally:

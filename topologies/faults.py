@@ -37,7 +37,6 @@ from pydantic_core import PydanticCustomError
 
 from hedgerow.topologies.base import Model, NodeId, TrueA, kind_of, number
 from hedgerow.topologies.effects import FOREVER, Effect
-from hedgerow.topologies.partition import partition
 
 if TYPE_CHECKING:
     from hedgerow.topologies.graph import Index, Mask
@@ -323,7 +322,7 @@ class Places:
 
     def __init__(self, topology: Topology) -> None:
         self.graph = topology.graph
-        self._processes = topology.process_count
+        self._topology = topology
         self._position = topology.position
         self._incidence = self.graph.node * self.graph.n + self.graph.neighbour  # ascending, as they are ordered
 
@@ -354,7 +353,7 @@ class Places:
 
     def shard(self, process: int) -> tuple[int, ...]:
         """Return the nodes of a process."""
-        return _plain(partition(self.graph, self._processes)[process])
+        return _plain(self._topology.parts[process])
 
 
 def _directed(

@@ -143,10 +143,10 @@ def _repeats(key: Index) -> Index:
 
 
 def _first_of_each(pairs: Index, n: int) -> Index:
-    """Without loops, and of repeated edges the first, in the order given."""
-    good = pairs[:, 0] != pairs[:, 1]
-    good[_repeats(_keys(pairs, n))] = False
-    found: Index = pairs[good]
+    """Return the edges without loops, and only the first of repeated edges, in the given order."""
+    kept = pairs[:, 0] != pairs[:, 1]
+    kept[_repeats(_keys(pairs, n))] = False
+    found: Index = pairs[kept]
     return found
 
 
@@ -385,7 +385,8 @@ class Geometric(Generator):
 
         places = stream.random((self.nodes, 2))
         radius = float(np.sqrt(self.mean_degree / (np.pi * self.nodes)))
-        pairs: Index = cKDTree(places).query_pairs(radius, output_type="ndarray").astype(np.int64).reshape(-1, 2)
+        found = cKDTree(places).query_pairs(radius, output_type="ndarray")
+        pairs: Index = found.astype(np.int64).reshape(-1, 2)
         if self.max_degree is None:
             return pairs
         squared = ((places[pairs[:, 0]] - places[pairs[:, 1]]) ** 2).sum(axis=1)

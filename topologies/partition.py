@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache, partial
 from typing import Any
 
@@ -11,6 +12,28 @@ from hedgerow.topologies.graph import Graph, Index, Mask
 
 IN_ORDER = 64
 """Networks up to this number of nodes, which people write by hand, are cut in the order of the file."""
+
+
+def parts_of(graph: Graph, processes: int, layout: Sequence[int] | None) -> tuple[Index, ...]:
+    """Return the positions of nodes by process, ascending: those of a layout for `processes`, otherwise a partition.
+
+    layout: the process of each node, from 0, (n,), as a resolved file records it; None if nothing is recorded.
+    """
+    if layout is None or max(layout) + 1 != processes:
+        return partition(graph, processes)
+    home = np.asarray(layout, dtype=np.int64)
+    order = home.argsort(kind="stable")
+    return tuple(np.split(order, np.cumsum(np.bincount(home, minlength=processes))[:-1]))
+
+
+def layout_of(graph: Graph, processes: int) -> tuple[int, ...] | None:
+    """Return the process of each node, (n,), where METIS may decide it; None where the order of the nodes does."""
+    if graph.n <= IN_ORDER or processes in (1, graph.n):
+        return None
+    home = np.empty(graph.n, dtype=np.int64)
+    for process, nodes in enumerate(partition(graph, processes)):
+        home[nodes] = process
+    return tuple(home.tolist())
 
 
 @lru_cache(maxsize=8)
@@ -24,13 +47,17 @@ def partition(graph: Graph, processes: int) -> tuple[Index, ...]:
     in_order = _blocks(np.arange(graph.n), processes)
     if graph.n <= IN_ORDER or processes in (1, graph.n) or not cut(graph, in_order):
         return in_order
+    return min((*by_orders(graph, processes), *_by_metis(graph, processes)), key=partial(cut, graph))
+
+
+def by_orders(graph: Graph, processes: int) -> list[tuple[Index, ...]]:
+    """Return the blocks of the three orders of `partition`."""
     # Load it here: it takes half a second, and only large networks need it.
     from scipy.sparse.csgraph import depth_first_order, reverse_cuthill_mckee  # noqa: PLC0415
 
     banded = reverse_cuthill_mckee(_beside(graph), symmetric_mode=True)
     deep = depth_first_order(_beside(graph, pieces(graph)), graph.n, return_predecessors=False)
-    ours = (in_order, *(_blocks(order, processes) for order in (banded, deep[1:])))
-    return min((*ours, *_by_metis(graph, processes)), key=partial(cut, graph))
+    return [_blocks(order, processes) for order in (np.arange(graph.n), banded, deep[1:])]
 
 
 def _by_metis(graph: Graph, processes: int) -> list[tuple[Index, ...]]:

@@ -21,11 +21,12 @@ from hedgerow.topologies.base import Uniform
 from hedgerow.topologies.disturbances import Confuse, Disturbance, Nothing, Samples
 from hedgerow.topologies.edges import Edge
 from hedgerow.topologies.errors import Code, HedgerowError, TopologyError
-from hedgerow.topologies.faults import Fault, Jump
+from hedgerow.topologies.faults import Crash, Fault, Jump
 from hedgerow.topologies.graph import Array, Index
 from hedgerow.topologies.hinf import allowed_intervals, smallest_eigenpair
 from hedgerow.topologies.network import PARAMETERS, Group, Network, gains, labels
 from hedgerow.topologies.nodes import SPELLED_OUT, Edges, Nodes
+from hedgerow.topologies.partition import layout_of
 from hedgerow.topologies.reading import Reading
 from hedgerow.topologies.record import SAMPLED, WHOLE
 from hedgerow.topologies.rules import broken_faults
@@ -101,6 +102,9 @@ def resolve(topology: Topology, folder: Path = Path()) -> Topology:
         whole["processes"] = topology.process_count
     if topology.record.nodes is None and len(network.ids) > WHOLE:
         whole["record"] = topology.record.model_copy(update={"nodes": SAMPLED})
+    if topology.layout is None and any(isinstance(one, Crash) and one.process is not None for one in topology.faults):
+        # A machine without METIS cuts a large network otherwise, and the fault would strike other nodes there.
+        whole["layout"] = layout_of(network.graph, topology.process_count)
     drawn = topology.model_copy(update=whole).of_network(network)
     if problems := broken_faults(drawn):
         raise TopologyError(topology.name, problems)
@@ -330,10 +334,13 @@ def to_yaml(topology: Topology) -> str:
     written = topology.model_dump(mode="json", exclude_none=True, exclude_defaults=True, exclude={"nodes", "edges"})
     if isinstance(topology.nodes, Nodes):
         written["table"] = table.NAME
+        written.pop("layout", None)
     else:
         nodes = {node: own.model_dump(mode="json", exclude_none=True) for node, own in topology.nodes.items()}
         edges = [Line(edge.model_dump()) if isinstance(edge, Edge) else list(edge) for edge in topology.edges]
         written |= {"nodes": nodes, "edges": edges}
+    if "layout" in written:
+        written["layout"] = Line(written["layout"])
     whole = {key: written[key] for key in type(topology).model_fields if key in written}
     if topology.faults:
         whole["faults"] = [_lines(fault.written()) for fault in topology.faults]
@@ -343,7 +350,7 @@ def to_yaml(topology: Topology) -> str:
 def save(topology: Topology, path: Path) -> None:
     """Write a resolved topology to the file `path`; for a large network, write the table beside it."""
     if isinstance(topology.nodes, Nodes):
-        table.write(topology.network, path.with_name(table.NAME))
+        table.write(topology.network, path.with_name(table.NAME), topology.layout)
     path.write_text(to_yaml(topology), encoding="utf-8")
 
 

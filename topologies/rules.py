@@ -249,6 +249,19 @@ def _processes(topology: Topology, source: Source) -> Iterator[Problem]:
     if (n := len(topology.ids)) < topology.process_count:
         what = f"{topology.processes} are too many for {n} nodes"
         yield source.problem(("processes",), what, f"give at most {n}")
+    elif topology.layout is not None and (wrong := _no_layout(topology.layout, n, topology.process_count)):
+        yield source.problem(("layout",), wrong, "remove `layout:`, which a partition of the graph replaces")
+
+
+def _no_layout(layout: Sequence[int], n: int, processes: int) -> str:
+    """Return what is wrong with a layout of n nodes over processes, or nothing."""
+    if len(layout) != n:
+        return f"has {len(layout)} entries for {n} nodes"
+    used = set(layout)
+    if max(used) >= processes:
+        return f"names process {max(used)}, and they are 0 to {processes - 1}"
+    empty = next((process for process in range(processes) if process not in used), None)
+    return "" if empty is None else f"leaves process {empty} without a node"
 
 
 def _recorded(topology: Topology, source: Source) -> Iterator[Problem]:

@@ -51,9 +51,10 @@ from hedgerow.topologies.disturbances import (
 from hedgerow.topologies.edges import Edge, Ends, PositiveValue, WrittenEdge, ends_of, weight_of, weights_of
 from hedgerow.topologies.faults import Fault
 from hedgerow.topologies.generators import GraphRule
-from hedgerow.topologies.graph import Gain, Graph
+from hedgerow.topologies.graph import Gain, Graph, Index
 from hedgerow.topologies.law_choice import NAMES, LawChoice
 from hedgerow.topologies.network import Network, gains, groups_of, labels, padded, positions
+from hedgerow.topologies.partition import parts_of
 from hedgerow.topologies.record import Record
 from hedgerow.topologies.table import NodesBy, Table
 
@@ -181,7 +182,7 @@ class GivenLots(Model):
     ] = Field(description="by node and field: a number in [0, 1), of `candidates` a list of them")
 
 
-_ASIDE = {"name", "law", "faults", "backfill", "history", "processes", "secure", "record"}
+_ASIDE = {"name", "law", "faults", "backfill", "history", "processes", "layout", "secure", "record"}
 """The keys of a topology that do not affect its columns."""
 
 
@@ -258,6 +259,11 @@ class Topology(Model):
         description="agent processes that share the nodes; or `per-node`; or `auto`, one per core. "
         "If absent, `per-node` up to 64 nodes and `auto` beyond",
     )
+    layout: tuple[Annotated[StrictInt, Field(ge=0, lt=2**31)], ...] | None = Field(
+        None,
+        description="the process of each node, from 0, in the order of `nodes:`; a resolved file has it if a fault"
+        " names a process",
+    )
     record: Record = Field(Record(), description="the part of a large run that is recorded")
     _table: Table | None = PrivateAttr(None)
     """the content of the file of `table:`"""
@@ -331,6 +337,11 @@ class Topology(Model):
         return min(n, os.cpu_count() or 1)
 
     @property
+    def parts(self) -> tuple[Index, ...]:
+        """The positions of nodes by process, ascending: the recorded layout, or a partition of the graph."""
+        return parts_of(self.graph, self.process_count, self.layout)
+
+    @property
     def is_drawn(self) -> bool:
         """Return True if all numbers of the network are drawn."""
         return "network" in self.__dict__
@@ -386,7 +397,7 @@ class Topology(Model):
 
     def with_table(self, table: Table) -> Self:
         """Return a copy with the content of the file of `table:`."""
-        copy = self.model_copy(update={"table": self.table})
+        copy = self.model_copy(update={"table": self.table, "layout": self.layout or table.layout})
         copy._table = table
         return copy
 

@@ -6,6 +6,7 @@
     a, x0, nominal, b    (n,)
     labels       (n,) texts, empty where a node has none
     positions    (n, 2), NaN where a node has none
+    layout       (n,) the process of each node, from 0
     candidates   (n, M), NaN behind the end of a shorter list
     w PLACE KIND PARAMETER    of a disturbance, for the nodes at the positions in `w PLACE KIND nodes`, or for all of
                               them if that is absent: (k,), the values of samples (k, T)
@@ -64,6 +65,8 @@ class Table:
     labels: Sequence[str] | None = None
     positions: Array | None = None
     """(n, 2)"""
+    layout: tuple[int, ...] | None = None
+    """the process of each node, (n,)"""
 
     def network(self, b: float) -> Network | None:
         """Return the network if the table is complete, otherwise None; `b` is the gain in the file, for a table without
@@ -88,8 +91,11 @@ class Table:
         )
 
 
-def write(network: Network, path: Path) -> None:
-    """Write a complete network, which `read` reads back to the same bits."""
+def write(network: Network, path: Path, layout: Sequence[int] | None = None) -> None:
+    """Write a complete network, which `read` reads back to the same bits.
+
+    layout: the process of each node, (n,), if it is recorded.
+    """
     arrays: dict[str, Any] = {} if isinstance(network.ids, range) else {"ids": archive.id_array(network.ids)}
     arrays |= {name: getattr(network, name) for name in _NUMBERS}
     arrays |= {"edges": network.graph.edges, "candidates": network.candidates.T, "parts": network.parts}
@@ -101,6 +107,8 @@ def write(network: Network, path: Path) -> None:
         arrays["labels"] = np.array(network.labels, dtype=np.str_)
     if network.positions is not None:
         arrays["positions"] = network.positions
+    if layout is not None:
+        arrays["layout"] = np.array(layout, dtype=np.int32)
     for group in network.disturbance:
         name = f"w {group.number} {group.kind}"
         arrays |= {f"{name} nodes": group.nodes} | {f"{name} {key}": column for key, column in group.values.items()}
@@ -132,6 +140,7 @@ def _table(arrays: archive.Arrays, named_by: NodesBy | None) -> Table:
     labels = _labels(arrays.pop("labels"), n) if "labels" in arrays else None
     positions = _positions(arrays.pop("positions"), n) if "positions" in arrays else None
     candidates = _candidates(arrays.pop("candidates"), n) if "candidates" in arrays else None
+    layout = _whole("layout", arrays.pop("layout"), (n,)) if "layout" in arrays else None
     parts = arrays.pop("parts", None)
     groups = list(_groups(arrays, n))
     if parts is None and groups:
@@ -155,6 +164,7 @@ def _table(arrays: archive.Arrays, named_by: NodesBy | None) -> Table:
         weights=None if weights is None or (weights == 1).all() else weights,
         labels=labels,
         positions=positions,
+        layout=None if layout is None else tuple(layout.tolist()),
     )
 
 

@@ -20,6 +20,8 @@ from hedgerow.topologies.errors import Code, HedgerowError
 from hedgerow.wire import bounded_json
 
 VERSION = 4
+FEW_STATES = 512
+"""Up to this number, states are copied faster than a view of them is made."""
 REPORT_ROWS = 2
 """Numbers that a node reports about itself: ahat and the margin J_(2) - J_(1)."""
 
@@ -34,6 +36,7 @@ _SHORT = struct.Struct("<Qq")
 _SHORT_LINK = struct.Struct("<Qqq")
 """the same headers, with all before the step as one number, which `_code` gives"""
 _SPAN = struct.Struct("<IIIII")
+_PLACE = struct.Struct("<qq")
 _LINK_HEADER = struct.Struct(_HEADER.format + "q")
 """the same, and the first step"""
 
@@ -55,6 +58,7 @@ class Kind(IntEnum):
     RECORD = 6
     EVENT = 7
     TRIPS = 8
+    PLACE = 9
 
 
 class Flag(IntEnum):
@@ -282,12 +286,15 @@ def encode_state(t: int, x: Buffer, flags: Buffer, spans: Sequence[Span] = ()) -
 
 def encode_quiet_states(t: int, x: Array, sizes: Iterable[int]) -> list[bytes]:
     """Return the State messages of all shards, of `sizes` nodes each; each carries x alone, and all flags are set."""
-    whole, start, messages, last, head = x.tobytes(), 0, list[bytes](), -1, b""
+    start, messages, last, head = 0, list[bytes](), -1, b""
+    # A view of a long array: a copy of the whole and one of the part would cost as much as the message.
+    view = np.ascontiguousarray(x).view(_U1) if len(x) > FEW_STATES else None
+    whole = x.tobytes() if view is None else b""
     for k in sizes:
         if k != last:
             last, head = k, header(_STATE, k, t)
         stop = start + 8 * k
-        messages.append(head + whole[start:stop])
+        messages.append(head + whole[start:stop] if view is None else join((head, view[start:stop])))
         start = stop
     return messages
 
@@ -408,6 +415,20 @@ def _whole(e: int) -> tuple[Flags, Flags, Flags]:
     """Return the flags of a step in which all e edges are open, all links are up and every input was used."""
     edge_open, link_up, took = (np.broadcast_to(np.uint8(bit), c) for bit, c in ((1, e), (1, 2 * e), (TAKEN, 2 * e)))
     return edge_open, link_up, took
+
+
+def encode_place(t: int, start: int, length: int) -> bytes:
+    """Return the message with the place of the telemetry of t in the shared memory [bytes]."""
+    return _pack(Kind.PLACE, 0, t, _PLACE.pack(start, length))
+
+
+def decode_place(message: bytes) -> tuple[int, int]:
+    """Return the place and the length of a row in the shared memory [bytes]; raise MessageError for negative ones."""
+    _open(message, Kind.PLACE, 0, _PLACE.size)
+    start, length = _PLACE.unpack_from(message, _SIZE)
+    if start < 0 or length < _SIZE:
+        raise MessageError(f"a row of {length} bytes at {start}")
+    return start, length
 
 
 def encode_trips(trips: Trips) -> bytes:

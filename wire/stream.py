@@ -35,7 +35,7 @@ class Outbox:
 
     def __init__(self, put: Callable[[bytes], None]) -> None:
         self._put = put
-        self.said = 0
+        self.sent = 0
         """the number of batches sent, repetitions included"""
         self._next = 0
         self._sent_at = self._repeated_at = 0.0
@@ -75,7 +75,7 @@ class Outbox:
         self._next += 1
         self._waiting.clear()
         self._sent_at = time.monotonic()
-        self.said += 1
+        self.sent += 1
         self._put(whole)
 
     def seen(self, number: int) -> None:
@@ -96,14 +96,16 @@ class Outbox:
     def repeat(self) -> None:
         """Send all batches again that the receiver has not acknowledged."""
         for _, whole in itertools.islice(self._unseen, REPEAT_MOST):
-            self.said += 1
+            self.sent += 1
             self._put(whole)
 
 
 class Inbox:
     """The receiver's end. It accepts only the next batch; the sender repeats the others."""
 
-    def __init__(self) -> None:
+    def __init__(self, look_up: Callable[[bytes], bytes] | None = None) -> None:
+        """`look_up` returns a copy of the row that a PLACE message names; without it, such a message is refused."""
+        self._look_up = look_up
         self._messages: deque[bytes] = deque()
         self.last = -1
         """the number of the last batch accepted"""
@@ -126,11 +128,26 @@ class Inbox:
         self.arrived += 1
         if number != self.last + 1:
             return []
+        if any(kind_of(message) == Kind.PLACE for message in messages):
+            # Copy now: the plant may overwrite a row that we have acknowledged.
+            try:
+                messages = [self._row(one) if kind_of(one) == Kind.PLACE else one for one in messages]
+            except MessageError:
+                self.refused += 1
+                return []
         self._messages += messages
         self.last = number
         if messages and kind_of(messages[-1]) == Kind.EVENT:
             self.arrived_at_event = self.arrived
         return messages
+
+    def _row(self, message: bytes) -> bytes:
+        if self._look_up is None:
+            raise MessageError("a row in shared memory, and there is none")
+        row = self._look_up(message)
+        if kind_of(row) != Kind.TELEMETRY:
+            raise MessageError("the shared memory holds no telemetry there")
+        return row
 
     def drain(self) -> list[bytes]:
         """Return all messages that were accepted since the last call."""

@@ -15,7 +15,7 @@ from hedgerow.topologies.archive import id_array
 from hedgerow.topologies.errors import UserError
 from hedgerow.topologies.faults import effects
 from hedgerow.topologies.graph import Array, Index
-from hedgerow.topologies.partition import partition
+from hedgerow.topologies.partition import parts_of
 from hedgerow.topologies.schema import LAWS, Topology
 from hedgerow.wire import keys
 from hedgerow.wire.access import Place
@@ -35,7 +35,7 @@ def layout(topology: Topology, processes: int | None) -> Layout:
     n = len(topology.ids)
     if processes is not None and not 1 <= processes <= n:
         raise UserError(f"--processes {processes}: {n} nodes run in 1 to {n} processes")
-    return partition(topology.graph, processes or n)
+    return parts_of(topology.graph, processes or n, topology.layout)
 
 
 def truth_of(topology: Topology, shards: Layout) -> Truth:

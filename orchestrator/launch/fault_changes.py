@@ -14,6 +14,7 @@ from pydantic import ValidationError
 from hedgerow.topologies.effects import FOREVER
 from hedgerow.topologies.errors import HedgerowError
 from hedgerow.topologies.faults import Crash, Fault, Jump
+from hedgerow.topologies.partition import layout_of
 from hedgerow.topologies.rules import broken_faults
 from hedgerow.topologies.schema import Topology
 
@@ -46,6 +47,8 @@ _LEAST = {"name": "one", "b": 0.1, "steps": 1, "nodes": [0]}
 def with_loss(topology: Topology, shard: int, nodes: list[int | str], at: int) -> Topology:
     """Return the topology with the crash fault that the loss of an agent process at a step means."""
     who = {"process": shard} if isinstance(topology.processes, int) else {"node": nodes[0]}
+    if "process" in who and topology.layout is None:
+        topology = topology.model_copy(update={"layout": layout_of(topology.graph, topology.process_count)})
     return _with(topology, {"kind": "crash", **who, "at": at})
 
 

@@ -35,6 +35,7 @@ from hedgerow.wire.codec import (
 )
 from hedgerow.wire.runtime import LONG_BYTES, keep_memory
 from hedgerow.wire.session import Receiver, Sender
+from hedgerow.wire.shared_rows import SharedRows
 from hedgerow.wire.stream import Inbox, rows_ahead
 
 WAKE_ROWS = 512
@@ -53,12 +54,13 @@ class Intake:
         screen: Screen,
         ending: Ending,
         wake: threading.Event,
+        shared: SharedRows | None = None,
     ) -> None:
-        """Set `wake` whenever a message should not wait for the next tick."""
+        """Set `wake` whenever a message should not wait for the next tick; `shared` holds the rows of the plant."""
         self._run, self._folder, self._shards, self._views = run, folder, shards, views
         self._screen, self._ending, self._wake = screen, ending, wake
         self._size = len(run.topology.ids), len(run.topology.edges)
-        self._inbox = Inbox()
+        self._inbox = Inbox(None if shared is None else shared.read)
         if telemetry_bytes(*self._size) > LONG_BYTES:
             keep_memory()
         self._wake_rows = min(WAKE_ROWS, rows_ahead(*self._size) // 2)

@@ -26,10 +26,15 @@ from hedgerow.orchestrator.views.screen import Screen
 from hedgerow.topologies.errors import Code, Exit, HedgerowError
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire import keys
+from hedgerow.wire.codec import telemetry_bytes
 from hedgerow.wire.credentials import Credentials
 from hedgerow.wire.handshake import room
 from hedgerow.wire.limits import need_open_files
+from hedgerow.wire.runtime import LONG_BYTES
 from hedgerow.wire.session import CONNECT_TIMEOUT_S, RefusedError, WireError, close, open_client
+from hedgerow.wire.shared_rows import SharedRows, create
+from hedgerow.wire.shared_rows import close as close_shared
+from hedgerow.wire.stream import rows_ahead
 
 ROUTER_FILES = 24
 """Open files of a plant that is the router, besides one per agent process."""
@@ -48,6 +53,8 @@ class Launched:
     """the meeting with processes that start elsewhere"""
     fleet: Fleet | None
     """the processes that Ray started"""
+    shared: SharedRows | None
+    """the memory with the telemetry of a large network"""
 
 
 class Launch:
@@ -104,6 +111,7 @@ class Launch:
         if connection.listens:  # without this, agents that the router cannot accept would be restarted for a minute
             need_open_files(len(self.views) + ROUTER_FILES, f"a plant with {len(self.views)} agent processes")
         external, meeting, fleet = self._options.external, None, None
+        shared: SharedRows | None = None
         # Start no process if there is no router.
         session = None if connection.listens else self._connect(processes, interrupts, stack)
         if external is None or not external.plant:
@@ -112,7 +120,8 @@ class Launch:
                 if interrupts.count:
                     raise HedgerowError(interrupts.name)
             truth = truth_of(self._topology, self._shards)
-            processes.start_plant(truth, self._options.rate, self._options.deadline_s, external)
+            shared, path = self._shared(stack)
+            processes.start_plant(truth, self._options.rate, self._options.deadline_s, external, path)
         for view in self.views:
             if external is None or view.shard not in external:
                 processes.start_agent(view)
@@ -134,7 +143,16 @@ class Launch:
         self._folder.event(
             "start", engine="zenoh", endpoint=connection.endpoint, namespace=connection.namespace, pids=pids
         )
-        return Launched(processes, session, meeting, fleet)
+        return Launched(processes, session, meeting, fleet, shared)
+
+    def _shared(self, stack: contextlib.ExitStack) -> tuple[SharedRows | None, str]:
+        """Return memory for the telemetry of a large network, and its path, while `stack` lasts."""
+        n, e = len(self._topology.ids), len(self._topology.edges)
+        if telemetry_bytes(n, e) <= LONG_BYTES:
+            return None, ""
+        shared, path = create(telemetry_bytes(n, e), rows_ahead(n, e))
+        stack.callback(close_shared, path)
+        return shared, path
 
     def _connect(self, processes: Processes, interrupts: Interrupts, stack: contextlib.ExitStack) -> zenoh.Session:
         """Return our own session while `stack` lasts; raise HedgerowError if no router comes in time, or our router

@@ -104,9 +104,14 @@ class Processes:
         self._start(name, "agents", file, self._connect)
         self._names.append(name)
 
-    def start_plant(self, truth: Truth, rate: float, deadline_s: float, external: External | None = None) -> None:
-        """Launch the plant, which is the router unless there is one, with a port for `external` processes."""
-        options = ["--rate", str(rate), "--deadline", str(deadline_s)]
+    def start_plant(
+        self, truth: Truth, rate: float, deadline_s: float, external: External | None = None, shared: str = ""
+    ) -> None:
+        """Launch the plant, which is the router unless there is one, with a port for `external` processes.
+
+        `shared` is the path of memory for its telemetry; see `wire.shared_rows`.
+        """
+        options = ["--rate", str(rate), "--deadline", str(deadline_s), *(["--shared", shared] if shared else [])]
         if external is not None:
             options += ["--network", external.network, "--start", str(external.wait_s + OWN_START_S)]
         listen = external.listen if external and external.listen else self._connection.endpoint

@@ -13,7 +13,7 @@ from hedgerow.topologies.disturbances import Component
 from hedgerow.topologies.hinf import allowed_interval, contraction, gamma_star
 from hedgerow.topologies.law_choice import is_listed
 from hedgerow.topologies.network import span
-from hedgerow.topologies.partition import cut, cut_weight, partition, pieces
+from hedgerow.topologies.partition import cut, cut_weight, pieces
 from hedgerow.topologies.resolve import truth
 from hedgerow.topologies.schema import Topology
 
@@ -56,7 +56,7 @@ def table(topology: Topology) -> str:
         gamma, rho = gamma_star(a, b, graph), contraction(a, candidates_of(topology))
         held = f"; rho = {rho:.6g}, the contraction whatever is estimated" if is_listed(topology.law) else ""
         processes = topology.process_count
-        shards = partition(graph, processes)
+        shards = topology.parts
         crossing = f"{cut(graph, shards)} of {count(len(graph.edges), 'edge')} from one to another"
         if graph.weights is not None:
             crossing += f", of weight {cut_weight(graph, shards):.4g} of {graph.weights.sum():.4g}"

@@ -27,7 +27,7 @@ from hedgerow.topologies.describe import describe
 from hedgerow.topologies.errors import Code, Exit, HedgerowError, UserError
 from hedgerow.topologies.escape import escape
 from hedgerow.topologies.law_choice import is_listed
-from hedgerow.topologies.partition import cut, partition
+from hedgerow.topologies.partition import cut, parts_of
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire import crash
 from hedgerow.wire.limits import limit_reached
@@ -260,7 +260,7 @@ def judge(topology: Topology, observer: Observer, ending: Ending) -> Verdict:
         "seed": topology.seed,
         "engine": ending.engine,
         "processes": ending.processes,
-        "cut_edges": cut(observer.graph, partition(observer.graph, ending.processes or 1)),
+        "cut_edges": cut(observer.graph, parts_of(observer.graph, ending.processes or 1, topology.layout)),
         "nodes": observer.graph.n,
         "edges": len(observer.graph.edges),
         "steps": topology.steps,

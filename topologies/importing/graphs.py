@@ -38,7 +38,7 @@ def read(path: Path, options: Options, kind: str) -> Found:
     }
     try:
         graph = readers[kind]()
-    except Exception as error:  # each reader of networkx raises what its parser raises
+    except Exception as error:  # each reader of networkx passes on the errors of its parser
         text = " ".join(str(error).strip("\"'\n").split()) or type(error).__name__
         raise refuse(path, f"is no {kind} file that networkx can read: {text[:200]}", "Check its format") from None
     return of_networkx(graph, options, str(path))
@@ -56,7 +56,7 @@ def _gml(data: bytes) -> Any:
                 # Many files have parallel edges without the key that allows them.
                 text = re.sub(r"\bgraph\s*\[", "graph [ multigraph 1", text, count=1)
             elif "label" in str(error) and label == "label":
-                # Labels are the names of nodes by default, and a file may lack them or give one twice.
+                # By default, labels are the names of nodes, but a file may have none or repeat one.
                 label = "id"
             else:
                 raise

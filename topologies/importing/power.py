@@ -193,7 +193,7 @@ def read_pandapower(path: Path, options: Options) -> Found:
             net = pandapower.from_json_string(content.decode())
             # Without the check of connectivity, parts without a supply remain: they are a network too.
             case = to_ppc(net, init="flat", calculate_voltage_angles=True, mode="pf", check_connectivity=False)
-    except Exception as error:  # the conversion raises what its parts raise
+    except Exception as error:  # the conversion passes on all errors of its parts
         raise refuse(
             path, f"pandapower cannot read it: {str(error)[:200]}", "Open and save it with pandapower"
         ) from None

@@ -65,9 +65,9 @@ def _rows(path: Path) -> list[tuple[int, list[str]]]:
 
 
 def _separator(lines: Sequence[str]) -> str:
-    """Return the character that separates the cells: the first of `,;TAB|` that every line has, else blanks.
+    """Return the separator of the cells: the first of `,;TAB|` that every line has, otherwise blanks.
 
-    If no line has cells without it, the first one of most lines: the others lack an end.
+    If most lines have one, it is the separator, and the other lines lack an end.
     """
     signs = _SEPARATORS[:-1]
     of_all = next((sign for sign in signs if lines and all(sign in line for line in lines)), None)

@@ -54,7 +54,7 @@ def read(path: Path, options: Options) -> Found:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             model = wntr.network.WaterNetworkModel(str(path))
-    except Exception as error:  # wntr raises what its parser raises
+    except Exception as error:  # wntr passes on the errors of its parser
         text = " ".join(str(error).split())[:200]
         raise refuse(path, f"wntr cannot read it: {text}", "Check it in EPANET") from None
     if not model.num_junctions + model.num_tanks:

@@ -1,0 +1,54 @@
+"""Public networks over Zenoh: imported, checked and run by the commands that a user types."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+from pathlib import Path
+from typing import Any
+
+import networkx as nx
+import pyarrow.parquet as pq
+import pytest
+
+from tests.tools.processes import orchestrator
+
+
+def shipped(package: str, *inside: str) -> Path:
+    spec = importlib.util.find_spec(package)
+    if spec is None or spec.origin is None:
+        pytest.skip(f"{package} is not installed")
+    return Path(spec.origin).parent.joinpath(*inside)
+
+
+def graphml(make: Any) -> Path:
+    graph = make()
+    graph.graph.clear()  # GraphML has no lists
+    nx.write_graphml(graph, "graph.graphml")
+    return Path("graph.graphml")
+
+
+SOURCES = {
+    "karate": lambda: graphml(nx.karate_club_graph),
+    "florentine": lambda: graphml(nx.florentine_families_graph),
+    "Net1": lambda: shipped("wntr", "library", "networks", "Net1.inp"),
+    "case9": lambda: shipped("pandapower", "networks", "power_system_test_case_jsons", "case9.json"),
+    "case14": lambda: shipped("matpower", "data", "case14.m"),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SOURCES)
+def test_a_public_network_is_imported_checked_and_run_in_processes(name: str, here: Path) -> None:
+    if name == "case14" and importlib.util.find_spec("matpowercaseframes") is None:
+        pytest.skip("matpowercaseframes is not installed")
+    done = orchestrator("import", str(SOURCES[name]()), "-o", "net.yaml", "--steps", "20")
+    assert done.returncode == 0, done.stderr
+    assert orchestrator("check", "net.yaml").returncode == 0
+    done = orchestrator(
+        "up", "net.yaml", "--processes", "3", "--viewer", "none", "--no-record", "--verify", "--run-dir", "run"
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    verdict = json.loads(Path("run/verdict.json").read_text())
+    assert (verdict["steps"], verdict["processes"]) == (20, 3)
+    assert pq.read_metadata("run/telemetry.parquet").num_rows == 21 * verdict["nodes"]
