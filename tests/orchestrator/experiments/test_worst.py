@@ -238,5 +238,5 @@ def test_a_search_that_is_stopped_counts_the_time_that_it_took(tmp_path: Path) -
 @pytest.mark.slow
 def test_a_large_network_is_written_with_its_table(tmp_path: Path) -> None:
     tree = {"name": "tree", "b": 0.1, "steps": 9, "seed": 2, "graph": {"kind": "random_tree", "nodes": 1100}}
-    found = worst(hg.load(tree), 0.1, steps=100, out=tmp_path / "worst.yaml")
+    found = worst(hg.load(tree), 0.1, steps=200, out=tmp_path / "worst.yaml")
     assert run_here(hg.load(tmp_path / "worst.yaml"))["metrics"]["gain"] == pytest.approx(found.gain, rel=1e-9)
