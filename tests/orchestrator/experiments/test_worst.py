@@ -176,11 +176,11 @@ def test_a_law_that_asks_runs_in_the_search_as_in_the_engine(law: str) -> None:
 @pytest.mark.parametrize(
     ("topology", "budget", "least"),
     [
-        (EAGER, 6.0, 7.5),
-        (hg.load("paper7"), 4.0, 3.36),
-        (vector("v1_path2"), 3.0, 5.63),
-        (vector("v2_tree7"), 4.0, 5.66),
-        (vector("w1_path3"), 3.0, 4.99),
+        (EAGER, 3.0, 7.0),
+        (hg.load("paper7"), 3.0, 3.36),
+        (vector("v1_path2"), 2.0, 5.63),
+        (vector("v2_tree7"), 2.0, 5.66),
+        (vector("w1_path3"), 2.0, 4.99),
     ],
 )
 def test_lower_bounds_of_the_table_repeat_over_zenoh(
@@ -235,6 +235,7 @@ def test_a_search_that_is_stopped_counts_the_time_that_it_took(tmp_path: Path) -
     assert found.gain > 1
 
 
+@pytest.mark.slow
 def test_a_large_network_is_written_with_its_table(tmp_path: Path) -> None:
     tree = {"name": "tree", "b": 0.1, "steps": 9, "seed": 2, "graph": {"kind": "random_tree", "nodes": 1100}}
     found = worst(hg.load(tree), 0.1, steps=200, out=tmp_path / "worst.yaml")
