@@ -124,7 +124,7 @@ def test_every_array_of_a_run_has_its_shape() -> None:
             read: Any = member.func if isinstance(member, cached_property) else member.fget
             kind = str(inspect.signature(read).return_annotation)
             if kind.startswith(("Array", "Mask", "Index", "NDArray", "Gain")):
-                assert re.search(r"\((n|E|K|L|T|2E|,|\+| |1|2|M)+\)", inspect.getdoc(member) or ""), name
+                assert re.search(r"\((n|E|K|L|T|2E|,|\+|\s|1|2|M)+\)", inspect.getdoc(member) or ""), name
     flags = {"x", "u", "w", "edge_open", "a_ls", "cost"}
     texts = {name: text for name, _, text in stored(hg.Run)}
     assert flags <= {name for name, text in texts.items() if re.search(r"\(T( \+ 1)?, ?(n|E)?\)", text)}

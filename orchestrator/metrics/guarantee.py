@@ -39,7 +39,9 @@ class Guarantee:
     gamma_star: float
     """the optimal gain if every a is known and every edge is open; NaN if it is not known"""
     bounds: Mapping[Premise, Bound] = field(default_factory=dict)
+    """the upper bound on the gain under each premise"""
     not_computed: Mapping[Premise, str] = field(default_factory=dict)
+    """the reason why there is no bound under a premise"""
     at_least: float | None = None
     """the gain of the worst disturbance that `orchestrator worst` found"""
     learning: Learning | str | None = None

@@ -42,8 +42,11 @@ class Found:
     topology: Topology
     """a network whose run has the gain"""
     attack: Attack
+    """the disturbance and the faults with the largest gain"""
     guarantee: Guarantee
+    """the upper bounds on the gain"""
     law: str
+    """the law that was attacked, as a file names it"""
     faults: dict[str, float]
     """by single fault: the best gain with it; empty unless faults were searched"""
     faults_of: int
