@@ -2,7 +2,8 @@
 
 A step is quiet if every edge is open, every message of the step before is there, and nothing is learned late. Almost
 every step is. An array of one number costs as much as one of a hundred, so a shard of a few nodes makes its quiet steps
-here. Other steps, and laws of other classes, use the general path (agents.samples and the law itself); `settle` passes
+here: those of the paper's law below, those of the other laws of the project in agents.quiet_laws. Other steps, and
+laws of other classes, use the general path (agents.samples and the law itself); `settle` passes
 everything learned to it. Both ways give the same bits, because they do the same operations in the same order.
 """
 
@@ -16,8 +17,10 @@ from typing import NamedTuple
 import numpy as np
 
 from hedgerow.agents.law import Array, Law, Minimax
+from hedgerow.agents.local import asks
+from hedgerow.agents.quiet_laws import Rule, Sample, rule_of
 from hedgerow.agents.view import View
-from hedgerow.wire.codec import REPORT_ROWS, Form, Kind, Link
+from hedgerow.wire.codec import REPORT_ROWS, Form, Kind, Link, decode_link
 
 FEW_NODES = 4
 MOST_INCIDENCES = 24
@@ -32,12 +35,14 @@ class _Node(NamedTuple):
     b: float
     candidates: Sequence[float]
     incidences: Sequence[tuple[int, int, float]]
+    rule: Rule | None
+    """of a law other than `Minimax`"""
 
 
 class QuietLaw:
-    """The law `Minimax` of a few nodes, and their last states, inputs and reports, in floats."""
+    """The law of a few nodes, and their last states, inputs and reports, in floats."""
 
-    def __init__(self, view: View, law: Minimax) -> None:
+    def __init__(self, view: View, law: Law) -> None:
         k, weights = view.k, view.weights
         w = [1.0] * len(view.row) if weights is None else weights.tolist()
         incidences: list[list[tuple[int, int, float]]] = [[] for _ in range(k)]
@@ -45,14 +50,19 @@ class QuietLaw:
             incidences[i].append((i, j, weight))
         gains = np.broadcast_to(np.asarray(view.b, dtype=float), k).tolist()
         columns = [column[~np.isnan(column)].tolist() for column in view.candidates.T]
-        self._nodes = [_Node(*one) for one in zip(gains, columns, incidences, strict=True)]
-        self._law, self._models = law, len(view.candidates)
+        rules = [rule_of(law, node) for node in range(k)]
+        self._nodes = [_Node(*one) for one in zip(gains, columns, incidences, rules, strict=True)]
+        self._law, self._height = law, len(law.memory)
+        self._hears = [peer.hear for peer in view.peers]
+        self._asks = asks(law.learn, "sample")
         self._rows = [struct.Struct(f"<{peer.hear}d") for peer in view.peers]
         self._J: list[list[float]] = []
         self.holds = False
         """True while the newest memory is here, and not in the law"""
         self.x: Sequence[float] = ()
         """states of the last step, (k,)"""
+        self.states: Sequence[float] = ()
+        """states of the sample learned last: our own, and for a law that asks the peers' behind them"""
         self.u: Sequence[float] = ()
         """inputs of the last step, (k,)"""
         self.report: Sequence[float] = ()
@@ -63,7 +73,10 @@ class QuietLaw:
     @classmethod
     def of(cls, view: View, law: Law) -> QuietLaw | None:
         """Return the quiet law of a view; None if its nodes are too many, or its law is of another class."""
-        if type(law) is not Minimax or view.k > FEW_NODES or len(view.row) > MOST_INCIDENCES:
+        if view.k > FEW_NODES or len(view.row) > MOST_INCIDENCES:
+            return None
+        # The rules of other laws know lists of one length only.
+        if type(law) is not Minimax and (np.isnan(view.candidates).any() or rule_of(law, 0) is None):
             return None
         # Python raises an error where numpy divides by zero. Only the end of a candidate list may have padding.
         listed = ~np.isnan(view.candidates)
@@ -79,33 +92,51 @@ class QuietLaw:
         self.x, self.u, self.report = x.tolist(), u.tolist(), report.ravel().tolist()
         if isfinite(sum(self.x) + sum(self.u)):
             memory = self._law.memory.T.tolist()
-            self._J = [J[: len(node.candidates)] for J, node in zip(memory, self._nodes, strict=True)]
+            self._J = [
+                J[: len(node.candidates)] if node.rule is None else J
+                for J, node in zip(memory, self._nodes, strict=True)
+            ]
             self.holds = True
 
     def settle(self) -> None:
         """Hand everything learned back to the law."""
-        J = np.full((self._models, len(self._nodes)), np.inf)
+        J = np.full((self._height, len(self._nodes)), np.inf)
         for column, own in zip(J.T, self._J, strict=True):
             column[: len(own)] = own
         self._law.memory = J
         self._J, self._quiet, self.holds = [], 0, False
 
-    def step(self, states: Sequence[float], links: Sequence[Link | bytes]) -> Sequence[float] | None:
+    def step(self, states: Sequence[float], links: Sequence[Link | bytes], past: int) -> Sequence[float] | None:
         """Learn the sample of t - 1, equation (7), and act at t, equation (6), for the states x(t), (k,).
 
-        `links` are the peers' messages of t - 1, decoded or not. Return the inputs of t - 1 that make the flow: our
-        own, then the peers'. Return None, and change nothing, if a number is missing or too large.
+        `past` is t - 1, and `links` are the peers' messages of that step, decoded or not. Return the inputs of t - 1
+        that make the flow: our own, then the peers'. Return None, and change nothing, if a number is missing or too
+        large.
         """
         row = [*self.u]
         for numbers, link in zip(self._rows, links, strict=False):
             rows = link if isinstance(link, bytes) else link.u
             row += numbers.unpack_from(rows, len(rows) - numbers.size)  # the newest inputs come last in both
         costs, inputs, estimates, margins = [], [], [], []
-        for (b, candidates, incidences), J, now, before in zip(self._nodes, self._J, states, self.x, strict=False):
+        for (b, candidates, incidences, rule), J, now, before in zip(
+            self._nodes, self._J, states, self.x, strict=False
+        ):
             flow = 0.0
             for i, j, weight in incidences:
                 flow += weight * (row[i] - row[j])
             moved = now - b * flow
+            if rule is not None:
+                try:
+                    learned, u, ahat, margin = rule(J, Sample(past, before, moved, b * now))
+                except (ArithmeticError, ValueError):  # numpy has inf or NaN there
+                    return None
+                if not isfinite(u + sum(learned)):
+                    return None
+                costs.append(learned)
+                inputs.append(u)
+                estimates.append(ahat)
+                margins.append(margin)
+                continue
             learned = [J_a + (residual := a * before - moved) * residual for J_a, a in zip(J, candidates, strict=False)]
             ordered = sorted(learned)
             least = ordered[0]
@@ -118,8 +149,17 @@ class QuietLaw:
             inputs.append(u)
             estimates.append(ahat)
             margins.append(ordered[1] - least if len(ordered) > 1 else inf)
+        self.states = [*self.x, *self._states_of(links)] if self._asks else self.x
         self._J, self.x, self.u, self.report = costs, states, inputs, estimates + margins
         return row
+
+    def _states_of(self, links: Sequence[Link | bytes]) -> list[float]:
+        """Return the peers' newest states in their messages."""
+        states: list[float] = []
+        for numbers, link, hears in zip(self._rows, links, self._hears, strict=True):
+            rows = (decode_link(link, hears) if isinstance(link, bytes) else link).x
+            states += numbers.unpack_from(rows, len(rows) - numbers.size)
+        return states
 
 
 class QuietForms:

@@ -206,15 +206,15 @@ class Shard:
 
     def _step_quietly(self, x: Sequence[float], quiet: QuietLaw) -> bool:
         """Make the next step without numpy and return True; False, with nothing changed, if the step is not quiet."""
-        past, before = self.t, quiet.x
+        past = self.t
         if self._record is not None:
             return False
         links = [peer.mail.get(past) for peer in self.peers]
-        if None in links or (inputs := quiet.step(x, links)) is None:  # type: ignore[arg-type]  # none is None
+        if None in links or (inputs := quiet.step(x, links, past)) is None:  # type: ignore[arg-type]  # none is None
             return False
         for peer in self.peers:
             del peer.mail[past]
-        self._samples.append_learned(before, inputs)
+        self._samples.append_learned(quiet.states, inputs)
         self.t, self.took, self._behind = past + 1, b"", True
         return True
 

@@ -32,7 +32,8 @@ def main() -> NoReturn:
         _settle_environment()
         from hedgerow.wire.stderr_relay import StderrRelay  # noqa: PLC0415
 
-        with StderrRelay():
+        # The command that started a network in the background escapes its output, and waits for the end of it.
+        with contextlib.nullcontext() if "HEDGEROW_DETACHED" in os.environ else StderrRelay():
             sys.unraisablehook, threading.excepthook = _ignored, _failed_thread
             code = _code()
     with contextlib.suppress(OSError, ValueError, KeyboardInterrupt):
@@ -77,13 +78,13 @@ _FAILED: list[BaseException] = []
 
 
 def _ignored(found: sys.UnraisableHookArgs) -> None:
-    """Say in one line what Python ignores, such as an exception while a library lets go of something."""
+    """Report in one line an exception that Python ignores, such as one while a library releases an object."""
     with contextlib.suppress(Exception):
         echo(f"ignored: {found.exc_type.__name__}: {found.exc_value}", error=True)
 
 
 def _failed_thread(found: threading.ExceptHookArgs) -> None:
-    """Say in one line what ended a thread, and in which file its traceback is."""
+    """Report in one line the exception that ended a thread, and the file of its traceback."""
     from hedgerow.wire import crash  # noqa: PLC0415
 
     if found.exc_value is not None and not isinstance(found.exc_value, SystemExit) and len(_FAILED) < MOST_FILES:

@@ -47,7 +47,14 @@ OF_MODULES = {
     ("yaml", "load"),
     ("pd", "read_csv"),
 }
-NO_FILES = {("zenoh", "open"), ("os", "open"), ("webbrowser", "open"), ("registry", "open"), ("re", "open")}
+NO_FILES = {
+    ("zenoh", "open"),
+    ("os", "open"),
+    ("webbrowser", "open"),
+    ("registry", "open"),
+    ("re", "open"),
+    ("intake", "open"),
+}
 
 
 def mode_of(call: ast.Call, place: int) -> str:

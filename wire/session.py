@@ -29,7 +29,7 @@ MAX_SESSIONS = 100_000
 MOST_PORT = 65535
 CONNECT_TIMEOUT_S = 10.0
 OPEN_TIMEOUT_S = 15.0
-"""How long Zenoh may take for a session, besides its own timeout."""
+"""The longest time for opening a session, in addition to the timeout of Zenoh [s]."""
 LEASE_S = 30.0
 """The silence after which a process counts as gone, if nothing else reports it earlier [s]."""
 LOOK_S, MOST_LOOK_S = 2.0, 30.0

@@ -22,9 +22,9 @@ _COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 class StderrRelay:
     """File descriptor 2, escaped while the block runs: a panic in a thread of Zenoh is written there.
 
-    A process of its own reads it, because the last words of a library that aborts this process must arrive too. Enter
-    the block before there are threads. Text of Python goes straight to standard error, so that its order stays, and a
-    terminal is known as one.
+    A second process reads it, because the last message of a library that aborts this process must arrive too. Enter
+    the block before this process has threads. Text of Python goes directly to standard error, which preserves its order
+    and shows if it is a terminal.
     """
 
     WAIT_S = 0.5
@@ -73,7 +73,7 @@ class StderrRelay:
 
 
 def _relay(reads: int, real: int) -> NoReturn:
-    """Copy the pipe to standard error as the whole of this process, until nobody holds its other end."""
+    """Copy the pipe to standard error as the whole of this process, until no process holds its other end."""
     try:
         gc.disable()
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP, signal.SIGPIPE):
@@ -83,7 +83,7 @@ def _relay(reads: int, real: int) -> NoReturn:
         os.closerange(2, 64)
         decode = codecs.getincrementaldecoder("utf-8")("replace").decode
         while data := os.read(0, 2**16):
-            with contextlib.suppress(OSError):  # nobody reads it
+            with contextlib.suppress(OSError):  # it has no reader
                 os.write(1, escape(_COLOUR.sub("", decode(data))).encode(errors="backslashreplace"))
     finally:
         os._exit(0)

@@ -28,12 +28,12 @@ class Bayes(Listed):
     equation: ClassVar[str] = "u = sum pi_m u_m, pi ~ exp(-J / (2 sigma^2))"
 
     def __init__(self, b: Gain, candidates: Array, *, sigma: float = 0.5) -> None:
-        self._sigma = checked(sigma)
+        self.sigma = checked(sigma)
         super().__init__(b, candidates)
         self.margin[:] = np.nan
 
     def _choose(self) -> None:
-        pi = weights(self._memory, self._sigma)
+        pi = weights(self._memory, self.sigma)
         whole = total(pi)
         self._gain = total(pi / (self.candidates - 1.0)) / whole
         self.ahat[:] = total(pi * self.candidates) / whole

@@ -27,7 +27,7 @@ OF_PATHS = {
     *(errno.EACCES, errno.EEXIST, errno.EISDIR, errno.ELOOP, errno.ENAMETOOLONG, errno.ENOENT, errno.ENOTDIR),
     *(errno.ENOTEMPTY, errno.EPERM, errno.EROFS, errno.ETXTBSY, errno.ESTALE, errno.ENXIO, errno.EINVAL),
 }
-"""What is wrong with a path that the user gave, or with a folder that it leads to."""
+"""The errors of a path that the user gave, or of a folder on it."""
 
 
 def run_to_exit_code(command: Callable[[], int]) -> int:

@@ -267,7 +267,7 @@ class Recording:
             self._stream = stream
 
     def _leave_out(self, error: BaseException) -> None:
-        """Go on without the recording and the viewer, which only help, and say so once."""
+        """Go on without the recording and the viewer, which only help, and report this once."""
         self._stream, self._left_out = None, True
         why = str(limit_reached(error) or error)
         expected = isinstance(error, HedgerowError | OSError | ImportError) or limit_reached(error) is not None

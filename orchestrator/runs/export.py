@@ -94,7 +94,7 @@ def _files(run: Run, to: str, out: Path | None) -> dict[Path, Write]:
 
 
 def _csv(table: Table, path: Path) -> None:
-    """Write the shortest numbers that are read back to the same bits; nothing where there is null."""
+    """Write CSV with the shortest numbers that are read back to the same bits; null is an empty cell."""
     with CSVWriter(spelled(path), table.schema) as writer:
         for batch in table.batches():
             writer.write_batch(batch)

@@ -108,7 +108,7 @@ def test_any_numbers_give_the_bits_of_the_law_or_are_passed_to_it(
     for _ in range(quiet.PATIENCE):
         ours.after(True, x, u, np.zeros((2, 1)))
     for one, two, now in zip(values[::3], values[1::3], values[2::3], strict=True):
-        answer = ours.step([now], [Link(0, 0, bytes(16), struct.pack("<2d", one, two))])
+        answer = ours.step([now], [Link(0, 0, bytes(16), struct.pack("<2d", one, two))], 0)
         if answer is None:
             break
         with np.errstate(all="ignore"):

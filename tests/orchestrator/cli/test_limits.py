@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import ctypes
 import fcntl
 import os
 import pty
 import resource
 import select
+import struct
 import subprocess
 import termios
 from pathlib import Path
@@ -19,6 +21,23 @@ from tests.tools.processes import COMMAND, DEADLINE_S
 
 NOTEBOOK = {"MPLBACKEND": "module://matplotlib_inline.backend_inline"}
 UP = ("--viewer", "none", "--no-record")
+
+UNUSED = 61_234
+"""a user id that nothing else has"""
+
+
+def as_another_user(user: int) -> None:
+    """Become a user whom limits hold, but with the right to read the files of root, where the environment may lie."""
+    libc = ctypes.CDLL(None)
+    keep_caps, ambient, raise_it, dac_override, search = 8, 47, 2, 1, 2
+    libc.prctl(keep_caps, 1, 0, 0, 0)
+    os.setresgid(user, user, user)
+    os.setresuid(user, user, user)
+    caps = 1 << dac_override | 1 << search
+    head, data = struct.pack("=Ii", 0x20080522, 0), struct.pack("=6I", caps, caps, caps, 0, 0, 0)
+    libc.capset(head, data)
+    for one in (dac_override, search):
+        libc.prctl(ambient, raise_it, one, 0, 0)
 
 
 def run(*arguments: str, more: dict[str, str] | None = None) -> subprocess.CompletedProcess[str]:
@@ -45,18 +64,24 @@ def test_a_report_and_a_sweep_from_a_notebook(here: Path) -> None:
 
 
 def test_too_few_processes_are_named_in_one_line(here: Path) -> None:
-    """As with `ulimit -u`: the limit counts all processes and threads of the user."""
-    if os.geteuid() == 0:
-        pytest.skip("no limit holds for root")
-    mine = [one for one in psutil.process_iter(["uids"]) if one.info["uids"] and one.info["uids"].real == os.getuid()]
+    """As with `ulimit -u`: the limit counts all processes and threads of the user, and none of them holds for root."""
+    user = os.getuid() or UNUSED
+    mine = [one for one in psutil.process_iter(["uids"]) if one.info["uids"] and one.info["uids"].real == user]
     most = sum(one.num_threads() for one in mine) + 60
+
+    def limited() -> None:
+        resource.setrlimit(resource.RLIMIT_NPROC, (most, most))
+        if os.getuid() == 0:
+            as_another_user(user)
+
+    os.chmod(here, 0o777)
     done = subprocess.run(
         [*COMMAND, "up", "grid16", *UP],
         capture_output=True,
         text=True,
         timeout=DEADLINE_S,
         check=False,
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_NPROC, (most, most)),
+        preexec_fn=limited,
     )
     assert done.returncode == Exit.UNKNOWN
     assert done.stdout.splitlines()[-1].count("ulimit -u") == 1

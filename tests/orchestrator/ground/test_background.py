@@ -1,4 +1,4 @@
-"""A thread whose jobs may fail or never return holds nobody up."""
+"""A job of a background thread that fails or never returns does not block its caller."""
 
 import threading
 
