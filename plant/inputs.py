@@ -58,7 +58,8 @@ class Inputs:
         """Return the inputs of the step, (n,), in the order of the shards, NaN where a shard is silent."""
         if self._together and self._short == len(self._messages):
             self._row = np.frombuffer(b"".join(self._messages))
-            return self._row.take(self._at[0])
+            u: Array = self._row.take(self._at[0])
+            return u
         self._row = None
         self._parts = [
             decode_input(message, k, m) if message else silence
