@@ -112,7 +112,7 @@ class Agent:
         self.peers = [peer.shard for peer in view.peers]
         self._pending: State | None = None
         self._since = time.monotonic()
-        self._said: deque[list[tuple[Sender, bytes]]] = deque(maxlen=2)
+        self._sent: deque[list[tuple[Sender, bytes]]] = deque(maxlen=2)
         """The messages sent in the last two steps; a neighbour may still need those of the step before the last."""
         self._answering: _Answering | None = None
         self._slow_told = 0.0
@@ -122,7 +122,7 @@ class Agent:
         self._lock = threading.Lock()
         self._later: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         """sends queued for the main thread"""
-        self._unsaid = 0
+        self._unsent = 0
         """number of queued sends not done yet"""
         if 8 * (1 + REPORT_ROWS) * self.shard.k + self.shard.m > LONG_BYTES:
             keep_memory()
@@ -214,13 +214,13 @@ class Agent:
             with contextlib.suppress(queue.Empty):
                 self._later.get(timeout=left)()
                 with self._lock:
-                    self._unsaid -= 1
+                    self._unsent -= 1
         return self._ended.is_set()
 
-    def _say_later(self, say: Callable[[], None]) -> None:
+    def _send_later(self, send: Callable[[], None]) -> None:
         """Queue a send for the main thread; the lock is held, as in every message handler."""
-        self._unsaid += 1
-        self._later.put(say)
+        self._unsent += 1
+        self._later.put(send)
 
     def give_up(self, error: Exception) -> None:
         """Make `run` raise this error, unless the plant already sent END."""
@@ -235,7 +235,7 @@ class Agent:
     def _end(self) -> None:
         self._deaf = True
         self._ended.set()
-        self._say_later(lambda: None)
+        self._send_later(lambda: None)
 
     def close(self) -> None:
         """Leave the network."""
@@ -261,7 +261,7 @@ class Agent:
                     if self._over:
                         self._end()
                     else:
-                        self._say_later(self._say_last)
+                        self._send_later(self._send_last)
                 elif kind == Kind.RECORD:
                     self.shard.recall(decode_record(message, self.shard.degrees))
                 else:
@@ -279,9 +279,9 @@ class Agent:
         for senders, sent in zip(self._quiet_senders, answer, strict=False):
             for sender in senders:
                 out.append((sender, sent))
-        self._said.append(out)
-        if self._unsaid:
-            self._say_later(functools.partial(_say, out))
+        self._sent.append(out)
+        if self._unsent:
+            self._send_later(functools.partial(_put_all, out))
         else:
             for sender, sent in out:
                 sender.put(sent)
@@ -300,7 +300,7 @@ class Agent:
             except Exception as error:
                 self._fail(error)
 
-    def _say_last(self) -> None:
+    def _send_last(self) -> None:
         counted = counts([self._input, *self._links], self._receivers)
         counted["said"][self._input.key] += 1  # count this event too
         # Leaving at once would lose the event. The plant sends END again after it received the event.
@@ -314,17 +314,17 @@ class Agent:
         if state.t == done or (self._pending is not None and self._pending.t == state.t):
             # The plant repeats its state because a message was missed, so every shard repeats its messages.
             # Repeat one step each time, the newer first: a secure router drops messages that follow too closely.
-            if self._said and not self._unsaid:
-                which = -1 - self._repeated % len(self._said)
+            if self._sent and not self._unsent:
+                which = -1 - self._repeated % len(self._sent)
                 self._repeated += 1
-                self._say_later(functools.partial(_say, self._said[which]))
+                self._send_later(functools.partial(_put_all, self._sent[which]))
         elif self.shard.follows(state):
             self._pending, self._since = state, time.monotonic()
             self._step_if_complete()
-        elif state.t > done and not self._unsaid:
+        elif state.t > done and not self._unsent:
             # The network advanced without us. Announce ourselves, and the plant sends everything that we missed.
             here = [(self._input, encode_input(NO_STEP, *self.shard.silence))]
-            self._say_later(functools.partial(_say, here))
+            self._send_later(functools.partial(_put_all, here))
 
     def _step_if_complete(self) -> None:
         state, shard = self._pending, self.shard
@@ -335,18 +335,18 @@ class Agent:
         u = shard.answer(state)
         self._answering = None
         out = []
-        for peers, link in shard.say(state):
+        for peers, link in shard.send(state):
             message = encode_link(link, shard.peers[peers[0]].says)
             out += [(self._links[p], message) for p in peers]
         out.append((self._input, encode_input(state.t, u, shard.report, shard.took)))
-        self._said.append(out)
-        if self._unsaid or sum(len(message) for _, message in out) > LONG_BYTES:
-            self._say_later(functools.partial(_say, out))
+        self._sent.append(out)
+        if self._unsent or sum(len(message) for _, message in out) > LONG_BYTES:
+            self._send_later(functools.partial(_put_all, out))
         else:
-            _say(out)
+            _put_all(out)
 
 
-def _say(messages: Sequence[tuple[Sender, bytes]]) -> None:
+def _put_all(messages: Sequence[tuple[Sender, bytes]]) -> None:
     for sender, message in messages:
         sender.put(message)
 

@@ -168,7 +168,7 @@ class Samples:
         self._behind.difference_update(incidences.tolist())
         self._behind.update(incidences[wanted].tolist())
 
-    def said(self, start: int, stop: int) -> tuple[Array, Array]:
+    def sent(self, start: int, stop: int) -> tuple[Array, Array]:
         """Return the states and inputs of our own nodes at steps start to stop - 1, as far as they are stored, (S, k)
         each.
         """

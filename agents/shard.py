@@ -72,8 +72,8 @@ class Peer:
 class Shard:
     """The nodes of one process; at step t they close the sample of t - 1 and act, all at once.
 
-    `hear` takes link messages of peers and `recall` takes the plant's record of nodes that come back. If `awaits` is
-    empty, `answer` the state and `say` the link messages of that step. Incidences (a node and one of its edges) are
+    `receive` takes link messages of peers and `recall` takes the plant's record of nodes that come back. If `awaits` is
+    empty, `answer` the state and `send` the link messages of that step. Incidences (a node and one of its edges) are
     ordered by node and then by neighbour, as in the plant. A flow is therefore the same sum, bit for bit, in every
     layout of the network over processes.
     """
@@ -133,7 +133,7 @@ class Shard:
 
     # Incoming messages.
 
-    def hear(self, peer: int, link: Link) -> None:
+    def receive(self, peer: int, link: Link) -> None:
         """Keep a link message of a peer until its step is closed.
 
         If there are too many, drop the one of the latest step.
@@ -141,7 +141,7 @@ class Shard:
         self._keep(self.peers[peer].mail, link.t, link)
 
     def hear_message(self, peer: int, message: bytes) -> None:
-        """Keep the bytes of a link message, as `hear` does; raise MessageError if they are malformed."""
+        """Keep the bytes of a link message, as `receive` does; raise MessageError if they are malformed."""
         own = self.peers[peer]
         self._keep(own.mail, link_step(message, own.hears), message)
 
@@ -341,7 +341,7 @@ class Shard:
             if inputs_then is not None and states_then is not None:
                 newest = states_then[-1:], inputs_then[-1:]
             elif (place := column[c]) < self.k:
-                own_x, own_u = self._samples.said(stop - 1, stop)
+                own_x, own_u = self._samples.sent(stop - 1, stop)
                 newest = own_x[:, place], own_u[:, place]
             else:
                 continue
@@ -405,10 +405,10 @@ class Shard:
         nothing = np.full((1 + REPORT_ROWS) * self.k, np.nan).tobytes()
         return nothing[: 8 * self.k], nothing[8 * self.k :], bytes(self.m)
 
-    def say(self, state: State) -> list[tuple[Sequence[int], Link]]:
+    def send(self, state: State) -> list[tuple[Sequence[int], Link]]:
         """Return the link messages of the step just answered, each with its receiving peers."""
         if not state.flags and not state.spans:
-            return self._say_now()
+            return self._send_now()
         flags, first, last = state.flags or self._up, {}, {}
         for c, _, _, late, count in state.spans:
             first[c], last[c] = self.t - late - count, self.t - late
@@ -419,7 +419,7 @@ class Shard:
                 said.append(([p], self._rows(peer, begin, end)))
         return said
 
-    def _say_now(self) -> list[tuple[Sequence[int], Link]]:
+    def _send_now(self) -> list[tuple[Sequence[int], Link]]:
         """Return messages with the row of this step alone, for every peer."""
         t, x, u = self.t, self.x, self.u
         return [
@@ -438,7 +438,7 @@ class Shard:
         x, u = (self.x, self.u) if nodes is None else (self.x[nodes], self.u[nodes])
         if first == last == self.t:
             return Link(self.t, first, x.tobytes(), u.tobytes())
-        old_x, old_u = self._samples.said(first, last + 1)
+        old_x, old_u = self._samples.sent(first, last + 1)
         if nodes is not None:
             old_x, old_u = old_x[:, nodes], old_u[:, nodes]
         if last < self.t:

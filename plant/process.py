@@ -320,7 +320,7 @@ class Plant:
                 lambda: all(shard.word or not shard.ready for shard in self.shards.all), WORD_DEADLINE_S
             )
             counted = counts([shard.state for shard in self.shards.all], self._receivers)
-            counted["said"][keys.TELEMETRY] = self._outbox.said + 1  # this event included
+            counted["said"][keys.TELEMETRY] = self._outbox.sent + 1  # this event included
             self.tell(
                 "heard",
                 plant=counted,

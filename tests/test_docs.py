@@ -52,6 +52,7 @@ SLOW = {
     "README.md",
     "data.md",
     "faults.md",
+    "guarantee.md",
     "import.md",
     "laws.md",
     "machines.md",

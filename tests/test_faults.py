@@ -91,8 +91,8 @@ def test_additional_rows_of_a_neighbour_affect_only_its_own() -> None:
         rows = lots.normal(size=(len(view.peers), 2))
         for p, row in enumerate(rows):
             link = Link(t, t, row[1:].tobytes(), row[1:].tobytes())
-            told.hear(p, link)
-            misled.hear(p, Link(t, t - 1, row.tobytes(), row.tobytes()) if p == 0 else link)
+            told.receive(p, link)
+            misled.receive(p, Link(t, t - 1, row.tobytes(), row.tobytes()) if p == 0 else link)
         np.testing.assert_array_equal(told.report, misled.report)
 
 

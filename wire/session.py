@@ -251,8 +251,8 @@ def _why(error: zenoh.ZError) -> str:
         return limit
     words = re.sub(r"\s+at /\S+\.rs:\d+\b\.?", "", str(error))
     # Zenoh puts the cause last, after a description of its action.
-    said = " ".join(words.split())
-    return said if len(said) <= MOST_SAID else f"…{said[-MOST_SAID:]}"
+    sent = " ".join(words.split())
+    return sent if len(sent) <= MOST_SAID else f"…{sent[-MOST_SAID:]}"
 
 
 def _refusal(endpoint: str, credentials: Credentials) -> str | None:
@@ -290,20 +290,20 @@ def wait_for_listeners(publishers: Sequence[zenoh.Publisher], timeout_s: float =
 
     Raises DeadlineError if one has none `timeout_s` from now.
     """
-    heard, by = threading.Event(), time.monotonic() + timeout_s
+    received, by = threading.Event(), time.monotonic() + timeout_s
 
     def on_change(_: zenoh.MatchingStatus) -> None:
-        heard.set()
+        received.set()
 
     listener = direct(on_change)
     for one in publishers:
         with one.declare_matching_listener(listener):
             while not _has_listener(one):
-                if not heard.wait(max(0.0, by - time.monotonic())):
+                if not received.wait(max(0.0, by - time.monotonic())):
                     raise DeadlineError(
                         f"{one.key_expr} has no subscriber after {timeout_s:g} s; see that process's log"
                     )
-                heard.clear()
+                received.clear()
 
 
 def _has_listener(one: zenoh.Publisher) -> bool:
@@ -331,13 +331,13 @@ class Sender:
     """A publisher that counts its messages."""
 
     def __init__(self, session: zenoh.Session, key: str) -> None:
-        self.key, self.said = key, 0
+        self.key, self.sent = key, 0
         self.publisher = publisher(session, key)
         self._put = self.publisher.put
 
     def put(self, message: bytes) -> None:
         """Send the message and count it."""
-        self.said += 1
+        self.sent += 1
         self._put(message)
 
 
@@ -346,7 +346,7 @@ class Receiver:
 
     def __init__(self, session: zenoh.Session, key: str, take: Callable[[bytes], None]) -> None:
         """Subscribe to `key`; `take` is called on the network thread and must not block."""
-        self.key, self.heard, self.refused = key, 0, 0
+        self.key, self.received, self.refused = key, 0, 0
         self.strange: dict[str, int] = {}
         """the number of messages by unexpected keys; such a key contains a `*`, which no process of a run uses"""
         own = zenoh.KeyExpr(key)
@@ -363,7 +363,7 @@ class Receiver:
             except MessageError as error:
                 self._refuse(error)
             else:
-                self.heard += 1
+                self.received += 1
 
         self._declared = session.declare_subscriber(key, zenoh.handlers.Callback(on_sample, indirect=False))
 
@@ -388,8 +388,8 @@ def counts(senders: Iterable[Sender], receivers: Iterable[Receiver]) -> dict[str
     """Return the message counts of a process by key: sent, received, refused, and on unexpected keys."""
     receivers = list(receivers)
     return {
-        "said": {sender.key: sender.said for sender in senders},
-        "heard": {receiver.key: receiver.heard for receiver in receivers},
+        "said": {sender.key: sender.sent for sender in senders},
+        "heard": {receiver.key: receiver.received for receiver in receivers},
         "refused": {receiver.key: receiver.refused for receiver in receivers if receiver.refused},
         "strange": {key: number for receiver in receivers for key, number in receiver.strange.items()},
     }

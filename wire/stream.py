@@ -35,7 +35,7 @@ class Outbox:
 
     def __init__(self, put: Callable[[bytes], None]) -> None:
         self._put = put
-        self.said = 0
+        self.sent = 0
         """the number of batches sent, repetitions included"""
         self._next = 0
         self._sent_at = self._repeated_at = 0.0
@@ -75,7 +75,7 @@ class Outbox:
         self._next += 1
         self._waiting.clear()
         self._sent_at = time.monotonic()
-        self.said += 1
+        self.sent += 1
         self._put(whole)
 
     def seen(self, number: int) -> None:
@@ -96,7 +96,7 @@ class Outbox:
     def repeat(self) -> None:
         """Send all batches again that the receiver has not acknowledged."""
         for _, whole in itertools.islice(self._unseen, REPEAT_MOST):
-            self.said += 1
+            self.sent += 1
             self._put(whole)
 
 

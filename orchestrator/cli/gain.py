@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from hedgerow.orchestrator.cli.names import EXPERIMENT
-from hedgerow.orchestrator.cli.options import AsJson, File, Law, NoProgress, Sets
+from hedgerow.orchestrator.cli.options import AsJson, File, Law, Sets
 from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.escape import echo
 from hedgerow.topologies.paths import user_path
@@ -21,7 +21,14 @@ Budget = Annotated[str, typer.Option(metavar="TIME", help="how long to search, a
 Faults = Annotated[bool, typer.Option("--faults", help="search cuts and drops too")]
 SearchSeed = Annotated[int, typer.Option("--seed", min=0, help="seed of the search")]
 Length = Annotated[
-    int, typer.Option("--steps", min=100, max=10**6, help="steps of a disturbance that holds its last value")
+    int | None,
+    typer.Option(
+        "--steps",
+        min=100,
+        max=10**6,
+        help="steps of the run of a disturbance that holds its last value [10000; 4000 of more than 100 nodes]",
+        show_default=False,
+    ),
 ]
 Out = Annotated[Path, typer.Option(parser=user_path, metavar="FILE", help="the network that repeats the gain")]
 
@@ -52,13 +59,12 @@ def worst(
     law: Law = None,
     faults: Faults = False,
     seed: SearchSeed = 0,
-    steps: Length = 4000,
+    steps: Length = None,
     out: Out = Path("worst.yaml"),
     sets: Sets = None,
-    quiet: NoProgress = False,
     as_json: AsJson = False,
 ) -> int:
-    """Search for the disturbance with the largest gain; write a network that repeats it. Run it again to continue."""
+    """Search the disturbance with the largest gain, and write a network whose run repeats it; run again to go on."""
     from hedgerow.orchestrator.cli.topology import read  # noqa: PLC0415
     from hedgerow.orchestrator.experiments.worst import worst as search  # noqa: PLC0415
     from hedgerow.orchestrator.ground.laws import checked  # noqa: PLC0415
@@ -67,7 +73,7 @@ def worst(
 
     seconds = seconds_of(budget)
     topology = checked(read(file, sets, law=law))
-    with Interrupts() as interrupts, Progress(f"worst {topology.name}", seconds, quiet=quiet or as_json) as progress:
+    with Interrupts() as interrupts, Progress(f"worst {topology.name}", seconds, quiet=as_json) as progress:
 
         def quit_now() -> bool:
             progress.update()

@@ -79,7 +79,7 @@ def audit(
     _, places = _places(file, processes)
     found, granted = channels(places), rights(places)
     if as_json:
-        heard = [{"key": one.key, "from": one.speaker, "to": one.listener} for one in found]
+        heard = [{"key": one.key, "from": one.sender, "to": one.receiver} for one in found]
         echo(json.dumps({"channels": heard, "rights": {name: some._asdict() for name, some in granted.items()}}))
         return 0
     if as_rights:
@@ -90,7 +90,7 @@ def audit(
                     echo(f"  {right} {', '.join(allowed)}")
         return 0
     names = [PLANT, *(place.name for place in places)]
-    cells = {(one.listener, one.speaker): one.key for one in found}
+    cells = {(one.receiver, one.sender): one.key for one in found}
     if len(names) <= MATRIX_MOST:
         table = Table("hears", *(f"of {name}" for name in names))
         for listener in names:

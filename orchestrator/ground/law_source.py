@@ -111,7 +111,7 @@ def use_kept(folder: Path) -> Sequence[str]:
     if not there.files or "__main__.py" in there.files:
         found = "the class of a notebook, which no other process can import" if there.files else "no source of a law"
         cure = "Leave out --kept-law (in Python kept_law=True)."
-        raise UserError(f"{folder.parent}: keeps {found}. {cure}", code=Code.LAW)
+        raise UserError(f"--kept-law: {folder.parent} keeps {found}. {cure}", code=Code.LAW)
     names = [file.removesuffix(".py").removesuffix("/__init__").replace("/", ".") for file in there.files]
     for name in names:
         sys.modules.pop(name, None)

@@ -38,3 +38,12 @@ class Plant:
     def n(self) -> int:
         """Return the number of nodes."""
         return len(self.a)
+
+    def incidence(self) -> Array:
+        """Return B = diag(b) incidence diag(sqrt k), (n, E)."""
+        found = np.zeros((self.n, len(self.edges)))
+        column = np.arange(len(self.edges))
+        for end, sign in ((0, 1.0), (1, -1.0)):
+            node = self.edges[:, end]
+            found[node, column] = sign * self.b[node] * self.root_weights
+        return found

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from hedgerow.orchestrator.metrics.gain_bound import Bound, Method, Premise, bound, method_for
+from hedgerow.orchestrator.metrics.gain_learning import Learning
 from hedgerow.orchestrator.metrics.gain_plant import Plant
 from hedgerow.topologies.errors import HedgerowError
 from hedgerow.topologies.network import Network
@@ -22,6 +23,7 @@ SAYS = {
     " crash)",
     Premise.JUMPS: "any estimates, any closed edges, and any a within its list at any step (jump)",
 }
+LEARNING = "the law (7) itself with what it learns, every edge open, every message on time, no a jumps"
 TIME_LIMIT_S = 600.0
 RUN_LIMIT_S = 30.0
 """the time limit of the bounds that certify a run, all together [s]: the end of the run waits for them"""
@@ -37,11 +39,11 @@ class Guarantee:
     gamma_star: float
     """the optimal gain if every a is known and every edge is open; NaN if it is not known"""
     bounds: Mapping[Premise, Bound] = field(default_factory=dict)
-    """the upper bound on the gain under each premise"""
     not_computed: Mapping[Premise, str] = field(default_factory=dict)
-    """the reason why there is no bound under a premise"""
     at_least: float | None = None
     """the gain of the worst disturbance that `orchestrator worst` found"""
+    learning: Learning | str | None = None
+    """the bound that counts what the law (7) learns, or why there is none; None if it was not asked for"""
 
     def to_dict(self) -> dict[str, Any]:
         """Return the guarantee as JSON holds it; the storage p_i of each bound with it."""
@@ -57,6 +59,16 @@ class Guarantee:
                 }
             elif premise in self.not_computed:
                 listed[premise] = {"not_computed": self.not_computed[premise]}
+        if isinstance(self.learning, Learning):
+            counted = self.learning
+            listed["learning"] = {
+                "gain": counted.gain,
+                "g": counted.g,
+                "theta": counted.theta,
+                "models": counted.models,
+            }
+        elif self.learning is not None:
+            listed["learning"] = {"not_computed": self.learning}
         gamma_star = self.gamma_star if math.isfinite(self.gamma_star) else None
         return {"gamma_star": gamma_star, "at_least": self.at_least, "bounds": listed}
 
@@ -70,6 +82,10 @@ class Guarantee:
             lines.append(
                 f"at least    {rounded_down(self.at_least):>8}  reached by a disturbance of `orchestrator worst`"
             )
+        if isinstance(self.learning, Learning):
+            lines.append(f"at most     {rounded_up(self.learning.gain):>8}  under {LEARNING}")
+        elif self.learning is not None:
+            lines.append(f"not computed          under {LEARNING}: {self.learning}")
         for premise in Premise:
             if (found := self.bounds.get(premise)) is not None:
                 how = {Method.FULL: ", full P", Method.UNIFORM: ", one multiplier"}.get(found.method, "")
@@ -78,8 +94,8 @@ class Guarantee:
                 lines.append(f"not computed          under {SAYS[premise]}: {self.not_computed[premise]}")
         lines.append(
             "The gain squared is sum |x|^2 + sum k_e (u_i - u_j)^2 over sum |w|^2, from x(0) = 0. An upper bound holds"
-            " for every disturbance and every number of steps, if each u acts within the lists. It ignores learning, so"
-            " the true gain may be smaller."
+            " for every disturbance and every number of steps, if each u acts within the lists. Except in the bound of"
+            " (7) it ignores learning, so the true gain may be smaller."
         )
         return "\n".join(lines)
 

@@ -6,7 +6,7 @@ A message that its only permitted sender did not send came from an intruder, ove
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from hedgerow.topologies.escape import shorten
@@ -25,19 +25,24 @@ class Channel:
     """One key: its permitted sender, its receiver, and the numbers of messages; None for an unknown number."""
 
     key: str
-    speaker: str
-    listener: str
-    said: int | None = None
-    heard: int | None = None
+    sender: str
+    receiver: str
+    sent: int | None = None
+    received: int | None = None
     refused: int | None = None
     """the number of received messages that were not valid on this key"""
+
+    def entry(self) -> dict[str, Any]:
+        """Return the channel as verdict.json holds it."""
+        counts = {"said": self.sent, "heard": self.received, "refused": self.refused}
+        return {"key": self.key, "speaker": self.sender, "listener": self.receiver, **counts}
 
     @property
     def wrong(self) -> str:
         """Return the discrepancy in words; empty if there is none."""
-        if self.said is None or self.heard is None or self.heard <= self.said:
+        if self.sent is None or self.received is None or self.received <= self.sent:
             return ""
-        return f"{self.listener} received {self.heard} messages on {self.key}, but {self.speaker} sent {self.said}"
+        return f"{self.receiver} received {self.received} messages on {self.key}, but {self.sender} sent {self.sent}"
 
 
 def channels(places: Sequence[Place]) -> list[Channel]:
@@ -79,8 +84,8 @@ class Audit:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the audit as in verdict.json."""
-        listed = [asdict(channel) for channel in self.channels]
-        observer = [asdict(channel) for channel in self.observer]
+        listed = [channel.entry() for channel in self.channels]
+        observer = [channel.entry() for channel in self.observer]
         return {"channels": listed, "observer": observer, "strange": self.strange, "silent": self.silent}
 
 
@@ -105,8 +110,8 @@ def audit(places: Sequence[Place], event: Mapping[str, Any], observed: Mapping[s
 def observed(seen: Sender, receiver: Receiver, inbox: Inbox) -> dict[str, Any]:
     """Return the observer's counts at the time of the plant's counts, in the form of an agent's final report."""
     refused = {receiver.key: inbox.refused} if inbox.refused else {}
-    heard = {receiver.key: inbox.arrived_at_event}
-    return {"said": {seen.key: seen.said}, "heard": heard, "refused": refused, "strange": receiver.strange}
+    received = {receiver.key: inbox.arrived_at_event}
+    return {"said": {seen.key: seen.sent}, "heard": received, "refused": refused, "strange": receiver.strange}
 
 
 STRANGE_KEYS = 16
@@ -128,14 +133,14 @@ def _shortened(strange: Mapping[str, int]) -> dict[str, int]:
 
 def _counted(one: Channel, words: Mapping[str, Any], lives: Mapping[str, int]) -> Channel:
     """Return a channel with the counts of both ends."""
-    heard = words.get(one.listener)
+    received = words.get(one.receiver)
     return Channel(
         one.key,
-        one.speaker,
-        one.listener,
-        words[one.speaker]["said"].get(one.key) if lives.get(one.speaker) == 0 else None,
-        None if heard is None else heard["heard"].get(one.key),
-        None if heard is None else heard["refused"].get(one.key, 0),
+        one.sender,
+        one.receiver,
+        words[one.sender]["said"].get(one.key) if lives.get(one.sender) == 0 else None,
+        None if received is None else received["heard"].get(one.key),
+        None if received is None else received["refused"].get(one.key, 0),
     )
 
 

@@ -21,7 +21,7 @@ LARGE = 400
 
 
 class NoBoundError(HedgerowError):
-    """No bound was found; the text gives the reason."""
+    """No bound was found; the text says why."""
 
 
 class Form(NamedTuple):
@@ -89,7 +89,7 @@ class Program:
     def solve(self, margin: float, time_limit_s: float) -> Array:
         """Return the unknowns; raises NoBoundError.
 
-        Higher accuracy than the margin needs would double the iterations of large programs.
+        More accuracy than the margin needs takes twice the iterations in large programs.
         """
         import clarabel  # noqa: PLC0415 (only a bound needs it)
 
@@ -130,17 +130,17 @@ class Program:
         y = np.array(solution.x)
         status = str(solution.status)
         if "Infeasible" in status:
-            raise NoBoundError("no storage of this form bounds the gain, according to the solver")
+            raise NoBoundError("no storage of this form bounds the gain, as far as the solver can tell")
         if status == "MaxTime" or not np.isfinite(y).all():
             raise NoBoundError(f"the solver ended with {status} after {solution.solve_time:.0f} s")
         y[signed] = np.maximum(y[signed], 0.0)
         return y
 
     def proof(self, y: Array, margin: float) -> float | None:
-        """Return the largest magnitude in a block if every block at y is at most -margin I, otherwise None.
+        """Return the largest magnitude in a block if every block at y is at most -margin I, else None.
 
-        A Cholesky factorisation proves each, rounding included. Assembling an entry of k terms errs by at most k u sum
-        |terms|. A factorisation of an m by m matrix A may succeed in floating point. It is then exact for A + E with
+        A Cholesky factorisation proves each, rounding included. Assembling an entry of k terms errs by at most
+        k u sum |terms|. A factorisation of an m by m matrix A that succeeds in floating point is exact for A + E with
         |E| <= (m + 1) u trace(A) / (1 - (m + 1) u). The magnitude is a sum of |terms| over a row.
         """
         largest = 0.0
@@ -171,7 +171,7 @@ class _Columns:
 
     @classmethod
     def of(cls, row: Index, column: Index, value: Array, shape: tuple[int, int]) -> _Columns:
-        """Return the matrix of some entries; entries at the same place are added."""
+        """Return the matrix of some entries; those of one place are added up."""
         place = column.astype(np.int64) * shape[0] + row.astype(np.int64)
         places, which = np.unique(place, return_inverse=True)
         starts = np.searchsorted(places, shape[0] * np.arange(shape[1] + 1))
@@ -180,7 +180,7 @@ class _Columns:
 
 
 class Unknowns:
-    """The counter of unknowns; the first is g."""
+    """Numbers the unknowns; the first is g."""
 
     def __init__(self) -> None:
         self.count = 1

@@ -29,12 +29,12 @@ NAMES = (
     *("candidates", "nominal", "lost", "rows"),
     *("x", "x_oracle", "x_nominal", "regret", "nominal_gap", "regret_sum", "nominal_regret_sum"),
     *("a", "u", "w", "ahat", "index", "margin", "a_ls", "beta", "identifiable", "right"),
-    *("cost", "cost_oracle", "cost_regret", "energy_sum", "gain", "gain_less_x0"),
+    *("cost", "cost_oracle", "cost_regret", "energy_sum", "gain", "gain_less_x0", "ceiling", "ceiling_slack"),
     *("u_edge", "edge_open", "i_hears", "j_hears"),
 )
-"""The arrays of a .npz and a .mat file, each the attribute of Run with that name."""
-OF_ALL = ("a_ls", "beta", "identifiable")
-"""The arrays that need all rows."""
+"""The arrays of a .npz and a .mat, each the attribute of Run with that name."""
+OF_ALL = ("a_ls", "beta", "identifiable", "ceiling_slack")
+"""Those that take all rows to know."""
 TOTALS = (
     *("regret_sum", "nominal_regret_sum", "right", "cost", "cost_oracle", "cost_regret", "energy_sum"),
     *("gain", "gain_less_x0"),

@@ -38,6 +38,17 @@ def slack(run: Run, premise: str) -> Array:
     return np.where(np.arange(run.T) < steps, whole, np.nan)
 
 
+def ceiling_slack(run: Run) -> Array:
+    """Return the slack of the bound in `ceiling` at each step, NaN without one, (T,)."""
+    found = np.full(run.T, np.nan)
+    # The strongest premise last: where it holds, its bound is the least.
+    for premise in reversed(Premise):
+        if isinstance(_bound(run, premise).get("p"), list):
+            own = slack(run, premise)
+            found = np.where(np.isnan(own), found, own)
+    return found
+
+
 def _bound(run: Run, premise: str) -> Mapping[str, Any]:
     """Return the entry of one bound in the verdict; empty if there is none."""
     found: Any = run.verdict.content

@@ -57,9 +57,9 @@ def _steps(world: World, views: Sequence[View], steps: int, law: Law | None) -> 
                 inputs.append(shard.answer(state))
                 reports.append(shard.report)
                 took.append(shard.took)
-                said += [(view, peer, link) for peers, link in shard.say(state) for peer in peers]
+                said += [(view, peer, link) for peers, link in shard.send(state) for peer in peers]
         for view, peer, link in said:
             receiver = view.peers[peer].shard
-            shards[receiver].hear(ends[receiver, view.shard], link)
+            shards[receiver].receive(ends[receiver, view.shard], link)
         u = inputs[0] if len(inputs) == 1 else np.concatenate(inputs)
         yield world.step(u, np.concatenate(reports, axis=1), took)

@@ -324,6 +324,11 @@ class Run:
         """
         return frozen(guaranteed.ceiling(self))
 
+    @cached_property
+    def ceiling_slack(self) -> Array:
+        """Return the slack of the bound in `ceiling` at each step, NaN where none is claimed, (T,)."""
+        return frozen(guaranteed.ceiling_slack(self))
+
     def certificate_slack(self, premise: str) -> Array:
         """Return the slack of the certificate of the law at each step, NaN where `premise` fails, (T,).
 

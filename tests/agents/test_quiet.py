@@ -141,7 +141,7 @@ def test_messages_answered_without_numpy_are_those_of_the_general_path(processes
         for view, (one, other), (state, _) in zip(views, pairs, told, strict=True):
             assert state is not None
             other.answer(state)
-            general = [encode_link(link, other.peers[peers[0]].says) for peers, link in other.say(state)]
+            general = [encode_link(link, other.peers[peers[0]].says) for peers, link in other.send(state)]
             general.append(encode_input(state.t, other.u, other.report, other.took))
             answer = one.answer_quietly(encode_state(*state))
             if answer is None:
@@ -150,12 +150,12 @@ def test_messages_answered_without_numpy_are_those_of_the_general_path(processes
                 assert answer == general
                 quietly += 1
             inputs.append(other.u)
-            said += [(view, peer, link) for peers, link in other.say(state) for peer in peers]
+            said += [(view, peer, link) for peers, link in other.send(state) for peer in peers]
         for view, peer, link in said:
             receiver = view.peers[peer].shard
             back = [other.shard for other in views[receiver].peers].index(view.shard)
             for shard in pairs[receiver]:
-                shard.hear(back, link)
+                shard.receive(back, link)
         nothing = np.zeros((2, len(topology.ids)))
         world.step(np.concatenate(inputs), nothing, [b""] * processes)
     assert quietly == processes * (30 - 1 - quiet.PATIENCE)

@@ -179,27 +179,27 @@ class DeniedReceipt(Shard):
 class MessageLost(Shard):
     """Continues without a neighbour's message of step 2."""
 
-    def hear(self, peer: int, link: Link) -> None:
+    def receive(self, peer: int, link: Link) -> None:
         if link.t == 2 and not peer:
             link = link._replace(u=np.full(len(link.u) // 8, np.nan).tobytes())
-        super().hear(peer, link)
+        super().receive(peer, link)
 
 
 class MessageChanged(Shard):
     """Gets a neighbour's input of step 2 that is doubled."""
 
-    def hear(self, peer: int, link: Link) -> None:
+    def receive(self, peer: int, link: Link) -> None:
         if link.t == 2 and not peer:
             link = link._replace(u=(2 * np.frombuffer(link.u)).tobytes())
-        super().hear(peer, link)
+        super().receive(peer, link)
 
 
 class MessageTwice(Shard):
     """Gets every message twice."""
 
-    def hear(self, peer: int, link: Link) -> None:
-        super().hear(peer, link)
-        super().hear(peer, link)
+    def receive(self, peer: int, link: Link) -> None:
+        super().receive(peer, link)
+        super().receive(peer, link)
 
 
 class MessagesLate(Shard):
@@ -209,11 +209,11 @@ class MessagesLate(Shard):
         super().__init__(view)
         self._held: list[tuple[int, Link]] = []
 
-    def hear(self, peer: int, link: Link) -> None:
+    def receive(self, peer: int, link: Link) -> None:
         self._held.append((peer, link))
 
     def answer(self, state: State) -> Array:
         for peer, link in reversed(self._held):
-            super().hear(peer, link)
+            super().receive(peer, link)
         self._held.clear()
         return super().answer(state)

@@ -1,20 +1,22 @@
 """The worst disturbance of a network under its law: a lower bound on the gain, beside the upper bounds.
 
-`worst` searches for a given time and writes three files: worst.yaml, a network that repeats the gain; worst.json, the
-result; and worst.npz, the state to continue the search.
+`worst` searches under a budget and writes three files: worst.yaml, a network whose run repeats the gain; worst.json,
+the result; and worst.npz, from which the same search goes on.
 """
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
 import json
-import os
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from hedgerow.orchestrator.experiments.worst.hunt import Attack, Hunt
-from hedgerow.orchestrator.metrics.gain_bound import Premise
+from hedgerow.orchestrator.metrics.gain_bound import Bound, Method, Premise
+from hedgerow.orchestrator.metrics.gain_learning import Learning, learning
 from hedgerow.orchestrator.metrics.gain_plant import Plant
 from hedgerow.orchestrator.metrics.guarantee import (
     Guarantee,
@@ -24,9 +26,9 @@ from hedgerow.orchestrator.metrics.guarantee import (
     rounded_down,
     rounded_up,
 )
-from hedgerow.topologies.errors import Code, UserError
+from hedgerow.topologies.errors import Code, HedgerowError, UserError
 from hedgerow.topologies.json_file import read_json
-from hedgerow.topologies.resolve import to_yaml
+from hedgerow.topologies.resolve import save
 from hedgerow.topologies.schema import Topology
 
 NAME = "worst.yaml"
@@ -37,17 +39,16 @@ class Found:
     """The result of a search."""
 
     topology: Topology
-    """a network with this gain in a run"""
+    """a network whose run has the gain"""
     attack: Attack
-    """the disturbance and the faults with the largest gain"""
     guarantee: Guarantee
-    """the upper bounds on the gain"""
     law: str
-    """the law that was attacked, as in a file"""
     faults: dict[str, float]
     """by single fault: the best gain with it; empty unless faults were searched"""
+    faults_of: int
+    """number of single faults that there are; the search may have tried fewer"""
     seconds: float
-    """the search time, including that before an interruption [s]"""
+    """of search, those before an interruption included"""
 
     @property
     def gain(self) -> float:
@@ -56,7 +57,7 @@ class Found:
 
     @property
     def limit(self) -> float:
-        """Return the gain that longer runs approach if the disturbance holds its last value; otherwise `gain`."""
+        """Return the gain that longer runs come near, if the disturbance holds its last value; else `gain`."""
         return self.attack.limit
 
     @property
@@ -64,10 +65,20 @@ class Found:
         """Return the premise of the upper bound that the run obeys."""
         return Premise.EDGES if self.attack.breaks.cuts else Premise.ESTIMATES
 
+    @property
+    def ceiling(self) -> float | None:
+        """Return the least upper bound on the gain of the law under the faults of the attack; None without one."""
+        above = self.guarantee.bounds.get(self.premise)
+        learning = self.guarantee.learning if self.law == "minimax" and not len(self.attack.breaks) else None
+        bounds = [one.gain for one in (above, learning) if isinstance(one, Bound | Learning)]
+        return min(bounds, default=None) if self.attack.within else None
+
     def sandwich(self) -> str:
         """Return the bounds on both sides in one line."""
-        above = self.guarantee.bounds.get(self.premise)
-        most = f"at most {rounded_up(above.gain, 4)}" if above else "no upper bound is known"
+        above = self.ceiling
+        most = f"at most {rounded_up(above, 4)}" if above is not None else "no upper bound is known"
+        if not self.attack.within:
+            most = "no upper bound holds, because it acts outside the lists"
         return f"oracle {self.guarantee.gamma_star:.4g} <= {self.law}: at least {rounded_down(self.limit)}, {most}"
 
     def text(self) -> str:
@@ -80,21 +91,24 @@ class Found:
         if self.faults:
             worst = sorted(self.faults.items(), key=lambda one: -one[1])[:5]
             lines += [
-                "single faults that hurt most:",
+                f"single faults that hurt most, of {len(self.faults)} tried and {self.faults_of} in all:",
                 *(f"  {gain:.4f}  {what}" for what, gain in worst),
             ]
         return "\n".join(lines)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the result as in worst.json."""
+        """Return the result as worst.json holds it."""
         return {
             "network": fingerprint(plant_of(self.topology.network)),
             "law": self.law,
+            "at_most": self.ceiling,
+            "within_lists": self.attack.within,
             "gain": self.gain,
             "limit": self.limit,
             "steps": self.attack.steps,
             "faulty": bool(len(self.attack.breaks)),
             "faults": self.faults,
+            "faults_in_all": self.faults_of,
             "seconds": self.seconds,
             "guarantee": self.guarantee.to_dict(),
         }
@@ -105,34 +119,66 @@ def worst(
     budget_s: float = 60.0,
     faults: bool = False,
     seed: int = 0,
-    steps: int = 4000,
+    steps: int | None = None,
     out: Path | None = None,
     say: Callable[[str], None] = lambda _: None,
     quit_now: Callable[[], bool] = lambda: False,
 ) -> Found:
-    """Search for the worst disturbance of a network for `budget_s` seconds, and write it if `out` names a file.
+    """Search the worst disturbance of a network for `budget_s` seconds, and write it if `out` names a file.
 
-    `faults` searches cuts and drops too. `steps` is the length of the run of a disturbance that holds its last value. A
-    stopped search continues with the files of `out`. Raises UserError for a network that is too large.
+    `faults` searches cuts and drops too. `steps` is the length of the run of a disturbance that holds its last value.
+    A search that was stopped goes on where `out` was written. Raises UserError for a network that is too large.
     """
     hunt = Hunt(topology, seed, faults, steps)
-    state_file = None if out is None else _state_beside(out)
-    if state_file is not None and state_file.exists() and hunt.resume(state_file):
-        say(f"continues after {hunt.state.seconds:.0f} s, with gain {hunt.best_score() ** 0.5:.4f}")
-    hunt.run(budget_s, say, quit_now)
+    state_file = None if out is None else out.with_suffix(".npz")
+    with contextlib.nullcontext() if state_file is None else _held(state_file):
+        if state_file is not None and hunt.resume(state_file):
+            say(f"continues after {hunt.state.seconds:.0f} s, with gain {hunt.best_score() ** 0.5:.4f}")
+        hunt.run(budget_s, say, quit_now)
+        return _written(hunt, topology, out, state_file)
+
+
+@contextlib.contextmanager
+def _held(state_file: Path) -> Iterator[None]:
+    """Let no other search write the same files while the block runs; raises UserError."""
+    if state_file.exists() and not state_file.is_file():
+        raise UserError(f"{state_file}: is no regular file. Choose another --out.", code=Code.OUTPUT)
+    try:
+        file = state_file.open("ab")
+    except OSError as error:
+        raise UserError(
+            f"{state_file}: cannot be written: {error.strerror}. Choose another --out.", code=Code.OUTPUT
+        ) from None
+    with file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            raise UserError(
+                f"{state_file}: another search writes it. Wait for it, or choose another --out.", code=Code.OUTPUT
+            ) from None
+        try:
+            yield
+        finally:
+            if not state_file.stat().st_size:  # nothing was found
+                state_file.unlink()
+
+
+def _written(hunt: Hunt, topology: Topology, out: Path | None, state_file: Path | None) -> Found:
+    """Return the result of a search, and write it if `out` names a file."""
     attack, network = hunt.proved()
     found = Found(
         network,
         attack,
-        guarantee(plant_of(topology.network), topology.network.gamma_star),
+        guarantee_of(topology),
         topology.law,
         {hunt.named(breaks): gain for breaks, gain in hunt.fault_gains.items()},
+        hunt.faults_of,
         hunt.state.seconds,
     )
     if out is not None and state_file is not None:
         try:
             hunt.save(state_file)
-            out.write_text(to_yaml(network), encoding="utf-8")
+            save(network, out)
             out.with_suffix(".json").write_text(json.dumps(found.to_dict(), indent=1) + "\n", encoding="utf-8")
         except OSError as error:
             raise UserError(
@@ -141,35 +187,24 @@ def worst(
     return found
 
 
-def _state_beside(out: Path) -> Path:
-    """Return the file of a search's state beside `out`. Raises UserError if a file of the user would be replaced."""
-    if not out.name or out.suffix in (".npz", ".json"):
-        raise UserError(f"--out {out}: is no name of a network. Name a file such as {NAME}.", code=Code.OPTION)
-    state_file, result = out.with_suffix(".npz"), out.with_suffix(".json")
+def guarantee_of(topology: Topology, method: Method | None = None) -> Guarantee:
+    """Return gamma* of a network and every upper bound on the gain of its law."""
+    network = topology.network
+    plant = plant_of(network)
+    counted: Learning | str
     try:
-        if not os.access(out.parent, os.W_OK | os.X_OK) or not out.parent.is_dir():
-            raise UserError(f"--out {out}: {out.parent} is no folder to write in. Choose another.", code=Code.OUTPUT)
-        is_ours = state_file.exists()  # else `Hunt.resume` refuses it
-        if result.exists():
-            content = read_json(result)
-            is_ours = isinstance(content, dict) and content.keys() >= {"network", "law", "gain", "guarantee"}
-            if not is_ours:
-                raise UserError(
-                    f"{result}: exists and is no result of `worst`. Choose another --out.", code=Code.OUTPUT
-                )
-        if out.exists() and not is_ours:
-            raise UserError(f"{out}: exists and is no result of `worst`. Choose another --out.", code=Code.OUTPUT)
-    except OSError as error:
-        raise UserError(f"--out {out}: {error.strerror}. Choose another.", code=Code.OUTPUT) from None
-    return state_file
+        counted = learning(plant, network.candidates)
+    except HedgerowError as error:
+        counted = str(error)
+    return replace(guarantee(plant, network.gamma_star, method), learning=counted)
 
 
 def at_least(plant: Plant, folder: Path) -> float | None:
-    """Return the gain in a worst.json, found for minimax on a network without faults; None if there is none."""
+    """Return the gain that `worst` found for minimax on a network without faults, by a worst.json; None if none."""
     try:
-        earlier = read_json((folder / NAME).with_suffix(".json"))
-        if earlier["network"] == fingerprint(plant) and earlier["law"] == "minimax" and not earlier["faulty"]:
-            return float(earlier["limit"])
+        told = read_json((folder / NAME).with_suffix(".json"))
+        if told["network"] == fingerprint(plant) and told["law"] == "minimax" and not told["faulty"]:
+            return float(told["limit"])
     except (UserError, OSError, ValueError, KeyError, TypeError):
         pass
     return None

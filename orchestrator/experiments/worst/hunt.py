@@ -1,10 +1,11 @@
-"""The search for the worst disturbance of a network within a time budget, and the run that repeats it."""
+"""The search for the worst disturbance of a network under a budget of time, and the run that repeats it."""
 
 from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import zipfile
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -13,33 +14,42 @@ import numpy as np
 import yaml
 
 from hedgerow.orchestrator.experiments.sweep.runs import run_here
-from hedgerow.orchestrator.experiments.worst.loop import NONE, Breaks, Scene, play
+from hedgerow.orchestrator.experiments.worst.loop import NONE, Breaks, Played, Scene, play
 from hedgerow.orchestrator.experiments.worst.search import Island, Kind
 from hedgerow.orchestrator.metrics.guarantee import fingerprint, plant_of
-from hedgerow.topologies import archive
 from hedgerow.topologies.errors import Code, HedgerowError, UserError
 from hedgerow.topologies.graph import Array
 from hedgerow.topologies.load import parse
+from hedgerow.topologies.regular_file import open_regular
 from hedgerow.topologies.resolve import resolve, to_yaml
 from hedgerow.topologies.schema import Topology
 
 KINDS = (Kind(1, True), Kind(6, False), Kind(4, True), Kind(8, False), Kind(12, False), Kind(20, False))
-"""The kinds of disturbances, in the order of the search."""
-SIZE = 48
+"""The disturbances that are tried, in this order."""
+SIZE, SMALLEST, ROWS = 48, 8, 20_000
+"""Members of a population, and at least; fewer in large networks, so that they have about so many nodes together."""
 SLICE_S = 0.25
-"""The time slice of an island [s]."""
+"""An island evolves for so long at a time."""
 STALE = 120
-"""The number of generations without a better gain after which a new island replaces an old one."""
+"""An island whose best gain has not grown for so many generations makes room for a new one."""
+STEPS, LEAST_STEPS, FEW = 10_000, 4_000, 100
+"""Steps of the run of a disturbance that holds its last value; the second for more than so many nodes."""
 LARGEST = 2_000
-"""The maximum number of nodes for a search."""
+"""Number of nodes up to which a disturbance is sought."""
 SAME = 1e-9
-"""The relative difference below which two gains are equal."""
+"""Relative difference of two gains that are the same."""
 BROKEN_SHARE = 0.5
-"""The share of the budget for faults, if they are requested."""
+"""Share of the budget for faults, where they are asked for."""
 MOST_FAULTS = 3
 LEAST_GENERATIONS = 3
+NUDGE, NUDGED, STEADY = 1e-8, 2, 1e-5
+"""Relative size of small changes of a disturbance, their number, and how much the gain may change, relative to it."""
+SCALES = np.array([1.0, 0.3, 0.1, 0.03, 0.01, 0.003, 0.001, 0.0])
+"""Factors of the impulses before a value that stays."""
+TRIED = 600
+"""Steps of the runs that choose the size of the impulses."""
 SETTLED = 1e-6
-"""The change of 1/(1 - ahat) in the second half of a run that counts as settled."""
+"""Change of 1/(1 - ahat) in the second half of a run that has settled."""
 
 Say = Callable[[str], None]
 Quit = Callable[[], bool]
@@ -52,18 +62,20 @@ class Attack:
     w: Array
     """(T, n)"""
     holds: bool
-    """True if the disturbance keeps its last value"""
+    """True if the last value stays"""
     breaks: Breaks
     gain: float
-    """the gain of a run of `steps` steps"""
+    """of a run of `steps` steps"""
     limit: float
-    """the limit for longer runs if the disturbance holds its settled value; otherwise the gain"""
+    """of a disturbance that holds the settled gain, which longer runs come near; else the gain"""
     steps: int
+    within: bool = True
+    """True if the law acts within the lists at every step, as the upper bounds need"""
 
 
 @dataclass
 class State:
-    """The data that a search needs to continue."""
+    """All that a search needs to go on."""
 
     islands: list[Island]
     champions: dict[tuple[Kind, Breaks], tuple[Array, float, int]]
@@ -73,9 +85,10 @@ class State:
 
 
 class Hunt:
-    """A search that can be stopped and continued later."""
+    """A search that can be stopped and goes on later."""
 
-    def __init__(self, topology: Topology, seed: int = 0, faults: bool = False, steps: int = 4000) -> None:
+    def __init__(self, topology: Topology, seed: int = 0, faults: bool = False, steps: int | None = None) -> None:
+        """Take `steps` as the length of the run of a disturbance that holds its last value; None chooses one."""
         if len(topology.ids) > LARGEST:
             raise UserError(
                 f"{topology.name}: has {len(topology.ids)} nodes; a disturbance is sought for {LARGEST}",
@@ -83,37 +96,43 @@ class Hunt:
             )
         self.topology = quiet(topology)
         self.scene = Scene.of(self.topology)
+        steps = steps or (STEPS if len(topology.ids) <= FEW else LEAST_STEPS)
         self.steps, self.faults = steps, faults
         self.rng = np.random.default_rng(seed)
+        self.size = min(SIZE, max(SMALLEST, ROWS // len(topology.ids)))
         self._key = f"{fingerprint(plant_of(topology.network))} {topology.law} {seed} {faults} {steps}"
         self.state = State([], {})
         self.fault_gains: dict[Breaks, float] = {}
-        """by single fault: the best gain with it"""
+        """by single fault: the best gain with it; of those under which a disturbance was found"""
+        self.faults_of = 0
+        """number of single faults that there are"""
 
     def run(self, budget_s: float, say: Say, quit_now: Quit = lambda: False) -> None:
-        """Search for `budget_s`; pass a line to `say` for every larger gain."""
-        until = time.monotonic() + budget_s * (1 - BROKEN_SHARE if self.faults else 1.0)
+        """Search for so long; `say` gets a line for every gain that is larger than before."""
+        began = time.monotonic()
+        until = began + budget_s * (1 - BROKEN_SHARE if self.faults else 1.0)
         best = self.best_score()
         for island in self._turns():
-            if time.monotonic() >= until or quit_now():
+            # One generation is always made: the constant that is worst for the oracle is in it.
+            if best > 0 and (time.monotonic() >= until or quit_now()):
                 break
             self._evolve(island, NONE, min(until, time.monotonic() + SLICE_S))
             if self.best_score() > best * (1 + 1e-4):
                 best = self.best_score()
                 say(f"gain {best**0.5:.4f}")
         if self.faults:
-            self._break(time.monotonic() + budget_s * BROKEN_SHARE, say, quit_now)
-        self.state.seconds += budget_s
+            self._break(max(began + budget_s, time.monotonic()), say, quit_now)
+        self.state.seconds += time.monotonic() - began
 
     def best_score(self) -> float:
         """Return the largest gain squared so far."""
         return max((found[1] for found in self.state.champions.values()), default=0.0)
 
     def _turns(self) -> Iterator[int]:
-        """Yield the number of the next island: each in turn, and every second time the best."""
+        """Yield the number of the island whose turn it is: each in turn, and every second time the best."""
         islands = self.state.islands
         if not islands:
-            islands += [Island.new(self.scene, kind, SIZE, self.rng) for kind in KINDS]
+            islands += [Island.new(self.scene, kind, self.size, self.rng) for kind in KINDS]
             self.state.stale = [0] * len(islands)
         while True:
             for number in range(len(islands)):
@@ -130,7 +149,7 @@ class Hunt:
             self.state.stale[number] = 0 if grown else self.state.stale[number] + 1
             self._crown(island)
             if self.state.stale[number] > STALE:
-                self.state.islands[number] = Island.new(self.scene, island.kind, SIZE, self.rng, breaks)
+                self.state.islands[number] = Island.new(self.scene, island.kind, self.size, self.rng, breaks)
                 self.state.stale[number] = 0
                 return
             if time.monotonic() >= until:
@@ -148,6 +167,7 @@ class Hunt:
         best = max((found[1] for key, found in self.state.champions.items() if key[1] == NONE), default=0.0)
         singles = [Breaks(cuts=((e, first),)) for e in range(len(graph.edges)) for first in (0,)]
         singles += [Breaks(drops=((k, first),)) for k in range(len(graph.node)) for first in (0, 2, 4)]
+        self.faults_of = len(singles)
         while len(breaking) < MOST_FAULTS:
             order = self.rng.permutation(len(singles))
             share = (until - time.monotonic()) / (MOST_FAULTS - len(breaking))
@@ -158,7 +178,7 @@ class Hunt:
                     break
                 breaks = breaking + singles[number]
                 score = self._under(breaks, time.monotonic() + each)
-                if not len(breaking):
+                if not len(breaking) and score > 0:
                     self.fault_gains[breaks] = score**0.5
                 found = max(found, (score, breaks), key=lambda one: one[0])
             if found[1] == breaking or time.monotonic() >= until or quit_now():
@@ -170,9 +190,9 @@ class Hunt:
         """Return the best gain squared under some faults, from the best disturbances without them."""
         known = sorted(self.state.champions.items(), key=lambda one: -one[1][1])
         kind = Kind(4, True) if not known or known[0][0][0].holds else known[0][0][0]
-        island = Island.new(self.scene, kind, SIZE // 2, self.rng, breaks)
+        island = Island.new(self.scene, kind, self.size // 2, self.rng, breaks)
         alike = [_stretched(w, kind) for (own, _), (w, _, _) in known if own.holds == kind.holds]
-        for place, w in enumerate(alike[: SIZE // 4]):
+        for place, w in enumerate(alike[: self.size // 4]):
             island.members[place] = w
         while True:
             island.evolve(self.scene, self.rng)
@@ -194,23 +214,52 @@ class Hunt:
             if not kind.holds:
                 yield Attack(w[:steps], False, breaks, score**0.5, score**0.5, steps)
                 continue
-            w = w[-1] + (w - w[-1])  # noqa: PLW2901 (as the file has it: a constant and impulses)
-            played = play(self.scene, w[None], breaks, self.steps)
-            late = played.theta[-(self.steps // 2) :]
-            if played.sound[-1, 0] and np.ptp(late, axis=0).max() < SETTLED:
-                energy = np.square(played.w).sum(axis=2)
-                gain = float(played.cost.sum() / energy.sum()) ** 0.5
-                yield Attack(w, True, breaks, gain, float(played.cost[-1, 0] / energy[0, -1]) ** 0.5, self.steps)
+            # As the file has it: a constant, and impulses, of which small ones may do as well as large ones.
+            scales = SCALES if kind.length > 1 else np.ones(1)
+            tried = w[-1] + (w - w[-1]) * scales[:, None, None]
+            limits = self._limits(play(self.scene, tried, breaks, min(self.steps, TRIED)))
+            least = np.flatnonzero(limits >= limits.max() * (1 - SETTLED))[-1]
+            played = play(self.scene, tried[least][None], breaks, self.steps)
+            if (limit := self._limits(played)[0]) > 0:
+                gain = float(np.sqrt(played.cost.sum() / np.square(played.w).sum()))
+                yield Attack(tried[least], True, breaks, gain, float(limit), self.steps)
+
+    def _limits(self, played: Played) -> Array:
+        """Return the settled gains of some runs that hold their last value; 0 of those that have not settled."""
+        settled = np.ptp(played.theta[-(len(played.theta) // 2) :], axis=0).max(axis=1) < SETTLED
+        energy = np.square(played.w[:, -1]).sum(axis=1)
+        return np.where(settled & played.sound[-1], np.sqrt(played.cost[-1] / energy), 0.0)
 
     def proved(self) -> tuple[Attack, Topology]:
-        """Return the best attack with a run that repeats its gain, and the topology of that run."""
+        """Return the best attack whose run repeats its gain, and the topology of that run."""
         for attack in self.attacks():
+            is_steady, within = self.steady(attack)
+            if not is_steady:
+                continue
             topology = self.topology_of(attack)
             content = run_here(topology)
             gain = content["metrics"].get("gain")
             if content["verdict"] == "valid" and gain is not None and abs(gain - attack.gain) <= SAME * attack.gain:
-                return replace(attack, gain=gain), topology
+                return replace(attack, gain=gain, within=within), topology
         raise HedgerowError(f"{self.topology.name}: no disturbance was found. Give a larger --budget.")
+
+    def steady(self, attack: Attack) -> tuple[bool, bool]:
+        """Return two properties of an attack, of any law.
+
+        The first is True if small changes of the disturbance hardly change its gain, so that it lives on no rounding
+        tie. The second is True if every input is within the sector of its list, so that the upper bound covers the run.
+        """
+        size = NUDGE * float(np.sqrt(np.square(attack.w).mean()))
+        change = size * np.random.default_rng(0).uniform(-1, 1, (NUDGED, *attack.w.shape))
+        # Of a change and its opposite, one breaks a tie the other way.
+        w = attack.w + np.concatenate([0 * change[:1], change, -change])
+        played = play(self.scene, w, attack.breaks, attack.steps)
+        gains = np.sqrt(played.cost.sum(axis=0) / np.square(played.w).sum(axis=(1, 2)))
+        candidates = self.topology.network.candidates
+        low, high = (1 / (1 - end(candidates, axis=0)) for end in (np.nanmin, np.nanmax))
+        theta, rests = played.theta[:, 0], played.x[:-1, 0] == 0
+        inside = (theta >= low * (1 - SAME)) & (theta <= high * (1 + SAME))
+        return bool((np.abs(gains - attack.gain) <= STEADY * attack.gain).all()), bool((inside | rests).all())
 
     def topology_of(self, attack: Attack) -> Topology:
         """Return the network under an attack, from x(0) = 0."""
@@ -236,7 +285,7 @@ class Hunt:
         return resolve(parse(text.encode(), "worst.yaml", Path()))
 
     def save(self, file: Path) -> None:
-        """Write all data that a later search needs to continue."""
+        """Write all that is needed to go on."""
         arrays: dict[str, Any] = {}
         listed = []
         for number, ((kind, breaks), (w, score, steps)) in enumerate(self.state.champions.items()):
@@ -253,68 +302,47 @@ class Hunt:
             "rng": self.rng.bit_generator.state,
         }
         part = file.with_name(file.name + ".part")
-        archive.write(part, {"worst": head}, arrays)
+        with part.open("wb") as to:
+            np.savez(to, head=np.array(json.dumps(head)), **arrays)
         part.rename(file)
 
     def resume(self, file: Path) -> bool:
-        """Go on where a search of the same network, law and seed was stopped; return False if it was another search.
-
-        Raises UserError for a file that `save` did not write.
-        """
-        settings, arrays = archive.read(file)
-        with archive.reading(file):
-            if not isinstance(settings.get("worst"), dict):
-                raise UserError(
-                    f"{file}: exists and is no state of `worst`. Choose another --out.", code=Code.FILE_FORMAT
-                )
-            head = settings["worst"]
-            if head["key"] != self._key:
-                return False
-            self.state = self._state(head, arrays)
-            self.rng.bit_generator.state = head["rng"]
+        """Go on where a search of the same network, law and seed was stopped; return False if there is none."""
+        try:
+            with open_regular(file) as opened, np.load(opened, allow_pickle=False) as stored:
+                head = json.loads(str(stored["head"]))
+                if head["key"] != self._key:
+                    return False
+                for number, (length, holds, cuts, drops, score, steps) in enumerate(head["champions"]):
+                    breaks = Breaks(*(tuple((int(k), int(first)) for k, first in one) for one in (cuts, drops)))
+                    self.state.champions[Kind(int(length), bool(holds)), breaks] = (
+                        stored[f"w{number}"],
+                        float(score),
+                        int(steps),
+                    )
+                for number, (_, holds, generation) in enumerate(head["islands"]):
+                    members, score, steps = (stored[f"{name}{number}"] for name in "mst")
+                    self.state.islands.append(Island(bool(holds), members, NONE, score, steps, int(generation)))
+                self.state.stale, self.state.seconds = list(head["stale"]), float(head["seconds"])
+                self.rng.bit_generator.state = head["rng"]
+        except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
+            self.state = State([], {})
+            return False
         return True
-
-    def _state(self, head: Mapping[str, Any], arrays: Mapping[str, Array]) -> State:
-        """Return the state that a file holds. Raises ValueError if it does not fit this network."""
-        nodes, state = len(self.topology.ids), State([], {})
-        for number, (length, holds, cuts, drops, score, steps) in enumerate(head["champions"]):
-            breaks = Breaks(*(tuple((int(k), int(first)) for k, first in one) for one in (cuts, drops)))
-            w = _numbers(arrays[f"w{number}"], (None, nodes))
-            state.champions[Kind(int(length), bool(holds)), breaks] = w, float(score), int(steps)
-        for number, (_, holds, generation) in enumerate(head["islands"]):
-            members = _numbers(arrays[f"m{number}"], (SIZE, None, nodes))
-            score, taken = arrays[f"s{number}"], arrays[f"t{number}"]
-            shapes = {score.shape, taken.shape}
-            if shapes not in ({(SIZE,)}, {(0,)}) or not {score.dtype.kind, taken.dtype.kind} <= {"i", "f"}:
-                raise ValueError("it has other arrays")
-            state.islands.append(Island(bool(holds), members, NONE, score, taken, int(generation)))
-        state.stale, state.seconds = [int(one) for one in head["stale"]], float(head["seconds"])
-        if len(state.stale) != len(state.islands) or not 0 <= state.seconds < np.inf:
-            raise ValueError("it has other numbers")
-        return state
-
-
-def _numbers(array: Array, shape: Sequence[int | None]) -> Array:
-    """Return an array of finite numbers of a shape, of which None is any length from 1. Raises ValueError."""
-    fits = array.ndim == len(shape) and all(
-        have == want or (want is None and have > 0) for have, want in zip(array.shape, shape, strict=True)
-    )
-    if not fits or array.dtype != np.float64 or not np.isfinite(array).all():
-        raise ValueError("it has other arrays")
-    return array
 
 
 def _stretched(w: Array, kind: Kind) -> Array:
-    """Return a disturbance with the number of values of a kind: repeat the last one, or omit some."""
+    """Return a disturbance with the number of values of a kind: the last is repeated, or some are left out."""
     return np.concatenate([w, np.repeat(w[-1:], kind.length, axis=0)])[: kind.length]
 
 
 def _impulses(value: Array) -> list[dict[str, Any]]:
-    """Return the excess of a node's first values over its last one, as impulses."""
+    """Return what a node's first values are more than its last one."""
     more = value[:-1] - value[-1]
     return [{"kind": "impulse", "at": t, "value": float(v)} for t, v in enumerate(more) if v]
 
 
 def quiet(topology: Topology) -> Topology:
     """Return a network without its faults and its disturbance, from x(0) = 0."""
-    return topology.model_copy(update={"faults": (), "disturbance": None})
+    nodes, edges = dict(topology.nodes), tuple(topology.edges)  # a large network has views of its table
+    return topology.model_copy(update={"faults": (), "disturbance": None, "nodes": nodes, "edges": edges})

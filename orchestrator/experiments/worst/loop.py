@@ -1,9 +1,10 @@
-"""Many disturbances in parallel through one network and its law, and the adjoint of the runs."""
+"""Many disturbances at once through one network and its law, and the adjoint of what happened."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -13,14 +14,15 @@ from hedgerow.agents.local import Heard, asks
 from hedgerow.agents.view import View
 from hedgerow.orchestrator.ground.assignment import views_of
 from hedgerow.topologies.graph import Array, Graph, Index, Mask
+from hedgerow.topologies.hinf import smallest_eigenpair
 from hedgerow.topologies.schema import Topology
 
 TIE = 1e-7
-"""A model must win by this share of the disturbance's energy so far: a smaller margin could be rounding."""
+"""A model must win by this share of its node's sum of x^2 + w^2 so far: else it may win by rounding, and not again."""
 UNSCORED = 3
-"""Until this step, a law that needs several samples, such as notch, has no scores; this is not a tie."""
+"""Up to this step a law that needs several samples, as notch does, has no scores, which is no tie."""
 DENSE = 400
-"""The maximum number of nodes for which a product with the dense Laplacian is faster."""
+"""Number of nodes up to which a product with the dense Laplacian is quicker."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +32,7 @@ class Breaks:
     cuts: tuple[tuple[int, int], ...] = ()
     """(edge, first step): the edge carries no flow"""
     drops: tuple[tuple[int, int], ...] = ()
-    """(incidence, first step): its node receives no more messages of the neighbour, and learns nothing"""
+    """(incidence, first step): its node no longer hears the neighbour, and learns nothing"""
 
     def __add__(self, other: Breaks) -> Breaks:
         return Breaks(self.cuts + other.cuts, self.drops + other.drops)
@@ -44,7 +46,7 @@ NONE = Breaks()
 
 @dataclass(frozen=True)
 class Scene:
-    """The attacked network, and the view of one process with all of its nodes."""
+    """The network that is attacked, and the view of one process that runs all of its nodes."""
 
     graph: Graph
     a: Array
@@ -56,6 +58,11 @@ class Scene:
         """Return the scene of a topology, under its law."""
         (view,) = views_of(topology, [range(len(topology.ids))])
         return cls(topology.network.graph, topology.network.a, view)
+
+    @cached_property
+    def worst_of_oracle(self) -> Array:
+        """Return the constant that is worst if every a is known, (n,)."""
+        return smallest_eigenpair(self.a, self.b, self.graph)[1]
 
     @property
     def b(self) -> float | Array:
@@ -122,9 +129,9 @@ class Played:
     theta: Array
     """z / x = 1/(1 - ahat) where the law acts by (6), (T, B, n)"""
     cost: Array
-    """the cost of each step, (T, B)"""
+    """of each step, (T, B)"""
     sound: Mask
-    """True until a model has won or lost by rounding, (T, B)"""
+    """True while no model has won or lost by rounding, (T, B)"""
 
     def gains(self) -> tuple[Array, Index]:
         """Return the largest gain squared of a sound prefix, and its number of steps, both (B,)."""
@@ -136,7 +143,7 @@ class Played:
 
 
 def play(scene: Scene, w: Array, breaks: Breaks = NONE, steps: int | None = None) -> Played:
-    """Run the law under B disturbances w, (B, T, n); a disturbance shorter than `steps` keeps its last value."""
+    """Run the law under B disturbances w, (B, T, n); of one that is shorter than `steps` the last value stays."""
     count, given, n = w.shape
     steps = steps or given
     if steps > given:
@@ -147,15 +154,18 @@ def play(scene: Scene, w: Array, breaks: Breaks = NONE, steps: int | None = None
     act, learn = asks(law.act, "now"), asks(law.learn, "sample")
     single = (~np.isnan(scene.view.candidates)).sum(axis=0) < 2
     minimax = scene.view.law == "minimax"
-    deaf: dict[int, int] = {}
-    for incidence, first in breaks.drops:
-        node = int(scene.graph.node[incidence])
-        deaf[node] = min(first, deaf.get(node, first))
+    never = steps
+    cut = dict(sorted(breaks.cuts, reverse=True))
+    deaf = [
+        (int(scene.graph.node[incidence]), first, cut.get(int(scene.graph.edge[incidence]), never))
+        for incidence, first in breaks.drops
+    ]
+    """node, first step, and the step from which the edge is cut: nothing can be dropped then"""
     over = scene.over(breaks, steps)
     x = np.zeros((steps + 1, count, n))
     theta, cost = np.full((steps, count, n), 2.0), np.empty((steps, count))
     sound = np.empty((steps, count), dtype=bool)
-    energy, seen, fine = np.zeros(count), np.zeros((count, n)), np.ones(count, dtype=bool)
+    energy, seen, fine = np.zeros((count, n)), np.zeros((count, n)), np.ones(count, dtype=bool)
     none = np.full(len(neighbours), np.nan)
     heard = Heard(0, np.ones(count * n, dtype=bool), none, none, np.full(len(neighbours), -1))
     with np.errstate(all="ignore"):
@@ -163,7 +173,7 @@ def play(scene: Scene, w: Array, breaks: Breaks = NONE, steps: int | None = None
             now = x[t]
             u = np.asarray(law.act(now.reshape(-1), *([heard] if act else []))).reshape(count, n)
             margin = np.asarray(law.report())[1].reshape(count, n)
-            tied = (margin < TIE * energy[:, None]) & (seen > 0) & ~single
+            tied = (margin < TIE * (energy + seen)) & (seen > 0) & ~single
             if t <= UNSCORED and not minimax:
                 tied &= margin != 0
             fine = fine & ~tied.any(axis=1) & np.isfinite(u).all(axis=1)
@@ -173,13 +183,13 @@ def play(scene: Scene, w: Array, breaks: Breaks = NONE, steps: int | None = None
             acts = now != 0
             theta[t][acts] = (-u / b)[acts] / now[acts]
             x[t + 1] = scene.a * now + b * flow + w[:, t]
-            energy += np.square(w[:, t]).sum(axis=1)
+            energy += np.square(w[:, t])
             seen += now * now
             if act or learn:
                 own = now.reshape(-1)[neighbours], u.reshape(-1)[neighbours]
                 heard = Heard(t, np.ones(count * n, dtype=bool), *own, np.full(len(neighbours), t))
             known = flow
-            if lost := [node for node, first in deaf.items() if first <= t]:
+            if lost := [node for node, first, end in deaf if first <= t < end]:
                 known = flow.copy()
                 known[:, lost] = np.nan
             law.learn(now.reshape(-1), known.reshape(-1), x[t + 1].reshape(-1), *([heard] if learn else []))
@@ -190,8 +200,8 @@ def play(scene: Scene, w: Array, breaks: Breaks = NONE, steps: int | None = None
 def ascend(scene: Scene, played: Played, lengths: Sequence[int] | Index, breaks: Breaks = NONE) -> Array:
     """Return the gradients of the costs of prefixes, scaled to the energy of w, with the switching frozen, (B, T, n).
 
-    For a linear loop this is a step of the power method: lambda(t) = q(t) + (A - B B' Theta)' lambda(t+1). Here q is
-    half the gradient of the stage cost, and the new w(t) is parallel to lambda(t+1).
+    For a linear loop this is a step of the power method: lambda(t) = q(t) + (A - B B' Theta)' lambda(t+1), where q is
+    half the gradient of the stage cost, and the new w(t) is along lambda(t+1).
     """
     steps, count, n = played.theta.shape
     b = np.asarray(scene.b, dtype=float)

@@ -11,7 +11,7 @@ from hedgerow.orchestrator.experiments.worst.loop import NONE, Breaks, Scene, as
 from hedgerow.topologies.graph import Array
 
 SETTLING = 150
-"""The number of steps in which the run of a constant disturbance settles."""
+"""Steps in which the run of a constant disturbance settles."""
 
 
 class Kind(NamedTuple):
@@ -20,7 +20,7 @@ class Kind(NamedTuple):
     length: int
     """number of its values"""
     holds: bool
-    """True if the disturbance keeps its last value"""
+    """True if the last value stays"""
 
 
 @dataclass
@@ -28,27 +28,29 @@ class Island:
     """One population: disturbances of some steps, under some faults."""
 
     holds: bool
-    """True if a disturbance keeps its last value forever; with one step it is constant"""
+    """True if a disturbance keeps its last value for ever; with one step it is constant"""
     members: Array
     """(P, T, n)"""
     breaks: Breaks = NONE
     score: Array = field(default_factory=lambda: np.empty(0))
-    """the squared gain; for one that holds, its settled value"""
+    """gain squared: of one that holds the settled value"""
     steps: Array = field(default_factory=lambda: np.empty(0))
-    """the number of steps after which a run has that gain"""
+    """number of steps after which a run has that gain"""
     generation: int = 0
 
     @classmethod
     def new(cls, scene: Scene, kind: Kind, size: int, rng: np.random.Generator, breaks: Breaks = NONE) -> Island:
-        """Return a random population that includes localised disturbances."""
+        """Return a population that was drawn at random; localised disturbances are among them."""
         n, steps = len(scene.a), kind.length
         members = rng.standard_normal((size, steps, n))
-        # Half of them are one pattern of the nodes with a time course, which is sparse; some have one sign.
+        # Half of them are one pattern of the nodes with a time course, which is sparse; some of one sign.
         half = size // 2
-        sparse = rng.standard_normal((half, steps, 1)) * (rng.random((half, steps, 1)) < 0.6)
-        members[:half] = sparse * rng.standard_normal((half, 1, n)) + 0.01 * members[:half]
+        course = rng.standard_normal((half, steps, 1)) * (rng.random((half, steps, 1)) < 0.6)
+        members[:half] = course * rng.standard_normal((half, 1, n)) + 0.01 * members[:half]
         members[: half // 2] *= rng.random((half // 2, 1, n)) < 0.5
         members[::3] = np.abs(members[::3])
+        if kind.holds:
+            members[0] = scene.worst_of_oracle
         return cls(kind.holds, members, breaks)
 
     @property
@@ -72,7 +74,7 @@ class Island:
         self.generation += 1
 
     def judge(self, scene: Scene, members: Array) -> tuple[Array, Array, Any]:
-        """Return the squared gains, the numbers of steps to reach them, and the runs."""
+        """Return the gains squared, the steps after which they are reached, and the runs."""
         if not self.holds:
             played = play(scene, members, self.breaks)
             gains, steps = played.gains()
@@ -113,9 +115,7 @@ class Island:
                 return np.where(crossed, mutant, self.members)
 
     def _echoes(self, rng: np.random.Generator) -> Array:
-        """Return members, or the best one, with a change of sign, size or time of a part, or with a later copy
-        added.
-        """
+        """Return members, or the best, with the sign, size or time of a part changed, or with a later copy added."""
         size, steps = len(self.members), self.members.shape[1]
         each = (size, 1, 1)
         base = np.where(rng.random(each) < 0.5, self.members[self.best], self.members)
@@ -131,7 +131,7 @@ class Island:
     def _power(self, scene: Scene, played: Any, steps: Array) -> Array:
         if not self.holds:
             return ascend(scene, played, steps.astype(np.int64), self.breaks)
-        # The settled cost depends on the last value alone, and its gradient approaches the sum over the steps.
+        # The settled cost is a function of the last value alone, and its gradient tends to the sum over the steps.
         along = ascend(scene, played, np.full(len(self.members), SETTLING), self.breaks)
         total = along.sum(axis=1)
         size = np.sqrt(np.square(total).sum(axis=1))

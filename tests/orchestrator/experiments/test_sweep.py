@@ -26,11 +26,12 @@ from hedgerow.orchestrator.experiments.sweep.folder import SweepFolder, default_
 from hedgerow.orchestrator.experiments.sweep.plan import Chunk, Plan, plan, split, typed
 from hedgerow.orchestrator.experiments.sweep.runs import METRICS, Failure, Row, answer, run_here
 from hedgerow.orchestrator.experiments.sweep.summary import spread, values_of
-from hedgerow.topologies.errors import TopologyError, UserError
+from hedgerow.topologies.errors import Code, TopologyError, UserError
 from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import resolve
 from tests.tools.networks import read
 from tests.tools.processes import DEADLINE_S, Orchestrator, gone, orchestrator
+from tests.tools.refusals import refusal
 
 SINUSOID = (
     "{kind: sinusoid, amplitude: {random: [0.1, 1]}, omega: {random: [0, 3.14159]}, phase: {random: [0, 6.28318]}}"
@@ -311,7 +312,7 @@ def test_a_changed_file_is_a_new_sweep(tmp_path: Path) -> None:
         pass
     file.write_text(text % 2, encoding="utf-8")
     changed = plan(str(file), "0:2", [], "in-process")
-    with pytest.raises(UserError, match="its topology file was another"), SweepFolder(changed, tmp_path / "out"):
+    with refusal(Code.OUTPUT), SweepFolder(changed, tmp_path / "out"):
         pass
 
 

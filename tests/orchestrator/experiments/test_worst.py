@@ -21,7 +21,7 @@ from hedgerow.orchestrator.experiments.worst.loop import NONE, Breaks, Scene, as
 from hedgerow.orchestrator.experiments.worst.search import Island, Kind
 from hedgerow.orchestrator.launch.running import run_to_the_end
 from hedgerow.orchestrator.metrics.guarantee import plant_of
-from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.schema import Topology
 from tests.tools.networks import VECTORS, from_vector, networks, read
 
@@ -78,7 +78,8 @@ def test_a_climb_is_along_the_gradient_of_the_cost() -> None:
         (EAGER, Kind(8, False), 120, 8.2),
         (hg.load("paper7"), Kind(1, True), 25, 3.36),
         (vector("v1_path2"), Kind(1, True), 25, 5.63),
-        (vector("v2_tree7"), Kind(1, True), 25, 5.63),
+        (vector("v2_tree7"), Kind(1, True), 25, 5.66),
+        (vector("w1_path3"), Kind(1, True), 25, 4.998),
         (hg.load("paper7", law="hinf"), Kind(1, True), 25, 2.973),
     ],
 )
@@ -110,18 +111,18 @@ def test_a_model_that_wins_by_rounding_is_no_attack() -> None:
 def test_a_search_writes_a_network_that_repeats_its_gain_and_continues(tmp_path: Path) -> None:
     out = tmp_path / "worst.yaml"
     said: list[str] = []
-    first = worst(EAGER, 1.0, out=out, say=said.append)
+    first = worst(EAGER, 1.0, steps=400, out=out, say=said.append)
     assert run_here(hg.load(out))["metrics"]["gain"] == pytest.approx(first.gain, rel=1e-9)
     told = json.loads((tmp_path / "worst.json").read_text())
     assert told["gain"] == first.gain
     assert at_least(plant_of(EAGER.network), tmp_path) == first.limit
     assert first.gain <= first.guarantee.bounds[first.premise].gain
-    again = worst(EAGER, 0.5, out=out, say=said.append)
+    again = worst(EAGER, 0.5, steps=400, out=out, say=said.append)
     assert again.limit >= first.limit * (1 - 1e-9)
-    assert again.seconds == pytest.approx(1.5)
-    assert any("after 1 s" in line for line in said)
-    other = worst(hg.load("line5"), 0.5, out=out)
-    assert other.seconds == pytest.approx(0.5)
+    assert again.seconds > first.seconds > 0.9
+    assert any("continues" in line for line in said)
+    other = worst(hg.load("line5"), 0.5, steps=400, out=out)
+    assert other.seconds < again.seconds
     assert at_least(plant_of(EAGER.network), tmp_path) is None
 
 
@@ -143,12 +144,10 @@ def test_a_gain_repeats_over_zenoh(law: str, tmp_path: Path) -> None:
     assert content["metrics"]["gain"] == pytest.approx(found.gain, rel=1e-9)
 
 
-def test_a_foreign_state_file_is_not_changed(tmp_path: Path) -> None:
+def test_a_state_that_is_no_state_is_left_alone(tmp_path: Path) -> None:
     for text in (b"", b"no zip", b"PK\x03\x04"):
         (tmp_path / "worst.npz").write_bytes(text)
-        with pytest.raises(UserError):
-            Hunt(EAGER).resume(tmp_path / "worst.npz")
-        assert (tmp_path / "worst.npz").read_bytes() == text
+        assert not Hunt(EAGER).resume(tmp_path / "worst.npz")
 
 
 @pytest.mark.parametrize(("text", "seconds"), [("90", 90), ("60s", 60), ("5m", 300), ("0.5 h", 1800)])
@@ -157,7 +156,7 @@ def test_a_budget_is_a_time(text: str, seconds: float) -> None:
 
 
 @pytest.mark.parametrize("text", ["", "0", "-1", "60x", "s", "1e9"])
-def test_an_invalid_time_is_refused(text: str) -> None:
+def test_what_is_no_time_is_refused(text: str) -> None:
     with pytest.raises(UserError):
         seconds_of(text)
 
@@ -171,3 +170,72 @@ def test_a_law_that_asks_runs_in_the_search_as_in_the_engine(law: str) -> None:
         content = run_here(hunt.topology_of(Attack(w[k], False, NONE, 0.0, 0.0, 12)))
         gain = math.sqrt(played.cost[:, k].sum() / np.square(w[k]).sum())
         assert content["metrics"]["gain"] == pytest.approx(gain, rel=1e-9)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("topology", "budget", "least"),
+    [
+        (EAGER, 6.0, 7.5),
+        (hg.load("paper7"), 4.0, 3.36),
+        (vector("v1_path2"), 3.0, 5.63),
+        (vector("v2_tree7"), 4.0, 5.66),
+        (vector("w1_path3"), 3.0, 4.99),
+    ],
+)
+def test_lower_bounds_of_the_table_repeat_over_zenoh(
+    topology: Topology, budget: float, least: float, tmp_path: Path
+) -> None:
+    """The search writes a file, and its run in separate processes gives the number that the search claims."""
+    found = worst(topology, budget, steps=600, out=tmp_path / "worst.yaml")
+    assert found.limit >= least
+    run_to_the_end(hg.load(tmp_path / "worst.yaml"), tmp_path / "run", "--viewer", "none", "--no-record", listed=False)
+    content: dict[str, Any] = json.loads((tmp_path / "run/verdict.json").read_text())
+    assert content["verdict"] == "valid"
+    assert content["metrics"]["gain"] == pytest.approx(found.gain, rel=1e-9)
+
+
+@pytest.mark.parametrize(("law", "tied"), [("minimax", True), ("forgetting", True), ("rls", False)])
+def test_a_tie_that_rounding_may_break_is_no_attack_under_any_law(law: str, tied: bool) -> None:
+    """The scores of two candidates are equal in exact arithmetic, and the input depends on the choice."""
+    nodes = "{1: {a: 0.5, candidates: [0.25, 0.75, 0.5]}, 2: {a: 0.5, candidates: [0.5]}}"
+    hunt = Hunt(read(f"{{name: tie, b: 0.1, steps: 9, law: {law}, nodes: {nodes}, edges: [[1, 2]]}}"))
+    for second, unsteady in ((0.125, tied), (0.1, False)):
+        w = np.zeros((6, 2))
+        w[:2, 0] = 1.0, second  # x(1) = 1, and a + w/x is midway between two candidates
+        played = play(hunt.scene, w[None])
+        gain = math.sqrt(played.cost.sum() / np.square(w).sum())
+        assert hunt.steady(Attack(w, False, NONE, gain, gain, 6))[0] != unsteady
+
+
+def test_a_law_outside_the_lists_is_promised_no_upper_bound() -> None:
+    lists = "{a: 0.6, candidates: [0.6, 0.3, 0.8], nominal: 0.25}"
+    pair = f"{{name: pair, b: 0.1, steps: 9, law: LAW, nodes: [1, 2], edges: [[1, 2]], defaults: {lists}}}"
+    for law, within in (("nominal", False), ("minimax", True)):
+        found = worst(read(pair.replace("LAW", law)), 0.5, steps=200)
+        assert found.attack.within == within == found.to_dict()["within_lists"]
+
+
+def test_two_searches_do_not_write_the_same_files(tmp_path: Path) -> None:
+    inner: list[Exception] = []
+
+    def say(_: str) -> None:
+        if not inner:
+            with pytest.raises(UserError) as refused:
+                worst(EAGER, 0.1, steps=200, out=tmp_path / "worst.yaml")
+            inner.append(refused.value)
+
+    worst(EAGER, 0.5, steps=200, out=tmp_path / "worst.yaml", say=say)
+    assert [error.code for error in inner] == [Code.OUTPUT]  # type: ignore[attr-defined]
+
+
+def test_a_search_that_is_stopped_counts_the_time_that_it_took(tmp_path: Path) -> None:
+    found = worst(EAGER, 1000.0, steps=200, out=tmp_path / "worst.yaml", quit_now=lambda: True)
+    assert found.seconds < 100
+    assert found.gain > 1
+
+
+def test_a_large_network_is_written_with_its_table(tmp_path: Path) -> None:
+    tree = {"name": "tree", "b": 0.1, "steps": 9, "seed": 2, "graph": {"kind": "random_tree", "nodes": 1100}}
+    found = worst(hg.load(tree), 0.1, steps=200, out=tmp_path / "worst.yaml")
+    assert run_here(hg.load(tmp_path / "worst.yaml"))["metrics"]["gain"] == pytest.approx(found.gain, rel=1e-9)

@@ -17,12 +17,13 @@ from hedgerow.orchestrator.cli import main as cli
 from hedgerow.orchestrator.launch.live import Live, checked, groups, pair
 from hedgerow.topologies.describe import describe
 from hedgerow.topologies.effects import FOREVER
-from hedgerow.topologies.errors import Code, DeadlineError, HedgerowError, TopologyError, UserError
+from hedgerow.topologies.errors import Code, TopologyError, UserError
 from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import resolve
 from hedgerow.topologies.schema import Topology
 from tests.tools.networks import read
 from tests.tools.processes import Orchestrator, orchestrator
+from tests.tools.refusals import refusal
 
 LINE = "{name: line, b: 0.1, steps: 9, nodes: [1, 2, 3, a-b, c], edges: [[1, 2], [2, 3], [3, a-b], [a-b, c]]}"
 
@@ -57,7 +58,7 @@ def test_an_unknown_name_is_reported(text: str, said: str) -> None:
 
 def test_a_name_of_two_readings_is_asked_about() -> None:
     topology = named("a", "b-c", "a-b", "c")  # a ring: a to b-c, and a-b to c, are edges both
-    with pytest.raises(UserError, match="a-b-c: may be read as a,b-c or a-b,c; write the one that you mean"):
+    with refusal(Code.OPTION):
         pair("a-b-c", topology)
     assert pair("a,b-c", topology) == ("a", "b-c")
 
@@ -85,7 +86,7 @@ def test_every_edge_can_be_named(names: list[str]) -> None:
 
 def test_groups_are_named_with_commas_and_a_slash() -> None:
     assert groups("1,2/3,a-b,c", read(LINE)) == [[1, 2], [3, "a-b", "c"]]
-    with pytest.raises(UserError, match="1,2/9: 9 is no node"):
+    with refusal(Code.OPTION):
         groups("1,2/9", read(LINE))
 
 
@@ -254,11 +255,11 @@ def test_a_command_reports_its_effect_or_its_refusal(
     assert said == f"{run}: fault 1: drop 2-4 from step {step} to {step + 50000}\n"
     assert say(capsys, "fault", "heal", "1").startswith(f"{run}: fault 1 healed from step ")
     assert say(capsys, "heal") == f"{run}: no fault to heal\n"
-    with pytest.raises(UserError, match="there is no fault 7; there are 1"):
+    with refusal(Code.FAULT):
         say(capsys, "heal", "7")
-    with pytest.raises(UserError, match="drop: link: 2 and 5 are not neighbours; the neighbours of 2 are 1, 3, 4"):
+    with refusal(Code.FAULT):
         say(capsys, "fault", "drop", "2-5")
-    with pytest.raises(UserError, match=r"jump: a: 0.4 is not among the candidates of node 4; they are 0.3, 0.6"):
+    with refusal(Code.FAULT):
         say(capsys, "fault", "jump", "4", "--to", "0.4")
     with pytest.raises(UserError, match=run) as unknown:
         say(capsys, "fault", "list", "--run", "nobody")
@@ -280,15 +281,15 @@ def test_the_clock_is_held_and_let_go(running: Orchestrator, here: Path, capsys:
         live.wait_for_step(at)
         assert told(capsys, "step", "5")["run"] == live.run
         assert live.wait_for_step(at + 5) == at + 5
-        with pytest.raises(DeadlineError, match=rf"not at step {at + 6} after 0.2 s: it is at step {at + 5} .*paused"):
+        with refusal(Code.DEADLINE):
             live.wait_for_step(at + 6, deadline_s=0.2)
         assert say(capsys, "status") == f"{live.run}: step {at + 5} of 1000000, paused\n"
         say(capsys, "resume")
         live.wait_for_step(at + 50)
-        with pytest.raises(UserError, match="has 1000000 steps, and never comes to step 1000001"):
+        with refusal(Code.OPTION):
             live.wait_for_step(1000001)
         live.stop()
-        with pytest.raises(HedgerowError, match=r"ended at step \d+, before step 1000000"):
+        with refusal(Code.UNKNOWN):
             live.wait_for_step(1000000)
     assert running.wait() == 3
 
@@ -303,7 +304,7 @@ def test_a_future_fault_cannot_be_healed(running: Orchestrator, here: Path, caps
     """The fault is in the file as it was given, and the file can be read."""
     cut = told(capsys, "fault", "cut", "2-4", "--after", "500000")
     with Live() as live:
-        with pytest.raises(UserError, match="fault 1 has not begun"):
+        with refusal(Code.FAULT):
             live.heal(1)
         assert live.heal().numbers == ()
         live.stop()

@@ -226,7 +226,7 @@ def test_the_audit_counts_the_messages_between_plant_and_observer() -> None:
     event = {"plant": word, "shards": [None] * len(VIEWS)}
     observed: dict[str, Any] = {"said": {keys.SEEN: 8}, "heard": {keys.TELEMETRY: 6}, "refused": {}, "strange": {}}
     found = audit(places(VIEWS), event, observed)
-    assert {(one.key, one.speaker, one.listener): (one.said, one.heard) for one in found.observer} == {
+    assert {(one.key, one.sender, one.receiver): (one.sent, one.received) for one in found.observer} == {
         (keys.TELEMETRY, "plant", "observer"): (5, 6),
         (keys.SEEN, "observer", "plant"): (8, 9),
     }

@@ -80,9 +80,7 @@ def test_a_full_storage_bounds_paper7_by_less() -> None:
 @settings(max_examples=8, deadline=None)
 @given(plants())
 def test_bounds_are_ordered(plant: Plant) -> None:
-    """A weaker premise, fewer unknowns or smaller matrices never give a smaller bound; the oracle's gain is below
-    all.
-    """
+    """A weaker premise, fewer unknowns or smaller matrices never give less; the oracle's gain is below all."""
     near = 1 + 1e-3  # the margin of a proof, where the storage is large
     whole = {premise: _or_inf(plant, premise, Method.WHOLE) for premise in Premise}
     assert whole[Premise.ESTIMATES] <= whole[Premise.EDGES] * near
@@ -174,7 +172,7 @@ def test_the_facade_and_the_json_hold_the_same_numbers() -> None:
     assert "3.5878" in found.text()
 
 
-def test_the_fingerprint_covers_everything_that_affects_the_gain() -> None:
+def test_the_fingerprint_is_of_what_the_gain_depends_on() -> None:
     paper = hg.load("paper7")
     same = hg.load("paper7", steps=99)
     assert fingerprint(plant_of(paper.network)) == fingerprint(plant_of(same.network))

@@ -27,6 +27,7 @@ from hedgerow.orchestrator.metrics.gain_plant import Plant
 from hedgerow.orchestrator.metrics.guarantee import SOLVED, Guarantee, guarantee, plant_of
 from hedgerow.orchestrator.metrics.observer import Observer
 from hedgerow.orchestrator.metrics.verdict import INVALID, VALID, Ending, judge
+from hedgerow.orchestrator.runs.export import export
 from hedgerow.orchestrator.runs.folder import create
 from hedgerow.orchestrator.runs.reader import load_run
 from hedgerow.orchestrator.views.screen import Quiet
@@ -208,6 +209,12 @@ def test_a_recorded_run_has_the_bound_and_the_slack_of_every_step(tmp_path: Path
     assert slack[Premise.ESTIMATES][19] == pytest.approx(told["estimates"]["slack"])
     assert slack[Premise.EDGES][-1] == pytest.approx(told["edges"]["slack"])
     assert (slack[Premise.EDGES] > 0).all()
+    claimed = np.concatenate([slack[Premise.ESTIMATES][:20], slack[Premise.EDGES][20:]])
+    np.testing.assert_array_equal(run.ceiling_slack, claimed)
+    (file,) = export(run, "npz", tmp_path / "run.npz")
+    with np.load(file) as arrays:
+        np.testing.assert_array_equal(arrays["ceiling_slack"], claimed)
+        np.testing.assert_array_equal(arrays["ceiling"], run.ceiling)
     with pytest.raises(UserError):
         run.certificate_slack("hope")
 
