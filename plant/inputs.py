@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hedgerow.topologies.graph import Array
+from hedgerow.topologies.graph import Array, Index
 from hedgerow.wire.codec import HEADER_BYTES, REPORT_ROWS, Buffer, Input, Kind, decode_input, gather, header
 
 TOGETHER = 4096
@@ -36,13 +36,8 @@ class Inputs:
         """all numbers of the last step, headers included; None if its messages were taken apart one by one"""
         self._parts: Sequence[Input] = ()
         """By shard: the message of the last step if they were."""
-        starts = (np.cumsum([0, *self._lengths])[:-1] + HEADER_BYTES) // 8
-        rows = [
-            np.concatenate([np.arange(k) + start + row * k for start, k in zip(starts.tolist(), sizes, strict=True)])
-            for row in range(1 + REPORT_ROWS)
-        ]
-        self._u_at, self._report_at = rows[0], np.array(rows[1:])
-        """By node, in the order of the shards: the places of u and of the report in `_row`."""
+        self._at: Index = _places(sizes if self._together else ())
+        """By node, in the order of the shards: the places of u, ahat and margin in `_row`, (1 + REPORT_ROWS, n)."""
 
     def begin(self, t: int) -> None:
         """Wait for the inputs of step t; a shard without one is silent."""
@@ -63,7 +58,8 @@ class Inputs:
         """Return the inputs of the step, (n,), in the order of the shards, NaN where a shard is silent."""
         if self._together and self._short == len(self._messages):
             self._row = np.frombuffer(b"".join(self._messages))
-            return self._row.take(self._u_at)
+            u: Array = self._row.take(self._at[0])
+            return u
         self._row = None
         self._parts = [
             decode_input(message, k, m) if message else silence
@@ -77,6 +73,18 @@ class Inputs:
         Empty flags mean that everything was taken in. `begin` may have been called since.
         """
         if self._row is not None:
-            return self._row.take(self._report_at), ()
+            return self._row.take(self._at[1:]), ()
         reports = [*[one.ahat for one in self._parts], *[one.margin for one in self._parts]]
         return gather(reports).reshape(REPORT_ROWS, -1), [one.took for one in self._parts]
+
+
+def _places(sizes: Sequence[int]) -> Index:
+    """Return the places of u, ahat and margin of every node in short messages, one after the other."""
+    rows: list[list[int]] = [[] for _ in range(1 + REPORT_ROWS)]
+    start = 0
+    for k in sizes:
+        start += HEADER_BYTES // 8
+        for row in rows:
+            row.extend(range(start, start + k))
+            start += k
+    return np.array(rows, dtype=np.int64)

@@ -97,7 +97,7 @@ class Processes:
         """Launch one shard with its local view alone."""
         name = process_name(view)
         self.deaths[view.shard] = 0
-        # A process takes 8 ms and 2 MB to read its first .npz file, and 0.1 ms to read JSON.
+        # A process takes 8 ms to read its first .npz file, and 0.1 ms to read JSON.
         file = self._folder.processes / f"{name}.{'json' if view.k <= SMALL else 'npz'}"
         view.write(file)
         self._agents[name] = _Agent(view.shard, file)
