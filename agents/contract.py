@@ -354,7 +354,7 @@ class _Test:
 
     def _raised(self, method: str, error: Exception) -> NoReturn:
         called = "memory" if method == "memory" else f"{method}()"
-        said = f"{called} raised {crash.told(error)}. Correct that line."
+        said = f"{called} raised {crash.summary(error)}. Correct that line."
         raise LawError(f"{place_of(error, self._law)}law {self._name}: {said}", method=method) from error
 
 

@@ -1,6 +1,6 @@
-"""The source of a law: the files of its module and of the user's modules that it uses, with their digest.
+"""The source of a law: the files of its module and of the user's modules that it imports, with their digest.
 
-A run keeps a copy in its folder `law/`, because the name of a law does not say which code ran.
+A run stores a copy in its folder `law/`, because the name of a law does not identify its code.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from hedgerow.topologies.law_choice import LawChoice
 from hedgerow.topologies.regular_file import read_regular
 
 LARGEST = 2_000_000
-"""bytes of a file that is copied"""
+"""the maximum size of a copied file [bytes]"""
 MOST_FILES = 200
-"""files of a law; the modules that it names itself come first"""
+"""the maximum number of files of a law; the modules that it imports directly come first"""
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class LawSource:
 
     @classmethod
     def read(cls, folder: Path) -> LawSource:
-        """Return the files that a run keeps; none if it keeps none."""
+        """Return the files in the folder of a run; none if it has no copy."""
         files = {}
         with contextlib.suppress(OSError):
             for path in sorted(folder.rglob("*.py")):
@@ -69,7 +69,7 @@ class LawSource:
 def source_of(law: str) -> LawSource:
     """Return the source of a law from the text of its choice; it has no files if the law is the project's.
 
-    It loads the module of the law; UserError if that fails.
+    This loads the module of the law; raise UserError if that fails.
     """
     name = LawChoice.parse(law).name
     if ":" not in name:
@@ -84,7 +84,7 @@ def source_of(law: str) -> LawSource:
 
 
 def source_digest(law: str) -> str:
-    """Return the digest of the source of a law; empty for a law of the project, or one that cannot be loaded here."""
+    """Return the digest of the source of a law; empty for a law of the project, or if it cannot be loaded here."""
     if ":" not in law.partition("(")[0]:
         return ""
     with contextlib.suppress(UserError):
@@ -93,7 +93,7 @@ def source_digest(law: str) -> str:
 
 
 def need_source(law: str, digest: str) -> None:
-    """Raise UserError if the source of a law here is not the one with this digest, which the operator runs.
+    """Raise UserError if the local source of a law differs from that of the operator, which has this digest.
 
     A law from an installed package has no files here, and is trusted.
     """
@@ -106,19 +106,19 @@ def need_source(law: str, digest: str) -> None:
 
 
 class UserFile(NamedTuple):
-    """A module of the user's own."""
+    """A module of the user."""
 
     module: str
     file: Path
     path: str
-    """from the folder that is on the module path"""
+    """the path from the folder that is on the module path"""
     source: bytes
     uses: Sequence[str]
-    """names of modules that it may import"""
+    """the names of modules that it may import"""
 
 
 def user_files(first: ModuleType) -> Iterator[UserFile]:
-    """Yield a module and the user's modules that it may import, those that are not loaded yet included."""
+    """Yield a module and the user's modules that it may import, loaded or not."""
     waiting, seen, count = deque([first.__name__]), {first.__name__}, 0
     while waiting and count < MOST_FILES:
         name = waiting.popleft()
@@ -160,7 +160,7 @@ def _file_of(name: str) -> Path | None:
 
 
 class _Text(NamedTuple):
-    """A source file as it was read last."""
+    """The last reading of a source file."""
 
     stamp: tuple[int, int]
     source: bytes

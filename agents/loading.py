@@ -50,7 +50,8 @@ def law_class(name: str) -> type[Law]:
     except Exception as error:
         where = place_in_module(error)
         cure = "Correct that line." if where else "Give package.module:Class, importable here (docs/laws.md)."
-        raise UserError(f"{where}law {name}: cannot be loaded: {crash.told(error)}. {cure}", code=Code.LAW) from error
+        why = crash.summary(error)
+        raise UserError(f"{where}law {name}: cannot be loaded: {why}. {cure}", code=Code.LAW) from error
     if missing := [method for method in ("act", "learn", "report") if not callable(getattr(law, method, None))]:
         raise UserError(
             f"law {name}: has no {', '.join(missing)}(); a law has act, learn and report (docs/laws.md)", code=Code.LAW
@@ -98,7 +99,7 @@ def new_law(view: View) -> Law:
         begun = law(view.b, view.candidates, **more)
         shape = np.shape(begun.memory)
     except Exception as error:
-        said = f"__init__() raised {crash.told(error)}. Correct that line."
+        said = f"__init__() raised {crash.summary(error)}. Correct that line."
         raise LawError(f"{place_of(error, law)}law {view.law}: {said}", method="__init__") from error
     if shape[-1:] != (view.k,):
         said = f"memory has the shape {shape}. Make its last axis the {view.k} nodes."

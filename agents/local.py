@@ -29,7 +29,7 @@ class Local:
     """
 
     ids: Ids
-    """of the shard's nodes, (k,)"""
+    """the ids of the shard's nodes, (k,)"""
     b: float | Array
     """the gain b of (1), or a gain per node, (k,)"""
     candidates: Array
@@ -60,11 +60,14 @@ class Local:
 
     def draw(self, t: int, field: str = "law") -> Array:
         """Return a number in [0, 1) per node, (k,): a function of (seed, field, node id, t), in every layout."""
-        return lots.uniforms(lots.at(lots.keys(self.seeds, field, self._words), np.array([t])))
+        keys = self._keys.get(field)
+        if keys is None:
+            keys = self._keys[field] = lots.keys(self.seeds, field, lots.words_of(self.ids))
+        return lots.uniforms(lots.at(keys, np.array([t])))
 
     @cached_property
-    def _words(self) -> lots.Words:
-        return lots.words_of(self.ids)
+    def _keys(self) -> dict[str, lots.Words]:
+        return {}
 
     def sums(self, values: Array) -> Array:
         """Return the sum over each node's incidences, (k,), of values by incidence, (m,)."""

@@ -39,7 +39,6 @@ from hedgerow.wire.codec import (
     MessageError,
     State,
     decode_end,
-    decode_link,
     decode_record,
     decode_state,
     encode_event,
@@ -135,7 +134,9 @@ class Agent:
         """True once the plant sent END and we answered it"""
 
         self.joined = Joined(-1)
-        """until we have the place, messages are ignored, because another process may have it"""
+        self._deaf = True
+        """True while messages are ignored: until we have the place, because another process may have it, and at the end
+        """
 
         self.session = open_client(endpoint, namespace, credentials, begin.wait_s or CONNECT_TIMEOUT_S)
         try:
@@ -148,17 +149,21 @@ class Agent:
         view = self._view
         self._input = Sender(self.session, keys.input_(view.shard))
         self._links = [Sender(self.session, keys.link(view.shard, peer)) for peer in self.peers]
+        self._quiet_senders = [[self._links[p] for p in peers] for _, peers in self.shard.audience] + [[self._input]]
+        """By message of a quiet step: its senders."""
         self._receivers = [
-            self._hear(keys.link(peer, view.shard), functools.partial(self._take_link, p))
+            Receiver(self.session, keys.link(peer, view.shard), functools.partial(self._take_link, p))
             for p, peer in enumerate(self.peers)
         ]
-        self._receivers.append(self._hear(keys.state(view.shard), self._take_state))
+        self._receivers.append(Receiver(self.session, keys.state(view.shard), self._take_state))
         # A dead neighbour has no subscriber, so a shard that comes back waits only for the plant.
         senders = [self._input] if begin.join(self.session).life else [self._input, *self._links]
         LOG.info("shard %d has its place, and waits for the others", view.shard)
         wait_for_listeners([sender.publisher for sender in senders], begin.wait_s or LISTEN_TIMEOUT_S)
         # Waiting may take minutes. Ask again: another process may have our place, or another run may have begun.
         self.joined = begin.join(self.session)
+        with self._lock:
+            self._deaf = self._ended.is_set()
 
     def live(self) -> None:
         """Take part until the end, then leave the network, and log both. Raises the same errors as `run`."""
@@ -228,6 +233,7 @@ class Agent:
         self._end()
 
     def _end(self) -> None:
+        self._deaf = True
         self._ended.set()
         self._say_later(lambda: None)
 
@@ -240,37 +246,59 @@ class Agent:
         """Return the number of refused messages."""
         return sum(receiver.refused for receiver in self._receivers)
 
-    def _hear(self, key: str, take: Callable[[bytes], None]) -> Receiver:
-        """Subscribe to `key` and call `take` per message, under the lock.
-
-        Malformed messages are refused, and the law may raise.
-        """
-
-        def on_message(message: bytes) -> None:
-            with self._lock:
-                if self._ended.is_set() or self.joined.life < 0:
-                    return
-                try:
-                    take(message)
-                except MessageError:
-                    raise
-                except Exception as error:  # it must reach the main thread, not Zenoh's log
-                    self._fail(error)
-
-        return Receiver(self.session, key, on_message)
+    # Messages. A malformed one is refused; any other error must reach the main thread, and not Zenoh's log.
 
     def _take_state(self, message: bytes) -> None:
-        kind = kind_of(message)
-        if kind == Kind.END:
-            decode_end(message, 0)
-            if self._over:
-                self._end()
+        with self._lock:
+            if self._deaf:
                 return
-            self._say_later(self._say_last)
-        elif kind == Kind.RECORD:
-            self.shard.recall(decode_record(message, self.shard.degrees))
+            try:
+                if self._answers_quietly(message):
+                    return
+                kind = kind_of(message)
+                if kind == Kind.END:
+                    decode_end(message, 0)
+                    if self._over:
+                        self._end()
+                    else:
+                        self._say_later(self._say_last)
+                elif kind == Kind.RECORD:
+                    self.shard.recall(decode_record(message, self.shard.degrees))
+                else:
+                    self._take(decode_state(message, self.shard.k, self.shard.m))
+            except MessageError:
+                raise
+            except Exception as error:
+                self._fail(error)
+
+    def _answers_quietly(self, message: bytes) -> bool:
+        """Answer a state and return True; False, with nothing changed, if its step is not quiet."""
+        if (answer := self.shard.answer_quietly(message)) is None:
+            return False
+        out = []
+        for senders, sent in zip(self._quiet_senders, answer, strict=False):
+            for sender in senders:
+                out.append((sender, sent))
+        self._said.append(out)
+        if self._unsaid:
+            self._say_later(functools.partial(_say, out))
         else:
-            self._take(decode_state(message, self.shard.k, self.shard.m))
+            for sender, sent in out:
+                sender.put(sent)
+        return True
+
+    def _take_link(self, peer: int, message: bytes) -> None:
+        with self._lock:
+            if self._deaf:
+                return
+            try:
+                self.shard.hear_message(peer, message)
+                if self._pending is not None:
+                    self._step_if_complete()
+            except MessageError:
+                raise
+            except Exception as error:
+                self._fail(error)
 
     def _say_last(self) -> None:
         counted = counts([self._input, *self._links], self._receivers)
@@ -298,11 +326,6 @@ class Agent:
             here = [(self._input, encode_input(NO_STEP, *self.shard.silence))]
             self._say_later(functools.partial(_say, here))
 
-    def _take_link(self, peer: int, message: bytes) -> None:
-        self.shard.hear(peer, decode_link(message, self.shard.hears[peer]))
-        if self._pending is not None:
-            self._step_if_complete()
-
     def _step_if_complete(self) -> None:
         state, shard = self._pending, self.shard
         if state is None or shard.awaits(state):
@@ -313,7 +336,7 @@ class Agent:
         self._answering = None
         out = []
         for peers, link in shard.say(state):
-            message = encode_link(link, shard.says[peers[0]])
+            message = encode_link(link, shard.peers[peers[0]].says)
             out += [(self._links[p], message) for p in peers]
         out.append((self._input, encode_input(state.t, u, shard.report, shard.took)))
         self._said.append(out)

@@ -38,9 +38,9 @@ class LateRows(NamedTuple):
     first: int
     stop: int
     inputs: Array | None = None
-    """of the neighbour, (stop - first,); None where it is one of our own nodes"""
+    """the inputs of the neighbour, (stop - first,); None for one of our own nodes"""
     states: Array | None = None
-    """likewise"""
+    """the states of the neighbour, in the same way"""
 
 
 class _Mark(NamedTuple):
@@ -72,8 +72,9 @@ class Samples:
         """incidences with a wanted row that has not arrived"""
         self._everybody = np.ones(self.k, dtype=bool)
         self._marks: list[_Mark] = []
-        """by step, while an incidence is behind; valid for all nodes, but the first mark, at the oldest row, may be
-        valid only for nodes that came back"""
+        """the marks by step, while a sample is incomplete; all are valid for all nodes, except possibly the first mark,
+        at the oldest row, which may cover only returned nodes
+        """
         self._read: Array | None = None
         """the readings x(t + 1) of the last sample taken, None if one is missing"""
 
@@ -298,7 +299,7 @@ class Samples:
         return Heard(t, nodes.copy(), x, inputs, np.where(got, t, -1))
 
     def _learn(self, x: Array, flow: Array, x_next: Array, sample: Heard | None = None) -> None:
-        if np.isnan(np.add.reduce(x + x_next)):  # without a reading, the samples before and after it are missing
+        if not all_finite(x + x_next):  # without a reading, the samples before and after it are missing
             flow = np.where(np.isnan(x + x_next), np.nan, flow)
         if sample is None:
             self._law.learn(x, flow, x_next)

@@ -5,10 +5,10 @@ A shard of one node is not a special case.
 
 from __future__ import annotations
 
-import itertools
 import math
 import struct
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from hedgerow.agents.law import Array, Law
 from hedgerow.agents.law_lines import line_of, place_of, running
 from hedgerow.agents.loading import LawError, new_law
 from hedgerow.agents.local import Heard, asks
-from hedgerow.agents.quiet import QuietLaw
+from hedgerow.agents.quiet import QuietForms, QuietLaw
 from hedgerow.agents.samples import LateRows, Samples
 from hedgerow.agents.view import View
 from hedgerow.topologies.graph import all_finite
@@ -33,7 +33,9 @@ from hedgerow.wire.codec import (
     Mask,
     Record,
     State,
+    decode_link,
     gather,
+    link_step,
 )
 
 Index = NDArray[np.int64]
@@ -44,8 +46,27 @@ MAIL = 64
 _SILENCE = struct.pack("<d", math.nan)
 
 
-def _all_or(k: int, nodes: Index) -> Index | None:
-    return None if np.array_equal(nodes, np.arange(k)) else nodes
+@dataclass(eq=False, slots=True)
+class Peer:
+    """Another shard with neighbours of ours, and its link messages."""
+
+    nodes: Index | None
+    """indices of our nodes in a link message to it; None for all nodes in order"""
+    says: int
+    """number of these nodes"""
+    hears: int
+    """number of its nodes in a message to us"""
+    start: int
+    """the place of its first input in our own inputs followed by the peers' inputs"""
+    incidences: Sequence[int]
+    """the incidences that lead to it"""
+    mail: dict[int, Link | bytes] = field(default_factory=dict)
+    """link messages by step, as they arrived, for steps not yet used by a sample"""
+
+    def take(self, t: int) -> Link | None:
+        """Return the link message of step t and drop it; None if it has not arrived."""
+        link = self.mail.pop(t, None)
+        return decode_link(link, self.hears) if isinstance(link, bytes) else link
 
 
 class Shard:
@@ -66,24 +87,25 @@ class Shard:
         self._row = view.row
         ends: Index = np.stack([view.row, view.column])
         """Per incidence: the indices of its two ends in our own inputs followed by the peers' inputs, (2, m)."""
-        self._say = [_all_or(self.k, peer.say) for peer in view.peers]
-        """Per peer: the indices of our nodes in a link message to it; None for all nodes in order."""
-        everything = [p for p, nodes in enumerate(self._say) if nodes is None]
-        self._audience: list[tuple[Index | None, Sequence[int]]] = [(None, everything)] if everything else []
-        """Peers that receive the same message: all peers that receive every node share one."""
-        self._audience += [(nodes, [p]) for p, nodes in enumerate(self._say) if nodes is not None]
-        self.hears = [peer.hear for peer in view.peers]
-        self.says = [len(peer.say) for peer in view.peers]
-        stops = [self.k, *(self.k + np.cumsum(self.hears, dtype=np.int64)).tolist()]
-        self._columns = [slice(first, stop) for first, stop in itertools.pairwise(stops)]
-        """Per peer: the slice of its inputs in our own inputs followed by the peers' inputs."""
+        stops = [self.k, *(self.k + np.cumsum([peer.hear for peer in view.peers], dtype=np.int64)).tolist()]
         outside = np.flatnonzero(view.column >= self.k)
         peer_of = np.searchsorted(stops, view.column[outside], side="right") - 1
-        self._over: list[list[int]] = [outside[peer_of == p].tolist() for p in range(len(view.peers))]
-        """Per peer: the incidences that lead to it."""
-        self._peer_of = {c: p for p, incidences in enumerate(self._over) for c in incidences}
+        self.peers = [
+            Peer(
+                nodes=None if np.array_equal(peer.say, np.arange(self.k)) else peer.say,
+                says=len(peer.say),
+                hears=peer.hear,
+                start=stops[p],
+                incidences=outside[peer_of == p].tolist(),
+            )
+            for p, peer in enumerate(view.peers)
+        ]
+        everything = [p for p, peer in enumerate(self.peers) if peer.nodes is None]
+        self.audience: list[tuple[Index | None, Sequence[int]]] = [(None, everything)] if everything else []
+        """Peers that receive the same message: all peers that receive every node share one."""
+        self.audience += [(peer.nodes, [p]) for p, peer in enumerate(self.peers) if peer.nodes is not None]
+        self._peer_of = {c: peer for peer in self.peers for c in peer.incidences}
         """By incidence: the peer that it leads to."""
-        self._everybody: Sequence[int] = range(len(view.peers))
         self._up = bytes([ALL_UP]) * self.m
         self._samples = Samples(self._law, view.history, self._row, ends, stops[-1], view.weights)
         self._asks = asks(self._law.act, "now")
@@ -97,17 +119,15 @@ class Shard:
         )
         self._quiet = QuietLaw.of(view, self._law)
         """makes the quiet steps of a few nodes; None for other shards and laws"""
-        self._kept: tuple[Array, Array] | None = None
-        """the arrays of the last step, while the quiet law holds the same numbers"""
-        self._mail: list[dict[int, Link]] = [{} for _ in view.peers]
-        """Per peer: link messages by step, for steps not yet used by a sample."""
+        self._forms = QuietForms(self.k, [None if nodes is None else nodes.tolist() for nodes, _ in self.audience])
         self._record: Record | None = None
         self.t = -1
         """The last step answered."""
-        self.x: Array = np.zeros(self.k)
-        self.u: Array = np.zeros(self.k)
-        self.report: Array = np.full((REPORT_ROWS, self.k), np.nan)
-        """The law's report of the nodes at the last step."""
+        self._x: Array = np.zeros(self.k)
+        self._u: Array = np.zeros(self.k)
+        self._report: Array = np.full((REPORT_ROWS, self.k), np.nan)
+        self._behind = False
+        """True while these three are of an older step, and the quiet law has the newest"""
         self.took = b""
         """The used inputs of the step before: Flag bits by incidence; empty if every input was used."""
 
@@ -118,9 +138,16 @@ class Shard:
 
         If there are too many, drop the one of the latest step.
         """
-        if link.t >= self.t:
-            mail = self._mail[peer]
-            mail[link.t] = link
+        self._keep(self.peers[peer].mail, link.t, link)
+
+    def hear_message(self, peer: int, message: bytes) -> None:
+        """Keep the bytes of a link message, as `hear` does; raise MessageError if they are malformed."""
+        own = self.peers[peer]
+        self._keep(own.mail, link_step(message, own.hears), message)
+
+    def _keep(self, mail: dict[int, Link | bytes], t: int, link: Link | bytes) -> None:
+        if t >= self.t:
+            mail[t] = link
             if len(mail) > MAIL:
                 del mail[max(mail)]
 
@@ -136,9 +163,9 @@ class Shard:
     def awaits(self, state: State) -> list[int]:
         """Return the peers that owe a link message of t - 1: the plant's flags deliver it, and it has not arrived."""
         past, flags = state.t - 1, state.flags
-        late = [p for p in self._everybody if past not in self._mail[p]] if state.t else []
+        late = [p for p, peer in enumerate(self.peers) if past not in peer.mail] if state.t else []
         if late and flags:
-            late = [p for p in late if any(flags[c] & Flag.HEAR for c in self._over[p])]
+            late = [p for p in late if any(flags[c] & Flag.HEAR for c in self.peers[p].incidences)]
         return late
 
     # A step.
@@ -147,9 +174,9 @@ class Shard:
         """Close the sample of t - 1 and return u(t), (k,), for the state of t; call it once no peer is awaited."""
         t, x, quiet = state.t, state.x, self._quiet
         if quiet is not None and quiet.holds:
-            if self._answers_quietly(state, quiet):
+            if not (state.flags or state.spans) and t == self.t + 1 and self._step_quietly(x.tolist(), quiet):
                 return self.u
-            quiet.settle()
+            self._settle(quiet)
         record = self._record if self._record is not None and self._record.t == t else None
         try:
             if record is not None:
@@ -162,44 +189,80 @@ class Shard:
         u = self._act(t, x)
         if quiet is not None:
             was_quiet = not (t == 0 or state.flags or state.spans or record is not None) and self._samples.complete
-            quiet.after(was_quiet, x, u)
-            self._kept = x, u
+            quiet.after(was_quiet, x, u, self._report)
         return u
 
-    def _answers_quietly(self, state: State, quiet: QuietLaw) -> bool:
-        """Make a step without numpy and return True; False, with nothing changed, if the step is not quiet."""
-        t, x, flags, spans = state
-        kept = self._kept
-        if flags or spans or self._record is not None or t != self.t + 1 or kept is None:
+    def answer_quietly(self, message: bytes) -> list[bytes] | None:
+        """Return the answer to a state message: one link message per entry of `audience`, and the input message.
+
+        Return None, with nothing changed, if the step is not quiet: then decode the message and call `answer`.
+        """
+        quiet = self._quiet
+        if quiet is None or not quiet.holds or (x := self._forms.states(message, self.t + 1)) is None:
+            return None
+        if not self._step_quietly(x, quiet):
+            return None
+        return self._forms.pack(self.t, x, quiet.u, quiet.report)
+
+    def _step_quietly(self, x: Sequence[float], quiet: QuietLaw) -> bool:
+        """Make the next step without numpy and return True; False, with nothing changed, if the step is not quiet."""
+        past = self.t
+        if self._record is not None:
             return False
-        if kept[0] is not self.x or kept[1] is not self.u:  # replay puts other inputs into a shard
+        links = [peer.mail.get(past) for peer in self.peers]
+        if None in links or (inputs := quiet.step(x, links, past)) is None:  # type: ignore[arg-type]  # none is None
             return False
-        links = []
-        for mail in self._mail:
-            if (link := mail.get(t - 1)) is None:
-                return False
-            links.append(link)
-        if (answer := quiet.step(x, links)) is None:
-            return False
-        for mail in self._mail:
-            del mail[t - 1]
-        self._samples.append_learned(answer.states, answer.inputs)
-        self._kept = self.x, self.u = x, np.frombuffer(answer.u)
-        self.report = np.frombuffer(answer.report).reshape(REPORT_ROWS, -1)
-        self.t, self.took = t, b""
+        for peer in self.peers:
+            del peer.mail[past]
+        self._samples.append_learned(quiet.states, inputs)
+        self.t, self.took, self._behind = past + 1, b"", True
         return True
+
+    def _settle(self, quiet: QuietLaw) -> None:
+        """Have the law and the arrays hold the newest numbers again."""
+        self._refresh()
+        quiet.settle()
+
+    def _refresh(self) -> None:
+        if self._behind and (quiet := self._quiet) is not None:
+            self._x, self._u = np.array(quiet.x), np.array(quiet.u)
+            self._report, self._behind = np.array(quiet.report).reshape(REPORT_ROWS, -1), False
+
+    @property
+    def x(self) -> Array:
+        """Return the states of the last step, (k,)."""
+        self._refresh()
+        return self._x
+
+    @property
+    def u(self) -> Array:
+        """Return the inputs of the last step, (k,)."""
+        self._refresh()
+        return self._u
+
+    @property
+    def report(self) -> Array:
+        """Return the law's report of the nodes at the last step, (REPORT_ROWS, k)."""
+        self._refresh()
+        return self._report
+
+    def replace_inputs(self, u: Array) -> None:
+        """Continue as if the inputs of the last step had been `u`, (k,)."""
+        if self._quiet is not None and self._quiet.holds:
+            self._settle(self._quiet)
+        self._u = u
 
     def _restore(self, record: Record) -> None:
         """Restore the memory of the nodes that come back from the record; keep the mail, because it may be for them."""
         back = record.back
-        for mail in self._mail:
-            for t in [t for t in mail if t < record.t - 1]:
-                del mail[t]
+        for peer in self.peers:
+            for t in [t for t in peer.mail if t < record.t - 1]:
+                del peer.mail[t]
         anew = self.t != record.t - 1
         if anew:
-            self.x, self.u = np.full(self.k, np.nan), np.full(self.k, np.nan)
+            self._x, self._u = np.full(self.k, np.nan), np.full(self.k, np.nan)
         self._samples.restore(record, anew)
-        self.x, self.u = self.x.copy(), self.u.copy()
+        self._x, self._u = self._x.copy(), self._u.copy()
         # A new process has received nothing from its neighbours yet.
         lost = np.ones(self.m, dtype=bool) if anew else back[self._row]
         self._now = self._now._replace(
@@ -208,30 +271,33 @@ class Shard:
             step=np.where(lost, -1, self._now.step),
         )
         if len(record.x):
-            self.x[back], self.u[back] = record.x[-1], record.u[-1]
+            self._x[back], self._u[back] = record.x[-1], record.u[-1]
         else:
-            self.x[back] = self.u[back] = np.nan
+            self._x[back] = self._u[back] = np.nan
 
     def _close(self, state: State, back: Mask | None) -> None:
         """Learn earlier samples that are now complete, then the sample of t - 1."""
         past = state.t - 1
-        links = [mail.pop(past, None) for mail in self._mail]
+        links = [peer.take(past) for peer in self.peers]
         if not state.flags and not state.spans and self._samples.complete and back is None:
             self.took = b""
             # The last row of each message is its newest; here it should be the only one.
-            last_rows = [link.u[-8 * n :] for link, n in zip(links, self.hears, strict=True) if link is not None]
-            inputs = gather([self.u, *last_rows]) if links else self.u
+            last_rows = [
+                link.u[-8 * peer.hears :] for link, peer in zip(links, self.peers, strict=True) if link is not None
+            ]
+            inputs = gather([self._u, *last_rows]) if links else self._u
             states = self._states(links)
             if self._asks and states is not None:
                 column = self._view.column
                 self._now = self._now._replace(
                     x=states[column], u=inputs[column], step=np.full(self.m, past, dtype=np.int64)
                 )
-            self._samples.take(past, self.x, inputs, state.x, states)
+            self._samples.take(past, self._x, inputs, state.x, states)
             return
         # The newest row of a link message is that of t - 1, unless the link is late.
         last_rows = [
-            _SILENCE * n if link is None else link.u[-8 * n :] for link, n in zip(links, self.hears, strict=True)
+            _SILENCE * peer.hears if link is None else link.u[-8 * peer.hears :]
+            for link, peer in zip(links, self.peers, strict=True)
         ]
         took = bytearray((state.flags or self._up).translate(_TAKEN_OF))
         late_rows: list[LateRows] = []
@@ -246,17 +312,20 @@ class Shard:
         for c, start, stop, *_ in late_rows:
             took[c] |= min(max(stop - start, 0), MOST_LATE) << LATE
         self.took = bytes(took)
-        inputs, states = gather([self.u, *last_rows]), self._states(links)
+        inputs, states = gather([self._u, *last_rows]), self._states(links)
         if self._asks and states is not None:
             self._note(past, states, inputs, late_rows)
-        self._samples.take_late(past, self.x, inputs, plain, state.x, late_rows, back, states)
+        self._samples.take_late(past, self._x, inputs, plain, state.x, late_rows, back, states)
 
     def _states(self, links: Sequence[Link | None]) -> Array | None:
         """Return our own states followed by the peers' states of the same step, for a law that asks; otherwise None."""
         if not (self._asks or self._samples.asks):
             return None
-        rows = [_SILENCE * n if link is None else link.x[-8 * n :] for link, n in zip(links, self.hears, strict=True)]
-        return gather([self.x, *rows])
+        rows = [
+            _SILENCE * peer.hears if link is None else link.x[-8 * peer.hears :]
+            for link, peer in zip(links, self.peers, strict=True)
+        ]
+        return gather([self._x, *rows])
 
     def _note(self, past: int, states: Array, inputs: Array, late_rows: Sequence[LateRows]) -> None:
         """Keep the newest values that have arrived over each incidence, late rows included.
@@ -282,11 +351,11 @@ class Shard:
 
     def _came(self, c: int, links: Sequence[Link | None], start: int, stop: int) -> LateRows:
         """Return the rows of steps start to stop - 1 that arrived over an incidence."""
-        if (p := self._peer_of.get(c)) is None or (link := links[p]) is None:
+        if (peer := self._peer_of.get(c)) is None or (link := links[self.peers.index(peer)]) is None:
             return LateRows(c, start, stop)
-        start, place = max(start, link.first), self._view.column[c] - self._columns[p].start
+        start, place = max(start, link.first), self._view.column[c] - peer.start
         inputs, states = (
-            gather([rows]).reshape(-1, self.hears[p])[start - link.first : stop - link.first, place]
+            gather([rows]).reshape(-1, peer.hears)[start - link.first : stop - link.first, place]
             for rows in (link.u, link.x)
         )
         return LateRows(c, start, start + len(inputs), inputs, states)
@@ -296,14 +365,14 @@ class Shard:
             now = [self._now.at(t)] if self._asks else []
             given = self._law.act(x, *now)
             u = np.array(given, dtype=float)  # copy: the shard keeps it, and the law may reuse its array
-            self.report = np.asarray(self._law.report(), dtype=float)
+            self._report = np.asarray(self._law.report(), dtype=float)
         except Exception as error:
             raise self._raised("act", error) from error
         if u.shape != (self.k,) or not all_finite(u):
             u = self._without_blind(x, u)
-        if self.report.shape != (REPORT_ROWS, self.k):
-            raise self._failed("report", f"has the shape {self.report.shape}, and not {(REPORT_ROWS, self.k)}")
-        self.t, self.x, self.u = t, x, u
+        if self._report.shape != (REPORT_ROWS, self.k):
+            raise self._failed("report", f"has the shape {self._report.shape}, and not {(REPORT_ROWS, self.k)}")
+        self.t, self._x, self._u = t, x, u
         return u
 
     def _without_blind(self, x: Array, u: Array) -> Array:
@@ -326,7 +395,7 @@ class Shard:
         return LawError(where + said, method=method, node=nodes[0] if self.k == 1 else None)
 
     def _raised(self, method: str, error: Exception) -> LawError:
-        return self._failed(method, f"raised {crash.told(error)}", place_of(error, type(self._law)))
+        return self._failed(method, f"raised {crash.summary(error)}", place_of(error, type(self._law)))
 
     # Outgoing messages.
 
@@ -339,15 +408,15 @@ class Shard:
     def say(self, state: State) -> list[tuple[Sequence[int], Link]]:
         """Return the link messages of the step just answered, each with its receiving peers."""
         if not state.flags and not state.spans:
-            return self._say_now() if self._say else []
+            return self._say_now()
         flags, first, last = state.flags or self._up, {}, {}
         for c, _, _, late, count in state.spans:
             first[c], last[c] = self.t - late - count, self.t - late
         said: list[tuple[Sequence[int], Link]] = []
-        for p, incidences in enumerate(self._over):
-            if told := [c for c in incidences if flags[c] & Flag.TELL]:
+        for p, peer in enumerate(self.peers):
+            if told := [c for c in peer.incidences if flags[c] & Flag.TELL]:
                 begin, end = min(first.get(c, self.t) for c in told), max(last.get(c, self.t) for c in told)
-                said.append(([p], self._rows(p, begin, end)))
+                said.append(([p], self._rows(peer, begin, end)))
         return said
 
     def _say_now(self) -> list[tuple[Sequence[int], Link]]:
@@ -360,12 +429,12 @@ class Shard:
                 if nodes is None
                 else Link(t, t, x[nodes].tobytes(), u[nodes].tobytes()),
             )
-            for nodes, peers in self._audience
+            for nodes, peers in self.audience
         ]
 
-    def _rows(self, peer: int, first: int, last: int) -> Link:
+    def _rows(self, peer: Peer, first: int, last: int) -> Link:
         """Return a link message with the rows of steps first to last, as far as they are stored."""
-        nodes = self._say[peer]
+        nodes = peer.nodes
         x, u = (self.x, self.u) if nodes is None else (self.x[nodes], self.u[nodes])
         if first == last == self.t:
             return Link(self.t, first, x.tobytes(), u.tobytes())

@@ -58,7 +58,7 @@ def take_part(config: Config, endpoint: str, wait_s: float, credentials: Credent
 
     Raise HedgerowError if they do not come.
     """
-    view = standalone.told(config, View.from_dict)
+    view = standalone.part(config, View.from_dict)
     place = PlaceRequest(config, view.shard, wait_s)
     LOG.info("%s of %s: looking for %s", config.process, config.namespace, endpoint)
     agent = Agent(view, config.namespace, endpoint, Begin(place.take, wait_s), credentials)

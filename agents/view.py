@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hedgerow.topologies import archive
+from hedgerow.topologies.errors import Code, UserError
+from hedgerow.topologies.json_file import read_json
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -57,11 +59,11 @@ class View:
     history: int
     """number of past steps kept for back-filling; with 0, missed samples are never learned"""
     seed: int | NDArray[np.uint64] = 0
-    """for laws that draw numbers; a function of the seed of the run. For networks side by side: per node, (k,)"""
+    """the seed of laws that draw numbers, a function of the run's seed; for networks side by side: per node, (k,)"""
     weights: Array | None = None
     """per incidence: the weight of its edge, (m,); None if all are 1"""
     law_source: str = ""
-    """digest of the source of a law of the user's own, which the process compares with its own; empty for none"""
+    """the digest of a user's law; the process compares it with its own source. Empty for laws of the project."""
 
     @property
     def k(self) -> int:
@@ -69,7 +71,10 @@ class View:
         return len(self.ids)
 
     def write(self, path: Path) -> None:
-        """Write the view as the .npz file that `read` reads."""
+        """Write the view as the file that `read` reads: JSON if the name ends with .json, else .npz."""
+        if path.suffix == ".json":
+            path.write_text(self.to_json(), encoding="utf-8")
+            return
         settings: dict[str, Any] = {
             "shard": self.shard,
             "law": self.law,
@@ -99,6 +104,14 @@ class View:
     @classmethod
     def read(cls, path: Path) -> View:
         """Return the view stored in a file."""
+        if path.suffix == ".json":
+            told = read_json(path)
+            try:
+                return cls.from_dict(told)
+            except (KeyError, TypeError, ValueError, AttributeError) as error:
+                raise UserError(
+                    f"{path}: is not a local view: {type(error).__name__}. Start the run again.", code=Code.FILE_FORMAT
+                ) from None
         settings, arrays = archive.read(path)
         with archive.reading(path):
             shards, says, hears = arrays.pop("peers").T

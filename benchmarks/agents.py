@@ -8,6 +8,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 import psutil
 
@@ -24,8 +25,21 @@ def import_seconds(module: str) -> float:
     return min(took)
 
 
-def main() -> None:
-    """Run paper7 slowly, measure its agents, and print."""
+class Agents(NamedTuple):
+    """The agents of paper7 in seven processes."""
+
+    first: str
+    """the line of the first step"""
+    pss_mb: float
+    """the largest proportional set size"""
+    rss_mb: float
+    """the largest resident set size"""
+    libraries: set[tuple[str, ...]]
+    """the parts of the paths that one has mapped"""
+
+
+def measure() -> Agents:
+    """Run paper7 slowly and measure its agents."""
     with tempfile.TemporaryDirectory(prefix="hedgerow-") as scratch:
         folder = Path(scratch) / "run"
         command = [sys.executable, "-m", "hedgerow.orchestrator", "up", "paper7", "--steps", "100000", "--rate", "50"]
@@ -39,10 +53,18 @@ def main() -> None:
             memory = [agent.memory_full_info() for agent in agents]
             loaded = {Path(region.path).parts for region in agents[0].memory_maps() if region.path}
             up.terminate()
-    print(first.strip())
+            up.stdout.read()
     pss, rss = (max(getattr(each, kind) for each in memory) / 2**20 for kind in ("pss", "rss"))
-    print(f"an agent of {len(agents)}: PSS {pss:.1f} MB, RSS {rss:.1f} MB")
-    print(f"foreign libraries mapped: {[name for name in FOREIGN if any(name in parts for parts in loaded)] or 'none'}")
+    return Agents(first.strip(), pss, rss, loaded)
+
+
+def main() -> None:
+    """Print what an agent costs."""
+    agents = measure()
+    print(agents.first)
+    print(f"an agent of seven: PSS {agents.pss_mb:.1f} MB, RSS {agents.rss_mb:.1f} MB")
+    mapped = [name for name in FOREIGN if any(name in parts for parts in agents.libraries)]
+    print(f"foreign libraries mapped: {mapped or 'none'}")
     print(f"an interpreter that loads an agent's modules: {import_seconds('hedgerow.agents.process'):.2f} s")
 
 

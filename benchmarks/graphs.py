@@ -35,7 +35,7 @@ PICTURES = {
     "geometric": 400,
     "random_regular": 1000,
 }
-"""by kind: nodes"""
+"""by kind: the numbers of nodes"""
 SEED = 1
 
 

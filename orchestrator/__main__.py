@@ -90,7 +90,9 @@ def _failed_thread(found: threading.ExceptHookArgs) -> None:
     if found.exc_value is not None and not isinstance(found.exc_value, SystemExit) and len(_FAILED) < MOST_FILES:
         _FAILED.append(found.exc_value)
         with contextlib.suppress(Exception):
-            echo(f"error: a thread ended: {crash.told(found.exc_value)}; {crash.kept(found.exc_value)}", error=True)
+            echo(
+                f"error: a thread ended: {crash.summary(found.exc_value)}; {crash.record(found.exc_value)}", error=True
+            )
 
 
 def _settle_environment() -> None:

@@ -196,8 +196,8 @@ class Network(Mapping[str, Any]):
         found = self._imported
         if found is None or found.content is not self._content:
             content = {key: value for key, value in self._content.items() if key not in ("table", "table_nodes")}
-            kept = found or Imported(content)
-            found = Imported(content, self.arrays, kept.facts, kept.assumptions, kept.changes, kept.source)
+            origin = found or Imported(content)
+            found = Imported(content, self.arrays, origin.facts, origin.assumptions, origin.changes, origin.source)
         found.save(target, force)
         return target
 

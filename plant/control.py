@@ -62,7 +62,7 @@ class Control:
     def __init__(self, plant: Plant, session: zenoh.Session) -> None:
         self._plant = plant
         self._allowances: dict[str, Allowance] = {}
-        """by key"""
+        """the allowances by key"""
         self._refused: dict[str, set[str]] = {}
         """the causes that the observer has received, by place"""
         commands: dict[str, Callable[[Request], Reply]] = {

@@ -49,7 +49,7 @@ class Lots:
 
     def _words(self, kind: str, targets: Index) -> lots.Words:
         graph = self._graph
-        if kind in ("drop", "delay"):  # from the sending neighbour to the node
+        if kind in ("drop", "delay"):  # the direction is from the sending neighbour to the node
             ends = graph.neighbour[targets], graph.node[targets]
             return lots.pairs_of(*(self._nodes(end) for end in ends))
         if kind == "cut":

@@ -23,6 +23,7 @@ import zenoh
 from hedgerow.plant.allowance import TOKENS_AT_ONCE, TOKENS_PER_S, Allowance
 from hedgerow.plant.clock import RESEND_AFTER_S, Clock
 from hedgerow.plant.control import Control
+from hedgerow.plant.inputs import Inputs
 from hedgerow.plant.round_trips import Stopwatch
 from hedgerow.plant.shards import Shards
 from hedgerow.plant.truth import Truth
@@ -32,9 +33,7 @@ from hedgerow.topologies.paths import user_path
 from hedgerow.wire import keys
 from hedgerow.wire.child import run_child
 from hedgerow.wire.codec import (
-    REPORT_ROWS,
     End,
-    Input,
     Kind,
     decode_event,
     decode_input,
@@ -43,7 +42,6 @@ from hedgerow.wire.codec import (
     encode_event,
     encode_telemetry,
     encode_trips,
-    gather,
     kind_of,
     telemetry_bytes,
 )
@@ -111,7 +109,8 @@ class Plant:
         self._elapsed_s = 0.0
         self._stopwatch = Stopwatch(len(truth.shards))
         self._farewell = b""
-        self.changed = threading.Condition()
+        self._lock = threading.RLock()
+        self.changed = threading.Condition(self._lock)
 
         self._session = session
         self._telemetry = publisher(session, keys.TELEMETRY)
@@ -121,12 +120,7 @@ class Plant:
         self._token_allowances = [Allowance(TOKENS_PER_S, TOKENS_AT_ONCE) for _ in self.shards.all]
         self._late_tokens: dict[int, tuple[int, bool]] = {}
         """by shard: the newest change of its tokens above the rate limit, which is processed later"""
-        nothing = (np.full(len(one.nodes), np.nan).tobytes() for one in self.shards.all)
-        self._silence = [
-            Input(-1, nan, nan, nan, bytes(one.incidences)) for one, nan in zip(self.shards.all, nothing, strict=True)
-        ]
-        self._inputs = list(self._silence)
-        """Per shard: its input message of this step."""
+        self._inputs = Inputs([len(one.nodes) for one in self.shards.all], [one.incidences for one in self.shards.all])
         self._receivers = [
             *(
                 Receiver(session, keys.input_(p), functools.partial(self._take_input, p))
@@ -204,7 +198,7 @@ class Plant:
         if self.shards.deserted:
             return
         world.begin()
-        self._inputs = list(self._silence)
+        self._inputs.begin(world.t)
         self.shards.prepare()
         self.clock.held = True
         self._release()
@@ -293,14 +287,12 @@ class Plant:
 
     def _advance(self) -> None:
         """Act on the complete inputs of t, start t + 1, and only then read the rest of the messages and report t."""
-        inputs = self._inputs
-        self.world.advance(gather([one.u for one in inputs]))
+        self.world.advance(self._inputs.u())
         self._elapsed_s = time.monotonic() - self.clock.began
         tell = self._stopwatch.end_step()
         self._prepare()
         # The states of t + 1 are on their way, and the agents compute meanwhile.
-        report = gather([*[one.ahat for one in inputs], *[one.margin for one in inputs]]).reshape(REPORT_ROWS, -1)
-        row = self.world.account(report, [one.took for one in inputs])
+        row = self.world.account(*self._inputs.rest())
         if self.running:
             self.world.look_ahead()
         self._send_row(*encode_telemetry(row, self.world.whole))
@@ -351,24 +343,25 @@ class Plant:
     # Incoming messages: each method below takes the lock.
 
     def _take_input(self, p: int, message: bytes) -> None:
-        with self.changed:
-            shard = self.shards.all[p]
-            if self.over and kind_of(message) == Kind.EVENT:
+        with self._lock:  # `with` of the condition costs three times as much
+            shard, missing = self.shards.all[p], self.shards.missing
+            if p in missing and self.running:
+                if self._inputs.take(p, message):
+                    shard.returning = False
+                    self._stopwatch.now[p] = time.monotonic() - self.clock.sent_at
+                    missing.discard(p)
+                    if not missing:
+                        self._go_on()
+            elif self.over and kind_of(message) == Kind.EVENT:
                 most = WORD_BYTES + WORD_BYTES_PER_INCIDENCE * shard.incidences
                 shard.word = shard.word or decode_event(message, most)
                 shard.state.put(self._farewell)
                 self.changed.notify_all()
-                return
-            arrived = decode_input(message, len(shard.nodes), shard.incidences)
-            if shard.fault is not None:
-                shard.back = True
-                self.changed.notify_all()
-            elif arrived.t == self.world.t and p in self.shards.missing and self.running:
-                self._inputs[p], shard.returning = arrived, False
-                self._stopwatch.now[p] = time.monotonic() - self.clock.sent_at
-                self.shards.missing.discard(p)
-                if not self.shards.missing:
-                    self._go_on()
+            else:
+                decode_input(message, len(shard.nodes), shard.incidences)
+                if shard.fault is not None:
+                    shard.back = True
+                    self.changed.notify_all()
 
     def _take_seen(self, message: bytes) -> None:
         with self.changed:

@@ -41,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         return config
 
     def body(config: Config, endpoint: str, credentials: Path | None) -> None:
-        truth = standalone.told(config, Truth.from_dict)
+        truth = standalone.part(config, Truth.from_dict)
         with contextlib.ExitStack() as stack:
             if known.listen:
                 session = open_router(known.listen, config.namespace, credentials)

@@ -81,7 +81,7 @@ def test_check_loads_the_law_when_it_is_asked_to(here: Path) -> None:
     assert "law nowhere.at_all:Law: cannot be loaded: ModuleNotFoundError" in done.stderr
 
 
-# ---- files that are no files, or not ours to read
+# ---- files that are not regular, or not ours to read
 
 
 def test_a_loop_of_links_and_a_broken_link_are_reported(here: Path) -> None:

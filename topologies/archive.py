@@ -20,7 +20,7 @@ NodeId = int | str
 Arrays = dict[str, Any]
 _SETTINGS = "settings"
 _MIXED = "ids"
-"""in the settings: arrays of ids that include names, or integers beyond 64 bits"""
+"""the key in the settings for arrays of ids that include names, or integers beyond 64 bits"""
 
 
 def id_array(ids: Sequence[NodeId]) -> NDArray[Any]:

@@ -134,7 +134,7 @@ class Problem:
     cure: str = ""
     code: Code = Code.TOPOLOGY
     column: int = 0
-    """from 1; 0 if unknown"""
+    """the column, from 1; 0 if unknown"""
     origin: str = ""
     """the option that the value comes from, such as `--set b=-1`; empty for a value of the file"""
 
@@ -175,7 +175,7 @@ class Problems:
     """lines of a message"""
 
     def __init__(self, problems: Iterable[Problem] = ()) -> None:
-        self._kept: dict[Problem, None] = {}
+        self._problems: dict[Problem, None] = {}
         self._counts: dict[tuple[str, str, str, str], int] = {}
         self._others = 0
         """the number of mistakes of further kinds; `_counts` is full"""
@@ -183,7 +183,7 @@ class Problems:
 
     def append(self, problem: Problem) -> None:
         """Add a mistake, once."""
-        if problem in self._kept:
+        if problem in self._problems:
             return
         if (kind := problem.kind) in self._counts:
             self._counts[kind] += 1
@@ -193,8 +193,8 @@ class Problems:
             self._others += 1
             return
         # Keep room for the first mistake of each later kind: a message names every kind by its first mistake.
-        if self._counts[kind] == 1 or len(self._kept) < self.KEPT:
-            self._kept[problem] = None
+        if self._counts[kind] == 1 or len(self._problems) < self.KEPT:
+            self._problems[problem] = None
 
     def count_more(self, like: Problem) -> None:
         """Count one more mistake of the same kind as `like`, which was appended before."""
@@ -218,7 +218,7 @@ class Problems:
             self.append(problem)
 
     def __iter__(self) -> Iterator[Problem]:
-        return iter(self._kept)
+        return iter(self._problems)
 
     def __len__(self) -> int:
         return sum(self._counts.values()) + self._others
@@ -226,7 +226,7 @@ class Problems:
     def lines(self, source: str) -> list[str]:
         """Return the message: a line for each kind of mistake, or for each mistake if few are equal; at most 20."""
         grouped: dict[tuple[str, str, str, str], list[Problem]] = {}
-        for problem in sorted(self._kept, key=_in_order):
+        for problem in sorted(self._problems, key=_in_order):
             grouped.setdefault(problem.kind, []).append(problem)
         lines: list[tuple[Problem, str, int]] = []
         for kind, found in grouped.items():

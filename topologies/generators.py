@@ -111,7 +111,7 @@ class Generator(Model):
         """Return edges in any order, with either end first; `edges` removes loops and repeated edges."""
         raise NotImplementedError
 
-    def _kept(self, pairs: Index) -> Index:
+    def _within_degree(self, pairs: Index) -> Index:
         """Return the edges that are among the first `max_degree` of both their ends."""
         if self.max_degree is None:
             return pairs
@@ -120,8 +120,8 @@ class Generator(Model):
         first = np.searchsorted(ends[order], np.arange(self.nodes))
         rank = np.empty_like(ends)
         rank[order] = np.arange(len(ends)) - first[ends[order]]
-        kept: Index = pairs[(rank < self.max_degree).reshape(-1, 2).all(axis=1)]
-        return kept
+        good: Index = pairs[(rank < self.max_degree).reshape(-1, 2).all(axis=1)]
+        return good
 
 
 def _keys(pairs: Index, n: int) -> Index:
@@ -144,9 +144,9 @@ def _repeats(key: Index) -> Index:
 
 def _first_of_each(pairs: Index, n: int) -> Index:
     """Without loops, and of repeated edges the first, in the order given."""
-    kept = pairs[:, 0] != pairs[:, 1]
-    kept[_repeats(_keys(pairs, n))] = False
-    found: Index = pairs[kept]
+    good = pairs[:, 0] != pairs[:, 1]
+    good[_repeats(_keys(pairs, n))] = False
+    found: Index = pairs[good]
     return found
 
 
@@ -336,10 +336,10 @@ class SmallWorld(Generator):
         i = np.tile(np.arange(self.nodes), self.nearest // 2)
         far = (i + np.repeat(np.arange(1, self.nearest // 2 + 1), self.nodes)) % self.nodes
         moved = stream.random(len(i)) < self.rewire
-        anywhere = stream.integers(self.nodes, size=len(i))
-        pairs = np.stack([i, np.where(moved, anywhere, far)], axis=1)
+        uniform = stream.integers(self.nodes, size=len(i))
+        pairs = np.stack([i, np.where(moved, uniform, far)], axis=1)
         # The edges of the ring come first: a drawn edge must not replace them.
-        return self._kept(_first_of_each(pairs[moved.argsort(kind="stable")], self.nodes))
+        return self._within_degree(_first_of_each(pairs[moved.argsort(kind="stable")], self.nodes))
 
 
 class ScaleFree(Generator):
@@ -363,7 +363,7 @@ class ScaleFree(Generator):
         while len(open_ := np.flatnonzero(drawn % 2)):
             drawn[open_] = drawn[drawn[open_] // 2]
         other = np.where(drawn >= 0, new[drawn // 2], 0)
-        return self._kept(_first_of_each(np.stack([other, new], axis=1), self.nodes))
+        return self._within_degree(_first_of_each(np.stack([other, new], axis=1), self.nodes))
 
 
 class Geometric(Generator):
@@ -389,7 +389,7 @@ class Geometric(Generator):
         if self.max_degree is None:
             return pairs
         squared = ((places[pairs[:, 0]] - places[pairs[:, 1]]) ** 2).sum(axis=1)
-        return self._kept(pairs[np.lexsort((pairs[:, 1], pairs[:, 0], squared))])
+        return self._within_degree(pairs[np.lexsort((pairs[:, 1], pairs[:, 0], squared))])
 
 
 GENERATORS: dict[str, type[Generator]] = {

@@ -338,28 +338,28 @@ _NO_FAULT = {"kind": "crash", "process": 0, "at": 0}
 
 
 def _without(value: dict[str, Any], found: Iterable[ErrorDetails]) -> dict[str, Any]:
-    kept = dict(value)
+    valid = dict(value)
     if "nodes" in value:
-        kept["nodes"] = {node: dict(own) if isinstance(own, dict) else {} for node, own in value["nodes"].items()}
+        valid["nodes"] = {node: dict(own) if isinstance(own, dict) else {} for node, own in value["nodes"].items()}
     if isinstance(value.get("defaults"), dict):
-        kept["defaults"] = dict(value["defaults"])
+        valid["defaults"] = dict(value["defaults"])
     wrong: dict[str, set[int]] = {"edges": set(), "faults": set()}
     for details in found:
         match details["loc"]:
-            case ("nodes", node, field, *_) if isinstance(kept["nodes"].get(node), dict) and field != "[key]":
-                kept["nodes"][node].pop(field, None)
+            case ("nodes", node, field, *_) if isinstance(valid["nodes"].get(node), dict) and field != "[key]":
+                valid["nodes"][node].pop(field, None)
             case ("nodes", node, *_):
-                kept["nodes"].pop(node, None)
-            case ("defaults", field, *_) if isinstance(kept.get("defaults"), dict):
-                kept["defaults"].pop(field, None)
+                valid["nodes"].pop(node, None)
+            case ("defaults", field, *_) if isinstance(valid.get("defaults"), dict):
+                valid["defaults"].pop(field, None)
             case ("edges" | "faults" as key, int(k), *_):
                 wrong[key].add(k)
             case (key, *_):
-                kept.pop(str(key), None)
-    if wrong["edges"] and "edges" in kept:
-        kept["edges"] = [edge for k, edge in enumerate(value["edges"]) if k not in wrong["edges"]]
-    if wrong["faults"] and "faults" in kept:
-        kept["faults"] = [_NO_FAULT if k in wrong["faults"] else fault for k, fault in enumerate(value["faults"])]
+                valid.pop(str(key), None)
+    if wrong["edges"] and "edges" in valid:
+        valid["edges"] = [edge for k, edge in enumerate(value["edges"]) if k not in wrong["edges"]]
+    if wrong["faults"] and "faults" in valid:
+        valid["faults"] = [_NO_FAULT if k in wrong["faults"] else fault for k, fault in enumerate(value["faults"])]
     for key, stand_in in _STAND_INS.items():
-        kept.setdefault(key, stand_in)
-    return kept
+        valid.setdefault(key, stand_in)
+    return valid

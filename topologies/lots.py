@@ -180,7 +180,7 @@ def _horner(r: Array, coefficients: Iterable[float]) -> Array:
 
 _ROOT, _LOG_2 = 0.7071067811865476, 0.6931471805599453
 _ARTANH = tuple(1 / k for k in range(23, 0, -2))
-"""of s^2, for |s| < 0.172, where the next term is below 1e-17 of the sum"""
+"""the coefficients in s^2, for |s| < 0.172, where the next term is below 1e-17 of the sum"""
 _CENTRE = (
     (
         *(2.5090809287301226727e3, 3.3430575583588128105e4, 6.7265770927008700853e4, 4.5921953931549871457e4),

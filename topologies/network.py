@@ -39,7 +39,7 @@ class Group:
     nodes: Index
     """positions of the nodes, ascending, (k,)"""
     values: Mapping[str, NDArray[Any]]
-    """by parameter, (k,); of samples (k, T)"""
+    """the values by parameter, (k,); of samples (k, T)"""
 
 
 @dataclass(frozen=True, eq=False)

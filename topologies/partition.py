@@ -64,12 +64,12 @@ def _levelled(graph: Graph, home: Index, processes: int) -> Index:
     room[np.argsort(-size, kind="stable")[:more]] += 1
     for p in np.flatnonzero(size > room).tolist():
         inside = home[graph.neighbour] == home[graph.node]
-        kept = np.bincount(graph.node, inside, graph.n)
+        inner = np.bincount(graph.node, inside, graph.n)
         short = np.flatnonzero(size < room)
         # Prefer nodes with an edge to a part that has room, and few edges within their own.
         towards = np.bincount(graph.node, np.isin(home[graph.neighbour], short), graph.n)
         own = np.flatnonzero(home == p)
-        moved = own[np.lexsort((own, (kept - towards)[own]))][: size[p] - room[p]]
+        moved = own[np.lexsort((own, (inner - towards)[own]))][: size[p] - room[p]]
         for node in moved.tolist():
             near = home[graph.neighbour[graph.first[node] : graph.first[node + 1]]]
             open_ = np.flatnonzero(size < room)

@@ -29,7 +29,7 @@ _INT = re.compile(r"[-+]?[0-9]+\Z")
 _WHOLE_POWER = re.compile(r"[-+]?[0-9]{1,18}[eE]\+?(?:[0-9]|1[0-8])\Z")
 """a whole number with an exponent, such as 1e3"""
 _DEEPER = re.compile(r"nest|depth|recursion", re.IGNORECASE)
-"""in the error of a parser that bounds the depth itself"""
+"""words in the error of a parser that bounds the depth itself"""
 FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?\Z")
 _WORDS: dict[str, Any] = {
     **dict.fromkeys(("", "~", "null", "Null", "NULL")),

@@ -118,7 +118,7 @@ def _run(body: Callable[[], None], logged: bool, ends: Collection[signal.Signals
             if logged:
                 with contextlib.suppress(Exception):
                     logging.error("unexpected", exc_info=error)
-            _say(f"this is a defect of hedgerow: {crash.told(error)}" if logged else crash.report(error))
+            _say(f"this is a defect of hedgerow: {crash.summary(error)}" if logged else crash.report(error))
     return code
 
 

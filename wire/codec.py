@@ -26,10 +26,13 @@ REPORT_ROWS = 2
 _HEADER = struct.Struct("<BBHIq")
 """version, kind, 0, number of nodes, step"""
 
-_SIZE = _HEADER.size
+HEADER_BYTES = _SIZE = _HEADER.size
 _F8 = np.dtype("<f8")
 _U1 = np.dtype("u1")
 _STEP = struct.Struct("<q")
+_SHORT = struct.Struct("<Qq")
+_SHORT_LINK = struct.Struct("<Qqq")
+"""the same headers, with all before the step as one number, which `_code` gives"""
 _SPAN = struct.Struct("<IIIII")
 _LINK_HEADER = struct.Struct(_HEADER.format + "q")
 """the same, and the first step"""
@@ -79,6 +82,7 @@ LATE, MOST_LATE = 2, 63
 # that. So the messages of every step use neither.
 _STATE, _INPUT, _LINK, _TELEMETRY = map(int, (Kind.STATE, Kind.INPUT, Kind.LINK, Kind.TELEMETRY))
 _new = tuple.__new__
+_LINK_CODE = VERSION | _LINK << 8
 
 
 class MessageError(HedgerowError):
@@ -195,6 +199,28 @@ def _pack(kind: int, n: int, t: int, *arrays: Buffer) -> bytes:
     return join((_HEADER.pack(VERSION, kind, 0, n, t), *arrays))
 
 
+def _code(kind: int, n: int) -> int:
+    """Return version, kind and number of nodes of a header as the one number that these eight bytes are."""
+    return VERSION | kind << 8 | n << 32
+
+
+class Form:
+    """A message of floats alone, for a process that handles short ones without numpy.
+
+    `pack(code, t, *values)` gives its bytes and `unpack` takes them apart; a link message has its first step behind t.
+    """
+
+    def __init__(self, kind: Kind, n: int, numbers: int) -> None:
+        self.code = _code(kind, n)
+        self._struct = struct.Struct(f"{_SHORT_LINK.format if kind == Kind.LINK else _SHORT.format}{numbers}d")
+        self.size, self.pack, self.unpack = self._struct.size, self._struct.pack, self._struct.unpack
+
+
+def header(kind: int, n: int, t: int) -> bytes:
+    """Return the first HEADER_BYTES of a message of n nodes at step t."""
+    return _HEADER.pack(VERSION, kind, 0, n, t)
+
+
 def _length(part: Buffer) -> int:
     return len(part) if isinstance(part, bytes) else part.nbytes
 
@@ -256,10 +282,12 @@ def encode_state(t: int, x: Buffer, flags: Buffer, spans: Sequence[Span] = ()) -
 
 def encode_quiet_states(t: int, x: Array, sizes: Iterable[int]) -> list[bytes]:
     """Return the State messages of all shards, of `sizes` nodes each; each carries x alone, and all flags are set."""
-    whole, pack, start, messages = x.tobytes(), _HEADER.pack, 0, list[bytes]()
+    whole, start, messages, last, head = x.tobytes(), 0, list[bytes](), -1, b""
     for k in sizes:
+        if k != last:
+            last, head = k, header(_STATE, k, t)
         stop = start + 8 * k
-        messages.append(pack(VERSION, _STATE, 0, k, t) + whole[start:stop])
+        messages.append(head + whole[start:stop])
         start = stop
     return messages
 
@@ -267,6 +295,10 @@ def encode_quiet_states(t: int, x: Array, sizes: Iterable[int]) -> list[bytes]:
 def decode_state(message: bytes, k: int, m: int) -> State:
     """Return the State of k nodes and m incidences."""
     end = _SIZE + 8 * k
+    if len(message) == end:
+        code, t = _SHORT.unpack_from(message)
+        if code == _code(_STATE, k) and t >= 0:
+            return _new(State, (t, np.frombuffer(message, _F8, k, _SIZE), b"", ()))
     if len(message) in (end, end + m):
         t = _open(message, _STATE, k, len(message) - _SIZE)
         return _new(State, (t, np.frombuffer(message, _F8, k, _SIZE), message[end:], ()))
@@ -318,6 +350,15 @@ def decode_input(message: bytes, k: int, m: int) -> Input:
     t = _open(message, _INPUT, k, numbers if len(message) == _SIZE + numbers else numbers + m)
     u, ahat, margin, took = _SIZE, _SIZE + size, _SIZE + 2 * size, _SIZE + 3 * size
     return _new(Input, (t, whole[u:ahat], whole[ahat:margin], whole[margin:took], whole[took:]))
+
+
+def link_step(message: bytes, n: int) -> int:
+    """Return the step of a Link message of n nodes; raise MessageError, as `decode_link` does, if it is malformed."""
+    if len(message) == _SIZE + 8 + 16 * n:
+        code, t, first = _SHORT_LINK.unpack_from(message)
+        if code == _LINK_CODE | n << 32 and t == first >= 0:
+            return t  # type: ignore[no-any-return]
+    return decode_link(message, n).t
 
 
 def encode_link(link: Link, n: int) -> bytes:

@@ -29,28 +29,28 @@ class Config:
     """a Zenoh endpoint"""
     network: str
     """the fingerprint of the network, the same in all its processes"""
-    told: dict[str, Any]
+    part: dict[str, Any]
     """hedgerow.agents.view.View or plant.truth.Truth, as its `to_dict` writes it"""
     credentials: str = ""
     """the folder of its keys, relative to the text, if the network is secure"""
 
     def to_toml(self) -> str:
         """Return the text that `parse` reads."""
-        head = {key: value for key, value in asdict(self).items() if key != "told" and value}
-        return toml.dumps(head | self.told)
+        head = {key: value for key, value in asdict(self).items() if key != "part" and value}
+        return toml.dumps(head | self.part)
 
     @classmethod
     def parse(cls, text: str, source: str) -> Config:
         """Return the config in a text; raise UserError, which names `source`, if something is missing."""
-        told = toml.loads(text, source)
-        head = {key: told.pop(key, None) for key in ("process", "namespace", "router", "network")}
+        part = toml.loads(text, source)
+        head = {key: part.pop(key, None) for key in ("process", "namespace", "router", "network")}
         missing = [key for key, value in head.items() if not isinstance(value, str)]
         if missing:
             raise UserError(
                 f"{source}: lacks {', '.join(missing)}; use the file that `orchestrator bundle` wrote",
                 code=Code.FILE_FORMAT,
             )
-        return cls(**head, credentials=str(told.pop("credentials", "")), told=told)
+        return cls(**head, credentials=str(part.pop("credentials", "")), part=part)
 
 
 def find(path: Path | None, otherwise: str) -> Config:

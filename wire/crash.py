@@ -9,7 +9,7 @@ import traceback
 from pathlib import Path
 
 
-def told(error: BaseException) -> str:
+def summary(error: BaseException) -> str:
     """Return one line about an unexpected exception."""
     words = " ".join(str(error).split())
     return f"{type(error).__name__}: {words[:200]}" if words else type(error).__name__
@@ -17,10 +17,10 @@ def told(error: BaseException) -> str:
 
 def report(error: BaseException, log: Path | None = None) -> str:
     """Write the traceback to `log`, or to a new file if that fails; return one line that names the file."""
-    return f"this is a defect of hedgerow: {told(error)}; {kept(error, log)}"
+    return f"this is a defect of hedgerow: {summary(error)}; {record(error, log)}"
 
 
-def kept(error: BaseException, log: Path | None = None) -> str:
+def record(error: BaseException, log: Path | None = None) -> str:
     """Write the traceback to `log`, or to a new file if that fails; return where it is."""
     file = _written("".join(traceback.format_exception(error)), log)
     return f"the traceback is in {file}" if file is not None else f"no file can be written; it was at {_place(error)}"

@@ -16,9 +16,9 @@ from hedgerow.topologies.errors import Code, HedgerowError
 class _Limit:
     what: str
     option: str
-    """of the shell's `ulimit`"""
+    """the option of the shell's `ulimit`"""
     number: int
-    """of the system's getrlimit"""
+    """the number of the limit for getrlimit"""
     unit: int = 1
     cure: str = ""
 

@@ -13,7 +13,7 @@ LONG_BYTES = 2**14
 """The size of a long message. The send buffer of Zenoh holds a few messages of 64 kB."""
 _M_TRIM_THRESHOLD, _M_MMAP_MAX, _M_ARENA_MAX = -1, -4, -8
 _RUNTIME = "ZENOH_RUNTIME"
-_KEPT = threading.local()
+KEPT = threading.local()
 """Python drops this with its other data about the thread."""
 _DUTIES = ("rx", "tx", "app", "net", "acc")
 
@@ -66,8 +66,8 @@ def keep_thread() -> None:
     Without this, Python would create and free that data for every message, which takes a quarter of the loop's time
     (docs/performance.md). Zenoh may change to another thread, so every message calls this.
     """
-    if not hasattr(_KEPT, "here"):
-        _KEPT.here = True
+    if not hasattr(KEPT, "here"):
+        KEPT.here = True
         ctypes.pythonapi.PyGILState_Ensure()
 
 

@@ -22,7 +22,7 @@ from hedgerow.topologies.json_file import read_json
 from hedgerow.wire.codec import MessageError
 from hedgerow.wire.credentials import Credentials, router_tls
 from hedgerow.wire.limits import limit_in, limits_now
-from hedgerow.wire.runtime import keep_thread
+from hedgerow.wire.runtime import KEPT, keep_thread
 
 LOG = logging.getLogger("wire")
 MAX_SESSIONS = 100_000
@@ -349,29 +349,39 @@ class Receiver:
         self.key, self.heard, self.refused = key, 0, 0
         self.strange: dict[str, int] = {}
         """the number of messages by unexpected keys; such a key contains a `*`, which no process of a run uses"""
-        self._take = take
-        self._declared = session.declare_subscriber(key, direct(self._on_sample))
+        own = zenoh.KeyExpr(key)
+
+        def on_sample(sample: zenoh.Sample) -> None:
+            # One function for what every message needs: a call more costs as much as the copy of a payload.
+            if not hasattr(KEPT, "here"):
+                keep_thread()
+            if sample.key_expr != own:
+                self._refuse_key(str(sample.key_expr))
+                return
+            try:
+                take(sample.payload.to_bytes())
+            except MessageError as error:
+                self._refuse(error)
+            else:
+                self.heard += 1
+
+        self._declared = session.declare_subscriber(key, zenoh.handlers.Callback(on_sample, indirect=False))
 
     def close(self) -> None:
         """Stop receiving messages."""
         with contextlib.suppress(zenoh.ZError):  # the session may be closed
             self._declared.undeclare()  # type: ignore[no-untyped-call]
 
-    def _on_sample(self, sample: zenoh.Sample) -> None:
-        if (key := str(sample.key_expr)) != self.key:
-            if not self.strange:
-                LOG.warning("%s: refused: a message on %s, which is no key of the run", self.key, key)
-            if key in self.strange or len(self.strange) < STRANGE_KEYS:
-                self.strange[key] = self.strange.get(key, 0) + 1
-            return
-        try:
-            self._take(sample.payload.to_bytes())
-        except MessageError as error:
-            self.refused += 1
-            if self.refused == 1:
-                LOG.warning("%s: refused: %s", self.key, error)
-        else:
-            self.heard += 1
+    def _refuse_key(self, key: str) -> None:
+        if not self.strange:
+            LOG.warning("%s: refused: a message on %s, which is no key of the run", self.key, key)
+        if key in self.strange or len(self.strange) < STRANGE_KEYS:
+            self.strange[key] = self.strange.get(key, 0) + 1
+
+    def _refuse(self, error: MessageError) -> None:
+        self.refused += 1
+        if self.refused == 1:
+            LOG.warning("%s: refused: %s", self.key, error)
 
 
 def counts(senders: Iterable[Sender], receivers: Iterable[Receiver]) -> dict[str, dict[str, int]]:

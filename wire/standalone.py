@@ -82,10 +82,10 @@ def main(
     run_alone(whole)
 
 
-def told(config: Config, read: Callable[[dict[str, Any]], Any]) -> Any:
+def part(config: Config, read: Callable[[dict[str, Any]], Any]) -> Any:
     """Return the process's part of the network, as `read` builds it from the config; raise UserError if it cannot."""
     try:
-        return read(config.told)
+        return read(config.part)
     except (LookupError, TypeError, ValueError, ArithmeticError, AttributeError) as error:
         problem = f"{type(error).__name__}: {error}"
         raise UserError(
@@ -94,9 +94,9 @@ def told(config: Config, read: Callable[[dict[str, Any]], Any]) -> Any:
         ) from None
 
 
-def token(process: str, told: dict[str, Any]) -> str:
+def token(process: str, part: dict[str, Any]) -> str:
     """Return the name of a process in liveliness tokens."""
-    return keys.PLANT if process == keys.PLANT else keys.shard_name(int(told["shard"]))
+    return keys.PLANT if process == keys.PLANT else keys.shard_name(int(part["shard"]))
 
 
 def wait_for(session: zenoh.Session, name: str, within_s: float) -> None:
@@ -115,7 +115,7 @@ def wait_for(session: zenoh.Session, name: str, within_s: float) -> None:
 
 
 def _check(config: Config, endpoint: str, credentials: Path | None) -> None:
-    name = told(config, lambda known: token(config.process, known))
+    name = part(config, lambda known: token(config.process, known))
     session = open_client(endpoint, config.namespace, credentials, CHECK_S)
     try:
         wait_for(session, name, CHECK_S)

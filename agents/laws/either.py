@@ -30,7 +30,7 @@ class Either(Listed):
     def __init__(self, b: Gain, candidates: Array, *, ratio: float = 0.1) -> None:
         if not ratio >= 0:
             raise ValueError(f"ratio {ratio} is below 0")
-        self._ratio = ratio
+        self.ratio = ratio
         m = len(candidates)
         # J of (7), then the memory of the notch.
         super().__init__(b, candidates, more=3 * m + LAGS)
@@ -48,7 +48,7 @@ class Either(Listed):
 
     def _choose(self) -> None:
         J, notch = self._memory[: self.m], self._memory[self.m : 2 * self.m]
-        trust = notch.min(axis=0) < self._ratio * J.min(axis=0)
+        trust = notch.min(axis=0) < self.ratio * J.min(axis=0)
         scores = np.where(trust, notch, J)
         self.ahat[:] = self.candidates[scores.argmin(axis=0), self._nodes]
         if self.m > 1:

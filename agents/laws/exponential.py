@@ -12,10 +12,10 @@ from hedgerow.agents.law import Array
 
 LEAST = -708.0
 """Below it, the result is 0: it would be a subnormal number."""
-_PER_LOG_2 = 1.4426950408889634
-_LOG_2_HIGH, _LOG_2_LOW = 0.6931471803691238, 1.9082149292705877e-10
+PER_LOG_2 = 1.4426950408889634
+LOG_2_HIGH, LOG_2_LOW = 0.6931471803691238, 1.9082149292705877e-10
 """log 2 in two parts; the first has so few digits that its product with a whole number below 1024 is exact"""
-_SERIES = (
+SERIES = (
     *(1 / 6227020800, 1 / 479001600, 1 / 39916800, 1 / 3628800, 1 / 362880, 1 / 40320, 1 / 5040),
     *(1 / 720, 1 / 120, 1 / 24, 1 / 6, 0.5, 1.0, 1.0),
 )
@@ -26,11 +26,11 @@ def exp(x: Array) -> Array:
     """Return e^x of x <= 0, of any shape, to about 2e-16 of it; 0 where x < -708, -inf included."""
     tiny = x < LEAST
     x = np.where(tiny, 0.0, x)
-    k = np.floor(x * _PER_LOG_2 + 0.5)
-    r = x - k * _LOG_2_HIGH
-    r -= k * _LOG_2_LOW
-    total = np.full_like(r, _SERIES[0])
-    for coefficient in _SERIES[1:]:
+    k = np.floor(x * PER_LOG_2 + 0.5)
+    r = x - k * LOG_2_HIGH
+    r -= k * LOG_2_LOW
+    total = np.full_like(r, SERIES[0])
+    for coefficient in SERIES[1:]:
         total *= r
         total += coefficient
     found: Array = np.ldexp(total, k.astype(np.int32))

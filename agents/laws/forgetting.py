@@ -25,7 +25,7 @@ class Forgetting(Listed):
     def __init__(self, b: Gain, candidates: Array, *, decay: float = 0.98) -> None:
         if not 0 < decay <= 1:
             raise ValueError(f"decay {decay} is not in (0, 1]")
-        self._decay = decay
+        self.decay = decay
         super().__init__(b, candidates)
 
     def update(self, memory: Array, candidates: Array, x: Array, y: Array, t: int) -> None:  # noqa: ARG002
@@ -33,5 +33,5 @@ class Forgetting(Listed):
         residual = candidates * x
         residual -= y
         residual *= residual
-        memory *= self._decay
+        memory *= self.decay
         memory += residual

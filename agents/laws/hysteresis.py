@@ -28,7 +28,7 @@ class Hysteresis(Listed):
     def __init__(self, b: Gain, candidates: Array, *, h: float = 0.5) -> None:
         if not h >= 0:
             raise ValueError(f"h {h} is below 0")
-        self._h = h
+        self.h = h
         super().__init__(b, candidates, more=1)  # the index of the model that is kept
 
     def update(self, memory: Array, candidates: Array, x: Array, y: Array, t: int) -> None:  # noqa: ARG002
@@ -39,7 +39,7 @@ class Hysteresis(Listed):
         J, kept = memory[:-1], memory[-1]
         J += residual
         best, nodes = J.argmin(axis=0), np.arange(len(kept))
-        switch = (1.0 + self._h) * J[best, nodes] <= J[kept.astype(np.int64), nodes]
+        switch = (1.0 + self.h) * J[best, nodes] <= J[kept.astype(np.int64), nodes]
         kept[switch] = best[switch]
 
     def _choose(self) -> None:

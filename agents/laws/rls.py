@@ -27,8 +27,8 @@ class RLS:
         if not eps > 0:
             raise ValueError(f"eps {eps} is not above 0")
         self.b = b
-        self._low, self._high = np.nanmin(candidates, axis=0), np.nanmax(candidates, axis=0)
-        middle = 0.5 * (self._low + self._high)
+        self.low, self.high = np.nanmin(candidates, axis=0), np.nanmax(candidates, axis=0)
+        middle = 0.5 * (self.low + self.high)
         self._report = np.full((2, candidates.shape[1]), np.nan)
         self.memory = np.stack([np.full_like(middle, eps), middle])
 
@@ -43,7 +43,7 @@ class RLS:
         self._clip()
 
     def _clip(self) -> None:
-        np.clip(self._memory[1], self._low, self._high, out=self._report[0])
+        np.clip(self._memory[1], self.low, self.high, out=self._report[0])
 
     def act(self, x: Array) -> Array:
         """Return the inputs of equation (6)."""

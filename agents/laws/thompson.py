@@ -28,21 +28,21 @@ class Thompson(Listed):
     equation: ClassVar[str] = "ahat = a_m with probability pi_m, drawn per (seed, node, step)"
 
     def __init__(self, b: Gain, candidates: Array, *, local: Local, sigma: float = 0.5) -> None:
-        self._sigma, self._local = checked(sigma), local
+        self.sigma, self.local = checked(sigma), local
         self._last = (~np.isnan(candidates)).sum(axis=0) - 1
         super().__init__(b, candidates)
         self.ahat[:], self.margin[:] = self.candidates[0], np.nan
 
     def _choose(self) -> None:
         """Sum up the weights; `act` draws."""
-        pi = weights(self._memory, self._sigma)
+        pi = weights(self._memory, self.sigma)
         for m in range(1, self.m):  # row by row, in list order: no layout changes the sums
             pi[m] += pi[m - 1]
         self._sums = pi
 
     def act(self, x: Array, now: Heard) -> Array:  # type: ignore[override]  # a law that asks
         """Return the inputs of equation (6) on the candidates drawn for this step."""
-        drawn = self._local.draw(now.t, "thompson") * self._sums[-1]
+        drawn = self.local.draw(now.t, "thompson") * self._sums[-1]
         place = np.minimum((self._sums <= drawn).sum(axis=0), self._last)
         self.ahat[:] = self.candidates[place, self._nodes]
         return control(self.b, x, self.ahat)

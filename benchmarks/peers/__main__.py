@@ -28,6 +28,8 @@ def main() -> None:
     done = PEERS[known.name].run(Network.read(known.network), known.steps)
     np.savez(known.folder / "trajectory.npz", x=done.x, u=done.u)
     numbers = {"steps_per_s": done.steps_per_s, "first_step_s": done.first_step_s, "pss_mb": done.pss_mb}
+    used = [[*thread, *numbers] for thread, numbers in done.used.items()]
+    (known.folder / "used.json").write_text(json.dumps(used), encoding="utf-8")
     (known.folder / "done.json").write_text(json.dumps(numbers), encoding="utf-8")
 
 

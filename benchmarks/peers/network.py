@@ -11,13 +11,14 @@ import os
 import struct
 import time
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.peers.cpu import Usage, between, used_by
 from benchmarks.peers.memory import pss_of
 from hedgerow.agents.law import Minimax
 from hedgerow.plant.disturbance import Disturbance
@@ -35,6 +36,8 @@ MESSAGE = struct.Struct("<iqdd")
 """sender, t, x, u: a state (u = 0), an input, or a message to a neighbour"""
 BEGAN = "HEDGEROW_BENCHMARK_BEGAN"
 """the environment variable with the start time of the command, monotonic"""
+COUNT_CPU = "HEDGEROW_BENCHMARK_CPU"
+"""the environment variable that asks for `Done.used`"""
 
 
 @dataclass(frozen=True)
@@ -84,6 +87,8 @@ class Done:
     """(steps + 1, n)"""
     u: Array
     """(steps, n)"""
+    used: Usage = field(default_factory=dict)
+    """by every thread, in the last four fifths of the steps, if COUNT_CPU asks for it"""
 
 
 class Agent:
@@ -143,6 +148,7 @@ class Plant:
         self._disturbance = Disturbance(groups_of(network.disturbance, steps), range(len(network)), network.seed)
         self._xs, self._us = [self.x], np.zeros((steps, len(network)))
         self._first = self._last = 0.0
+        self._used: Usage = {}
 
     def step(self, u: Sequence[float] | Array) -> bool:
         """Make the step from t to t + 1 under u(t), (n,), equation (1); return True if there is another step."""
@@ -155,14 +161,18 @@ class Plant:
         self._last = time.monotonic()
         if self.t == 1:
             self._first = self._last
+        if COUNT_CPU in os.environ and self.t == self.steps // 5:
+            self._used = used_by(os.getpid())
         return self.t < self.steps
 
     def done(self, root: int | None = None) -> Done:
         """Return the results, while all processes, those below `root` [this process], still exist."""
+        used = between(self._used, used_by(root or os.getpid())) if COUNT_CPU in os.environ else {}
         return Done(
             steps_per_s=(self.t - 1) / (self._last - self._first),
             first_step_s=self._first - float(os.environ[BEGAN]),
             pss_mb=pss_of(root or os.getpid()),
             x=np.array(self._xs),
             u=self._us,
+            used=used,
         )

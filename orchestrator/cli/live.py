@@ -193,9 +193,9 @@ def rate(
     return _clock(run, as_json, lambda live: live.rate(per_second), f"{fast} from step {{}}")
 
 
-def _clock(run: str | None, as_json: bool, ask: Callable[[Live], int], said: str) -> int:
-    def told(live: Live) -> tuple[str, dict[str, Any]]:
+def _clock(run: str | None, as_json: bool, ask: Callable[[Live], int], sentence: str) -> int:
+    def step_of(live: Live) -> tuple[str, dict[str, Any]]:
         at = ask(live)
-        return said.format(at), {"step": at}
+        return sentence.format(at), {"step": at}
 
-    return _with(run, as_json, told)
+    return _with(run, as_json, step_of)

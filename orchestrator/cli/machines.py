@@ -50,7 +50,8 @@ def bundle(
     from hedgerow.orchestrator.deploy.bundle import write, write_secure  # noqa: PLC0415
     from hedgerow.orchestrator.ground.assignment import layout, places, views_of  # noqa: PLC0415
     from hedgerow.orchestrator.launch.certificates import LIFE_DAYS  # noqa: PLC0415
-    from hedgerow.orchestrator.launch.external_agents import configs, namespace_of  # noqa: PLC0415
+    from hedgerow.orchestrator.launch.endpoints import namespace_of  # noqa: PLC0415
+    from hedgerow.orchestrator.launch.external_agents import configs  # noqa: PLC0415
     from hedgerow.orchestrator.runs.folder import whole_folder  # noqa: PLC0415
     from hedgerow.wire.session import check_endpoint, check_namespace  # noqa: PLC0415
 
@@ -59,18 +60,18 @@ def bundle(
     _refuse_days(topology.secure, days)
     router = router or f"{'tls' if topology.secure else 'tcp'}/localhost:7447"
     check_endpoint(router)
-    meet = namespace_of(topology) if namespace is None else namespace
+    meet = namespace_of(topology.name) if namespace is None else namespace
     check_namespace(meet)
-    told = configs(topology, shards, router, meet)
+    parts = configs(topology, shards, router, meet)
     try:
         if topology.secure:
-            write_secure(out, topology, told, places(views_of(topology, shards)), days or LIFE_DAYS)
+            write_secure(out, topology, parts, places(views_of(topology, shards)), days or LIFE_DAYS)
         else:
             with whole_folder(out, f"--out {out}") as part:
-                write(part, topology, told)
+                write(part, topology, parts)
     except OSError as error:
         raise UserError(f"--out {out}: {error.strerror}; choose another folder", code=Code.OUTPUT) from None
-    echo(f"{out}: {len(told)} processes; {out / 'README.md'} explains the start")
+    echo(f"{out}: {len(parts)} processes; {out / 'README.md'} explains the start")
     return 0
 
 
@@ -118,13 +119,13 @@ def compose(
     from hedgerow.orchestrator.deploy.kubernetes import MOST_MAP_BYTES, to_kubernetes  # noqa: PLC0415
     from hedgerow.orchestrator.ground.assignment import layout, places, views_of  # noqa: PLC0415
     from hedgerow.orchestrator.launch.certificates import write_private  # noqa: PLC0415
-    from hedgerow.orchestrator.launch.external_agents import namespace_of  # noqa: PLC0415
+    from hedgerow.orchestrator.launch.endpoints import namespace_of  # noqa: PLC0415
     from hedgerow.wire.session import check_namespace  # noqa: PLC0415
 
     check_options(rate=rate)
     topology = read(file, sets, steps=steps, seed=seed, law=law, processes=processes, secure=secure)
     shards = layout(topology, topology.process_count)
-    meet, docker, folder = namespace_of(topology) if namespace is None else namespace, form is Format.COMPOSE, None
+    meet, docker, folder = namespace_of(topology.name) if namespace is None else namespace, form is Format.COMPOSE, None
     check_namespace(meet)
     beside = out.parent if out else Path()
     _refuse_days(topology.secure, days)

@@ -247,9 +247,10 @@ def _elsewhere(
                 code=Code.OPTION,
             )
         return None
-    from hedgerow.orchestrator.launch.external_agents import chosen, namespace_of  # noqa: PLC0415
+    from hedgerow.orchestrator.launch.endpoints import namespace_of  # noqa: PLC0415
+    from hedgerow.orchestrator.launch.external_agents import chosen  # noqa: PLC0415
 
-    meet = namespace or namespace_of(topology)
+    meet = namespace or namespace_of(topology.name)
     return chosen(external, topology, shards, router, listen, meet, wait or 600.0)
 
 
@@ -265,13 +266,13 @@ def _check_cluster(on: str, external: str | None) -> None:
 def _introduce(topology: Topology, processes: int, folder: RunFolder, display: Screen) -> None:
     """Print the size of the network, the run folder, and the rows that are recorded."""
     from hedgerow.orchestrator.metrics.summary import count  # noqa: PLC0415
-    from hedgerow.orchestrator.runs.selection import told  # noqa: PLC0415
+    from hedgerow.orchestrator.runs.selection import notes  # noqa: PLC0415
 
     what = f"{count(len(topology.ids), 'node')} in {count(processes, 'process', 'es')}, {topology.steps} steps"
     display.say(f"{topology.name}: {what}, run {folder.name}")
     if folder.note:
         display.say(folder.note)
-    for line in told(topology):
+    for line in notes(topology):
         display.say(line)
 
 
@@ -308,14 +309,14 @@ def simulate(
     from hedgerow.orchestrator.launch.recording import Watching  # noqa: PLC0415
     from hedgerow.orchestrator.launch.simulation import simulate_into  # noqa: PLC0415
     from hedgerow.orchestrator.runs import folder as folders  # noqa: PLC0415
-    from hedgerow.orchestrator.runs.selection import told  # noqa: PLC0415
+    from hedgerow.orchestrator.runs.selection import notes  # noqa: PLC0415
     from hedgerow.orchestrator.views.screen import screen  # noqa: PLC0415
 
     topology = importable(read(file, sets, steps=steps, seed=seed, law=law), file, kept_law)
     viewer = _viewer(viewer)
     folder = folders.create(topology, run_dir)
     with contextlib.closing(screen(topology, as_json, plain, quiet, watched=viewer != "none")) as display:
-        for line in filter(None, [folder.note, *told(topology)]):
+        for line in filter(None, [folder.note, *notes(topology)]):
             display.say(line)
         watching = Watching(record, viewer, split_recording)
         begin = functools.partial(simulate_into, topology, folder, layout(topology, 1), watching, display)

@@ -125,8 +125,8 @@ def _write_rest(
     source = source_of(topology.law)
     source.write(folder)
     (folder / "topology.yaml").write_text(to_yaml(topology), encoding="utf-8")
-    told = [f"{config.process}{ending}" for config in configs if config.process != keys.PLANT]
-    agents = [f"$ {command(['hedgerow-agent', '--config', name])}" for name in told]
+    agent_files = [f"{config.process}{ending}" for config in configs if config.process != keys.PLANT]
+    agents = [f"$ {command(['hedgerow-agent', '--config', name])}" for name in agent_files]
     shown = agents[:20] + ([f"... and {len(agents) - 20} more"] if len(agents) > 20 else [])
     text = readme.format(
         name=topology.name,

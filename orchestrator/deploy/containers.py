@@ -168,8 +168,8 @@ def containers(
         raise UserError(
             f"--registry {registry}: is no prefix of an image. Write HOST[:PORT]/PATH in lower case.", code=Code.OPTION
         )
-    told = configs(topology, shards, SECURE_ROUTER if folder else f"tcp/router:{ROUTER_PORT}", namespace)
-    homes = [one.process for one in told]
+    processes = configs(topology, shards, SECURE_ROUTER if folder else f"tcp/router:{ROUTER_PORT}", namespace)
+    homes = [one.process for one in processes]
     if folder is not None:
         rules = (folder / ROUTER / CONFIGURATION).stat().st_size
         if rules > MOST_SECRET_BYTES:
@@ -178,10 +178,10 @@ def containers(
                 " use fewer --processes, or `orchestrator bundle --secure`",
                 code=Code.TOPOLOGY,
             )
-        told = [replace(one, credentials=f"{KEYS}/{one.process}") for one in told]
-    told = [_named(one) for one in told]
+        processes = [replace(one, credentials=f"{KEYS}/{one.process}") for one in processes]
+    processes = [_named(one) for one in processes]
     size, largest = max(
-        [(len(one.to_toml().encode()), one.process) for one in told] + [(len(to_yaml(topology)), "file")]
+        [(len(one.to_toml().encode()), one.process) for one in processes] + [(len(to_yaml(topology)), "file")]
     )
     if size > most_bytes:
         raise UserError(
@@ -192,16 +192,16 @@ def containers(
     law = source_of(topology.law)
     if (size := sum(map(len, law.files.values()))) > MOST_SECRET_BYTES:
         raise UserError(
-            f"law {topology.law}: its source has {size} bytes, and a container takes at most {MOST_SECRET_BYTES}. Use"
-            " `orchestrator bundle`, whose files can be of any size.",
+            f"law {topology.law}: its source has {size} bytes, and a container accepts at most {MOST_SECRET_BYTES}. Use"
+            " `orchestrator bundle`, with files of any size.",
             code=Code.LAW,
         )
-    services = dict(zip(homes, (one.process for one in told), strict=True))
-    return Containers(topology, told, rate, services, folder, registry.rstrip("/"), law)
+    services = dict(zip(homes, (one.process for one in processes), strict=True))
+    return Containers(topology, processes, rate, services, folder, registry.rstrip("/"), law)
 
 
 def _named(config: Config) -> Config:
     """Return the same config under a name that every engine accepts: lower case, without dots and underscores."""
     if re.fullmatch(r"[a-z0-9]([-a-z0-9]*[a-z0-9])?", config.process):
         return config
-    return replace(config, process=keys.shard_name(config.told["shard"]))
+    return replace(config, process=keys.shard_name(config.part["shard"]))

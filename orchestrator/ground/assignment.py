@@ -83,10 +83,10 @@ def candidates_of(topology: Topology) -> Array:
 
 
 def law_seed(topology: Topology, seed: int | None = None) -> int:
-    """Return the seed of the laws: a function of the seed of the run, from which the truth cannot be found.
+    """Return the seed of the laws: a function of the seed of the run that does not reveal the truth.
 
-    `seed` stands for that of the topology if it is given. It is 0 for the laws of the paper, which draw nothing: an
-    agent is given what its law may need, and no more.
+    `seed` replaces that of the topology if it is given. The result is 0 for the laws of the paper, which draw nothing:
+    an agent receives only what its law may need.
     """
     if topology.law in LAWS:
         return 0

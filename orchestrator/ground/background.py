@@ -7,9 +7,9 @@ import os
 import sys
 import threading
 import time
-from collections import deque
 from collections.abc import Callable
 
+from hedgerow.orchestrator.ground.bounded_queue import BoundedQueue
 from hedgerow.topologies.errors import DeadlineError
 
 Job = Callable[[], None]
@@ -17,7 +17,7 @@ Job = Callable[[], None]
 WAITING, WAITING_BYTES = 4, 2**27
 """Limits on the number and size of waiting jobs, at least one; a caller with one more waits."""
 CHECK_S = 0.2
-"""The time between two checks of a waiting caller for a stalled job [s]."""
+"""The time between two checks of a waiting caller whether a job stalls."""
 NICE = 3
 """Half of the share of other threads. A lower priority would delay a thread that waits for Python's lock."""
 
@@ -25,81 +25,58 @@ NICE = 3
 class BackgroundThread:
     """A thread that does jobs in the order of their arrival.
 
-    After an error no job is done any more, and `failed` has been called with it, on this thread. A job that takes
-    longer than `stalls_s` is such an error, of which the caller that waits for it calls `failed`.
+    The first error ends the jobs: `failed` is called with it once, on this thread. A job that takes longer than
+    `stalls_s` is such an error, a DeadlineError; the caller that waits for the job then calls `failed`.
     """
 
     def __init__(self, name: str, failed: Callable[[BaseException], object], stalls_s: float | None = None) -> None:
-        self._jobs: deque[tuple[Job | None, int]] = deque()
-        self._bytes = 0
-        self._changed = threading.Condition()
+        self._jobs: BoundedQueue[Job] = BoundedQueue(WAITING, WAITING_BYTES)
         self._failed = failed
-        self._over = self._stalled = self._ended = False
+        self._over = self._stalled = False
+        self._lock = threading.Lock()
         self._name, self._stalls_s = name, stalls_s
         self._began: float | None = None
-        """when the job that is done now began"""
+        """the time when the current job began"""
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         self._thread.start()
 
     def do(self, job: Job, size: int = 0) -> None:
         """Queue a job that needs this memory [bytes]."""
-        self._put(job, size)
+        while not self._over and not self._jobs.put(job, size, CHECK_S):
+            self._check()
 
     def close(self) -> None:
-        """Return when all is done, or a job has stalled."""
-        self._put(None, 0)
-        self._wait_for(lambda: self._ended)
+        """Wait until all jobs are done, or one has stalled."""
+        self._jobs.close()
+        while self._thread.is_alive() and not self._stalled:
+            self._thread.join(CHECK_S)
+            self._check()
 
-    def _wait_for(self, is_true: Callable[[], bool]) -> None:
-        """Wait until `is_true`, or until a job has stalled: a job that never returns must not hold the caller."""
-        while True:
-            with self._changed:
-                if self._stalled or self._changed.wait_for(is_true, CHECK_S):
-                    return
-                took = time.monotonic() - (self._began or time.monotonic())
-                if self._stalls_s is None or took <= self._stalls_s:
-                    continue
-                self._stalled = True
-                told, self._over = self._over, True
-            if not told:
-                self._failed(DeadlineError(f"{self._name} did not answer for {took:.0f} s"))
+    def _check(self) -> None:
+        """End the jobs if the current one stalls: a job that never returns must not hold the caller."""
+        began = self._began
+        if self._stalls_s is None or began is None or (took := time.monotonic() - began) <= self._stalls_s:
+            return
+        self._stalled = True
+        self._end(DeadlineError(f"{self._name} did not answer for {took:.0f} s"))
 
-    def _put(self, job: Job | None, size: int) -> None:
-        def room() -> bool:
-            return not self._jobs or (len(self._jobs) < WAITING and self._bytes + size <= WAITING_BYTES)
-
-        self._wait_for(room)
-        with self._changed:
-            if self._over and job is not None:
-                return  # it would never be done
-            self._jobs.append((job, size))
-            self._bytes += size
-            self._changed.notify_all()
-
-    def _take(self) -> Job | None:
-        with self._changed:
-            self._changed.wait_for(lambda: self._jobs)
-            job, size = self._jobs.popleft()
-            self._bytes -= size
-            self._began = time.monotonic()
-            self._changed.notify_all()
-        return job
+    def _end(self, error: BaseException) -> None:
+        with self._lock:
+            over, self._over = self._over, True
+        if not over:
+            self._failed(error)
 
     def _run(self) -> None:
-        if sys.platform == "linux":  # elsewhere all threads of a process are as nice
+        if sys.platform == "linux":  # on other systems, all threads of a process have one priority
             with contextlib.suppress(OSError):  # a container may forbid it
                 os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
                 os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICE)
-        while (job := self._take()) is not None:
-            if not self._over:
-                try:
-                    job()
-                except BaseException as error:  # a panic of a Rust library is no Exception
-                    with self._changed:
-                        told, self._over = self._over, True
-                    if not told:  # else a caller has called `failed`
-                        self._failed(error)
+        while (taken := self._jobs.take()) is not None:
+            if self._over:
+                continue
+            self._began = time.monotonic()
+            try:
+                taken[0]()
+            except BaseException as error:  # a panic of a Rust library is not an Exception
+                self._end(error)
             self._began = None
-        with self._changed:
-            self._ended = True
-            self._changed.notify_all()

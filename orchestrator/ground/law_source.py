@@ -1,4 +1,4 @@
-"""The source of a law of a run: loaded again after an edit, and compared with the copy that a run kept."""
+"""The source of a run's law: loaded again after an edit, and compared with the copy in the run folder."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def refresh(law: str) -> None:
     known = [one for one in user_files(module) if one.module in sys.modules] if module is not None else []
     stale = {one.module for one in known if _changed(one.file)}
     while more := {one.module for one in known if one.module not in stale and stale.intersection(one.uses)}:
-        stale |= more  # a module keeps what it imported from another one, until it is loaded again
+        stale |= more  # a module holds its imports until it is loaded again
     with _compiled_anew():
         for one in [one for one in reversed(known) if one.module in stale]:  # a module after those that it uses
             try:
@@ -52,7 +52,7 @@ def refresh(law: str) -> None:
 def _compiled_anew() -> Iterator[None]:
     """Load modules from their source, never from a .pyc file, for as long as the context lasts.
 
-    A .pyc file counts as fresh if the second and the size of its source are the same: it would hide a quick edit.
+    A .pyc file counts as fresh if the second and the size of its source are the same: it would hide a fast edit.
     """
     before = sys.pycache_prefix, sys.dont_write_bytecode
     sys.pycache_prefix, sys.dont_write_bytecode = os.devnull, True
@@ -63,7 +63,9 @@ def _compiled_anew() -> Iterator[None]:
 
 
 def differs(law: str, kept: Path) -> str:
-    """Return in one line that a law is not the one that a run kept in a folder; empty if it is, or none is kept."""
+    """Return in one line that a law differs from the copy in the folder of a run; empty if they are equal, or without a
+    copy.
+    """
     there = LawSource.read(kept)
     if not there.files:
         return ""
@@ -103,7 +105,7 @@ def kept_law(folder: Path) -> Iterator[None]:
 def use_kept(folder: Path) -> Sequence[str]:
     """Load laws from the copy in the folder of a run from now on, here and in processes that begin.
 
-    Return the names of the modules of the copy. Raises UserError if the folder keeps no law that can be imported.
+    Return the names of the modules of the copy. Raise UserError if the folder has no law that can be imported.
     """
     there = LawSource.read(folder)
     if not there.files or "__main__.py" in there.files:

@@ -124,8 +124,8 @@ def for_this_run(folder: Path, places: Sequence[Place], namespace: str, host: st
     try:
         authority.issue(folder / ROUTER, ROUTER, host=host)
         most = LEAST_BYTES + BYTES_PER_INCIDENCE * sum(place.incidences for place in places)
-        kept = rules(places, namespace, plant_is_client=False, request_bytes=most)
-        write_private(folder / ROUTER / ACCESS, json.dumps(kept).encode())
+        access_rules = rules(places, namespace, plant_is_client=False, request_bytes=most)
+        write_private(folder / ROUTER / ACCESS, json.dumps(access_rules).encode())
         # The plant is the router itself, so no client may connect under its name.
         for name in rights(places).keys() - {keys.PLANT}:
             authority.issue(folder / name, name)
@@ -153,12 +153,12 @@ def to_carry(
     host = host_of(endpoint)
     _check_host(host, endpoint)
     granted = rights(places)
-    kept = rules(places, namespace, plant_is_client=True)
+    access_rules = rules(places, namespace, plant_is_client=True)
     until = authority.until.isoformat(timespec="seconds")
-    settings = {"endpoint": endpoint, "namespace": namespace, "rules": _digest(kept), "until": until}
+    settings = {"endpoint": endpoint, "namespace": namespace, "rules": _digest(access_rules), "until": until}
     port = endpoint.rpartition(":")[2]
     # The certificate of the router is beside the file, because the router starts in that folder.
-    configuration = base_settings() | router_settings(f"tls/0.0.0.0:{port}", Path(), kept)
+    configuration = base_settings() | router_settings(f"tls/0.0.0.0:{port}", Path(), access_rules)
     said = f"// zenohd -c {CONFIGURATION}, in this folder\n{json.dumps(nested(configuration), indent=1)}\n"
     try:
         with whole_folder(folder, str(folder), 0o700) as part:
@@ -167,7 +167,7 @@ def to_carry(
                 write_private(part / name / SETTINGS, (json.dumps(settings, indent=1) + "\n").encode())
             authority.issue(part / ROUTER, ROUTER, host=host)
             write_private(part / ROUTER / CONFIGURATION, said.encode())
-            write_private(part / ROUTER / ACCESS, json.dumps(kept).encode())
+            write_private(part / ROUTER / ACCESS, json.dumps(access_rules).encode())
             more(part)
     except OSError as error:
         raise UserError(f"{folder}: {error.strerror}; choose another folder", code=Code.OUTPUT) from None
@@ -206,9 +206,9 @@ def carried(folder: Path, places: Sequence[Place]) -> tuple[str, str]:
     return endpoint, namespace
 
 
-def _digest(kept: object) -> str:
+def _digest(access_rules: object) -> str:
     """Return the fingerprint of a router's rules."""
-    return hashlib.sha256(json.dumps(kept).encode()).hexdigest()[:16]
+    return hashlib.sha256(json.dumps(access_rules).encode()).hexdigest()[:16]
 
 
 def host_of(endpoint: str, option: str = "--router") -> str:

@@ -72,7 +72,7 @@ class Connection:
 
 def wire(folder: RunFolder, secure: bool, router: str | None, keys: Path | None, places: Sequence[Place]) -> Connection:
     """Return the connection of a run, over its own router or an existing one; raise UserError as `check` does."""
-    namespace = namespace_of(folder.name)
+    namespace = namespace_of_run(folder.name)
     if not secure:
         if router is not None:
             return Connection(router, namespace, listens=False)
@@ -143,6 +143,11 @@ def meeting_place(
     return router if listen else router or endpoint, made_for
 
 
-def namespace_of(run: str) -> str:
-    """Return a new namespace for the keys of a run: two runs with one name never share a namespace."""
-    return f"hedgerow/{chunk(run)}-{secrets.token_hex(4)}"
+def namespace_of(network: str) -> str:
+    """Return the namespace of a network whose processes start separately, and so know no run."""
+    return f"hedgerow/{chunk(network)}"
+
+
+def namespace_of_run(run: str) -> str:
+    """Return a new namespace for one run; another run of the same name gets another one."""
+    return f"{namespace_of(run)}-{secrets.token_hex(4)}"

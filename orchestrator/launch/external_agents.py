@@ -28,7 +28,6 @@ from hedgerow.wire import keys
 from hedgerow.wire.access import OBSERVER
 from hedgerow.wire.config import Config
 from hedgerow.wire.handshake import introduction
-from hedgerow.wire.refusal import refused
 from hedgerow.wire.session import WireError, direct
 
 PLANT_GONE_S = 30.0
@@ -69,11 +68,6 @@ class External:
 
     def __str__(self) -> str:
         return ", ".join(self.names)
-
-
-def namespace_of(topology: Topology) -> str:
-    """Return the default namespace of a network, for processes without an option for it."""
-    return f"hedgerow/{topology.name}"
 
 
 def fingerprint(topology: Topology) -> str:
@@ -146,10 +140,10 @@ def local(endpoint: str, here: str = "127.0.0.1") -> str:
 def configs(topology: Topology, shards: Layout, router: str, namespace: str) -> list[Config]:
     """Return the config of each process, the plant first; see `orchestrator bundle`."""
     network = fingerprint(topology)
-    told = {keys.PLANT: truth_of(topology, shards).to_dict()}
+    parts = {keys.PLANT: truth_of(topology, shards).to_dict()}
     views = views_of(topology, shards, source_digest(topology.law))
-    told |= {process_name(view): view.to_dict() for view in views}
-    return [Config(name, namespace, router, network, one) for name, one in told.items()]
+    parts |= {process_name(view): view.to_dict() for view in views}
+    return [Config(name, namespace, router, network, one) for name, one in parts.items()]
 
 
 class Meeting:
@@ -194,6 +188,8 @@ class Meeting:
         """Return the new refusals of our plant's router, each cause once."""
         if not self._log.exists():
             return []
+        from hedgerow.wire.refusal import refused  # noqa: PLC0415  # ssl delays the first step
+
         with open_regular(self._log) as log:
             log.seek(self._read)
             # Strangers can make the router write any amount: read the rest next time.

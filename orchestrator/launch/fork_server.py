@@ -23,6 +23,7 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
+import hedgerow.agents.laws.minimax  # most agents need it, and a fork shares it
 import hedgerow.agents.process
 import hedgerow.plant.process
 from hedgerow.topologies.errors import Exit
@@ -67,26 +68,26 @@ def main() -> None:
                 return
             *lines, heard = (heard + more).split(b"\n")
             for line in lines:
-                told = json.loads(line)
-                if "leave" in told:
-                    leave = told["leave"]
+                request = json.loads(line)
+                if "leave" in request:
+                    leave = request["leave"]
                     continue
                 try:
                     pid = os.fork()
                 except OSError as error:
-                    _fail(told, error)
+                    _fail(request, error)
                     continue
                 if pid == 0:
-                    _become(told, lifeline)
-                names[pid] = told["name"]
-                _say(name=told["name"], pid=pid)
+                    _become(request, lifeline)
+                names[pid] = request["name"]
+                _say(name=request["name"], pid=pid)
 
 
-def _fail(told: dict[str, Any], error: OSError) -> None:
+def _fail(request: dict[str, Any], error: OSError) -> None:
     """Report a process that could not be forked as one that ended at once, with the cause in its log."""
-    with contextlib.suppress(OSError), open(told["log"], "a", encoding="utf-8") as log:
+    with contextlib.suppress(OSError), open(request["log"], "a", encoding="utf-8") as log:
         log.write(f"{ERROR_PREFIX}{limit_reached(error) or error}\n")
-    _say(name=told["name"], code=int(Exit.UNKNOWN))
+    _say(name=request["name"], code=int(Exit.UNKNOWN))
 
 
 def _end(pids: Iterable[int], leave: Sequence[str]) -> None:
@@ -112,7 +113,7 @@ def _say(**what: Any) -> None:
         os.write(1, json.dumps(what).encode() + b"\n")
 
 
-def _become(told: dict[str, Any], lifeline: int) -> NoReturn:
+def _become(request: dict[str, Any], lifeline: int) -> NoReturn:
     """Set up the child: a new session, a log, the lifeline as standard input; then run the program and exit."""
     signal.set_wakeup_fd(-1)
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # the fork server handles it
@@ -120,13 +121,13 @@ def _become(told: dict[str, Any], lifeline: int) -> NoReturn:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     share_the_cores()
     os.setsid()  # the parent handles a Ctrl-C in the terminal
-    log = os.open(told["log"], os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+    log = os.open(request["log"], os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
     for descriptor, source in ((0, lifeline), (1, log), (2, log)):
         os.dup2(source, descriptor)
     os.closerange(3, 256)
     with contextlib.suppress(OSError):  # with /proc, `ps` and `top` show this name
-        Path("/proc/self/comm").write_text(told["name"], encoding="utf-8")
-    PROGRAMS[told["module"]](told["arguments"])
+        Path("/proc/self/comm").write_text(request["name"], encoding="utf-8")
+    PROGRAMS[request["module"]](request["arguments"])
 
 
 def whole() -> NoReturn:

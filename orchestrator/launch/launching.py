@@ -127,10 +127,10 @@ class Launch:
             if external.plant:
                 meeting.introduce()
         if external is not None and self._options.ray is not None:
-            told = configs(self._topology, self._shards, self._options.ray.endpoint, connection.namespace)
+            elsewhere = configs(self._topology, self._shards, self._options.ray.endpoint, connection.namespace)
             fleet = Fleet(self._options.ray, self._folder, self._wake, self._screen.say)
-            own = [Credentials.read(where) if (where := connection.of(one.process)) else None for one in told[1:]]
-            stack.enter_context(fleet.placed([*zip(told[1:], own, strict=True)], external.wait_s))
+            own = [Credentials.read(where) if (where := connection.of(one.process)) else None for one in elsewhere[1:]]
+            stack.enter_context(fleet.placed([*zip(elsewhere[1:], own, strict=True)], external.wait_s))
         self._folder.event(
             "start", engine="zenoh", endpoint=connection.endpoint, namespace=connection.namespace, pids=pids
         )

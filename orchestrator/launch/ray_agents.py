@@ -117,7 +117,7 @@ class _Placed:
     """its `run` has returned"""
     last: bool = False
     """it had ended before the last request: after that answer its log is complete"""
-    told: bool = False
+    known: bool = False
     """that answer has arrived"""
 
 
@@ -143,7 +143,7 @@ class Fleet:
         return self.down[0] if self.down else ""
 
     @contextlib.contextmanager
-    def placed(self, told: Sequence[tuple[Config, Credentials | None]], wait_s: float) -> Iterator[None]:
+    def placed(self, known: Sequence[tuple[Config, Credentials | None]], wait_s: float) -> Iterator[None]:
         """Run agents with these configs, and with credentials in a secure network, while the block lasts."""
         seat = self._ray.remote(RemoteAgent).options(
             num_cpus=self.on.share,
@@ -155,7 +155,7 @@ class Fleet:
         agents = []
         over = threading.Event()
         try:
-            for config, own in told:
+            for config, own in known:
                 actor = seat.remote()
                 agents.append(_Placed(config.process, actor, actor.run.remote(config, SOONER * wait_s, own)))
             watcher = threading.Thread(target=self._watch, args=(agents, over), name="ray", daemon=True)
@@ -187,13 +187,13 @@ class Fleet:
                 self.say(f"Ray has placed {_where(agents)}")
         by = time.monotonic() + END_DEADLINE_S
         self._ray.wait([agent.running for agent in agents], num_returns=len(agents), timeout=END_DEADLINE_S)
-        while time.monotonic() < by and not all(agent.told for agent in agents):
+        while time.monotonic() < by and not all(agent.known for agent in agents):
             self._look(agents)
 
     def _look(self, agents: Sequence[_Placed]) -> None:
         ray = self._ray
         for agent in agents:
-            if agent.looking is None and not agent.told:
+            if agent.looking is None and not agent.known:
                 agent.last = agent.over
                 agent.looking = agent.actor.look.options(max_task_retries=0).remote(agent.seen)
         waiting = [ref for one in agents for ref in (one.looking, None if one.over else one.running) if ref is not None]
@@ -204,7 +204,7 @@ class Fleet:
             if agent.looking in ready:
                 with contextlib.suppress(ray.exceptions.RayError):  # it died, or it is not there yet
                     self._take(agent, *ray.get(agent.looking))
-                agent.looking, agent.told = None, agent.last
+                agent.looking, agent.known = None, agent.last
             if agent.running in ready and not agent.over:
                 agent.over = True
                 try:

@@ -85,7 +85,7 @@ def simulate_into(
                     break
         except (KeyboardInterrupt, SystemExit):
             raise
-        except BaseException as error:  # a panic of a Rust library is no Exception
+        except BaseException as error:  # a panic of a Rust library is not an Exception
             ending.end_by(error, folder.logs / "orchestrator.log")
             ending.stopped = f"stopped at step {run.observer.next_step}: {ending.stopped}"
         verdict = run.close()

@@ -23,7 +23,6 @@ from hedgerow.orchestrator.launch.recording import Recording
 from hedgerow.orchestrator.launch.supervisor import Processes, cause
 from hedgerow.orchestrator.metrics.verdict import Ending, Verdict
 from hedgerow.orchestrator.runs.folder import RunFolder
-from hedgerow.orchestrator.runs.round_trips import line
 from hedgerow.orchestrator.views.rerun.viewer import Viewer
 from hedgerow.orchestrator.views.screen import Screen
 from hedgerow.topologies.errors import Exit
@@ -105,8 +104,10 @@ class Network:
                 self._ending.comparison = compare(run)
             verdict = run.close()
             run.warn(self._screen)
-            if told := line(verdict.content["round_trips"] or {}):
-                self._screen.say(told)
+            from hedgerow.orchestrator.runs.round_trips import line  # noqa: PLC0415  # pyarrow delays the first step
+
+            if times := line(verdict.content["round_trips"] or {}):
+                self._screen.say(times)
             self._screen.verdict(verdict, self._folder.path)
             if run.viewer is not None:
                 self._serve(run.viewer, interrupts)

@@ -29,7 +29,7 @@ from hedgerow.wire.codec import TAKEN, Flag, Flags
 _OPEN, _HEAR, _TAKEN = np.uint8(Flag.OPEN), np.uint8(Flag.HEAR), np.uint8(TAKEN)
 
 
-class Told(NamedTuple):
+class Observed(NamedTuple):
     """The inputs, edges and links in B rows of telemetry."""
 
     t: Index
@@ -42,13 +42,13 @@ class Told(NamedTuple):
     took: Flags
     """Flag bits of the inputs of the step before that were used, (B, 2E)"""
 
-    def rows(self, some: slice) -> Told:
+    def rows(self, some: slice) -> Observed:
         """Return some of the rows."""
-        return Told(*(getattr(self, name)[some] for name in self._fields))
+        return Observed(*(getattr(self, name)[some] for name in self._fields))
 
-    def then(self, later: Told) -> Told:
+    def then(self, later: Observed) -> Observed:
         """Return these rows, followed by later ones."""
-        return Told(*(np.concatenate([getattr(one, name) for one in (self, later)]) for name in self._fields))
+        return Observed(*(np.concatenate([getattr(one, name) for one in (self, later)]) for name in self._fields))
 
     @property
     def whole(self) -> bool:
@@ -88,7 +88,7 @@ class Accounts:
     def __init__(self, graph: Graph, schedule: Schedule) -> None:
         self._graph, self._schedule = graph, schedule
         self._counts = np.zeros((len(Account._fields), schedule.faults), dtype=np.int64)
-        self._held: Told | None = None
+        self._held: Observed | None = None
         """the last row, which is not judged yet"""
         self._ends = at_ends(graph)
         self.missing_inputs = 0
@@ -105,18 +105,18 @@ class Accounts:
         self._schedule = schedule
         self._counts = np.pad(self._counts, ((0, 0), (0, schedule.faults - self._counts.shape[1])))
 
-    def take(self, told: Told) -> None:
+    def take(self, observed: Observed) -> None:
         """Record the next rows, one or more."""
-        flows: Mask = np.zeros(len(told.t), dtype=np.bool_)
-        if told.missing.any():
-            self.missing_inputs += int(told.missing.sum())
-            flows = _any(told.edge_open & _at_an_end(told.missing, self._graph))
-        self.lost_messages += int(told.link_up.size - np.count_nonzero(told.link_up))
-        self.checks["missing_inputs"].see_exact(~flows, told.t)
-        told = told if self._held is None else self._held.then(told)
-        self._held = told.rows(slice(-1, None))
-        if len(told.t) > 1:
-            self._judge(told.rows(slice(-1)), told.took[1:], np.diff(told.t) == 1)
+        flows: Mask = np.zeros(len(observed.t), dtype=np.bool_)
+        if observed.missing.any():
+            self.missing_inputs += int(observed.missing.sum())
+            flows = _any(observed.edge_open & _at_an_end(observed.missing, self._graph))
+        self.lost_messages += int(observed.link_up.size - np.count_nonzero(observed.link_up))
+        self.checks["missing_inputs"].see_exact(~flows, observed.t)
+        observed = observed if self._held is None else self._held.then(observed)
+        self._held = observed.rows(slice(-1, None))
+        if len(observed.t) > 1:
+            self._judge(observed.rows(slice(-1)), observed.took[1:], np.diff(observed.t) == 1)
 
     def finish(self) -> None:
         """Judge the last row, without a report on its used inputs."""
@@ -124,26 +124,28 @@ class Accounts:
             self._judge(self._held, self._held.took, np.zeros(1, dtype=np.bool_))
             self._held = None
 
-    def _judge(self, told: Told, took: Flags, followed: Mask) -> None:
+    def _judge(self, observed: Observed, took: Flags, followed: Mask) -> None:
         """Judge P steps by their used inputs, (P, 2E); these are unknown if the next row is lost."""
         links, faults = self.checks["links"], self.checks["faults"]
-        first, last = int(told.t[0]), int(told.t[-1])
-        if told.whole and not self._schedule.between(first, last + 2) and (took[followed] == TAKEN).all():
-            links.see_exact(followed[followed], told.t[followed])
-            faults.see_exact(np.ones(len(told.t), dtype=np.bool_), told.t)
+        first, last = int(observed.t[0]), int(observed.t[-1])
+        if observed.whole and not self._schedule.between(first, last + 2) and (took[followed] == TAKEN).all():
+            links.see_exact(followed[followed], observed.t[followed])
+            faults.see_exact(np.ones(len(observed.t), dtype=np.bool_), observed.t)
             return
-        judgement = _Judgement(self._graph, self._schedule, self._ends, told, took, followed)
-        links.see_exact(judgement.agreed()[followed], told.t[followed])
-        faults.see_exact(~judgement.wrong(self._counts), told.t)
+        judgement = _Judgement(self._graph, self._schedule, self._ends, observed, took, followed)
+        links.see_exact(judgement.agreed()[followed], observed.t[followed])
+        faults.see_exact(~judgement.wrong(self._counts), observed.t)
 
 
 class _Judgement:
     """The judgement of some steps: the scheduled faults, and the used inputs."""
 
-    def __init__(self, graph: Graph, schedule: Schedule, ends: Index, told: Told, took: Flags, followed: Mask) -> None:
-        self._graph, self._schedule, self._ends, self._told, self._took = graph, schedule, ends, told, took
-        self._absent = schedule.absent(told.t)
-        after = schedule.absent(told.t + 1)
+    def __init__(
+        self, graph: Graph, schedule: Schedule, ends: Index, observed: Observed, took: Flags, followed: Mask
+    ) -> None:
+        self._graph, self._schedule, self._ends, self._observed, self._took = graph, schedule, ends, observed, took
+        self._absent = schedule.absent(observed.t)
+        after = schedule.absent(observed.t + 1)
         self._tells = followed[:, None] & ~after[:, graph.node]
         """per incidence: True if its node reports its used inputs, (P, 2E)"""
         self._crosses = ~(self._absent[:, graph.neighbour] | self._absent[:, graph.node])
@@ -154,30 +156,30 @@ class _Judgement:
         """Return True for steps in which all reporting nodes used what the plant reports as open and delivered,
         (P,).
         """
-        expected = self._told.edge_open[:, self._graph.edge] * _OPEN | self._told.link_up * _HEAR
+        expected = self._observed.edge_open[:, self._graph.edge] * _OPEN | self._observed.link_up * _HEAR
         return ~_any((expected != self._took & _TAKEN) & self._tells)
 
     def wrong(self, counts: Index) -> Mask:
         """Return True for steps in which a fault had no effect or something else failed, (P,); update `counts`."""
-        told, graph = self._told, self._graph
+        observed, graph = self._observed, self._graph
         links = self._scheduled("drop", "delay")
         cuts, sensors = self._scheduled("cut"), self._scheduled("sensor")
         actuators, crashes, jumps = (self._scheduled(kind) for kind in ("actuator", "crash", "jump"))
         blind, struck = self._absent.copy(), self._absent.copy()
-        lost, closed = ~self._crosses, _at_an_end(told.missing, graph)
+        lost, closed = ~self._crosses, _at_an_end(observed.missing, graph)
         blind[sensors.row, sensors.target] = True
         struck[sensors.row, sensors.target] = struck[actuators.row, actuators.target] = True
         lost[links.row, links.target] = True
         closed[cuts.row, cuts.target] = True
 
-        wrong = _any(~told.link_up & ~lost) | _any(~told.edge_open & ~closed)
-        wrong |= _any(told.missing & ~struck) | _any(self._absent & ~told.silent)
+        wrong = _any(~observed.link_up & ~lost) | _any(~observed.edge_open & ~closed)
+        wrong |= _any(observed.missing & ~struck) | _any(self._absent & ~observed.silent)
         for found, judged in (
             (links, self._links(links)),
             (cuts, self._cuts(cuts)),
-            (sensors, self._silenced(sensors, self._absent, told.missing)),
+            (sensors, self._silenced(sensors, self._absent, observed.missing)),
             (actuators, self._actuators(actuators, blind)),
-            (crashes, self._silenced(crashes, self._schedule.absent(told.t - 1), told.silent)),
+            (crashes, self._silenced(crashes, self._schedule.absent(observed.t - 1), observed.silent)),
             (jumps, _unseen(len(jumps.row))),
         ):
             if not len(found.row):
@@ -189,17 +191,17 @@ class _Judgement:
         return wrong
 
     def _scheduled(self, *kinds: str) -> Instances:
-        return self._schedule.instances(self._told.t, *kinds)
+        return self._schedule.instances(self._observed.t, *kinds)
 
     def _links(self, found: Instances) -> Judged:
         at = found.row, found.target
         masked = ~self._crosses[at]
-        fired = ~masked & ~self._told.link_up[at]
+        fired = ~masked & ~self._observed.link_up[at]
         visible = fired & self._tells[at]
         return Judged(fired, masked, visible, visible & self._lacks_hear[at])
 
     def _cuts(self, found: Instances) -> Judged:
-        fired = ~self._told.edge_open[found.row, found.target]
+        fired = ~self._observed.edge_open[found.row, found.target]
         ends = found.row[:, None], self._ends[found.target]
         visible = fired & _any(self._tells[ends])
         seen = visible & ~_any(self._tells[ends] & ~self._lacks_open[ends])
@@ -209,13 +211,13 @@ class _Judgement:
         """Judge sensor faults and crashes: the node itself sends no input."""
         at = found.row, found.target
         masked = nobody[at]
-        fired = ~masked & self._told.missing[at]
+        fired = ~masked & self._observed.missing[at]
         return Judged(fired, masked, fired, fired & says_nothing[at])
 
     def _actuators(self, found: Instances, nothing: Mask) -> Judged:
         at = found.row, found.target
         masked = nothing[at]
-        fired = ~masked & self._told.missing[at]
+        fired = ~masked & self._observed.missing[at]
         tells = self._tells | self._tells[:, self._graph.reverse]
         says_open = self._tells & ~self._lacks_open
         says_open |= says_open[:, self._graph.reverse]

@@ -76,7 +76,9 @@ class Bound:
     margin: float
     """the form is at most -margin |(x, z, w, phi, v)|^2"""
     magnitude: float
-    """of the largest coefficients of the form: a relative error r of its numbers changes it by r times this at most"""
+    """the magnitude of the largest coefficients of the form: a relative error r of its numbers changes it by at most r
+    times this
+    """
     seconds: float
 
     @property

@@ -185,9 +185,9 @@ class GainCertificate:
         if self.known is None:
             return {"not_computed": "the bounds were not solved in time"}
         content = self.known.to_dict()
-        for premise, told in content["bounds"].items():
+        for premise, entry in content["bounds"].items():
             track = self.tracks[premise]
-            told |= {
+            entry |= {
                 "held": track.ended is None,
                 "steps": n_steps if track.ended is None else min(track.ended, n_steps),
                 "ended_by": track.why or None,

@@ -24,7 +24,7 @@ SAYS = {
 }
 TIME_LIMIT_S = 600.0
 RUN_LIMIT_S = 30.0
-"""of the bounds that certify a run, all three together: the end of the run waits for them"""
+"""the time limit of the bounds that certify a run, all together [s]: the end of the run waits for them"""
 SOLVED = 300
 """Number of nodes of a run up to which the solver is used."""
 REMEMBERED = 64

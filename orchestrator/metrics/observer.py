@@ -17,7 +17,7 @@ from hedgerow.agents.law import control
 from hedgerow.orchestrator.ground.assignment import candidates_of
 from hedgerow.orchestrator.metrics.certificate import Certificate, running
 from hedgerow.orchestrator.metrics.checks import DynamicsCheck, Worst, norms
-from hedgerow.orchestrator.metrics.fault_accounts import Accounts, Told
+from hedgerow.orchestrator.metrics.fault_accounts import Accounts, Observed
 from hedgerow.orchestrator.metrics.fault_schedule import Schedule
 from hedgerow.orchestrator.metrics.gain_certificate import GainCertificate
 from hedgerow.orchestrator.metrics.twins import Twins
@@ -172,13 +172,13 @@ class Observer:
         self.schedule = Schedule(topology)
         self._jumps = deque(self.schedule.jumps(0))
         self._jumped = False
-        self.accounts = Accounts(self.graph, self.schedule)
+        self.fault_accounts = Accounts(self.graph, self.schedule)
         self.checks = {
             "dynamics": self._dynamics.dynamics,
             "contraction": self._dynamics.contraction,
             "oracle_certificate": self._certificate.check,
             "estimates": self._estimates,
-            **self.accounts.checks,
+            **self.fault_accounts.checks,
         }
 
     def change(self, topology: Topology) -> None:
@@ -186,7 +186,7 @@ class Observer:
         self.topology = topology
         self.schedule = Schedule(topology)
         self._jumps = deque(self.schedule.jumps(self.next_step))
-        self.accounts.change(self.schedule)
+        self.fault_accounts.change(self.schedule)
 
     def in_order(self, rows: Sequence[Telemetry]) -> list[Telemetry]:
         """Return the rows that follow the recorded ones; refuse, and count, a row of an earlier step."""
@@ -240,7 +240,7 @@ class Observer:
         slack = self._certificate.take(t, w, x_oracle_next, sums[:, 3], changed)
         missing = ~np.isfinite(u)
         silent = missing & np.isnan(report).all(axis=1) if missing.any() else missing
-        self.accounts.take(Told(t, missing, silent, edge_open, link_up, _rows(rows, "took")))
+        self.fault_accounts.take(Observed(t, missing, silent, edge_open, link_up, _rows(rows, "took")))
         return Batch(
             t=t, a=a, x=x, u=u, w=w, ahat=ahat, index=index, margin=margin,
             a_ls=a_ls, beta=beta, edge_open=edge_open, link_up=link_up, u_edge=u_edge,
@@ -258,7 +258,7 @@ class Observer:
         self._sums[0] += np.square(end.x - self.x_oracle_end).sum()
         self._sums[1] += np.square(self.x_nominal_end - self.x_oracle_end).sum()
         self._dynamics.finish(end.t, end.x)
-        self.accounts.finish()
+        self.fault_accounts.finish()
 
     def _certified(
         self,

@@ -319,8 +319,9 @@ class _Part:
         """Return the inputs of the part, with recorded ones for nodes that are only neighbours."""
         if self.whole:
             return u
-        shard.u = np.where(self.own, u, self.of_nodes(row.u))
-        return shard.u
+        mixed = np.where(self.own, u, self.of_nodes(row.u))
+        shard.replace_inputs(mixed)
+        return mixed
 
     def of(self, faults: Faults) -> Faults:
         """Return the faults of the network as those of the part."""
@@ -332,7 +333,7 @@ class _Some(Faults):
 
     def __init__(self, whole: Faults, nodes: Mask, edges: Mask, incidences: Mask) -> None:
         self._whole = whole
-        self._kept = {"lost": incidences, "late": incidences, "cut": edges, "blind": nodes, "mute": nodes}
+        self._targets = {"lost": incidences, "late": incidences, "cut": edges, "blind": nodes, "mute": nodes}
         self.effects: list[Effect] = whole.effects
 
     def none_at(self, t: int) -> bool:
@@ -342,12 +343,12 @@ class _Some(Faults):
         active = self._whole.at(t)
         if active is NOTHING:
             return active
-        found = {name: getattr(active, name) for name in self._kept}
-        return ActiveFaults(**{name: None if one is None else one[self._kept[name]] for name, one in found.items()})
+        found = {name: getattr(active, name) for name in self._targets}
+        return ActiveFaults(**{name: None if one is None else one[self._targets[name]] for name, one in found.items()})
 
     def absent(self, t: int) -> Mask | None:
         absent = self._whole.absent(t)
-        return None if absent is None else absent[self._kept["blind"]]
+        return None if absent is None else absent[self._targets["blind"]]
 
     def jumps(self, t: int) -> list[tuple[int, float]]:  # noqa: ARG002
         """Return an empty list: a part does not move by itself."""

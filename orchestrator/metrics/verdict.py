@@ -172,7 +172,7 @@ def estimates_text(real: bool, right: int, nodes: int, error: float | None) -> s
 def ceiling(content: Mapping[str, Any]) -> float:
     """Return the smallest bound on the gain with a premise that held in the whole run; NaN if there is none."""
     bounds = content["gain_bounds"].get("bounds", {})
-    return min((told["gain"] for told in bounds.values() if told.get("held") and "gain" in told), default=math.nan)
+    return min((entry["gain"] for entry in bounds.values() if entry.get("held") and "gain" in entry), default=math.nan)
 
 
 def gain_text(gain: float, less: float, gamma_star: float, faultless: bool, at_most: float = math.nan) -> str:
@@ -271,8 +271,8 @@ def judge(topology: Topology, observer: Observer, ending: Ending) -> Verdict:
         "round_trips": ending.round_trips,
         "lost_rows": len(observer.lost) * observer.graph.n,
         "refused_rows": observer.refused * observer.graph.n,
-        "missing_inputs": observer.accounts.missing_inputs,
-        "lost_messages": observer.accounts.lost_messages,
+        "missing_inputs": observer.fault_accounts.missing_inputs,
+        "lost_messages": observer.fault_accounts.lost_messages,
         "forgotten_rows": observer.end.forgotten if observer.end is not None else 0,
         "restarts": ending.restarts,
         "down": ending.down,
@@ -318,7 +318,7 @@ def _faults(topology: Topology, observer: Observer) -> list[dict[str, Any]]:
             "beyond": beyond,
         }
         for k, (fault, account, beyond) in enumerate(
-            zip(topology.faults, observer.accounts, observer.schedule.beyond(done), strict=True), 1
+            zip(topology.faults, observer.fault_accounts, observer.schedule.beyond(done), strict=True), 1
         )
     ]
 

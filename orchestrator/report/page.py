@@ -82,7 +82,7 @@ def _size(run: Run) -> str:
 
 
 def _ends(last: float, truth: float, wrong: bool) -> str:
-    """Return the last estimate of a node, and right or wrong; or the error, if it is no candidate."""
+    """Return the last estimate of a node, and right or wrong; or the error, if it is not a candidate."""
     if np.isnan(last):
         return "—"
     word = "wrong" if wrong else "right" if last == truth else f"off by {last - truth:+.2g}".replace("-", "−")
@@ -199,10 +199,10 @@ def _faults(run: Run, behind: str) -> list[Markup]:
     faults = run.topology.faults
     if not faults:
         return []
-    accounts = run.verdict.content.get("faults") or [{"what": str(fault.written())} for fault in faults]
+    outcomes = run.verdict.content.get("faults") or [{"what": str(fault.written())} for fault in faults]
     rows = [
         [k, account["what"], *("—" if account.get(c) is None else account[c] for c in _COUNTS), grew]
-        for k, (account, grew) in enumerate(zip(accounts, growth(run), strict=True), 1)
+        for k, (account, grew) in enumerate(zip(outcomes, growth(run), strict=True), 1)
     ]
     note = (
         "An instance is one target at one step. It fired if it took effect, and was masked if there was nothing to"
@@ -220,7 +220,7 @@ def _repeat(runs: Runs) -> list[Markup]:
             link = f"data:text/yaml;base64,{base64.b64encode(text).decode()}"
             where = join([tag("a", name, download=name, href=link), " holds every number that was drawn."])
         else:
-            where = join([tag("code", name), " stands for topology.yaml in the run's folder, too large for this page."])
+            where = join([tag("code", name), " is topology.yaml of the run's folder: too large for this page."])
         stopped = ["--steps", run.T] if run.topology.steps > run.T else []
         processes = ["--processes", run.verdict.content["processes"]] if run.verdict.content.get("processes") else []
         simulated = command(["orchestrator", "simulate", name, *stopped])

@@ -31,8 +31,8 @@ METRICS = {
 
 def metrics(run: Run) -> Mapping[str, Any]:
     """Return the numbers of the verdict if it has them all, otherwise those recorded so far."""
-    told: Mapping[str, Any] = run.verdict.content.get("metrics", {})
-    return told if METRICS.keys() <= told.keys() else run.metrics
+    recorded: Mapping[str, Any] = run.verdict.content.get("metrics", {})
+    return recorded if METRICS.keys() <= recorded.keys() else run.metrics
 
 
 def number(value: Any) -> str:

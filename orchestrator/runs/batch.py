@@ -1,10 +1,10 @@
-"""Many runs of one network at once: sweeps and comparisons run S seeds as one network of S disjoint parts.
+"""Many runs of one network in one batch: sweeps and comparisons run S seeds as one network of S disjoint parts.
 
-One by one, nearly all of the time of a small network goes into calls of numpy on a handful of numbers. Here one plant
-and one shard make the steps of all runs, so that faults, unequal gains, graphs of rules and all laws take part. States,
-inputs and estimates have the bits of each run by itself. So do the metrics: sums over nodes run along a row, and sums
-over steps are added one step after the other. Only where the runs have graphs with different numbers of edges, the
-edges of a step are added one after the other, and the cost may differ in its last bit.
+One by one, nearly all of the time of a small network is overhead of numpy calls on a few numbers. Here one plant and
+one shard make the steps of all runs. This includes faults, unequal gains, generated graphs and all laws. States, inputs
+and estimates equal those of single runs, bit for bit. So do the metrics: sums over nodes run along a row, and sums over
+steps are added step by step. If the graphs of the runs have different numbers of edges, the edges of a step are added
+one after another. Then the cost may differ in its last bit.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from hedgerow.agents.loading import law_class
 from hedgerow.agents.local import asks
 from hedgerow.orchestrator.metrics.checks import ROUNDING, TINY
 from hedgerow.orchestrator.metrics.estimates import switches
-from hedgerow.orchestrator.metrics.fault_accounts import Accounts, Told
+from hedgerow.orchestrator.metrics.fault_accounts import Accounts, Observed
 from hedgerow.orchestrator.metrics.fault_schedule import Schedule
 from hedgerow.orchestrator.metrics.observer import mean_error
 from hedgerow.orchestrator.runs import reference
@@ -32,15 +32,17 @@ from hedgerow.topologies.schema import Topology
 from hedgerow.wire.codec import End, Telemetry
 
 NODES = 20_000
-"""nodes of all runs: their numbers of a step stay in the cache"""
+"""the maximum number of nodes of all runs: the numbers of a step then fit the cache"""
 LOSSY_NODES = 1_500
-"""nodes of all runs where messages go missing: every late one makes all nodes of the batch learn again"""
+"""the maximum number of nodes of all runs with missing messages: every late one makes all nodes of the batch learn
+again
+"""
 LARGEST = 400
-"""networks of more nodes are run one by one: their time goes into the arithmetic"""
+"""the maximum number of nodes of a network in a batch; the time of a larger one is arithmetic anyway"""
 STEPS, LOSSY_STEPS = 2 * 10**7, 10**6
-"""steps of nodes of all runs, which take a few seconds: a sweep that is stopped loses no more"""
+"""the maximum number of steps times nodes of a batch, which takes a few seconds: a stopped sweep loses no more"""
 TOLD_AT_ONCE = 32
-"""steps whose faults are judged together"""
+"""the number of steps per judgement of the faults"""
 
 
 def why_not(topology: Topology) -> str:
@@ -49,7 +51,7 @@ def why_not(topology: Topology) -> str:
 
 
 def needs_proof(topology: Topology) -> bool:
-    """Return True if runs at once may differ from single runs: the law of a user may look nodes up by their ids.
+    """Return True if batches may differ from single runs: the user's law may look up nodes by their ids.
 
     The ids of a batch repeat. The caller compares some runs with single ones.
     """
@@ -58,7 +60,7 @@ def needs_proof(topology: Topology) -> bool:
 
 
 def seeds_at_once(topology: Topology) -> int:
-    """Return the number of runs that one batch should have."""
+    """Return the best number of runs in one batch."""
     lossy = any(fault.kind != "jump" for fault in topology.faults)
     nodes, steps = (LOSSY_NODES, LOSSY_STEPS) if lossy else (NODES, STEPS)
     return max(1, min(nodes, steps // topology.steps) // len(topology.ids))
@@ -69,7 +71,7 @@ class Runs:
     """The numbers of S runs."""
 
     metrics: dict[str, Array]
-    """those of verdict.json, (S,) each"""
+    """the metrics of verdict.json, (S,) each"""
     good: Mask
     """True for runs that pass every check, (S,)"""
     ahat: Array
@@ -77,7 +79,7 @@ class Runs:
     a: Array
     """the truth of the last step, (S, n)"""
     candidates: Array
-    """(M, S, n), padded with NaN"""
+    """the candidates, (M, S, n), padded with NaN"""
     switches: Array
     """changes of the estimate per node, (S,)"""
 
@@ -91,7 +93,7 @@ def run(topology: Topology, seeds: Sequence[int], folder: Path = Path()) -> Runs
 
 
 class _Batch:
-    """A union in motion, with both twins, all sums and all checks."""
+    """The motion of a union, with both twins, all sums and all checks."""
 
     def __init__(self, union: Union) -> None:
         self._union, self._graph, self._b = union, union.graph, union.b
@@ -109,11 +111,11 @@ class _Batch:
         self._bound: Array | None = None
         self._ahat, self._changed = np.full(S * n, np.nan), np.zeros(S)
         self._listed = is_listed(union.topology.law)
-        self._accounts: Accounts | None = None
+        self._fault_accounts: Accounts | None = None
         self._rows: list[Telemetry] = []
         if any(one.kind != "jump" for one in union.effects):
             self._schedule = Schedule.of(union.graph, union.ids, union.words, len(union.topology.faults), union.effects)
-            self._accounts = Accounts(union.graph, self._schedule)
+            self._fault_accounts = Accounts(union.graph, self._schedule)
 
     def run(self) -> Runs:
         """Make every step, and return the numbers."""
@@ -155,7 +157,7 @@ class _Batch:
         self._x_oracle = dynamics(a, b, graph, self._x_oracle, u_oracle, w, closed)
         self._x_nominal = dynamics(a, b, graph, self._x_nominal, u_nominal, w, closed)
         self._check_certificate(w, row)
-        if self._accounts is not None:
+        if self._fault_accounts is not None:
             self._rows.append(row)
             if len(self._rows) == TOLD_AT_ONCE:
                 self._account()
@@ -164,26 +166,26 @@ class _Batch:
         self._check(end.x)
         self._sums[0] += np.square((end.x - self._x_oracle).reshape(self._shape)).sum(axis=1)
         self._sums[1] += np.square((self._x_nominal - self._x_oracle).reshape(self._shape)).sum(axis=1)
-        if self._accounts is not None:
+        if self._fault_accounts is not None:
             self._account()
-            self._accounts.finish()
-            # The accounts of all runs are one: if one fails, each run is judged by itself.
-            self._good &= all(worst.excess <= 0 for worst in self._accounts.checks.values())
+            self._fault_accounts.finish()
+            # All runs share one account: if it fails, each run is judged alone.
+            self._good &= all(worst.excess <= 0 for worst in self._fault_accounts.checks.values())
 
     def _account(self) -> None:
-        """Judge the faults of the rows that are held."""
-        if not self._rows or self._accounts is None:
+        """Judge the faults of the stored rows."""
+        if not self._rows or self._fault_accounts is None:
             return
         names = ("u", "edge_open", "link_up", "took")
         u, edge_open, link_up, took = (np.array([getattr(row, name) for row in self._rows]) for name in names)
         missing = ~np.isfinite(u)
         silent = missing & np.array([np.isnan(row.report).all(axis=0) for row in self._rows])
         t = np.array([row.t for row in self._rows])
-        self._accounts.take(Told(t, missing, silent, edge_open.astype(bool), link_up.astype(bool), took))
+        self._fault_accounts.take(Observed(t, missing, silent, edge_open.astype(bool), link_up.astype(bool), took))
         self._rows.clear()
 
     def _jump(self, t: int) -> None:
-        """Make the jumps of step t come true."""
+        """Apply the jumps of step t."""
         if not self._jumps or self._jumps[0].start > t:
             return
         self._a = self._a.copy()
@@ -205,19 +207,19 @@ class _Batch:
         """Check that every input is finite, or missing by a fault, and is (6) of a candidate where it should be."""
         u, ahat, x = row.u, row.report[0], row.x
         good = there = np.isfinite(u)
-        if self._accounts is not None:
-            good = np.ones(len(u), dtype=bool)  # the accounts judge what is missing
+        if self._fault_accounts is not None:
+            good = np.ones(len(u), dtype=bool)  # the accounts judge missing inputs
         if self._listed:
             listed = np.zeros(len(u), dtype=bool)
             for models in self._union.models:
                 listed |= ahat == models
             good &= (listed & (control(self._b, x, ahat) == u)) | (listed & ~there)
-            if self._accounts is not None and not there.all():
+            if self._fault_accounts is not None and not there.all():
                 good |= self._schedule.absent(np.array([row.t]))[0]
         self._good &= good.reshape(self._shape).all(axis=1)
 
     def _check_certificate(self, w: Array, row: Telemetry) -> None:
-        """Check the oracle's certificate in runs whose edges were all open and whose truth is that of t = 0."""
+        """Check the oracle's certificate in runs with open edges and the truth of t = 0 so far."""
         if not row.edge_open.all():
             closed = np.bincount(self._union.edge_part, row.edge_open == 0, self._shape[0])
             self._constant &= closed == 0

@@ -20,7 +20,7 @@ from hedgerow.wire.codec import REPORT_ROWS, End, Telemetry, gather
 def run(truth: Truth, views: Sequence[View], law: Law | None = None) -> Iterator[Telemetry | End]:
     """Yield the telemetry of every step, then the end; equal bit for bit to the messages of the plant.
 
-    `law` stands for that of the view, if there is one view. Raises LawError after the end, which is where the law
+    `law` replaces that of the view, if there is one view. Raise LawError after the end, at the step where the law
     failed.
     """
     world, began = World(truth), time.monotonic()
@@ -40,12 +40,12 @@ def _steps(world: World, views: Sequence[View], steps: int, law: Law | None) -> 
     """By sender and receiver: the index of the receiver among the sender's peers."""
     while world.t < steps:
         world.begin()
-        told = world.states()
+        messages = world.states()
         inputs: list[Array] = []
         reports: list[Array] = []
         took: list[bytes] = []
         said = []
-        for view, shard, (state, record) in zip(views, shards, told, strict=True):
+        for view, shard, (state, record) in zip(views, shards, messages, strict=True):
             if state is None:
                 nothing, no_report, taken = shard.silence
                 inputs.append(gather([nothing]))

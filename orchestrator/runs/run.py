@@ -23,8 +23,9 @@ from hedgerow.orchestrator.metrics.replay import Finding
 from hedgerow.orchestrator.metrics.verdict import Verdict
 from hedgerow.orchestrator.runs import guaranteed, replayed
 from hedgerow.orchestrator.runs.difference import Estimates, equal, explain_estimates, lost_messages
+from hedgerow.orchestrator.runs.properties import actions, flags, recomputed, states, total
 from hedgerow.orchestrator.runs.rows import frozen, spread
-from hedgerow.orchestrator.runs.selection import Kept, kept
+from hedgerow.orchestrator.runs.selection import Selection, selection
 from hedgerow.orchestrator.runs.table import Table
 from hedgerow.topologies.describe import describe
 from hedgerow.topologies.errors import Code, UserError
@@ -37,33 +38,6 @@ if TYPE_CHECKING:
 
 NodeId = int | str
 Pair = tuple[NodeId, NodeId]
-
-
-def _states(name: str) -> cached_property[Array]:
-    """Return a property that reads a column of telemetry, (T + 1, n)."""
-    return cached_property(lambda run: run._of_nodes(name, run.T + 1, np.nan))
-
-
-def _actions(name: str) -> cached_property[Array]:
-    """Return a property that reads a column of telemetry without the final state, (T, n)."""
-    return cached_property(lambda run: run._of_nodes(name, run.T, np.nan))
-
-
-def _flags(name: str) -> cached_property[Mask]:
-    """Return a property that reads a column of flags of edges, (T, E)."""
-    return cached_property(lambda run: run._of_edges(name, False))
-
-
-def _recomputed(name: str) -> cached_property[Array]:
-    """Return a property that recomputes a field of `metrics.observer.Batch`, (T,) or (T, n)."""
-    return cached_property(lambda run: run._by_step(getattr(run._observed[0], name)))
-
-
-def _total(name: str) -> cached_property[Array]:
-    """Return a property that recomputes a total, (T,), or reads it from the summary if not all rows were kept."""
-    return cached_property(
-        lambda run: run._by_step(getattr(run._observed[0], name)) if run.whole else run._summed(name, run.T)
-    )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -97,29 +71,29 @@ class Run:
             raise UserError(f"{self.folder}: no whole step of the run is recorded yet", code=Code.RUN_MISSING)
 
     @cached_property
-    def kept(self) -> Kept:
+    def selection(self) -> Selection:
         """Return the steps, nodes and edges that have rows."""
-        return kept(self.topology)
+        return selection(self.topology)
 
     @property
     def whole(self) -> bool:
         """Return True if every step of every node has rows."""
-        return self.kept.whole
+        return self.selection.whole
 
     def need_all(self, what: str) -> None:
         """Raise UserError if some rows were not recorded; `what` names the purpose that needs them."""
         if not self.whole:
             again = command(["orchestrator", "simulate", self.folder, "--set", "record={nodes: all}"])
             raise UserError(
-                f"{self.folder}: {what} needs all rows, and the run kept {self.kept}; it can be run again with all of"
-                f" them, to the same bits: {again}",
+                f"{self.folder}: {what} needs all rows, and the run has {self.selection}; it can be run again with all"
+                f" of them, to the same bits: {again}",
                 code=Code.NOT_RECORDED,
             )
 
     def __repr__(self) -> str:
         size = f"{self.T} steps of {len(self.ids)} nodes"
         if not self.whole:
-            size = f"{self.T} steps, with rows for {self.kept}"
+            size = f"{self.T} steps, with rows for {self.selection}"
         return f"<Run {self.name}: {size}, {self.verdict.verdict or 'no verdict'}>"
 
     def __eq__(self, other: object) -> bool:
@@ -158,36 +132,36 @@ class Run:
     def b(self) -> Gain:
         """Return the gain b of equation (1): one number, or one per node, (n,)."""
         b = self.topology.network.b
-        return b if isinstance(b, float) else frozen(b[self.kept.nodes])
+        return b if isinstance(b, float) else frozen(b[self.selection.nodes])
 
     @cached_property
     def weights(self) -> Array:
         """Return the weight of each edge, (E,)."""
         weights = self.topology.graph.weights
-        return frozen(np.ones(len(self.kept.edges)) if weights is None else weights[self.kept.edges])
+        return frozen(np.ones(len(self.selection.edges)) if weights is None else weights[self.selection.edges])
 
     @cached_property
     def ids(self) -> tuple[int | str, ...]:
         """Return the node ids in the order of the columns."""
         every = self.topology.ids
-        return tuple(every) if self.kept.all_nodes else tuple(every[k] for k in self.kept.nodes.tolist())
+        return tuple(every) if self.selection.all_nodes else tuple(every[k] for k in self.selection.nodes.tolist())
 
     @cached_property
     def edges(self) -> Index:
         """Return the positions in `ids` of the two ends of each edge, -1 for a node without rows, (E, 2)."""
         places = np.full(self.topology.graph.n, -1)
-        places[self.kept.nodes] = np.arange(len(self.kept.nodes))
-        return frozen(places[self.topology.graph.edges[self.kept.edges]])
+        places[self.selection.nodes] = np.arange(len(self.selection.nodes))
+        return frozen(places[self.topology.graph.edges[self.selection.edges]])
 
     @cached_property
     def candidates(self) -> Array:
         """Return the candidates of each node, padded with NaN, (n, M)."""
-        return frozen(self.topology.network.candidates[:, self.kept.nodes].T.copy())
+        return frozen(self.topology.network.candidates[:, self.selection.nodes].T.copy())
 
     @cached_property
     def nominal(self) -> Array:
         """Return the a that the nominal controller assumes, (n,)."""
-        return frozen(self.topology.network.nominal[self.kept.nodes])
+        return frozen(self.topology.network.nominal[self.selection.nodes])
 
     @cached_property
     def gamma_star(self) -> float:
@@ -205,22 +179,22 @@ class Run:
         due = np.arange(self.T)
         if not self.whole and "summary" in self.tables:
             return frozen(np.setdiff1d(due, self.tables["summary"].steps(1)))
-        return frozen(np.setdiff1d(due[self.kept.rows(due)], self.recorded))
+        return frozen(np.setdiff1d(due[self.selection.rows(due)], self.recorded))
 
-    x = _states("x")
+    x = states("x")
     """States, (T + 1, n)."""
-    x_oracle = _states("x_oracle")
+    x_oracle = states("x_oracle")
     """States of the oracle, the twin that knows every a, (T + 1, n)."""
-    x_nominal = _states("x_nominal")
+    x_nominal = states("x_nominal")
     """States of the nominal twin, which assumes `nominal`, (T + 1, n)."""
-    u = _actions("u")
+    u = actions("u")
     """Inputs, NaN where the plant received none, (T, n)."""
-    w = _actions("w")
+    w = actions("w")
     """Disturbances, (T, n)."""
-    ahat = _actions("ahat")
+    ahat = actions("ahat")
     """Estimates, NaN where the agent was absent, (T, n)."""
 
-    margin = _actions("margin")
+    margin = actions("margin")
     """The margin J_(2) - J_(1) of the best candidate over the next, NaN where there is none, (T, n)."""
 
     @cached_property
@@ -243,11 +217,11 @@ class Run:
         """Return the input u_j - u_i of each edge (i, j), 0 where it was closed, (T, E)."""
         return self._of_edges("u_edge", np.nan)
 
-    edge_open = _flags("open")
+    edge_open = flags("open")
     """True if an edge carried flow, (T, E)."""
-    i_hears = _flags("i_hears")
+    i_hears = flags("i_hears")
     """True if the message of node j arrived at node i in its own step, (T, E)."""
-    j_hears = _flags("j_hears")
+    j_hears = flags("j_hears")
     """True if the message of node i arrived at node j in its own step, (T, E)."""
 
     @cached_property
@@ -265,15 +239,15 @@ class Run:
         """Return the true a of each step, jumps included, (T, n)."""
         if self.whole:
             return self._by_step(self._observed[0].a)
-        nodes = self.kept.nodes
+        nodes = self.selection.nodes
         a = np.repeat(self.topology.network.a[None, nodes], self.T, axis=0)
         for jump in Schedule(self.topology).jumps(0):
             a[jump.start :, nodes == jump.targets[0]] = jump.a
         return frozen(a)
 
-    a_ls = _recomputed("a_ls")
+    a_ls = recomputed("a_ls")
     """The least-squares a of all earlier steps, received by the node or not; NaN at first, (T, n)."""
-    beta = _recomputed("beta")
+    beta = recomputed("beta")
     """The bias a_LS - a, (T, n)."""
 
     @cached_property
@@ -291,15 +265,15 @@ class Run:
         """Return True if all edges were open and no a jumped at any step, as gamma* assumes."""
         return bool(self.edge_open.all() and (self.a == self.a[:1]).all())
 
-    cost = _total("cost")
+    cost = total("cost")
     """The cost c = |x|^2 + sum_e k_e u_e^2, (T,)."""
-    cost_oracle = _total("cost_oracle")
+    cost_oracle = total("cost_oracle")
     """The cost c* of the oracle, (T,)."""
-    cost_sum = _total("cost_sum")
+    cost_sum = total("cost_sum")
     """The cumulative cost C, (T,)."""
-    cost_oracle_sum = _total("cost_oracle_sum")
+    cost_oracle_sum = total("cost_oracle_sum")
     """The cumulative cost C* of the oracle, (T,)."""
-    energy_sum = _total("energy_sum")
+    energy_sum = total("energy_sum")
     """The cumulative sum of |w|^2, (T,)."""
 
     @cached_property
@@ -384,7 +358,7 @@ class Run:
     @cached_property
     def truth(self) -> Array:
         """Return the true a before any jump, (n,)."""
-        return frozen(self.topology.network.a[self.kept.nodes])
+        return frozen(self.topology.network.a[self.selection.nodes])
 
     def column(self, node: NodeId) -> int:
         """Return the column of a node in the arrays: `run.x[:, run.column(4)]`. Raises UserError."""
@@ -401,22 +375,23 @@ class Run:
             raise UserError(f"estimates_at({t}): the run has steps 0 to {self.T - 1}", code=Code.OPTION)
         return Estimates(self, t)
 
+    def _edge(self, ends: Pair) -> tuple[int, bool]:
+        """Return the column of an edge, and True if the file has its ends in the other order. Raises UserError."""
+        pair = (self.column(ends[0]), self.column(ends[1]))
+        for column, (i, j) in enumerate(self.edges.tolist()):
+            if (i, j) in (pair, pair[::-1]):
+                return column, (i, j) != pair
+        raise UserError(f"{ends}: {ends[0]} and {ends[1]} are not neighbours", code=Code.OPTION)
+
     def missing(self, link: Pair) -> list[int]:
         """Return the steps with a lost or late message from the first node of `link` to the second."""
-        sender, receiver = map(self.column, link)
-        for column, (i, j) in enumerate(self.edges.tolist()):
-            if (i, j) in ((sender, receiver), (receiver, sender)):
-                arrived = self.j_hears if i == sender else self.i_hears
-                return [int(t) for t in np.flatnonzero(~arrived[:, column])]
-        raise UserError(f"missing({link}): {link[0]} and {link[1]} are not neighbours", code=Code.OPTION)
+        column, turned = self._edge(link)
+        arrived = self.i_hears if turned else self.j_hears
+        return [int(t) for t in np.flatnonzero(~arrived[:, column])]
 
     def open(self, edge: Pair) -> list[int]:
         """Return the steps at which an edge carried flow."""
-        ends = {*map(self.column, edge)}
-        for column, pair in enumerate(self.edges.tolist()):
-            if {*pair} == ends:
-                return [int(t) for t in np.flatnonzero(self.edge_open[:, column])]
-        raise UserError(f"open({edge}): {edge[0]} and {edge[1]} are not neighbours", code=Code.OPTION)
+        return [int(t) for t in np.flatnonzero(self.edge_open[:, self._edge(edge)[0]])]
 
     def assert_same_estimates(self, other: Run, t: int | None = None) -> None:
         """Assert that all estimates of two runs are equal at step t, or at every step if t is None."""

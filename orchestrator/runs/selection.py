@@ -13,7 +13,7 @@ from hedgerow.topologies.schema import Topology
 
 
 @dataclass(frozen=True, eq=False)
-class Kept:
+class Selection:
     """The steps, nodes and edges with rows, in a network of n nodes."""
 
     graph: Graph
@@ -37,9 +37,9 @@ class Kept:
         """Return the indices of the edges at one of the nodes, ascending, (e,)."""
         if self.all_nodes:
             return np.arange(len(self.graph.edges))
-        kept = np.zeros(self.graph.n, dtype=np.bool_)
-        kept[self.nodes] = True
-        return np.flatnonzero(kept[self.graph.edges].any(axis=1))
+        selection = np.zeros(self.graph.n, dtype=np.bool_)
+        selection[self.nodes] = True
+        return np.flatnonzero(selection[self.graph.edges].any(axis=1))
 
     def rows(self, t: Index) -> Index:
         """Return a mask of the steps that have rows: every Nth step, and the last step with inputs."""
@@ -54,7 +54,7 @@ class Kept:
         return f"{steps} of {nodes}"
 
 
-def kept(topology: Topology) -> Kept:
+def selection(topology: Topology) -> Selection:
     """Return the selection for a run of a resolved topology."""
     n, chosen = len(topology.ids), topology.record.nodes
     match chosen:
@@ -64,7 +64,7 @@ def kept(topology: Topology) -> Kept:
             nodes = np.unique(np.array([topology.position(node) for node in chosen], dtype=np.int64))
         case _:
             nodes = np.arange(n)
-    return Kept(topology.graph, topology.record.every, topology.steps, nodes)
+    return Selection(topology.graph, topology.record.every, topology.steps, nodes)
 
 
 def evenly(n: int, some: int) -> Index:
@@ -72,9 +72,9 @@ def evenly(n: int, some: int) -> Index:
     return np.arange(n) if some >= n else np.arange(some) * n // max(some, 1)
 
 
-def told(topology: Topology) -> Sequence[str]:
+def notes(topology: Topology) -> Sequence[str]:
     """Return lines about the parts that are not recorded, and how to record them; empty if everything is."""
-    what = kept(topology)
+    what = selection(topology)
     if what.whole and topology.record.summary:
         return []
     also = "a summary of all at every step" if topology.record.summary else "no summary"

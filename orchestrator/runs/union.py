@@ -1,8 +1,8 @@
 """S networks of n nodes as one network of S disjoint parts, in plain numbers.
 
-Rows never mix: the plant, the shard and a law compute every node from its own numbers and those of its neighbours. So
-one run of the union makes S runs, and states, inputs and estimates have the bits of each run by itself. Lots are drawn
-by the seed and the ids of each part.
+The parts do not interact: the plant, the shard and a law compute every node from its own numbers and those of its
+neighbours. So one run of the union makes S runs, and states, inputs and estimates equal those of single runs, bit for
+bit. Lots are drawn by the seed and the ids of each part.
 """
 
 from __future__ import annotations
@@ -40,12 +40,12 @@ class SizesError(Exception):
 
 @dataclass(frozen=True, eq=False)
 class Union:
-    """S parts of n nodes; arrays over all S n nodes, part after part, unless they say otherwise."""
+    """A union of S parts with n nodes each; arrays are over all S n nodes, part after part, unless noted."""
 
     S: int
     n: int
     topology: Topology
-    """one of the parts, for everything that all have in common"""
+    """one of the parts, for everything that all parts share"""
     ids: Any
     graph: Graph
     edge_part: Index
@@ -55,7 +55,7 @@ class Union:
     x0: Array
     nominal: Array
     models: Array
-    """the models that each node chooses among under the law, (M, S n), padded with NaN"""
+    """the models of each node under the law, (M, S n), padded with NaN"""
     candidates: Array
     """the candidates of the file, (M, S n)"""
     disturbance: Sequence[Group]
@@ -63,9 +63,9 @@ class Union:
     """the seed of each part, (S,)"""
     law_seeds: lots.Words
     effects: Sequence[Effect]
-    """targets count over all parts"""
+    """the effects of faults; targets count over all parts"""
     idle: Sequence[bool]
-    """by part: a fault cannot strike before the last step"""
+    """by part: True if a fault cannot strike before the last step"""
     thetas: Array | None
     """theta of the law `robust` of each part, (S,)"""
 
@@ -76,7 +76,7 @@ class Union:
 
     @property
     def history(self) -> int:
-        """Return the number of past steps kept for back-filling; 0 where nothing goes missing."""
+        """Return the number of past steps stored for back-filling; 0 if no message can be missing."""
         lossy = any(effect.kind != "jump" for effect in self.effects)
         return history_of(self.topology) if lossy else 0
 
@@ -86,7 +86,7 @@ class Union:
         return np.repeat(self.seeds, self.n)
 
     def truth(self) -> Truth:
-        """Return what the plant is told of the union."""
+        """Return the plant's knowledge of the union."""
         return Truth(
             ids=self.ids,
             b=self.b,
@@ -121,12 +121,12 @@ class Union:
         )
 
     def law(self) -> Law | None:
-        """Return the law of all parts if their parameters differ, else None: it is that of the view."""
+        """Return the law of all parts if their parameters differ; None for the law of the view."""
         return None if self.thetas is None else Robust.of_nodes(self.b, np.repeat(self.thetas, self.n))
 
 
 def of_seeds(topology: Topology, seeds: Sequence[int], folder: Path = Path()) -> Union:
-    """Return the union of a topology under some seeds. SizesError if the parts differ in size."""
+    """Return the union of a topology under some seeds. Raises SizesError if the parts differ in size."""
     if not _is_drawn_at_once(topology):
         return _of_topologies(
             [completed(resolve(topology.model_copy(update={"seed": seed}), folder)) for seed in seeds]
@@ -159,18 +159,19 @@ def of_seeds(topology: Topology, seeds: Sequence[int], folder: Path = Path()) ->
 
 
 def _is_drawn_at_once(topology: Topology) -> bool:
-    """Return True if only gains, states, models and disturbances depend on the seed, each by a lot of its own."""
+    """Return True if only gains, states, models and disturbances depend on the seed, each by a separate lot."""
     return (
         topology.disturbance is None
         and topology.generator is None
         and LawChoice.parse(topology.law).name != "robust"
-        and not any(isinstance(fault, Jump) for fault in topology.faults)  # to a candidate, which may be drawn
+        # A jump leads to a candidate, which may be drawn.
+        and not any(isinstance(fault, Jump) for fault in topology.faults)
         and not any(isinstance(edge, Edge) and not isinstance(edge.weight, float) for edge in topology.edges)
     )
 
 
 def _of_topologies(parts: Sequence[Topology]) -> Union:
-    """Return the union of resolved topologies that have all but their drawn numbers in common."""
+    """Return the union of resolved topologies that differ only in their drawn numbers."""
     networks, first = [one.network for one in parts], parts[0]
     S, n = len(parts), len(first.ids)
     if any(len(one.ids) != n for one in parts):
@@ -226,7 +227,7 @@ def _beside(lists: Sequence[Array]) -> Array:
 
 
 def _groups(of_parts: Sequence[Sequence[Group]], n: int) -> list[Group]:
-    """Return the groups of all parts, those of one place and kind joined, in the order in which they are added up."""
+    """Return the groups of all parts, joined by place and kind, in the order of their sum."""
     found: dict[tuple[int, str], list[Group]] = {}
     for k, groups in enumerate(of_parts):
         for group in groups:
@@ -290,7 +291,7 @@ def _merged(
 
 
 def _is_idle(own: Sequence[Effect], topology: Topology) -> bool:
-    """Return True if a fault of a part strikes nothing before the last step, which its verdict says."""
+    """Return True if a fault of a part strikes nothing before the last step; the verdict reports such a fault."""
     able = {
         one.fault
         for one in own

@@ -23,7 +23,7 @@ from hedgerow.orchestrator.ground.spelling import spelled
 from hedgerow.orchestrator.metrics.fault_accounts import at_ends
 from hedgerow.orchestrator.metrics.observer import Batch, Observer
 from hedgerow.orchestrator.runs.columns import column, names
-from hedgerow.orchestrator.runs.selection import kept
+from hedgerow.orchestrator.runs.selection import selection
 from hedgerow.topologies.archive import id_array
 from hedgerow.topologies.graph import Index
 from hedgerow.topologies.schema import Topology
@@ -171,8 +171,8 @@ class Recorder:
     def __init__(self, topology: Topology, folder: Path) -> None:
         node = _id_type(topology)
         f8 = pa.float64()
-        self._kept = kept(topology)
-        self._nodes, self._e = self._kept.nodes, self._kept.edges
+        self._selection = selection(topology)
+        self._nodes, self._e = self._selection.nodes, self._selection.edges
         ends = topology.graph.edges[self._e]
         self._hears = at_ends(topology.graph)[self._e]
         self._ids = _ids(topology, self._nodes)
@@ -215,7 +215,7 @@ class Recorder:
         """Append the rows of one batch."""
         if self._summary is not None:
             self._summary.append({name: column(values) for name, values in summary(batch).items()})
-        rows = self._kept.rows(batch.t)
+        rows = self._selection.rows(batch.t)
         t, n, e = batch.t[rows], len(self._nodes), len(self._e)
 
         def of(values: NDArray[Any], columns: Index) -> NDArray[Any]:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 import numpy as np
 
 from hedgerow.orchestrator.metrics.observer import Batch, Observer
-from hedgerow.orchestrator.runs.selection import kept
+from hedgerow.orchestrator.runs.selection import selection
 from hedgerow.topologies.escape import markdown
 from hedgerow.topologies.graph import Index, Mask
 from hedgerow.topologies.law_choice import is_listed
@@ -96,7 +96,7 @@ def _listed(names: Iterable[str], count: int) -> str:
 
 def about(topology: Topology, observer: Observer, large: bool, pictures_hz: float, group: int = 1) -> str:
     """Return the explanation of the panels for newcomers, in Markdown; `group` nodes are one dot of the picture."""
-    what = kept(topology)
+    what = selection(topology)
     lines = "every node" if what.all_nodes else f"{len(what.nodes)} of the nodes, evenly chosen or by the file"
     if what.every > 1:
         lines += f", at every {what.every}th step"

@@ -18,11 +18,12 @@ from hedgerow.agents.law import Minimax
 from hedgerow.agents.quiet import QuietLaw
 from hedgerow.agents.shard import Shard
 from hedgerow.agents.view import Peer, View
-from hedgerow.orchestrator.ground.assignment import layout, views_of
+from hedgerow.orchestrator.ground.assignment import layout, truth_of, views_of
+from hedgerow.plant.world import World
 from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import resolve
 from hedgerow.topologies.schema import Topology
-from hedgerow.wire.codec import Link
+from hedgerow.wire.codec import Link, encode_input, encode_link, encode_state
 from tests.test_faults import faulty, harsh
 from tests.tools.networks import partitions, simulate
 
@@ -105,15 +106,16 @@ def test_any_numbers_give_the_bits_of_the_law_or_are_passed_to_it(
     assert ours is not None
     x, u = np.zeros(1), np.zeros(1)
     for _ in range(quiet.PATIENCE):
-        ours.after(True, x, u)
+        ours.after(True, x, u, np.zeros((2, 1)))
     for one, two, now in zip(values[::3], values[1::3], values[2::3], strict=True):
-        answer = ours.step(np.array([now]), [Link(0, 0, bytes(16), struct.pack("<2d", one, two))])
+        answer = ours.step([now], [Link(0, 0, bytes(16), struct.pack("<2d", one, two))], 0)
         if answer is None:
             break
         with np.errstate(all="ignore"):
             law.learn(x, np.array([(u[0] - one) + (u[0] - two)]), np.array([now]))
             x, u = np.array([now]), law.act(np.array([now]))
-        assert (answer.u, answer.report) == (u.tobytes(), law.report().tobytes())
+        assert np.array(ours.u).tobytes() == u.tobytes()
+        assert np.array(ours.report).tobytes() == law.report().tobytes()
     ours.settle()
     assert other.memory.tobytes() == law.memory.tobytes()
 
@@ -124,3 +126,44 @@ def test_only_the_law_of_the_paper_and_few_nodes_are_quiet(law: str) -> None:
     views = [views_of(topology, layout(topology, processes)) for processes in (7, 1)]
     alone, together = (Shard(each[0])._quiet is not None for each in views)
     assert (alone, together) == (law == "minimax", False)
+
+
+@pytest.mark.parametrize("processes", [3, 7])
+def test_messages_answered_without_numpy_are_those_of_the_general_path(processes: int) -> None:
+    topology = resolve(load("paper7", ["steps=30"]))
+    assignment = layout(topology, processes)
+    views, world = views_of(topology, assignment), World(truth_of(topology, assignment))
+    pairs = [(Shard(view), Shard(view)) for view in views]
+    quietly = 0
+    for _ in range(30):
+        world.begin()
+        told, said, inputs = world.states(), [], []
+        for view, (one, other), (state, _) in zip(views, pairs, told, strict=True):
+            assert state is not None
+            other.answer(state)
+            general = [encode_link(link, other.peers[peers[0]].says) for peers, link in other.say(state)]
+            general.append(encode_input(state.t, other.u, other.report, other.took))
+            answer = one.answer_quietly(encode_state(*state))
+            if answer is None:
+                one.answer(state)
+            else:
+                assert answer == general
+                quietly += 1
+            inputs.append(other.u)
+            said += [(view, peer, link) for peers, link in other.say(state) for peer in peers]
+        for view, peer, link in said:
+            receiver = view.peers[peer].shard
+            back = [other.shard for other in views[receiver].peers].index(view.shard)
+            for shard in pairs[receiver]:
+                shard.hear(back, link)
+        nothing = np.zeros((2, len(topology.ids)))
+        world.step(np.concatenate(inputs), nothing, [b""] * processes)
+    assert quietly == processes * (30 - 1 - quiet.PATIENCE)
+
+
+def test_a_state_of_another_step_or_with_more_in_it_is_left_to_the_general_path() -> None:
+    forms = quiet.QuietForms(1, [None])
+    message = encode_state(5, np.ones(1), b"")
+    assert forms.states(message, 5) == [1.0]
+    assert forms.states(message, 4) is forms.states(encode_state(5, np.ones(1), b"\x07"), 5) is None
+    assert forms.states(b"\x00" + message[1:], 5) is None

@@ -47,7 +47,7 @@ from hedgerow.orchestrator.runs.files import load_resolved
 from hedgerow.orchestrator.runs.folder import create
 from hedgerow.orchestrator.views.rerun.opening import _open
 from hedgerow.orchestrator.views.rerun.viewer import Viewer
-from hedgerow.orchestrator.views.rerun.watch import Happenings, Trail, told
+from hedgerow.orchestrator.views.rerun.watch import Happenings, Trail, note_of
 from hedgerow.orchestrator.views.screen import Quiet
 from hedgerow.plant.truth import Truth
 from hedgerow.topologies import table
@@ -297,7 +297,7 @@ class Files:
         except FileNotFoundError:
             return
         for event in Happenings(folder / "events.jsonl").new():
-            told(event)
+            note_of(event)
         observer = Observer(topology)
         while rows := trail.take(64):
             observer.take(rows)

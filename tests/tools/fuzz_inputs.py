@@ -174,8 +174,8 @@ class Toml(Inputs):
     def _take(file: Path) -> None:
         found = config.find(file, "told.toml")
         is_plant = found.process == keys.PLANT
-        standalone.told(found, Truth.from_dict if is_plant else View.from_dict)
-        standalone.told(found, lambda known: standalone.token(found.process, known))
+        standalone.part(found, Truth.from_dict if is_plant else View.from_dict)
+        standalone.part(found, lambda known: standalone.token(found.process, known))
 
 
 def large_toml(rng: Random) -> bytes:

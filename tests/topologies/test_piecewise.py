@@ -85,7 +85,7 @@ def test_pieces_have_the_mistakes_of_the_whole(changes: list[tuple[tuple[Any, ..
                 at[path[-1]] = copy.deepcopy(odd)
         except (LookupError, TypeError):  # an earlier change has removed it
             continue
-    # A rule about all members of a collection is no matter of one piece.
+    # A rule about all members of a collection cannot be checked in one piece.
     whole = Counter({one: count for one, count in of_the_whole(value).items() if one[1] != "disjoint"})
     assert Counter(key(value, one) for one in errors(Topology, value, piece)) == whole
 

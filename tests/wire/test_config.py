@@ -43,7 +43,7 @@ def through_text(told: dict[str, Any]) -> dict[str, Any]:
         "tcp/bench:7447",
         "f00",
     )
-    return config.told
+    return config.part
 
 
 @given(st.data())

@@ -27,7 +27,7 @@ class Found:
     source: str
     """the file or object, for messages"""
     names: Sequence[Hashable]
-    """of the nodes, each once"""
+    """the names of the nodes, each once"""
     edges: Index
     """positions in `names`, (E, 2)"""
     directed: bool = False
@@ -47,7 +47,7 @@ class Found:
     """w_i(t), (n, T)"""
     steps: int | None = None
     edge_names: Sequence[str] | None = None
-    """for messages, (E,)"""
+    """the names of edges in messages, (E,)"""
     sign: Callable[[float], str] = field(default=lambda _: "")
     """the meaning in the source of a weight that is not above 0"""
     facts: list[str] = field(default_factory=list)
@@ -142,7 +142,7 @@ def storage_of(
     if (number := as_number(asked)) is not None:
         if not number > 0:
             raise refuse(f"--storage {asked}", "is not above 0", "Give a number above 0", Code.OPTION)
-        return np.full(len(attributes), number), f"Every {noun} has the storage {number:g}, as the command says"
+        return np.full(len(attributes), number), f"Every {noun} has the storage {number:g}, by the option"
     key = str(asked)
     if not any(key in own for own in attributes):
         known = ", ".join(sorted({str(key) for own in attributes for key in own})) or "none"
@@ -162,7 +162,7 @@ def storage_of(
         values[without] = others
         return values, (
             f"The storage of a {noun} is its attribute `{key}`; "
-            f"{int(without.sum())} without one have {others:g}, as the command says"
+            f"{int(without.sum())} without one have {others:g}, by the option"
         )
     return values, f"The storage of a {noun} is its attribute `{key}`"
 

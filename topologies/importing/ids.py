@@ -24,7 +24,7 @@ def ids_of(names: Sequence[Hashable], labels: Sequence[str | None] | None) -> tu
     wanted: Sequence[Hashable] = labels if by_label and labels is not None else names
     taken: set[int | str] = set()
     ids: Ids = []
-    kept: list[str | None] = []
+    printed: list[str | None] = []
     made = 0
     # Give every node first its name, if that is a valid id: a made id never takes the name of another node.
     own = [_whole(one) for one in wanted]
@@ -38,12 +38,12 @@ def ids_of(names: Sequence[Hashable], labels: Sequence[str | None] | None) -> tu
         taken.add(node)
         ids.append(node)
         label = labels[k] if labels is not None else None
-        kept.append(label or (None if plain is not None and node == plain else _printable(name)))
+        printed.append(label or (None if plain is not None and node == plain else _printable(name)))
     return (
         ids,
         [
             None if label is None or label == str(node) else _printable(label)
-            for label, node in zip(kept, ids, strict=True)
+            for label, node in zip(printed, ids, strict=True)
         ],
         made,
     )

@@ -207,10 +207,10 @@ def read_pandapower(path: Path, options: Options) -> Found:
             members.setdefault(at, []).append(index)
     labels = [_label(net, members.get(k, []), k) for k in range(len(bus))]
     found = of_case(path, bus, branch, options, None)
-    kept = [first[int(str(name))] for name in found.names]
-    found.labels = [labels[k] for k in kept]
-    found.names = [members[k][0] if members.get(k) else f"aux_{k}" for k in kept]
-    found.positions = places([_place(net, members.get(k, [])) for k in kept])
+    firsts = [first[int(str(name))] for name in found.names]
+    found.labels = [labels[k] for k in firsts]
+    found.names = [members[k][0] if members.get(k) else f"aux_{k}" for k in firsts]
+    found.positions = places([_place(net, members.get(k, [])) for k in firsts])
     if out := len(net.bus) - sum(map(len, members.values())):
         found.changes.append(
             f"{out} bus{'es' if out > 1 else ''} dropped: out of service, or without a branch in service"

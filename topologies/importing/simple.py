@@ -24,9 +24,9 @@ def simple(found: Found, options: Options) -> Found:
     low, high = edges.min(axis=1, initial=2**62), edges.max(axis=1, initial=-1)
     if loops := int((low == high).sum()):
         changes.append(f"{_count(loops, 'loop')} dropped: an edge joins two nodes")
-        kept = low != high
-        edges, low, high = edges[kept], low[kept], high[kept]
-        weights = None if weights is None else weights[kept]
+        left = low != high
+        edges, low, high = edges[left], low[left], high[left]
+        weights = None if weights is None else weights[left]
     edges, weights, parallel, both = _merged(
         len(found.names), edges, low, high, weights, found.directed or options.directed
     )
@@ -94,8 +94,8 @@ def _of_degree(n: int, edges: Index, weights: Array | None, most: int) -> tuple[
     first = np.searchsorted(ends[order], np.arange(n))
     rank = np.empty_like(ends)
     rank[order] = np.arange(len(ends)) - first[ends[order]]
-    kept = np.sort(ranked[(rank < most).reshape(-1, 2).all(axis=1)])
-    return edges[kept], None if weights is None else weights[kept], len(edges) - len(kept)
+    left = np.sort(ranked[(rank < most).reshape(-1, 2).all(axis=1)])
+    return edges[left], None if weights is None else weights[left], len(edges) - len(left)
 
 
 def _component(found: Found, largest: bool) -> Found:
@@ -127,7 +127,7 @@ def only(found: Found, nodes: Index) -> Found:
     """Return the subnetwork of some nodes, given by ascending positions, with the edges between them."""
     place = np.full(len(found.names), -1)
     place[nodes] = np.arange(len(nodes))
-    kept = (place[found.edges] >= 0).all(axis=1)
+    left = (place[found.edges] >= 0).all(axis=1)
 
     def some(array: Array | None) -> Array | None:
         return None if array is None else array[nodes]
@@ -135,13 +135,13 @@ def only(found: Found, nodes: Index) -> Found:
     return replace(
         found,
         names=[found.names[k] for k in nodes],
-        edges=place[found.edges[kept]],
+        edges=place[found.edges[left]],
         labels=None if found.labels is None else [found.labels[k] for k in nodes],
         positions=some(found.positions),
         storage=some(found.storage),
         samples=some(found.samples),
-        weights=None if found.weights is None else found.weights[kept],
-        edge_names=None if found.edge_names is None else [found.edge_names[k] for k in np.flatnonzero(kept).tolist()],
+        weights=None if found.weights is None else found.weights[left],
+        edge_names=None if found.edge_names is None else [found.edge_names[k] for k in np.flatnonzero(left).tolist()],
     )
 
 

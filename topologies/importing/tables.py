@@ -237,8 +237,8 @@ def of_matrix(
     entries.sum_duplicates()
     edges: Index = np.stack(entries.coords, axis=1).astype(np.int64)
     values = entries.data.astype(float)
-    kept = values != 0
-    edges, values = edges[kept], values[kept]
+    nonzero = values != 0
+    edges, values = edges[nonzero], values[nonzero]
     if edges.size and (options.weight is not None):
         number = as_number(options.weight)
         if number is None:

@@ -119,13 +119,13 @@ class _Reading:
         place = {name: k for k, name in enumerate(names)}
         edges = pairs([(place[i], place[j]) for i, j in ends])
         storage, demand = self._storage(names), self._demands(names)
-        home, kept = self._joined(names, edges, conductance)
+        home, left = self._joined(names, edges, conductance)
         # The storage of a junction is assumed. Beside a tank, the area of the tank is the only known storage.
         tank = np.array([self._model.get_node(str(name)).node_type == "Tank" for name in names])
-        tanks = weighted_sums(home, np.where(tank, storage, 0.0), len(kept))
-        storage = np.where(tanks > 0, tanks, weighted_sums(home, storage, len(kept)))
-        names = [names[k] for k in kept]
-        demand = np.stack([weighted_sums(home, row, len(kept)) for row in demand])
+        tanks = weighted_sums(home, np.where(tank, storage, 0.0), len(left))
+        storage = np.where(tanks > 0, tanks, weighted_sums(home, storage, len(left)))
+        names = [names[k] for k in left]
+        demand = np.stack([weighted_sums(home, row, len(left)) for row in demand])
         apart = np.flatnonzero(home[edges[:, 0]] != home[edges[:, 1]])
         edges, conductance, links = home[edges[apart]], conductance[apart], [links[k] for k in apart]
         load = np.bincount(edges.ravel(), np.repeat(conductance, 2), len(names)) / storage
@@ -297,16 +297,16 @@ class _Reading:
         # A tank gives its name to its merged node; otherwise the first node does. Keep the order of the file.
         rank = np.lexsort((np.arange(n), [self._model.get_node(str(name)).node_type != "Tank" for name in names]))
         _, first = np.unique(piece[rank], return_index=True)
-        kept = np.sort(rank[first])
-        number = np.empty(len(kept), dtype=np.int64)
-        number[piece[kept]] = np.arange(len(kept))
-        if joined := n - len(kept):
+        left = np.sort(rank[first])
+        number = np.empty(len(left), dtype=np.int64)
+        number[piece[left]] = np.arange(len(left))
+        if joined := n - len(left):
             self._changes.append(
                 f"{joined} node{'s' if joined > 1 else ''} joined with a neighbour, the storage of junctions and the "
                 f"demands added: the link between them conducts more than {STIFF} times the median, {bound:.3g} m²/s, "
                 "so that both have one head"
             )
-        return number[piece], kept
+        return number[piece], left
 
     def _samples(self, demand: Array, storage: Array, step: float, steps: int) -> Array | None:
         """Return w_i(t) = -(demand above that of the operating point) dt/sqrt(c_i), (n, T); None if it is always 0."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from hedgerow.orchestrator.experiments.compare import words
+from hedgerow.orchestrator.experiments.compare import tables
 from hedgerow.orchestrator.experiments.compare.plan import Comparison
 from hedgerow.orchestrator.experiments.compare.runs import METRICS, answer
 from hedgerow.orchestrator.experiments.compare.statistics import Cell, Paired, cells, paired
@@ -49,15 +49,15 @@ class Compared:
     @property
     def method(self) -> str:
         """Return how the numbers were made, in one line."""
-        return words.method(len(self.plan.seeds), len(self.tests))
+        return tables.method(len(self.plan.seeds), len(self.tests))
 
     @property
     def markdown(self) -> str:
         """Return tables and findings in Markdown."""
-        return f"# {self.plan.name}\n\n{self.method}.\n\n{words.markdown(self.cells, self.tests)}"
+        return f"# {self.plan.name}\n\n{self.method}.\n\n{tables.markdown(self.cells, self.tests)}"
 
     def __str__(self) -> str:
-        return "\n\n".join([words.text(self.cells), words.words(self.cells, self.tests), self.method])
+        return "\n\n".join([tables.text(self.cells), tables.conclusions(self.cells, self.tests), self.method])
 
     def mean(self, law: str, metric: str, disturbance: str = "") -> float:
         """Return a mean over seeds; `disturbance` may be omitted if there is one.

@@ -30,7 +30,7 @@ class Cell:
     law: str
     metric: str
     values: Array
-    """by seed, NaN where it is undefined, (S,)"""
+    """the values by seed, NaN where undefined, (S,)"""
 
     @property
     def n(self) -> int:

@@ -41,7 +41,7 @@ class SweepFolder:
         self.table = path / "sweep.parquet"
         self._about, self._lines = path / "sweep.json", path / "runs.jsonl"
         self.rows: dict[tuple[int, int], Row] = {}
-        """by (place of the setting, seed)"""
+        """the rows by (place of the setting, seed)"""
 
     def __enter__(self) -> SweepFolder:
         try:

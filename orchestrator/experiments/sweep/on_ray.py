@@ -21,14 +21,14 @@ def over_ray(
     with joined(address) as cluster:
         ray = cluster.ray
         try:
-            task, told = ray.remote(answer), ray.put(plan)
+            task, shared_plan = ray.remote(answer), ray.put(plan)
             # Twice as many as run in parallel, so that no core waits for us.
             limit = jobs or 2 * max(1, int(ray.cluster_resources().get("CPU", 1)))
             waiting = iter(chunks)
             going: list[Any] = []
             while True:
                 while len(going) < limit and (chunk := next(waiting, None)) is not None:
-                    going.append(task.remote(told, chunk))
+                    going.append(task.remote(shared_plan, chunk))
                 if not going:
                     return
                 ready, going = ray.wait(going, timeout=LOOK_EVERY_S)

@@ -63,10 +63,10 @@ def answer(plan: Plan, chunk: Chunk) -> Answer:
 
 
 def rows_of(plan: Plan, chunk: Chunk, alone: Callable[[int], Row], at_once: Callable[[Runs, int], Row]) -> Answer:
-    """Return the rows of a chunk, from one batch where that can be.
+    """Return the rows of a chunk, from one batch if possible.
 
-    `alone` makes the run of a seed with every check. `at_once` reads the row of a run of a batch. A run that fails a
-    check in a batch is made again alone, so that its row says what is wrong.
+    `alone` makes the run of a seed with every check. `at_once` reads the row of a run from a batch. A run that fails a
+    check in a batch is made again alone, so its row gives the reason.
     """
     seed = chunk.seeds[0]
     try:
@@ -98,7 +98,7 @@ def _batch(plan: Plan, chunk: Chunk) -> Runs | None:
     try:
         return batch.run(topology, chunk.seeds, plan.folder)
     except (LawError, SizesError, TopologyError):
-        return None  # run by itself, each run says what is wrong
+        return None  # alone, each run reports its reason
     except Exception:
         if ":" not in topology.law:
             raise

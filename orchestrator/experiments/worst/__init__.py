@@ -116,8 +116,8 @@ def worst(
     stopped search continues with the files of `out`. Raises UserError for a network that is too large.
     """
     hunt = Hunt(topology, seed, faults, steps)
-    kept = None if out is None else _state_beside(out)
-    if kept is not None and kept.exists() and hunt.resume(kept):
+    state_file = None if out is None else _state_beside(out)
+    if state_file is not None and state_file.exists() and hunt.resume(state_file):
         say(f"continues after {hunt.state.seconds:.0f} s, with gain {hunt.best_score() ** 0.5:.4f}")
     hunt.run(budget_s, say, quit_now)
     attack, network = hunt.proved()
@@ -129,9 +129,9 @@ def worst(
         {hunt.named(breaks): gain for breaks, gain in hunt.fault_gains.items()},
         hunt.state.seconds,
     )
-    if out is not None and kept is not None:
+    if out is not None and state_file is not None:
         try:
-            hunt.save(kept)
+            hunt.save(state_file)
             out.write_text(to_yaml(network), encoding="utf-8")
             out.with_suffix(".json").write_text(json.dumps(found.to_dict(), indent=1) + "\n", encoding="utf-8")
         except OSError as error:
@@ -145,29 +145,31 @@ def _state_beside(out: Path) -> Path:
     """Return the file of a search's state beside `out`. Raises UserError if a file of the user would be replaced."""
     if not out.name or out.suffix in (".npz", ".json"):
         raise UserError(f"--out {out}: is no name of a network. Name a file such as {NAME}.", code=Code.OPTION)
-    kept, told = out.with_suffix(".npz"), out.with_suffix(".json")
+    state_file, result = out.with_suffix(".npz"), out.with_suffix(".json")
     try:
         if not os.access(out.parent, os.W_OK | os.X_OK) or not out.parent.is_dir():
             raise UserError(f"--out {out}: {out.parent} is no folder to write in. Choose another.", code=Code.OUTPUT)
-        is_ours = kept.exists()  # else `Hunt.resume` refuses it
-        if told.exists():
-            content = read_json(told)
+        is_ours = state_file.exists()  # else `Hunt.resume` refuses it
+        if result.exists():
+            content = read_json(result)
             is_ours = isinstance(content, dict) and content.keys() >= {"network", "law", "gain", "guarantee"}
             if not is_ours:
-                raise UserError(f"{told}: exists and is no result of `worst`. Choose another --out.", code=Code.OUTPUT)
+                raise UserError(
+                    f"{result}: exists and is no result of `worst`. Choose another --out.", code=Code.OUTPUT
+                )
         if out.exists() and not is_ours:
             raise UserError(f"{out}: exists and is no result of `worst`. Choose another --out.", code=Code.OUTPUT)
     except OSError as error:
         raise UserError(f"--out {out}: {error.strerror}. Choose another.", code=Code.OUTPUT) from None
-    return kept
+    return state_file
 
 
 def at_least(plant: Plant, folder: Path) -> float | None:
     """Return the gain in a worst.json, found for minimax on a network without faults; None if there is none."""
     try:
-        told = read_json((folder / NAME).with_suffix(".json"))
-        if told["network"] == fingerprint(plant) and told["law"] == "minimax" and not told["faulty"]:
-            return float(told["limit"])
+        earlier = read_json((folder / NAME).with_suffix(".json"))
+        if earlier["network"] == fingerprint(plant) and earlier["law"] == "minimax" and not earlier["faulty"]:
+            return float(earlier["limit"])
     except (UserError, OSError, ValueError, KeyError, TypeError):
         pass
     return None

@@ -144,27 +144,27 @@ class Hunt:
 
     def _break(self, until: float, say: Say, quit_now: Quit) -> None:
         """Try every cut and drop alone, then add faults to the best, one at a time."""
-        graph, kept = self.scene.graph, NONE
+        graph, breaking = self.scene.graph, NONE
         best = max((found[1] for key, found in self.state.champions.items() if key[1] == NONE), default=0.0)
         singles = [Breaks(cuts=((e, first),)) for e in range(len(graph.edges)) for first in (0,)]
         singles += [Breaks(drops=((k, first),)) for k in range(len(graph.node)) for first in (0, 2, 4)]
-        while len(kept) < MOST_FAULTS:
+        while len(breaking) < MOST_FAULTS:
             order = self.rng.permutation(len(singles))
-            share = (until - time.monotonic()) / (MOST_FAULTS - len(kept))
+            share = (until - time.monotonic()) / (MOST_FAULTS - len(breaking))
             deadline, each = time.monotonic() + share, share / max(1, len(singles))
-            found: tuple[float, Breaks] = (best, kept)
+            found: tuple[float, Breaks] = (best, breaking)
             for number in order.tolist():
                 if time.monotonic() >= deadline or quit_now():
                     break
-                breaks = kept + singles[number]
+                breaks = breaking + singles[number]
                 score = self._under(breaks, time.monotonic() + each)
-                if not len(kept):
+                if not len(breaking):
                     self.fault_gains[breaks] = score**0.5
                 found = max(found, (score, breaks), key=lambda one: one[0])
-            if found[1] == kept or time.monotonic() >= until or quit_now():
+            if found[1] == breaking or time.monotonic() >= until or quit_now():
                 return
-            best, kept = found
-            say(f"gain {best**0.5:.4f} with {self.named(kept)}")
+            best, breaking = found
+            say(f"gain {best**0.5:.4f} with {self.named(breaking)}")
 
     def _under(self, breaks: Breaks, until: float) -> float:
         """Return the best gain squared under some faults, from the best disturbances without them."""

@@ -65,7 +65,7 @@ class Lane:
 class Changes:
     """The steps when a lane changes its state, with the new states."""
 
-    lanes: Mapping[str, tuple[NDArray[np.int64], NDArray[np.float64], list[str]]]
+    states: Mapping[str, tuple[NDArray[np.int64], NDArray[np.float64], list[str]]]
     begun: Sequence[Lane] = ()
     """the new lanes"""
 
@@ -73,21 +73,21 @@ class Changes:
         """Send the changes."""
         for lane in self.begun:
             lane.log_static(stream)
-        for entity, (t, wall, says) in self.lanes.items():
+        for entity, (t, wall, says) in self.states.items():
             index = [rr.TimeColumn("step", sequence=t), rr.TimeColumn("wall", timestamp=wall)]
             stream.send_columns(entity, index, rr.StateChange.columns(state=says))
 
     @property
     def size(self) -> int:
         """Return the approximate size [bytes]."""
-        return sum(40 * len(t) for t, _, _ in self.lanes.values())
+        return sum(40 * len(t) for t, _, _ in self.states.values())
 
     @staticmethod
     def joined(parts: Sequence[Changes]) -> Changes:
         """Return the parts as one."""
         found: dict[str, tuple[NDArray[np.int64], NDArray[np.float64], list[str]]] = {}
-        for entity in dict.fromkeys(entity for part in parts for entity in part.lanes):
-            own = [part.lanes[entity] for part in parts if entity in part.lanes]
+        for entity in dict.fromkeys(entity for part in parts for entity in part.states):
+            own = [part.states[entity] for part in parts if entity in part.states]
             t, wall = (np.concatenate([one[k] for one in own]) for k in (0, 1))
             found[entity] = t, wall, [what for one in own for what in one[2]]
         return Changes(found, [lane for part in parts for lane in part.begun])

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 import time
-from collections import deque
 from collections.abc import Callable
 
 import rerun as rr
 
+from hedgerow.orchestrator.ground.bounded_queue import BoundedQueue
 from hedgerow.orchestrator.views.rerun.viewer import Viewer
 from hedgerow.orchestrator.views.rerun.viewer_version import compare
 
@@ -28,9 +29,7 @@ class Feeder:
     ) -> None:
         """Start the thread; it calls `warn` on any problem with the viewer."""
         self._viewer, self._open, self._warn = viewer, open_stream, warn
-        self._writes: deque[tuple[Write, int]] = deque()
-        self._bytes = 0
-        self._changed = threading.Condition()
+        self._writes: BoundedQueue[Write] = BoundedQueue(sys.maxsize, WAITING_BYTES)
         self._by: float | None = None
         self._stuck: rr.RecordingStream | None = None
         self.dropped = 0
@@ -40,23 +39,16 @@ class Feeder:
     @property
     def waiting(self) -> int:
         """Return the size of the data queued for the viewer [bytes]."""
-        return self._bytes
+        return self._writes.bytes
 
     def put(self, write: Write, size: int) -> None:
         """Queue a write of about `size` bytes, and drop the oldest ones beyond WAITING_BYTES."""
-        with self._changed:
-            self._writes.append((write, size))
-            self._bytes += size
-            while self._bytes > WAITING_BYTES and len(self._writes) > 1:
-                self._bytes -= self._writes.popleft()[1]
-                self.dropped += 1
-            self._changed.notify()
+        self.dropped += self._writes.put_or_drop(write, size)
 
     def finish(self, by: float) -> None:
         """Write the queued data until the monotonic time `by`; accept nothing more."""
-        with self._changed:
-            self._by = by
-            self._changed.notify()
+        self._by = by
+        self._writes.close()
 
     def join(self, by: float) -> bool:
         """Wait until `by`; return True if the thread has ended without a connection that could block."""
@@ -68,9 +60,7 @@ class Feeder:
             compare(self._viewer, self._warn)
             while not self._feed() and self._until_it_listens():
                 pass
-        with self._changed:
-            self.dropped += len(self._writes)
-            self._writes.clear()
+        self.dropped += self._writes.clear()
 
     def _until_it_listens(self) -> bool:
         """Wait for the viewer; return False if it does not come in time."""
@@ -86,12 +76,10 @@ class Feeder:
         """Send data over one connection; return True when all is sent, False when the connection broke."""
         stream = self._open(rr.GrpcSink(self._viewer.url))
         self._stuck = stream
-        while (item := self._next()) is not None:
+        while (item := self._writes.take()) is not None:
             item[0](stream)
             if not self._taken(stream):
-                with self._changed:
-                    self._writes.appendleft(item)
-                    self._bytes += item[1]
+                self._writes.put_back(*item)
                 self._stuck = None
                 return False
             if self._late():
@@ -99,15 +87,6 @@ class Feeder:
         stream.disconnect()
         self._stuck = None
         return True
-
-    def _next(self) -> tuple[Write, int] | None:
-        with self._changed:
-            self._changed.wait_for(lambda: self._writes or self._by is not None)
-            if not self._writes:
-                return None
-            item = self._writes.popleft()
-            self._bytes -= item[1]
-            return item
 
     def _taken(self, stream: rr.RecordingStream) -> bool:
         """Wait until the viewer has received the last write, so Rerun never holds more than one batch.

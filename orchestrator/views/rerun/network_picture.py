@@ -59,7 +59,7 @@ class Frames:
     rings: Packed
     """(R, n)"""
     edges: Packed
-    """of each half, in the order of incidences, (R, 2E)"""
+    """the colour of each half edge, in the order of incidences, (R, 2E)"""
     widths: NDArray[np.float32]
     """(R, 2E)"""
     broken: NDArray[np.float32]
@@ -126,7 +126,7 @@ class Picture:
         self._width = 1.2 if self._large else 2.5
         """the width of an edge with the maximum flow [points]"""
         self._thickness = thickness(self._graph.weights, len(self._graph.edges))[self._graph.edge]
-        """of each half edge; an edge with a lower weight is thinner"""
+        """the thickness of each half edge; an edge with a lower weight is thinner"""
         self._x_peak = self._flow_peak = 0.0
         self._starts, self._middles = self._halves()
         self._nowhere = np.repeat(self.places[:1, None], 2, axis=1).astype(np.float32)
@@ -339,14 +339,14 @@ class Legend:
         words = ["x = 0", "", "wrong model", "no input", "agent dead"]
         words += ["no flow", "strong flow", "lost one", "lost both", "edge cut"]
         below = np.array([[x, y + 0.2 * unit] for y in (first, second) for x in self.x])
-        kept = [k for k, word in enumerate(words) if word]
+        labelled = [k for k, word in enumerate(words) if word]
         stream.log(
             "network/legend/words",
             rr.Points2D(
-                below[kept],
-                radii=[-0.1] * len(kept),
-                colors=[palette.TEXT] * len(kept),
-                labels=[words[k] for k in kept],
+                below[labelled],
+                radii=[-0.1] * len(labelled),
+                colors=[palette.TEXT] * len(labelled),
+                labels=[words[k] for k in labelled],
                 show_labels=True,
             ),
             static=True,

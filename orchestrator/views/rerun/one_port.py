@@ -25,8 +25,8 @@ def rewritten(head: bytes) -> bytes:
     other port.
     """
     first, *lines = head.removesuffix(b"\r\n\r\n").split(b"\r\n")
-    kept = [line for line in lines if line.partition(b":")[0].strip().lower() not in (b"connection", b"keep-alive")]
-    return b"\r\n".join([first, *kept, b"Connection: close"]) + b"\r\n\r\n"
+    others = [line for line in lines if line.partition(b":")[0].strip().lower() not in (b"connection", b"keep-alive")]
+    return b"\r\n".join([first, *others, b"Connection: close"]) + b"\r\n\r\n"
 
 
 def target(head: bytes) -> str:

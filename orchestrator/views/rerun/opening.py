@@ -37,7 +37,7 @@ from hedgerow.orchestrator.views.rerun.watch import (
     PatientStream,
     as_begun,
     keep_page,
-    told,
+    note_of,
 )
 from hedgerow.topologies.errors import Code, HedgerowError, UserError
 from hedgerow.topologies.escape import markdown
@@ -176,7 +176,7 @@ def _replay(run: Run, viewer: Viewer, say: Say, go_on: Callable[[], bool]) -> No
     observer = Observer(begun)
     stream = PatientStream(begun, observer, run.name, viewer, say, run.T)
     observer.change(run.topology)
-    for line in filter(None, map(told, run.events)):
+    for line in filter(None, map(note_of, run.events)):
         stream.event(*line)
     ends = at_ends(run.topology.graph)
     took = np.full(ends.size, TAKEN, np.uint8)

@@ -12,7 +12,7 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
 from hedgerow.orchestrator.metrics.observer import Batch, Observer
-from hedgerow.orchestrator.runs.selection import evenly, kept
+from hedgerow.orchestrator.runs.selection import evenly, selection
 from hedgerow.orchestrator.views.palette import BACKGROUND, GREEN, GREY, ORANGE, PURPLE, Color, hues
 from hedgerow.orchestrator.views.palette import CUT as RED
 from hedgerow.orchestrator.views.palette import LOST as AMBER
@@ -71,7 +71,7 @@ def quantities(topology: Topology, observer: Observer) -> list[Quantity]:
 
 def lines(topology: Topology) -> list[Quantity]:
     """Return one line for each node and edge with rows, up to LINES."""
-    which, graph = kept(topology), topology.graph
+    which, graph = selection(topology), topology.graph
     nodes, flows = lined(which.nodes), lined(which.edges)
     ids = [str(topology.ids[k]) for k in nodes.tolist()]
     edges = [f"{topology.ids[i]}–{topology.ids[j]}" for i, j in graph.edges[flows].tolist()]
@@ -177,9 +177,9 @@ class RoundTripLines:
         colors = [ORANGE, GREEN, GREY] if self._many else hues(len(self.names))
         return rr.SeriesLines(names=self.names, colors=colors, widths=[1.5] * len(self.names))
 
-    def columns(self, trips: Trips) -> Matrix:
+    def columns(self, latencies: Trips) -> Matrix:
         """Return the series [ms], one row per step, NaN without an answer."""
-        ms = 1e3 * trips.seconds
+        ms = 1e3 * latencies.seconds
         return _quantiles(np.nan_to_num(ms)) if self._many else ms
 
 
@@ -215,26 +215,26 @@ def blueprint(topology: Topology, gamma_star: float, legend: Legend, wired: bool
         rrb.TextDocumentView(origin="/about", name="About this run"),
         active_tab=0,
     )
-    told = rrb.Vertical(network, words, row_shares=[5, 2])
+    summary = rrb.Vertical(network, words, row_shares=[5, 2])
     events = rrb.TextLogView(
         origin="/events",
         name="Events",
         columns=rrb.TextLogColumns(timeline_columns=["step"], text_log_columns=["loglevel", "body"]),
     )
     title = f"Faults (first {LANES} links and nodes)" if large else "Faults"
-    lanes = rrb.StateTimelineView(origin="/", contents=LANE_ENTITIES, name=title, time_view=_whole())
-    trips = [_plot("Round trips, ms", ROUND_TRIPS, legend="LeftTop" if nodes <= LEGEND_NODES else None)]
+    fault_lines = rrb.StateTimelineView(origin="/", contents=LANE_ENTITIES, name=title, time_view=_whole())
+    latencies = [_plot("Round trips, ms", ROUND_TRIPS, legend="LeftTop" if nodes <= LEGEND_NODES else None)]
     if large:
         down = _plot("Down", "quantiles/down", legend="LeftTop")
-        first = rrb.Tabs(down, *trips) if wired else down
-        happened = rrb.Horizontal(first, lanes, events, column_shares=[2, 3, 2])
+        first = rrb.Tabs(down, *latencies) if wired else down
+        happened = rrb.Horizontal(first, fault_lines, events, column_shares=[2, 3, 2])
     elif wired:
-        happened = rrb.Horizontal(*trips, lanes, events, column_shares=[2, 3, 2])
+        happened = rrb.Horizontal(*latencies, fault_lines, events, column_shares=[2, 3, 2])
     else:
-        happened = rrb.Horizontal(lanes, events, column_shares=[3, 2])
+        happened = rrb.Horizontal(fault_lines, events, column_shares=[3, 2])
     plots = _aggregated(topology, gamma_star) if large else _plots(topology, gamma_star)
     return rrb.Blueprint(
-        rrb.Horizontal(told, rrb.Vertical(plots, happened, row_shares=[2.4, 1]), column_shares=[1, 2]),
+        rrb.Horizontal(summary, rrb.Vertical(plots, happened, row_shares=[2.4, 1]), column_shares=[1, 2]),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         rrb.TimePanel(state="collapsed", timeline="step", play_state="following"),
@@ -266,7 +266,7 @@ def _plots(topology: Topology, gamma_star: float) -> rrb.Grid:
 
 def _aggregated(topology: Topology, gamma_star: float) -> rrb.Grid:
     nodes = len(topology.ids)
-    heat = rrb.TensorView(
+    heatmap = rrb.TensorView(
         origin="/heat",
         name="Heat map of |x|",
         scalar_mapping=rrb.TensorScalarMapping(colormap="Viridis", gamma=0.6, mag_filter="Nearest"),
@@ -280,7 +280,7 @@ def _aggregated(topology: Topology, gamma_star: float) -> rrb.Grid:
             _plot("x*", "x_oracle"),
             _plot("w", "w"),
         ),
-        heat,
+        heatmap,
         rrb.Tabs(
             _plot(f"Right, of {nodes}", "nodes_right"),
             _plot("Estimates", "ahat"),

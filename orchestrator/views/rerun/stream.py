@@ -27,7 +27,7 @@ from hedgerow.wire.codec import Trips
 os.environ.setdefault("RUST_LOG", "error,re_grpc_client=off,re_sdk=off")
 import rerun as rr
 
-from hedgerow.orchestrator.runs.selection import kept
+from hedgerow.orchestrator.runs.selection import selection
 from hedgerow.orchestrator.views.event_texts import Now, about
 from hedgerow.orchestrator.views.rerun.fault_timeline import Changes, Lanes
 from hedgerow.orchestrator.views.rerun.feed import Feeder, Write
@@ -218,8 +218,8 @@ class RerunStream:
         names for the answer times.
         """
         self._id = recording_id
-        self._kept = kept(topology)
-        self._nodes = lined(self._kept.nodes)
+        self._selection = selection(topology)
+        self._nodes = lined(self._selection.nodes)
         self._lines, self._totals = lines(topology), totals(topology, observer) + aggregates(topology)
         large = len(topology.ids) > LARGE
         stride = -(-past * len(topology.ids) // DRAWN_NODES)
@@ -227,18 +227,18 @@ class RerunStream:
         self._picture = Picture(topology)
         group = self._picture.groups.size if self._picture.groups is not None else 1
         self._about = about(topology, observer, large, PICTURES_HZ_LARGE if large else PICTURES_HZ, group)
-        self._lanes = Lanes(topology, models=not large)
+        self._timeline = Lanes(topology, models=not large)
         self._now = Now(topology, observer)
         self._undrawn: tuple[Batch, NDArray[np.float64]] | None = None
-        self._heat, self._heat_due = HeatMap(len(topology.ids)) if large else None, False
+        self._heatmap, self._heatmap_due = HeatMap(len(topology.ids)) if large else None, False
         self._plan = Plan(topology, observer)
-        self._trips = RoundTripLines(processes)
+        self._round_trips = RoundTripLines(processes)
         self._blueprint = blueprint(topology, topology.network.gamma_star_now, self._picture.legend, bool(processes))
         self._wall = time.time()
         # Use a monotonic clock for the writes, because the wall clock may jump.
-        self._written = self._heated = time.monotonic()
+        self._written = self._heatmap_at = time.monotonic()
         self._unwritten: list[Part] = []
-        self._unwritten_trips: list[Rows] = []
+        self._unwritten_round_trips: list[Rows] = []
         footer = topology.steps <= FOOTER_STEPS
         self._file = RrdFile(path, self.opened, part_bytes, footer) if path is not None else None
         self._feeder = Feeder(viewer, self.opened, warn) if viewer is not None else None
@@ -257,10 +257,10 @@ class RerunStream:
         stream.log("about", rr.TextDocument(self._about, media_type=rr.MediaType.MARKDOWN), static=True)
         for quantity in (*self._lines, *self._totals):
             stream.log(quantity.entity, quantity.style(), static=True)
-        if self._trips.names:
-            stream.log(ROUND_TRIPS, self._trips.style(), static=True)
+        if self._round_trips.names:
+            stream.log(ROUND_TRIPS, self._round_trips.style(), static=True)
         self._picture.log_static(stream)
-        for lane in list(self._lanes.begun.values()):
+        for lane in list(self._timeline.begun.values()):
             lane.log_static(stream)
         return stream
 
@@ -276,14 +276,14 @@ class RerunStream:
         wall = np.linspace(before, self._wall, len(batch.t) + 1)[1:]
         for text, level, step in self._plan.due(batch):
             self.event(text, level, step)
-        rows = self._kept.rows(batch.t)
+        rows = self._selection.rows(batch.t)
         each = {q.entity: q.columns(batch)[rows] for q in self._lines} if len(rows) else {}
         sums = {q.entity: q.columns(batch) for q in self._totals}
         part = Part(
             Rows(batch.t[rows], wall[rows], each),
             Rows(batch.t, wall, sums),
             self._draw(batch, wall, self._pace.pick(len(batch.t))),
-            self._lanes.changes(batch, wall),
+            self._timeline.changes(batch, wall),
         )
         if self._feeder is not None:
             self._feeder.put(part.write, part.size)
@@ -292,20 +292,20 @@ class RerunStream:
             waiting = sum(len(part.totals.t) for part in self._unwritten)
             if waiting >= CHUNK_ROWS or time.monotonic() - self._written > CHUNK_S:
                 self._write_batches(self._file)
-        if self._heat is not None:
-            self._heat.take(batch)
-            self._heat_due = True
-            if time.monotonic() - self._heated > HEAT_S:
-                self._send_heat(self._heat.step)
+        if self._heatmap is not None:
+            self._heatmap.take(batch)
+            self._heatmap_due = True
+            if time.monotonic() - self._heatmap_at > HEAT_S:
+                self._send_heatmap(self._heatmap.step)
 
     def round_trips(self, trips: Trips, at: float) -> None:
         """Show the answer times at some steps, the last of which ended at about `at`."""
         t = np.arange(trips.t, trips.t + len(trips.seconds))
-        rows = Rows(t, np.full(len(t), at), {ROUND_TRIPS: self._trips.columns(trips)})
+        rows = Rows(t, np.full(len(t), at), {ROUND_TRIPS: self._round_trips.columns(trips)})
         if self._feeder is not None:
             self._feeder.put(rows.write, rows.size)
         if self._file is not None:
-            self._unwritten_trips.append(rows)
+            self._unwritten_round_trips.append(rows)
 
     def _draw(self, batch: Batch, wall: NDArray[np.float64], rows: NDArray[np.int64]) -> list[Drawn]:
         """Return some rows of a batch as pictures; a batch without any is stored, in case it is the last."""
@@ -321,11 +321,11 @@ class RerunStream:
             for drawn in self._draw(batch, wall, np.array([len(batch.t) - 1])):
                 self._write(drawn.write, drawn.size)
 
-    def _send_heat(self, step: int) -> None:
+    def _send_heatmap(self, step: int) -> None:
         """Send the heat map of all steps so far."""
-        assert self._heat is not None
-        self._heated, self._heat_due = time.monotonic(), False
-        image, axes, (t, wall) = self._heat.image, self._heat.axes, _now(step)
+        assert self._heatmap is not None
+        self._heatmap_at, self._heatmap_due = time.monotonic(), False
+        image, axes, (t, wall) = self._heatmap.image, self._heatmap.axes, _now(step)
         # Limit the scale to the 99 % quantile: one large x(0) would leave all else dark.
         most = max(float(np.quantile(image, 0.99)), 1e-6)
 
@@ -340,16 +340,16 @@ class RerunStream:
     def _write_batches(self, file: RrdFile) -> None:
         if self._unwritten:
             file.write(Part.joined(self._unwritten).write)
-        if self._unwritten_trips:
-            file.write(Rows.joined(self._unwritten_trips).write)
-        self._unwritten, self._unwritten_trips, self._written = [], [], time.monotonic()
+        if self._unwritten_round_trips:
+            file.write(Rows.joined(self._unwritten_round_trips).write)
+        self._unwritten, self._unwritten_round_trips, self._written = [], [], time.monotonic()
 
     def end(self, observer: Observer) -> None:
         """Show the states and the regret at step T, without an input; show nothing if the run ended before it."""
         if (end := observer.end) is None:
             return
-        if self._heat is not None:
-            self._send_heat(end.t)
+        if self._heatmap is not None:
+            self._send_heatmap(end.t)
         x, x_oracle, x_nominal = (of[self._nodes] for of in (end.x, observer.x_oracle_end, observer.x_nominal_end))
         last = {
             "x": x,
@@ -377,8 +377,8 @@ class RerunStream:
         """
         by = time.monotonic() + deadline_s
         self._draw_last()
-        if self._heat is not None and self._heat_due:
-            self._send_heat(self._heat.step)
+        if self._heatmap is not None and self._heatmap_due:
+            self._send_heatmap(self._heatmap.step)
         if self._feeder is not None:
             self._feeder.finish(by)
         if self._file is not None:

@@ -26,8 +26,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import quote, urlsplit
 
-import psutil
-
 from hedgerow.topologies.errors import Code, HedgerowError, UserError
 from hedgerow.wire.ports import LOOPBACK, free_port
 from hedgerow.wire.release import release
@@ -289,6 +287,8 @@ def executable() -> Path:
 
 def listening(pid: int) -> set[tuple[str, int]]:
     """Return the addresses at which a process accepts TCP connections; none if it has ended."""
+    import psutil  # noqa: PLC0415  # it delays the first step
+
     try:
         sockets = psutil.Process(pid).net_connections("tcp")
     except psutil.Error:

@@ -30,7 +30,7 @@ from hedgerow.orchestrator.runs.files import check_file, load_resolved, read_eve
 from hedgerow.orchestrator.runs.folder import RunFolder
 from hedgerow.orchestrator.runs.registry import Entry
 from hedgerow.orchestrator.runs.round_trips import TABLE, processes_of, trips_in
-from hedgerow.orchestrator.runs.selection import kept
+from hedgerow.orchestrator.runs.selection import selection
 from hedgerow.orchestrator.views.rerun.stream import RerunStream
 from hedgerow.orchestrator.views.rerun.viewer import Viewer, start
 from hedgerow.orchestrator.views.rerun.viewer_version import VERSION_DEADLINE_S, compare
@@ -176,7 +176,7 @@ class Happenings:
         self._at += text.rfind(b"\n") + 1
 
 
-def told(event: Mapping[str, Any]) -> tuple[str, str, int] | None:
+def note_of(event: Mapping[str, Any]) -> tuple[str, str, int] | None:
     """Return the line of an event for the viewer's log, its level and its step; None if it needs no line."""
     match event:
         case {"event": "lost", "who": who, "cause": cause, "step": step}:
@@ -257,7 +257,7 @@ def watch(entry: Entry, choice: str, say: Say) -> None:
     wake = threading.Event()
     with Interrupts(wake.set) as interrupts:
         topology = load_resolved(folder.path)
-        if not (what := kept(topology)).whole:
+        if not (what := selection(topology)).whole:
             raise UserError(
                 f"{entry.run}: records only {what}, so it cannot be watched. Start it with --viewer, or see the"
                 f" steps so far with `{command(['orchestrator', 'open', entry.folder])}`",
@@ -362,7 +362,7 @@ class _Watch:
             self._file = (status.st_ino, status.st_mtime_ns)
             self._observer.change(load_resolved(self._folder.path))
         for event in self._happenings.new():
-            if (line := told(event)) is not None:
+            if (line := note_of(event)) is not None:
                 self._stream.event(*line)
         if rows:
             self._stream.log(self._observer.take(rows))

@@ -17,7 +17,7 @@ from hedgerow.orchestrator.experiments.compare import Compared, compare
 from hedgerow.orchestrator.experiments.compare.plan import comparison
 from hedgerow.orchestrator.experiments.compare.runs import answer
 from hedgerow.orchestrator.experiments.compare.statistics import Cell, cells, holm, paired
-from hedgerow.orchestrator.experiments.compare.words import findings
+from hedgerow.orchestrator.experiments.compare.tables import findings
 from hedgerow.orchestrator.experiments.sweep.plan import Chunk
 from hedgerow.orchestrator.metrics.estimates import judged, switches
 from hedgerow.orchestrator.runs import batch

@@ -156,7 +156,7 @@ def test_an_agent_is_a_process_that_knows_its_own_view_only(here: Path, paper7: 
     pids = set(start["pids"].values())
     assert len(pids) == 8
     assert all(Path(f"/proc/{pid}").exists() for pid in pids)
-    view = json.loads(View.read(here / "runs/latest/processes/agent-3.npz").to_json())
+    view = json.loads(View.read(here / "runs/latest/processes/agent-3.json").to_json())
     assert set(view) == {"shard", "b", "law", "nodes", "peers", "history"}
     assert [set(node) for node in view["nodes"]] == [{"id", "candidates", "neighbours"}]
     assert view["nodes"][0]["neighbours"] == [2, 5]

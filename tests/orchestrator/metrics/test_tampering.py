@@ -13,6 +13,7 @@ import pytest
 from tests.tools import tampering
 from tests.tools.processes import DEADLINE_S, orchestrator
 from tests.tools.tampering import ALL, Tampering
+from tests.tools.watched_network import FORGETFUL, SILENT, UNLEARNING, WATCHED
 
 
 def verdict_of(folder: Path) -> dict[str, Any]:
@@ -21,7 +22,7 @@ def verdict_of(folder: Path) -> dict[str, Any]:
 
 
 def test_the_untampered_run_is_valid() -> None:
-    for topology in (tampering.WATCHED, tampering.FORGETFUL, tampering.SILENT, *tampering.UNLEARNING):
+    for topology in (WATCHED, FORGETFUL, SILENT, *UNLEARNING):
         content = Tampering("", "", topology=topology).verdict().content
         assert content["verdict"] == "valid", content["reasons"]
         assert content["checks"]["law"]["steps"] == 30
@@ -78,7 +79,7 @@ from hedgerow.orchestrator.launch.supervisor import Processes
 def kill(self, shard, life, restart):
     "Claim that the process has ended, and leave it alone."
     _, agent = self._agent(shard)
-    agent.killed, agent.alive, agent.told, agent.again = True, False, False, False
+    agent.killed, agent.alive, agent.reported, agent.again = True, False, False, False
 
 Processes.kill = kill
 main()

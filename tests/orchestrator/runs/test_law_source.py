@@ -127,7 +127,7 @@ def test_a_run_without_a_law_of_its_own_keeps_none(here: Path) -> None:
 
 def test_an_agent_refuses_another_source_than_the_operators(here: Path) -> None:
     topology = hg.load("paper7", law="kept_law:Mine")
-    view = View.from_dict(configs(topology, layout(topology, 7), "tcp/localhost:7447", "n")[1].told)
+    view = View.from_dict(configs(topology, layout(topology, 7), "tcp/localhost:7447", "n")[1].part)
     assert view.law_source
     edit(here, 0.7)
     with pytest.raises(UserError) as refused:

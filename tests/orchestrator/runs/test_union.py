@@ -28,7 +28,7 @@ EXAMPLES = int(os.environ.get("HEDGEROW_EXAMPLES", "25"))
 
 
 def same_bits(topology: Topology, seeds: list[int]) -> None:
-    """Compare the telemetry of a union with that of each run by itself: x, w and what the agents say, to the bit."""
+    """Compare the telemetry of a union with that of single runs, bit for bit: x, w and the reports of the agents."""
     union = of_seeds(topology, seeds)
     together = gathered(reference.run(union.truth(), [union.view()], union.law()))
     edge, link = 0, 0

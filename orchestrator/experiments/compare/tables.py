@@ -59,7 +59,7 @@ def markdown(cells: Sequence[Cell], tests: Sequence[Paired]) -> str:
     return "\n".join(parts)
 
 
-def words(cells: Sequence[Cell], tests: Sequence[Paired]) -> str:
+def conclusions(cells: Sequence[Cell], tests: Sequence[Paired]) -> str:
     """Return the findings under every disturbance."""
     return "\n".join(
         f"{disturbance}: {line}" for disturbance in _disturbances(cells) for line in findings(cells, tests, disturbance)
@@ -106,7 +106,7 @@ def findings(cells: Sequence[Cell], tests: Sequence[Paired], disturbance: str) -
 
 
 def method(seeds: int, count: int) -> str:
-    """Return the method behind the numbers, in words."""
+    """Return the method behind the numbers, in tables."""
     return (
         f"mean over {seeds} seeds ± half of its {LEVEL:.0%} interval; {count} paired Wilcoxon tests over seeds,"
         " corrected by Holm"

@@ -1,0 +1,82 @@
+"""The input messages of one step, as arrays of the network.
+
+Almost always every shard sends the shortest form: the header of the step, then u, ahat and margin of its nodes. Such
+messages stay bytes until all are here. One join and one look then give the numbers of every node.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hedgerow.topologies.graph import Array
+from hedgerow.wire.codec import HEADER_BYTES, REPORT_ROWS, Buffer, Input, Kind, decode_input, gather, header
+
+TOGETHER = 4096
+"""nodes up to which messages are joined whole; the copies of larger ones would delay the next states"""
+
+
+class Inputs:
+    """The inputs of the shards at step t: `take` messages, read `u`, `begin` the next step, read `rest`."""
+
+    def __init__(self, sizes: Sequence[int], incidences: Sequence[int]) -> None:
+        """`sizes` are the numbers of nodes and `incidences` those of the incidences, by shard."""
+        self._sizes, self._incidences = sizes, incidences
+        self._lengths = [HEADER_BYTES + 8 * (1 + REPORT_ROWS) * k for k in sizes]
+        self._together = sum(sizes) <= TOGETHER
+        nothing = [np.full(k, np.nan).tobytes() for k in sizes]
+        self._silence = [Input(-1, nan, nan, nan, bytes(m)) for nan, m in zip(nothing, incidences, strict=True)]
+        self._t, self._heads = -1, [b""] * len(sizes)
+        self._messages = [b""] * len(sizes)
+        """By shard: the message; empty while there is none."""
+        self._short = 0
+        """number of messages in the shortest form"""
+        self._row: Array | None = None
+        """all numbers of the last step, headers included; None if its messages were taken apart one by one"""
+        self._parts: Sequence[Input] = ()
+        """By shard: the message of the last step if they were."""
+        starts = (np.cumsum([0, *self._lengths])[:-1] + HEADER_BYTES) // 8
+        rows = [
+            np.concatenate([np.arange(k) + start + row * k for start, k in zip(starts.tolist(), sizes, strict=True)])
+            for row in range(1 + REPORT_ROWS)
+        ]
+        self._u_at, self._report_at = rows[0], np.array(rows[1:])
+        """By node, in the order of the shards: the places of u and of the report in `_row`."""
+
+    def begin(self, t: int) -> None:
+        """Wait for the inputs of step t; a shard without one is silent."""
+        self._t, self._messages, self._short = t, [b""] * len(self._sizes), 0
+        heads = {k: header(Kind.INPUT, k, t) for k in set(self._sizes)}
+        self._heads = [heads[k] for k in self._sizes]
+
+    def take(self, p: int, message: bytes) -> bool:
+        """Keep the message of shard p, once per step; return False if it is of another step. Raises MessageError."""
+        if message.startswith(self._heads[p]) and len(message) == self._lengths[p]:
+            self._short += 1
+        elif decode_input(message, self._sizes[p], self._incidences[p]).t != self._t:
+            return False
+        self._messages[p] = message
+        return True
+
+    def u(self) -> Array:
+        """Return the inputs of the step, (n,), in the order of the shards, NaN where a shard is silent."""
+        if self._together and self._short == len(self._messages):
+            self._row = np.frombuffer(b"".join(self._messages))
+            return self._row.take(self._u_at)
+        self._row = None
+        self._parts = [
+            decode_input(message, k, m) if message else silence
+            for message, k, m, silence in zip(self._messages, self._sizes, self._incidences, self._silence, strict=True)
+        ]
+        return gather([one.u for one in self._parts])
+
+    def rest(self) -> tuple[Array, Sequence[Buffer]]:
+        """Return the reports, (REPORT_ROWS, n), and by shard the Flag bits taken in, of the step of the last `u`.
+
+        Empty flags mean that everything was taken in. `begin` may have been called since.
+        """
+        if self._row is not None:
+            return self._row.take(self._report_at), ()
+        reports = [*[one.ahat for one in self._parts], *[one.margin for one in self._parts]]
+        return gather(reports).reshape(REPORT_ROWS, -1), [one.took for one in self._parts]

@@ -1,0 +1,126 @@
+"""The rules of the laws in floats: the same bits as the laws themselves, under any faults and with any numbers."""
+
+from __future__ import annotations
+
+import struct
+from typing import Any
+from unittest import mock
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hedgerow.agents import quiet
+from hedgerow.agents.loading import new_law
+from hedgerow.agents.local import Heard
+from hedgerow.agents.quiet import QuietLaw
+from hedgerow.agents.quiet_laws import _RULES
+from hedgerow.agents.view import Peer, View
+from hedgerow.orchestrator.ground.assignment import layout
+from hedgerow.topologies.load import load
+from hedgerow.topologies.resolve import resolve
+from hedgerow.topologies.schema import Topology
+from hedgerow.wire.codec import Link
+from tests.agents.test_quiet import general_path, patience
+from tests.test_faults import faulty, harsh
+from tests.tools.networks import partitions, simulate
+
+LAWS = (
+    *("forgetting(decay=0.9)", "hysteresis(h=0.3)", "set-membership", "centred", "notch", "either(ratio=0.1)"),
+    *("rls(eps=0.001)", "robust(theta=0.4)", "bayes(sigma=0.2)", "thompson(sigma=0.2)"),
+)
+
+
+def test_every_law_with_a_rule_is_tried() -> None:
+    names = {law.partition("(")[0] for law in LAWS}
+    assert {rule.__module__.rpartition(".")[2].replace("_", "-") for rule in _RULES} == names
+
+
+@given(topology=faulty(steps=20), law=st.sampled_from(LAWS), steps=st.integers(1, 4), data=st.data())
+@settings(max_examples=60, deadline=None)
+def test_quiet_steps_give_the_bits_of_the_general_path_under_faults(
+    topology: Topology, law: str, steps: int, data: st.DataObject
+) -> None:
+    topology = topology.model_copy(update={"law": law})
+    shards = data.draw(partitions(len(topology.ids)))
+    with general_path():
+        expected = simulate(topology, shards)
+    with patience(steps):
+        assert simulate(topology, shards).same_bits(expected)
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_long_runs_with_crashes_and_lost_messages_have_the_same_bits(law: str) -> None:
+    topology = resolve(load("paper7", ["steps=60", "history=10", f"law={law}", f"faults=[{', '.join(harsh(1))}]"]))
+    with general_path():
+        expected = simulate(topology, layout(topology, 7))
+    with patience(1):
+        assert simulate(topology, layout(topology, 7)).same_bits(expected)
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_the_quiet_law_makes_almost_every_step_of_a_run_without_faults(law: str) -> None:
+    topology = resolve(load("paper7", ["steps=30", f"law={law}"]))
+    made = 0
+    step = QuietLaw.step
+
+    def counted(self: QuietLaw, *given: Any) -> Any:
+        nonlocal made
+        made += 1
+        return step(self, *given)
+
+    with general_path():
+        expected = simulate(topology, layout(topology, 7))
+    with mock.patch.object(QuietLaw, "step", counted):
+        assert simulate(topology, layout(topology, 7)).same_bits(expected)
+    assert made == 7 * (30 - 1 - quiet.PATIENCE)
+
+
+@given(
+    law=st.sampled_from(LAWS),
+    values=st.lists(st.floats(width=64), min_size=18, max_size=18),
+    models=st.lists(st.sampled_from([0.2, 0.5, 0.7, 0.9]), min_size=1, max_size=4),
+)
+@settings(max_examples=200, deadline=None)
+def test_any_numbers_give_the_bits_of_the_law_or_are_left_to_it(
+    law: str, values: list[float], models: list[float]
+) -> None:
+    """NaN, infinities and numbers with overflowing squares are included."""
+    view = View(
+        shard=0,
+        b=0.1,
+        law=law,
+        ids=np.array([1]),
+        candidates=np.array(models)[:, None],
+        row=np.array([0]),
+        column=np.array([1]),
+        peers=[Peer(1, np.array([0]), 1)],
+        heard=np.array([2]),
+        history=0,
+        seed=5,
+    )
+    expected, other = new_law(view), new_law(view)
+    ours = QuietLaw.of(view, other)
+    assert ours is not None
+    x, u = np.zeros(1), np.zeros(1)
+    for _ in range(quiet.PATIENCE):
+        ours.after(True, x, u, np.zeros((2, 1)))
+    asked = {"forgetting": 0, "notch": 1, "either": 1, "thompson": 2}.get(law.partition("(")[0], 0)
+
+    def heard(t: int) -> Heard:
+        return Heard(t, np.ones(1, dtype=bool), np.zeros(1), np.zeros(1), np.full(1, t))
+
+    for t, (one, now) in enumerate(zip(values[::2], values[1::2], strict=True)):
+        answer = ours.step([now], [Link(0, 0, bytes(8), struct.pack("<d", one))], t)
+        if answer is None:
+            break
+        with np.errstate(all="ignore"):
+            more = [heard(t)] if asked == 1 else []
+            expected.learn(x, np.array([u[0] - one]), np.array([now]), *more)
+            x = np.array([now])
+            u = np.asarray(expected.act(x, *([heard(t + 1)] if asked == 2 else [])))
+        assert np.array(ours.u).tobytes() == u.tobytes()
+        assert np.array(ours.report).tobytes() == np.asarray(expected.report()).tobytes()
+    ours.settle()
+    assert np.asarray(other.memory).tobytes() == np.asarray(expected.memory).tobytes()
