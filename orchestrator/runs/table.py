@@ -195,7 +195,7 @@ def _longest(file: Path, metadata: Any, name: str) -> int:
 
 
 _SMALL_BYTES, _JOINED = 2**16, 256
-"""Each batch costs some kB beside its rows, and each access costs time: so many small ones become one."""
+"""The size of a small batch [bytes], and the number that become one: a batch costs some kB beside its rows."""
 
 
 def _joined(batches: list[Any], schema: Any) -> list[Any]:

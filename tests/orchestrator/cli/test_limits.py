@@ -27,7 +27,7 @@ UNUSED = 61_234
 
 
 def as_another_user(user: int) -> None:
-    """Become a user whom limits hold, but with the right to read the files of root, where the environment may lie."""
+    """Become a user with limits that keeps the right to read the files of root, where the environment may lie."""
     libc = ctypes.CDLL(None)
     keep_caps, ambient, raise_it, dac_override, search = 8, 47, 2, 1, 2
     libc.prctl(keep_caps, 1, 0, 0, 0)
