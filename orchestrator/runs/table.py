@@ -194,6 +194,18 @@ def _longest(file: Path, metadata: Any, name: str) -> int:
     return found
 
 
+_SMALL_BYTES, _JOINED = 2**16, 256
+"""The size of a small batch [bytes], and the number that become one: a batch costs some kB beside its rows."""
+
+
+def _joined(batches: list[Any], schema: Any) -> list[Any]:
+    """Return batches as one batch, in memory. Raises ArrowInvalid for a damaged one, which a copy would follow."""
+    for batch in batches:
+        batch.validate(full=True)
+    joined: list[Any] = pa.Table.from_batches(batches, schema).combine_chunks().to_batches()
+    return joined
+
+
 def _so_far(stream: Path) -> Any:
     """Return an Arrow stream as a table that stays in the file, up to its last complete batch."""
     size = check_file(stream)
@@ -201,12 +213,22 @@ def _so_far(stream: Path) -> Any:
         schema, batches = arrow_stream.batches(stream)
     except (pa.ArrowInvalid, EOFError):  # even the schema is missing
         raise UserError(f"{stream.parent}: no step of the run is recorded yet", code=Code.RUN_MISSING) from None
-    taken, found = 0, []
+    taken, copied = 0, 0
+    found: list[Any] = []
+    small: list[Any] = []
     for batch in batches:
-        found.append(batch)
         taken += batch.nbytes
-        # Batches stay in the file, except compressed ones, which no run writes.
-        budget.require(stream, max(0, taken - size))
+        # Batches stay in the file, except compressed ones, which no run writes, and copies of small ones.
+        budget.require(stream, max(0, taken - size) + copied)
+        if batch.nbytes < _SMALL_BYTES:
+            small.append(batch)
+        if small and (batch.nbytes >= _SMALL_BYTES or len(small) == _JOINED):
+            copied += sum(one.nbytes for one in small)
+            found += _joined(small, schema)
+            small = []
+        if batch.nbytes >= _SMALL_BYTES:
+            found.append(batch)
+    found += _joined(small, schema)
     table = pa.Table.from_batches(found, schema)
     table.validate(full=True)  # a text with damaged offsets would be read from anywhere in memory
     return table

