@@ -164,7 +164,7 @@ def test_mistakes_at_the_command_line(paper7: Run, here: Path) -> None:
 def test_nothing_is_overwritten_unasked(paper7: Run, here: Path) -> None:
     (here / "tables").mkdir()
     (here / "tables/edges.csv").write_text("mine")
-    with pytest.raises(UserError, match=r"tables/edges.csv: is there already"):
+    with pytest.raises(UserError, match=r"tables/edges.csv: already exists"):
         export(paper7, "csv", Path("tables"))
     assert [path.name for path in (here / "tables").iterdir()] == ["edges.csv"]
     assert (here / "tables/edges.csv").read_text() == "mine"
