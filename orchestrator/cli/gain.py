@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from hedgerow.orchestrator.cli.names import EXPERIMENT
-from hedgerow.orchestrator.cli.options import AsJson, File, Law, Sets
+from hedgerow.orchestrator.cli.options import AsJson, File, Law, NoProgress, Sets
 from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.escape import echo
 from hedgerow.topologies.paths import user_path
@@ -62,6 +62,7 @@ def worst(
     steps: Length = None,
     out: Out = Path("worst.yaml"),
     sets: Sets = None,
+    quiet: NoProgress = False,
     as_json: AsJson = False,
 ) -> int:
     """Search the disturbance with the largest gain, and write a network whose run repeats it; run again to go on."""
@@ -73,7 +74,7 @@ def worst(
 
     seconds = seconds_of(budget)
     topology = checked(read(file, sets, law=law))
-    with Interrupts() as interrupts, Progress(f"worst {topology.name}", seconds, quiet=as_json) as progress:
+    with Interrupts() as interrupts, Progress(f"worst {topology.name}", seconds, quiet=quiet or as_json) as progress:
 
         def quit_now() -> bool:
             progress.update()

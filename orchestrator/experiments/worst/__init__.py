@@ -135,8 +135,9 @@ def worst(
     """
     hunt = Hunt(topology, seed, faults, steps)
     state_file = None if out is None else _state_beside(out)
+    is_new = state_file is None or not state_file.exists()
     with contextlib.nullcontext() if state_file is None else _held(state_file):
-        if state_file is not None and hunt.resume(state_file):
+        if state_file is not None and not is_new and hunt.resume(state_file):
             say(f"continues after {hunt.state.seconds:.0f} s, with gain {hunt.best_score() ** 0.5:.4f}")
         hunt.run(budget_s, say, quit_now)
         return _written(hunt, topology, out, state_file)
@@ -168,7 +169,8 @@ def _state_beside(out: Path) -> Path:
 @contextlib.contextmanager
 def _held(state_file: Path) -> Iterator[None]:
     """Let no other search write the same files while the block runs; raises UserError."""
-    if state_file.exists() and not state_file.is_file():
+    is_new = not state_file.exists()
+    if not is_new and not state_file.is_file():
         raise UserError(f"{state_file}: is no regular file. Choose another --out.", code=Code.OUTPUT)
     try:
         file = state_file.open("ab")
@@ -186,7 +188,7 @@ def _held(state_file: Path) -> Iterator[None]:
         try:
             yield
         finally:
-            if not state_file.stat().st_size:  # nothing was found
+            if is_new and not state_file.stat().st_size:  # nothing was found
                 state_file.unlink()
 
 

@@ -309,8 +309,6 @@ class Hunt:
 
         Raises UserError for a file that `save` did not write.
         """
-        if not file.stat().st_size:  # a new search has just made it
-            return False
         settings, arrays = archive.read(file)
         with archive.reading(file):
             if not isinstance(settings.get("worst"), dict):

@@ -144,10 +144,11 @@ def test_a_gain_repeats_over_zenoh(law: str, tmp_path: Path) -> None:
     assert content["metrics"]["gain"] == pytest.approx(found.gain, rel=1e-9)
 
 
-def test_a_state_that_is_no_state_is_left_alone(tmp_path: Path) -> None:
+def test_a_file_without_a_state_is_refused(tmp_path: Path) -> None:
     for text in (b"", b"no zip", b"PK\x03\x04"):
         (tmp_path / "worst.npz").write_bytes(text)
-        assert not Hunt(EAGER).resume(tmp_path / "worst.npz")
+        with pytest.raises(UserError):
+            Hunt(EAGER).resume(tmp_path / "worst.npz")
 
 
 @pytest.mark.parametrize(("text", "seconds"), [("90", 90), ("60s", 60), ("5m", 300), ("0.5 h", 1800)])
