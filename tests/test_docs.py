@@ -355,7 +355,7 @@ def test_optional_parts_of_messages_and_of_a_batch() -> None:
 def test_every_message_has_a_table() -> None:
     """Each encoder of wire.codec, and each kind, is in docs/wire.md."""
     encoders = {name.removeprefix("encode_") for name in vars(codec) if name.startswith("encode_")}
-    assert encoders == {*MESSAGES, "batch", "quiet_states"}
+    assert encoders == {*MESSAGES, "batch", "place", "quiet_states"}
     assert {kind.name.lower() for kind in codec.Kind} == MESSAGES.keys()
     bits = {row["name"]: int(row["bit"]) for row in table("wire.md", "state", 1)}
     assert bits == {flag.name: flag.value for flag in codec.Flag}

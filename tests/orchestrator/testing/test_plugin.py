@@ -321,8 +321,8 @@ def wait_until(holds: Callable[[], bool], what: str, within_s: float = 60.0) -> 
         pause.wait(0.1)
 
 
-ALL_OF_PAPER7 = 10
-"""`up`, the fork server, the plant and seven agents."""
+ALL_OF_PAPER7 = 11
+"""`up`, the relay of its standard error, the fork server, the plant and seven agents."""
 
 
 def test_a_run_that_takes_too_long_is_ended_and_named(tmp_path: Path) -> None:
