@@ -157,6 +157,7 @@ WALL_CLOCK = {
     "orchestrator/ground/law_source.py": "whether a file changed since it was loaded",
     "orchestrator/runs/registry.py": "since when a network runs, for people",
     "orchestrator/runs/folder.py": "names of folders and times of events, for people",
+    "orchestrator/runs/listing.py": "whether a folder without a verdict is recent",
     "orchestrator/launch/recording.py": "the wall clock's timeline in Rerun",
     "orchestrator/views/rerun/stream.py": "the same",
     "orchestrator/views/rerun/watch.py": "the name of a recording",
@@ -166,7 +167,7 @@ WALL_CLOCK = {
     "orchestrator/cli/main.py": "since when a network runs, for people",
 }
 """The permitted uses of the wall clock: no code waits by it."""
-BY_DATE = {"orchestrator/launch/certificates.py"}
+BY_DATE = {"orchestrator/launch/certificates.py", "orchestrator/runs/listing.py"}
 """modules that compare dates: a certificate is valid until its own date"""
 WALL = {("time", "time"), ("time", "time_ns"), ("time", "strftime"), ("datetime", "now"), ("time", "localtime")}
 

@@ -65,7 +65,7 @@ def worst(
     quiet: NoProgress = False,
     as_json: AsJson = False,
 ) -> int:
-    """Search the disturbance with the largest gain, and write a network whose run repeats it; run again to go on."""
+    """Search for the disturbance with the largest gain; write a network that repeats it; run again to continue."""
     from hedgerow.orchestrator.cli.topology import read  # noqa: PLC0415
     from hedgerow.orchestrator.experiments.worst import worst as search  # noqa: PLC0415
     from hedgerow.orchestrator.ground.laws import checked  # noqa: PLC0415

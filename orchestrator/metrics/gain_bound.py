@@ -1,7 +1,7 @@
 """Upper bounds on the gain of the adaptive law: semidefinite programs by clarabel, each answer proved by a Cholesky.
 
-With alpha_i = 1/(1 - lowest candidate), beta_i = 1/(1 - highest), z_i = x_i/(1 - ahat_i), B = diag(b) incidence
-diag(sqrt k) and edge inputs phi, find p, tau, nu, s >= 0 and the least g such that for all (x, z, w, phi, v)
+Let alpha_i = 1/(1 - lowest candidate), beta_i = 1/(1 - highest) and z_i = x_i/(1 - ahat_i). B is diag(b) incidence
+diag(sqrt k), and phi are the edge inputs. Find p, tau, nu, s >= 0 and the least g with, for all (x, z, w, phi, v),
 
     sum p_i (x_i+)^2 - sum p_i x_i^2 + |x|^2 + |phi|^2 - g |w|^2 + sum tau_i (z_i - alpha_i x_i)(beta_i x_i - z_i)
         + sum nu_e phi_e ((B'z)_e - phi_e) + sum s_i (v_i - lowest_i x_i)(highest_i x_i - v_i) <= 0.

@@ -77,7 +77,7 @@ def learning(plant: Plant, candidates: Array, time_limit_s: float = 600.0) -> Le
         step /= 2
     g, margin = found[best]
     if not math.isfinite(g):
-        raise NoBoundError("no storage of this form bounds the gain, as far as the solver can tell")
+        raise NoBoundError("the solver found no storage of this form that bounds the gain")
     return Learning(g, best, count, margin, time.monotonic() - began)
 
 

@@ -279,7 +279,7 @@ def search(nodes: Nodes, edges: Edges, until: float) -> tuple[float, float]:
         if abs(new - g) <= NEAR * g:
             return float(max(new, g)), nu
         g = new
-    raise NoBoundError("no storage of this form bounds the gain, as far as the search can tell")
+    raise NoBoundError("the search found no storage of this form that bounds the gain")
 
 
 def _best(nodes: Nodes, edges: Edges, g: float, nu: float, until: float) -> tuple[float, float, float]:

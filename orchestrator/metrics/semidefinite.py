@@ -21,7 +21,7 @@ LARGE = 400
 
 
 class NoBoundError(HedgerowError):
-    """No bound was found; the text says why."""
+    """No bound was found; the text gives the reason."""
 
 
 class Form(NamedTuple):
@@ -130,7 +130,7 @@ class Program:
         y = np.array(solution.x)
         status = str(solution.status)
         if "Infeasible" in status:
-            raise NoBoundError("no storage of this form bounds the gain, as far as the solver can tell")
+            raise NoBoundError("the solver found no storage of this form that bounds the gain")
         if status == "MaxTime" or not np.isfinite(y).all():
             raise NoBoundError(f"the solver ended with {status} after {solution.solve_time:.0f} s")
         y[signed] = np.maximum(y[signed], 0.0)

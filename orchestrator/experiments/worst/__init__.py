@@ -1,7 +1,7 @@
 """The worst disturbance of a network under its law: a lower bound on the gain, beside the upper bounds.
 
-`worst` searches under a budget and writes three files: worst.yaml, a network whose run repeats the gain; worst.json,
-the result; and worst.npz, from which the same search goes on.
+`worst` searches under a budget and writes three files: worst.yaml, a network that repeats the gain; worst.json,
+the result; and worst.npz, from which the same search continues.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Found:
     """The result of a search."""
 
     topology: Topology
-    """a network whose run has the gain"""
+    """a network that has this gain in its run"""
     attack: Attack
     """the disturbance and the faults with the largest gain"""
     guarantee: Guarantee
@@ -131,7 +131,7 @@ def worst(
     """Search the worst disturbance of a network for `budget_s` seconds, and write it if `out` names a file.
 
     `faults` searches cuts and drops too. `steps` is the length of the run of a disturbance that holds its last value.
-    A search that was stopped goes on where `out` was written. Raises UserError for a network that is too large.
+    A stopped search continues from the files of `out`. Raises UserError for a network that is too large.
     """
     hunt = Hunt(topology, seed, faults, steps)
     state_file = None if out is None else _state_beside(out)

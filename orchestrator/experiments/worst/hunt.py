@@ -26,13 +26,13 @@ from hedgerow.topologies.schema import Topology
 KINDS = (Kind(1, True), Kind(6, False), Kind(4, True), Kind(8, False), Kind(12, False), Kind(20, False))
 """The disturbances that are tried, in this order."""
 SIZE, SMALLEST, ROWS = 48, 8, 20_000
-"""Members of a population, and at least; fewer in large networks, so that they have about so many nodes together."""
+"""The number of members of a population; its minimum; and the nodes of all members together in large networks."""
 SLICE_S = 0.25
 """An island evolves for so long at a time."""
 STALE = 120
-"""An island whose best gain has not grown for so many generations makes room for a new one."""
+"""The number of generations without a better gain after which a new island replaces an old one."""
 STEPS, LEAST_STEPS, FEW = 10_000, 4_000, 100
-"""Steps of the run of a disturbance that holds its last value; the second for more than so many nodes."""
+"""Steps of the run of a disturbance that holds its last value: for up to FEW nodes, and for more."""
 LARGEST = 2_000
 """Number of nodes up to which a disturbance is sought."""
 SAME = 1e-9
@@ -84,7 +84,7 @@ class State:
 
 
 class Hunt:
-    """A search that can be stopped and goes on later."""
+    """A search that can be stopped and continued later."""
 
     def __init__(self, topology: Topology, seed: int = 0, faults: bool = False, steps: int | None = None) -> None:
         """Take `steps` as the length of the run of a disturbance that holds its last value; None chooses one."""
@@ -128,7 +128,7 @@ class Hunt:
         return max((found[1] for found in self.state.champions.values()), default=0.0)
 
     def _turns(self) -> Iterator[int]:
-        """Yield the number of the island whose turn it is: each in turn, and every second time the best."""
+        """Yield the number of the next island: each in turn, and every second time the best."""
         islands = self.state.islands
         if not islands:
             islands += [Island.new(self.scene, kind, self.size, self.rng) for kind in KINDS]
@@ -230,7 +230,7 @@ class Hunt:
         return np.where(settled & played.sound[-1], np.sqrt(played.cost[-1] / energy), 0.0)
 
     def proved(self) -> tuple[Attack, Topology]:
-        """Return the best attack whose run repeats its gain, and the topology of that run."""
+        """Return the best attack with a run that repeats its gain, and the topology of that run."""
         for attack in self.attacks():
             is_steady, within = self.steady(attack)
             if not is_steady:

@@ -32,7 +32,7 @@ class Breaks:
     cuts: tuple[tuple[int, int], ...] = ()
     """(edge, first step): the edge carries no flow"""
     drops: tuple[tuple[int, int], ...] = ()
-    """(incidence, first step): its node no longer hears the neighbour, and learns nothing"""
+    """(incidence, first step): its node gets no more messages from the neighbour, and learns nothing"""
 
     def __add__(self, other: Breaks) -> Breaks:
         return Breaks(self.cuts + other.cuts, self.drops + other.drops)

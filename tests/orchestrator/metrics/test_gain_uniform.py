@@ -1,4 +1,4 @@
-"""The bound with one multiplier for all edges: never below the program with one matrix, and proved anew."""
+"""The bound with one multiplier for all edges: never below the program with one matrix, and proved again."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ CLOSED = (Premise.EDGES, Premise.JUMPS)
 
 
 def network(kind: str, n: int) -> Plant:
-    """Return a network of n nodes whose lists are [0.2, 0.5, 0.8]."""
+    """Return a network of n nodes with the lists [0.2, 0.5, 0.8]."""
     shape = {"regular": {"kind": "random_regular", "degree": 3}, "tree": {"kind": "random_tree", "max_degree": 3}}
     graph = {**shape.get(kind, {"kind": kind}), "nodes": n}
     lists = {"candidates": [0.2, 0.5, 0.8]}
