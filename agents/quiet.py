@@ -18,7 +18,7 @@ import numpy as np
 
 from hedgerow.agents.law import Array, Law, Minimax
 from hedgerow.agents.local import asks
-from hedgerow.agents.quiet_laws import Rule, Sample, rule_of
+from hedgerow.agents.quiet_rule import Rule, Sample
 from hedgerow.agents.view import View
 from hedgerow.wire.codec import REPORT_ROWS, Form, Kind, Link, decode_link
 
@@ -42,7 +42,7 @@ class _Node(NamedTuple):
 class QuietLaw:
     """The law of a few nodes, and their last states, inputs and reports, in floats."""
 
-    def __init__(self, view: View, law: Law) -> None:
+    def __init__(self, view: View, law: Law, rules: Sequence[Rule | None]) -> None:
         k, weights = view.k, view.weights
         w = [1.0] * len(view.row) if weights is None else weights.tolist()
         incidences: list[list[tuple[int, int, float]]] = [[] for _ in range(k)]
@@ -50,7 +50,6 @@ class QuietLaw:
             incidences[i].append((i, j, weight))
         gains = np.broadcast_to(np.asarray(view.b, dtype=float), k).tolist()
         columns = [column[~np.isnan(column)].tolist() for column in view.candidates.T]
-        rules = [rule_of(law, node) for node in range(k)]
         self._nodes = [_Node(*one) for one in zip(gains, columns, incidences, rules, strict=True)]
         self._law, self._height = law, len(law.memory)
         self._hears = [peer.hear for peer in view.peers]
@@ -75,14 +74,20 @@ class QuietLaw:
         """Return the quiet law of a view; None if its nodes are too many, or its law is of another class."""
         if view.k > FEW_NODES or len(view.row) > MOST_INCIDENCES:
             return None
-        # The rules of other laws know lists of one length only.
-        if type(law) is not Minimax and (np.isnan(view.candidates).any() or rule_of(law, 0) is None):
-            return None
         # Python raises an error where numpy divides by zero. Only the end of a candidate list may have padding.
         listed = ~np.isnan(view.candidates)
         if (view.candidates == 1).any() or (listed[1:] & ~listed[:-1]).any() or not listed[0].all():
             return None
-        return cls(view, law)
+        rules: list[Rule | None] = [None] * view.k
+        if type(law) is not Minimax:
+            if not listed.all():  # the rules of other laws know lists of one length only
+                return None
+            from hedgerow.agents.quiet_laws import rule_of  # noqa: PLC0415 (it loads every law of the project)
+
+            rules = [rule_of(law, node) for node in range(view.k)]
+            if None in rules:
+                return None
+        return cls(view, law, rules)
 
     def after(self, was_quiet: bool, x: Array, u: Array, report: Array) -> None:
         """Count a step that the general path made; after some quiet ones, take over its memory, states and inputs."""

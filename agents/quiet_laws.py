@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from math import floor, inf, ldexp, nan
-from typing import Any, NamedTuple
+from typing import Any
 
 from hedgerow.agents.laws.bayes import Bayes
 from hedgerow.agents.laws.centred import Centred
@@ -21,26 +21,8 @@ from hedgerow.agents.laws.rls import RLS
 from hedgerow.agents.laws.robust import Robust
 from hedgerow.agents.laws.set_membership import TIE, SetMembership
 from hedgerow.agents.laws.thompson import Thompson
+from hedgerow.agents.quiet_rule import Act, Memory, Rule, Sample
 from hedgerow.topologies import lots
-
-Memory = list[float]
-
-
-class Sample(NamedTuple):
-    """The sample of step t, and the state of step t + 1 to act on."""
-
-    t: int
-    x: float
-    y: float
-    """x(t + 1) - b f(t)"""
-    bx: float
-    """b x(t + 1)"""
-
-
-Act = tuple[Memory, float, float, float]
-"""the memory after the sample, u(t + 1), ahat, and the margin"""
-Rule = Callable[[Memory, Sample], Act]
-"""Learn a sample and act. The memory that it is given stays as it is. It may raise ArithmeticError."""
 
 
 def rule_of(law: Any, node: int) -> Rule | None:

@@ -135,8 +135,7 @@ def worst(
     """
     hunt = Hunt(topology, seed, faults, steps)
     state_file = None if out is None else _state_beside(out)
-    is_new = state_file is None or not state_file.exists()
-    with contextlib.nullcontext() if state_file is None else _held(state_file):
+    with contextlib.nullcontext(True) if state_file is None else _held(state_file) as is_new:
         if state_file is not None and not is_new and hunt.resume(state_file):
             say(f"continues after {hunt.state.seconds:.0f} s, with gain {hunt.best_score() ** 0.5:.4f}")
         hunt.run(budget_s, say, quit_now)
@@ -167,8 +166,8 @@ def _state_beside(out: Path) -> Path:
 
 
 @contextlib.contextmanager
-def _held(state_file: Path) -> Iterator[None]:
-    """Let no other search write the same files while the block runs; raises UserError."""
+def _held(state_file: Path) -> Iterator[bool]:
+    """Let no other search write the same files while the block runs; yield True if they are new; raises UserError."""
     is_new = not state_file.exists()
     if not is_new and not state_file.is_file():
         raise UserError(f"{state_file}: is no regular file. Choose another --out.", code=Code.OUTPUT)
@@ -186,7 +185,7 @@ def _held(state_file: Path) -> Iterator[None]:
                 f"{state_file}: another search writes it. Wait for it, or choose another --out.", code=Code.OUTPUT
             ) from None
         try:
-            yield
+            yield is_new
         finally:
             if is_new and not state_file.stat().st_size:  # nothing was found
                 state_file.unlink()
