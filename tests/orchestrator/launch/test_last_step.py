@@ -53,8 +53,12 @@ def test_a_crash_in_the_fixture_that_ends_with_the_run(network: Networks) -> Non
 def test_a_kill_in_the_last_steps_is_no_invalid_run(network: Networks) -> None:
     """An agent that dies unplanned while the last steps are made: a crash fault of the run, or after its end."""
     with network("paper7").up(rate=100, steps=60) as net:
+        at = net.pause()
+        net.wait_for_step(at)
+        net.step(57 - at)
         net.wait_for_step(57)
         net.kill("agent-3")
+        net.resume()
         result = net.wait()
     assert result.verdict.verdict == "valid", result.verdict.content["reasons"]
 
