@@ -90,6 +90,17 @@ class Table:
             positions=self.positions,
         )
 
+    def numbers(self, k: int) -> dict[str, float | tuple[float, ...]]:
+        """Return the numbers of the node at position k, by their keys in a file; without those that are missing."""
+        columns = {"a": self.a, "x0": self.x0, "nominal": self.nominal, "b": self.b}
+        found: dict[str, float | tuple[float, ...]] = {
+            key: float(column[k]) for key, column in columns.items() if column is not None
+        }
+        if self.candidates is not None:
+            listed = self.candidates[:, k]
+            found["candidates"] = tuple(listed[~np.isnan(listed)].tolist())
+        return found
+
 
 def write(network: Network, path: Path, layout: Sequence[int] | None = None) -> None:
     """Write a complete network, which `read` reads back to the same bits.
@@ -331,10 +342,13 @@ def _value(name: str, key: str, found: NDArray[Any], k: int) -> NDArray[Any]:
     return _floats(f"{name} {key}", found, (k, *found.shape[1:2]) if key == "values" else (k,))
 
 
-def broken(table: Table, b: Gain, steps: int) -> Iterator[tuple[str, str]]:
+def broken(
+    table: Table, b: Gain, steps: int, a: float | None = None, candidates: Sequence[float] | None = None
+) -> Iterator[tuple[str, str]]:
     """Yield each rule that a table breaks, condition (3) or another one, as the problem and the fix.
 
-    `b` is the gain in the file; or (n,), the largest of each node, if `nodes:` give some their own.
+    `b` is the gain in the file; or (n,), the largest of each node, if `nodes:` give some their own. `a` and
+    `candidates` are those in `defaults:`, if they are numbers.
     """
     degree = Graph(len(table.ids), table.edges, table.weights).weighted_degree
     for name in ("a", "nominal", "candidates"):
@@ -343,8 +357,12 @@ def broken(table: Table, b: Gain, steps: int) -> Iterator[tuple[str, str]]:
             k = int((~np.atleast_2d(good)).any(axis=0).argmax())
             where = f"node {table.ids[k]}, of degree {degree[k]:.6g}"
             yield f"`{name}` breaks condition (3) at {where}", "choose values inside its interval, or a smaller b"
-    if table.a is not None and table.candidates is not None:
-        among = (table.candidates == table.a).any(axis=0)
+    truth: Any = a if table.a is None else table.a
+    listed: Any = table.candidates
+    if listed is None and candidates is not None:
+        listed = np.array(candidates, dtype=np.float64)[:, None]
+    if truth is not None and listed is not None and (table.a is not None or table.candidates is not None):
+        among = np.broadcast_to((listed == truth).any(axis=0), len(table.ids))
         if not among.all():
             yield f"the truth of node {table.ids[int((~among).argmax())]} is not among its candidates", "add it to them"
     for group in table.disturbance or ():
