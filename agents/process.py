@@ -336,7 +336,7 @@ class Agent:
         self._answering = None
         out = []
         for peers, link in shard.send(state):
-            message = encode_link(link, shard.peers[peers[0]].says)
+            message = encode_link(link, shard.peers[peers[0]].sends)
             out += [(self._links[p], message) for p in peers]
         out.append((self._input, encode_input(state.t, u, shard.report, shard.took)))
         self._sent.append(out)

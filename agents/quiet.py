@@ -52,9 +52,9 @@ class QuietLaw:
         columns = [column[~np.isnan(column)].tolist() for column in view.candidates.T]
         self._nodes = [_Node(*one) for one in zip(gains, columns, incidences, rules, strict=True)]
         self._law, self._height = law, len(law.memory)
-        self._hears = [peer.hear for peer in view.peers]
+        self._receives = [peer.receives for peer in view.peers]
         self._asks = asks(law.learn, "sample")
-        self._rows = [struct.Struct(f"<{peer.hear}d") for peer in view.peers]
+        self._rows = [struct.Struct(f"<{peer.receives}d") for peer in view.peers]
         self._J: list[list[float]] = []
         self.holds = False
         """True while the newest memory is here, and not in the law"""
@@ -161,8 +161,8 @@ class QuietLaw:
     def _states_of(self, links: Sequence[Link | bytes]) -> list[float]:
         """Return the peers' newest states in their messages."""
         states: list[float] = []
-        for numbers, link, hears in zip(self._rows, links, self._hears, strict=True):
-            rows = (decode_link(link, hears) if isinstance(link, bytes) else link).x
+        for numbers, link, count in zip(self._rows, links, self._receives, strict=True):
+            rows = (decode_link(link, count) if isinstance(link, bytes) else link).x
             states += numbers.unpack_from(rows, len(rows) - numbers.size)
         return states
 

@@ -86,7 +86,7 @@ def ring(n: int, steps: int) -> Ring:
         row=graph.node,
         column=graph.neighbour,
         peers=[],
-        heard=np.empty(0, dtype=np.int64),
+        outside=np.empty(0, dtype=np.int64),
         history=history,
     )
     return Ring(truth, view, graph)

@@ -91,7 +91,7 @@ class Replay:
                 column=part.graph.neighbour,
                 weights=part.graph.weight,
                 peers=[],
-                heard=id_array([]),
+                outside=id_array([]),
                 history=history,
                 seed=law_seed(topology),
             )

@@ -115,7 +115,7 @@ class Union:
             column=self.graph.neighbour,
             weights=self.graph.weight,
             peers=[],
-            heard=id_array([]),
+            outside=id_array([]),
             history=self.history,
             seed=np.repeat(self.law_seeds, self.n),
         )

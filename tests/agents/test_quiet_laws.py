@@ -89,7 +89,7 @@ def test_any_numbers_give_the_bits_of_the_law_or_are_left_to_it(
         row=np.array([0]),
         column=np.array([1]),
         peers=[Peer(1, np.array([0]), 1)],
-        heard=np.array([2]),
+        outside=np.array([2]),
         history=0,
         seed=5,
     )

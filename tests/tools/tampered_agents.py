@@ -106,7 +106,7 @@ class HeldForMissing(Shard):
 
     def __init__(self, view: View) -> None:
         super().__init__(view)
-        samples, last = self._samples, np.zeros(1 + sum(peer.hears for peer in self.peers))
+        samples, last = self._samples, np.zeros(1 + sum(peer.receives for peer in self.peers))
 
         def flow(u: Array, bits: Flags) -> Array:
             last[:] = np.where(np.isnan(u), last, u)
