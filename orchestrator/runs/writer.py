@@ -133,8 +133,7 @@ SUMMARY = {
 
 def summary(batch: Batch) -> dict[str, NDArray[Any]]:
     """Return the facts of the whole network at each step of a batch, by name of the column, (B,)."""
-    x, u = np.abs(batch.x), np.abs(batch.u)
-    missing = np.isnan(u)
+    x, u, missing = np.abs(batch.x), np.abs(batch.u), batch.missing
     if missing.any():
         u[missing] = 0.0
     return {
