@@ -104,7 +104,6 @@ class ActiveFaults:
     """nodes without an input, (n,)"""
 
 
-NOTHING = ActiveFaults()
 _FIELD = {"drop": "lost", "cut": "cut", "sensor": "blind", "actuator": "mute"}
 
 
@@ -151,10 +150,10 @@ class Faults:
         """Return True if no effect is active at step t."""
         return not self._look(t)
 
-    def at(self, t: int) -> ActiveFaults:
-        """Return the faults active at step t, except crashes and jumps."""
+    def at(self, t: int) -> ActiveFaults | None:
+        """Return the faults active at step t, except crashes and jumps; None if there are none."""
         if not self._look(t):
-            return NOTHING
+            return None
         found: dict[str, Mask] = {}
         late: Index | None = None
         for effect in self._active:
@@ -167,7 +166,7 @@ class Faults:
                 if field not in found:
                     found[field] = np.zeros(self._sizes[field], dtype=bool)
                 found[field][struck] = True
-        return ActiveFaults(late=late, **found) if found or late is not None else NOTHING
+        return ActiveFaults(late=late, **found) if found or late is not None else None
 
     def _struck(self, effect: Effect, t: int) -> Index:
         if effect.table is not None:

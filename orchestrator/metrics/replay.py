@@ -16,7 +16,7 @@ from hedgerow.agents.shard import Shard
 from hedgerow.agents.view import View
 from hedgerow.orchestrator.ground.assignment import candidates_of, history_of, law_of, law_seed
 from hedgerow.plant.disturbance import Disturbance
-from hedgerow.plant.faults import NOTHING, ActiveFaults, Faults
+from hedgerow.plant.faults import ActiveFaults, Faults
 from hedgerow.plant.truth import Truth
 from hedgerow.plant.world import World
 from hedgerow.topologies.archive import id_array
@@ -267,7 +267,7 @@ class _Shadow(World):
         """Make a quiet step with complete inputs."""
         t, x = self.t, self.x
         self._record.append(x, u, self._all_open)
-        self._open, self._heard = self._all_open, self._now.deliveries
+        self._open, self._received = None, None
         self.t += 1
         return Telemetry(t, x, u, x, report, self._all_open, self._all_up, self._all_taken)
 
@@ -339,10 +339,9 @@ class _Some(Faults):
     def none_at(self, t: int) -> bool:
         return self._whole.none_at(t)
 
-    def at(self, t: int) -> ActiveFaults:
-        active = self._whole.at(t)
-        if active is NOTHING:
-            return active
+    def at(self, t: int) -> ActiveFaults | None:
+        if (active := self._whole.at(t)) is None:
+            return None
         found = {name: getattr(active, name) for name in self._targets}
         return ActiveFaults(**{name: None if one is None else one[self._targets[name]] for name, one in found.items()})
 
