@@ -45,9 +45,10 @@ from hedgerow.orchestrator.launch.simulation import simulate_into
 from hedgerow.orchestrator.metrics.observer import Observer
 from hedgerow.orchestrator.runs.files import load_resolved
 from hedgerow.orchestrator.runs.folder import create
+from hedgerow.orchestrator.views.event_line import event_line
 from hedgerow.orchestrator.views.rerun.opening import _open
 from hedgerow.orchestrator.views.rerun.viewer import Viewer
-from hedgerow.orchestrator.views.rerun.watch import Happenings, Trail, note_of
+from hedgerow.orchestrator.views.rerun.watch import Happenings, Trail
 from hedgerow.orchestrator.views.screen import Quiet
 from hedgerow.plant.truth import Truth
 from hedgerow.topologies import table
@@ -297,7 +298,7 @@ class Files:
         except FileNotFoundError:
             return
         for event in Happenings(folder / "events.jsonl").new():
-            note_of(event)
+            event_line(event)
         observer = Observer(topology)
         while rows := trail.take(64):
             observer.take(rows)
