@@ -113,7 +113,7 @@ class _Batch:
         self._listed = is_listed(union.topology.law)
         self._fault_accounts: Accounts | None = None
         self._rows: list[Telemetry] = []
-        if any(one.kind != "jump" for one in union.effects):
+        if any(one.lossy for one in union.effects):
             self._schedule = Schedule.of(union.graph, union.ids, union.words, len(union.topology.faults), union.effects)
             self._fault_accounts = Accounts(union.graph, self._schedule)
 
