@@ -20,7 +20,8 @@ from hedgerow.agents.law import Array, Law, Minimax
 from hedgerow.agents.local import asks
 from hedgerow.agents.quiet_rule import Rule, Sample
 from hedgerow.agents.view import View
-from hedgerow.wire.codec import REPORT_ROWS, Form, Kind, Link, decode_link
+from hedgerow.wire.codec import Form, decode_link
+from hedgerow.wire.message import REPORT_ROWS, Kind, Link
 
 FEW_NODES = 4
 MOST_INCIDENCES = 24

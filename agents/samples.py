@@ -21,8 +21,8 @@ from hedgerow.agents.law import Array, Law
 from hedgerow.agents.local import Heard, asks
 from hedgerow.topologies.fast import kernels_for, unequal_kernels_for
 from hedgerow.topologies.graph import all_finite, starts
-from hedgerow.wire.codec import TAKEN, Flag, Flags, Mask, Record
 from hedgerow.wire.history import History
+from hedgerow.wire.message import TAKEN, Flag, Flags, Mask, Record
 
 Index = NDArray[np.int64]
 

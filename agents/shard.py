@@ -22,21 +22,8 @@ from hedgerow.agents.samples import LateRows, Samples
 from hedgerow.agents.view import View
 from hedgerow.topologies.graph import all_finite
 from hedgerow.wire import crash
-from hedgerow.wire.codec import (
-    ALL_UP,
-    LATE,
-    MOST_LATE,
-    REPORT_ROWS,
-    TAKEN,
-    Flag,
-    Link,
-    Mask,
-    Record,
-    State,
-    decode_link,
-    gather,
-    link_step,
-)
+from hedgerow.wire.codec import decode_link, gather, link_step
+from hedgerow.wire.message import ALL_UP, LATE, MOST_LATE, REPORT_ROWS, TAKEN, Flag, Link, Mask, Record, State
 
 Index = NDArray[np.int64]
 

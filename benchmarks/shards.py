@@ -38,7 +38,8 @@ from hedgerow.topologies.partition import by_orders, cut, partition
 from hedgerow.topologies.resolve import resolve
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire import keys
-from hedgerow.wire.codec import Kind, Telemetry, decode_end, encode_seen, kind_of, telemetry_bytes
+from hedgerow.wire.codec import decode_end, encode_seen, kind_of, telemetry_bytes
+from hedgerow.wire.message import Kind, Telemetry
 from hedgerow.wire.runtime import LONG_BYTES, keep_memory, runtime_environment
 from hedgerow.wire.session import WireError, close, open_client, publisher, subscriber
 from hedgerow.wire.shared_rows import SharedRows, create

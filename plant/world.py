@@ -22,8 +22,9 @@ from hedgerow.plant.truth import Truth
 from hedgerow.topologies.effects import Effect
 from hedgerow.topologies.fast import kernels_for, unequal_kernels_for
 from hedgerow.topologies.graph import Array, Gain, Graph, Index, Mask, all_finite
-from hedgerow.wire.codec import ALL_UP, TAKEN, Buffer, Flag, Flags, Record, Span, State, Telemetry, join
+from hedgerow.wire.codec import join
 from hedgerow.wire.history import History
+from hedgerow.wire.message import ALL_UP, TAKEN, Buffer, Flag, Flags, Record, Span, State, Telemetry
 
 
 def dynamics(a: Array, b: Gain, graph: Graph, x: Array, u: Array, w: Array, edge_open: Mask | None = None) -> Array:

@@ -19,7 +19,7 @@ from hedgerow.topologies.partition import parts_of
 from hedgerow.topologies.schema import LAWS, Topology
 from hedgerow.wire import keys
 from hedgerow.wire.access import Place
-from hedgerow.wire.codec import REPORT_ROWS
+from hedgerow.wire.message import REPORT_ROWS
 
 Layout = Sequence[Sequence[int] | Index]
 """Per agent process: the positions of its nodes, ascending."""

@@ -23,9 +23,6 @@ from hedgerow.orchestrator.views.event_line import event_line
 from hedgerow.orchestrator.views.screen import Screen
 from hedgerow.wire import keys
 from hedgerow.wire.codec import (
-    Kind,
-    MessageError,
-    Telemetry,
     decode_end,
     decode_event,
     decode_telemetry,
@@ -34,6 +31,7 @@ from hedgerow.wire.codec import (
     kind_of,
     telemetry_bytes,
 )
+from hedgerow.wire.message import Kind, MessageError, Telemetry
 from hedgerow.wire.runtime import LONG_BYTES, keep_memory
 from hedgerow.wire.session import Receiver, Sender
 from hedgerow.wire.shared_rows import SharedRows

@@ -25,7 +25,7 @@ from hedgerow.orchestrator.metrics.twins import Twins
 from hedgerow.plant.world import dynamics
 from hedgerow.topologies.graph import Array, Graph, Mask
 from hedgerow.topologies.schema import Topology
-from hedgerow.wire.codec import End, Telemetry
+from hedgerow.wire.message import End, Telemetry
 
 Matrix = NDArray[np.float64]
 

@@ -24,7 +24,8 @@ from hedgerow.topologies.effects import Effect
 from hedgerow.topologies.faults import effects
 from hedgerow.topologies.graph import Array, Graph, Index, Mask, all_finite
 from hedgerow.topologies.schema import Topology
-from hedgerow.wire.codec import LATE, REPORT_ROWS, Flag, Flags, State, Telemetry, gather
+from hedgerow.wire.codec import gather
+from hedgerow.wire.message import LATE, REPORT_ROWS, Flag, Flags, State, Telemetry
 
 AUDITED = 20_000
 """the maximum number of replayed nodes; in a larger network, a subset that the seed draws"""

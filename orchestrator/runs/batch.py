@@ -29,7 +29,7 @@ from hedgerow.plant.world import dynamics
 from hedgerow.topologies.graph import Array, Graph, Mask
 from hedgerow.topologies.law_choice import LawChoice, is_listed
 from hedgerow.topologies.schema import Topology
-from hedgerow.wire.codec import End, Telemetry
+from hedgerow.wire.message import End, Telemetry
 
 NODES = 20_000
 """the maximum number of nodes of all runs: the numbers of a step then fit the cache"""

@@ -27,7 +27,7 @@ from hedgerow.orchestrator.runs.selection import selection
 from hedgerow.topologies.archive import id_array
 from hedgerow.topologies.graph import Index
 from hedgerow.topologies.schema import Topology
-from hedgerow.wire.codec import End
+from hedgerow.wire.message import End
 
 ROW_GROUP = 2**16
 STEPS_AT_ONCE = 64

@@ -23,7 +23,8 @@ from hedgerow.plant.world import World
 from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import resolve
 from hedgerow.topologies.schema import Topology
-from hedgerow.wire.codec import Link, encode_input, encode_link, encode_state
+from hedgerow.wire.codec import encode_input, encode_link, encode_state
+from hedgerow.wire.message import Link
 from tests.test_faults import faulty, harsh
 from tests.tools.networks import partitions, simulate
 

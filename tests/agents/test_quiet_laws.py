@@ -21,7 +21,7 @@ from hedgerow.orchestrator.ground.assignment import layout
 from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import resolve
 from hedgerow.topologies.schema import Topology
-from hedgerow.wire.codec import Link
+from hedgerow.wire.message import Link
 from tests.agents.test_quiet import check_same_bits, general_path
 from tests.test_faults import faulty, harsh
 from tests.tools.networks import partitions, simulate

@@ -10,7 +10,7 @@ from hedgerow.agents.law import Array, Minimax
 from hedgerow.agents.samples import LateRows
 from hedgerow.agents.shard import Shard
 from hedgerow.agents.view import View
-from hedgerow.wire.codec import TAKEN, Flag, Flags, Link, State
+from hedgerow.wire.message import TAKEN, Flag, Flags, Link, State
 
 
 class SecondBest(Minimax):

@@ -15,7 +15,7 @@ from hedgerow.plant.truth import Truth
 from hedgerow.plant.world import World
 from hedgerow.topologies.effects import Effect
 from hedgerow.topologies.graph import Mask
-from hedgerow.wire.codec import Telemetry
+from hedgerow.wire.message import Telemetry
 from tests.tools.watched_network import NODE
 
 

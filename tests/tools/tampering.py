@@ -26,7 +26,7 @@ from hedgerow.orchestrator.runs import reference
 from hedgerow.plant.truth import Truth
 from hedgerow.plant.world import World
 from hedgerow.topologies.schema import Topology
-from hedgerow.wire.codec import End, Telemetry
+from hedgerow.wire.message import End, Telemetry
 from tests.tools import tampered_agents as agents
 from tests.tools import tampered_plant as plant
 from tests.tools.networks import Trajectory, gathered

@@ -42,7 +42,7 @@ from hedgerow.orchestrator.views.rerun.watch import (
 from hedgerow.topologies.errors import Code, HedgerowError, UserError
 from hedgerow.topologies.escape import markdown
 from hedgerow.topologies.regular_file import open_regular
-from hedgerow.wire.codec import TAKEN, End, Telemetry
+from hedgerow.wire.message import TAKEN, End, Telemetry
 
 Say = Callable[[str], None]
 Columns = NDArray[np.float64]

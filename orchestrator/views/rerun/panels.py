@@ -21,7 +21,7 @@ from hedgerow.orchestrator.views.rerun.fault_timeline import LANE_ENTITIES, LANE
 from hedgerow.orchestrator.views.rerun.network_picture import Legend
 from hedgerow.topologies.graph import Index
 from hedgerow.topologies.schema import Topology
-from hedgerow.wire.codec import Trips
+from hedgerow.wire.message import Trips
 
 Matrix = NDArray[np.float64]
 

@@ -39,7 +39,7 @@ from hedgerow.topologies.errors import Code, HedgerowError, UserError
 from hedgerow.topologies.escape import command
 from hedgerow.topologies.graph import Graph
 from hedgerow.topologies.schema import Topology
-from hedgerow.wire.codec import TAKEN, End, Telemetry
+from hedgerow.wire.message import TAKEN, End, Telemetry
 
 Say = Callable[[str], None]
 
