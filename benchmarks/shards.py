@@ -97,7 +97,11 @@ def shards(truth: Truth, views: Sequence[View], folder: Path, share: bool = True
     n, e = len(truth.ids), len(truth.edges)
     size = telemetry_bytes(n, e)
     shared, path = create(size, rows_ahead(n, e)) if share and size > LONG_BYTES else (None, "")
-    commands = [["plant", str(folder / "plant.npz"), "--listen", endpoint, *(["--shared", path] if path else [])]]
+    # On a busy machine, an agent may take longer than the plant waits by default: then every step is wrong.
+    waits = ["--deadline", str(DEADLINE_S)]
+    commands = [
+        ["plant", str(folder / "plant.npz"), "--listen", endpoint, *waits, *(["--shared", path] if path else [])]
+    ]
     for view in views:
         view.write(folder / f"{view.shard}.npz")
         commands.append(["agents", str(folder / f"{view.shard}.npz"), "--connect", endpoint])
