@@ -32,7 +32,7 @@ PICTURES = {
     "report-authors7": ("authors7", ("paper",)),
     "report-paper7-ours": ("paper7", ("estimates", "regret", "cost", "gain")),
 }
-DPI, GAP, COLOURS = 180, 24, 48
+DPI, GAP, COLOURS = 180, 24, 128
 
 
 def ran(name: str, scratch: Path) -> Run:

@@ -21,16 +21,10 @@ from matplotlib.backends.backend_pdf import FigureCanvasPdf
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
+from hedgerow.orchestrator.ground.colours import COLOURS
 from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.paths import user_path
 from hedgerow.topologies.regular_file import check_regular
-
-BLUE, ORANGE, GREEN, RED, SKY, PINK, BLACK = COLOURS = (
-    *("#0072B2", "#E69F00", "#009E73", "#D55E00", "#56B4E9", "#CC79A7"),
-    "#000000",
-)
-"""the colours of Okabe and Ito, in the order of hedgerow.mplstyle"""
-GREY = "#777777"
 
 
 def colour(place: int) -> str:
