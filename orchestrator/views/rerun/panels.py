@@ -88,9 +88,10 @@ def lines(topology: Topology) -> list[Quantity]:
     def each(name: str) -> Callable[[Batch], Matrix]:
         return lambda batch: _some(getattr(batch, name), nodes)
 
+    # Equal names share one entry of a legend: with one entry per line, the legend would not fit beside seven nodes.
     listed = [
         Quantity("x", each("x"), ids, node),
-        Quantity("x_oracle", each("x_oracle"), _each(ids, "oracle"), pale, 1.0),
+        Quantity("x_oracle", each("x_oracle"), ["oracle"] * len(ids), pale, 1.0),
         Quantity("x_nominal", each("x_nominal"), _each(ids, "nominal"), pale, 1.0),
         Quantity("u", each("u"), ids, node, steps=True),
         Quantity("u_edge", lambda batch: _some(batch.u_edge, flows), edges, hues(len(edges)), steps=True),
