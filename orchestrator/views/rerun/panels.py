@@ -238,7 +238,7 @@ def blueprint(topology: Topology, gamma_star: float, legend: Legend, processes: 
         first = rrb.Tabs(down, *latencies) if processes else down
         happened = rrb.Horizontal(first, fault_lines, events, column_shares=[2, 3, 2])
     elif processes:
-        happened = rrb.Horizontal(*latencies, fault_lines, events, column_shares=[3, 5, 5])
+        happened = rrb.Horizontal(*latencies, fault_lines, events, column_shares=[2, 3, 3])
     else:
         happened = rrb.Horizontal(fault_lines, events, column_shares=[3, 2])
     plots = _aggregated(topology, gamma_star) if large else _plots(topology, gamma_star)
