@@ -24,7 +24,7 @@ from hedgerow.orchestrator.views.rerun.viewer import native
 
 STEPS = 64
 RATE = 2.5
-"""steps per second; a picture takes about 0.3 s on two idle cores without a graphics card. Give less on a busy machine."""
+"""steps per second; a picture takes 0.3 s on two idle cores without a graphics card. On a busy machine, give less."""
 FAULTS = [
     {"kind": "drop", "link": [2, 4], "steps": [0, 18]},
     {"kind": "cut", "edge": [3, 5], "steps": [24, 36]},
