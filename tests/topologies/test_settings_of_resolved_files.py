@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -102,7 +103,13 @@ def test_defaults_beside_a_table_are_checked_at_every_node(tmp_path: Path) -> No
 
 
 def test_a_gain_in_the_defaults_holds_beside_a_complete_table(tmp_path: Path) -> None:
-    arrays = {"a": [0.5, 0.5], "x0": [1, 1], "nominal": [0.5, 0.5], "candidates": [[0.5], [0.5]], "parts": [0, 0]}
+    arrays: dict[str, Any] = {
+        "a": [0.5, 0.5],
+        "x0": [1, 1],
+        "nominal": [0.5, 0.5],
+        "candidates": [[0.5], [0.5]],
+        "parts": [0, 0],
+    }
     np.savez(tmp_path / "t.npz", edges=[[0, 1]], **arrays)
     (tmp_path / "t.yaml").write_text("{name: t, b: 0.1, steps: 4, table: t.npz, defaults: {b: 0.2}}")
     assert resolve(load(str(tmp_path / "t.yaml"))).network.b == 0.2
