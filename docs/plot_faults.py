@@ -19,7 +19,7 @@ from hedgerow.orchestrator.report.style import look
 from hedgerow.orchestrator.runs.reference import run
 from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import resolve
-from hedgerow.wire.codec import End, Telemetry
+from hedgerow.wire.message import End, Telemetry
 
 HERE = Path(__file__).parent
 NODE = 2  # the position of node 3
