@@ -107,6 +107,40 @@ class Samples:
         self._history.append(x, u, self._all)
         self._read = None
 
+    @property
+    def unlearned(self) -> list[int]:
+        """Return the number of steps since the last learned sample, by node; call it while a sample waits."""
+        counts: list[int] = (self._history.next - 1 - self._learned).tolist()
+        return counts
+
+    def last(self, most: int) -> list[tuple[list[float], list[float], bytes]]:
+        """Return the last rows, at most `most`, the newest last: states, inputs, and the Flag bits of those used."""
+        history, start, stop = self._history, self._history.next - most, self._history.next
+        x, u = history.x(start, stop).tolist(), history.u(start, stop).tolist()
+        return list(zip(x, u, map(bytes, history.bits(start, stop)), strict=True))
+
+    def forget_last(self, count: int) -> None:
+        """Forget this number of last rows: another owner has them, and all samples that wait."""
+        self._history.drop_last(count)
+        self._marks.clear()
+        self._behind.clear()
+
+    def wait(
+        self, rows: Sequence[tuple[tuple[Sequence[float], Sequence[float]], bytes]], counts: Sequence[int]
+    ) -> None:
+        """Store the rows of steps with samples that wait: states and inputs, and the Flag bits of the inputs used.
+
+        `counts` (k,) are the numbers of samples that wait, by node: its newest ones. The law has learned none of them.
+        """
+        waits = np.array(counts)
+        for (x, u), bits in rows:
+            self._history.append(x, u, np.frombuffer(bits, np.uint8))
+        after = self._history.next
+        for count in sorted(set(counts) - {0}, reverse=True):
+            self._marks.append(_Mark(after - count, self._law.memory.copy(), waits == count))
+        self._learned = after - 1 - waits
+        self._behind = {c for c, bits in enumerate(rows[-1][1]) if bits == _OPEN}
+
     def take_late(
         self,
         t: int,
@@ -237,7 +271,7 @@ class Samples:
         onward: dict[int, int] = {}
         from_mark: dict[int, list[int]] = {}
         for node, step in sorted(since.items()):
-            if self._learned[node] < step:
+            if self._starts_here(node, step):
                 onward[node] = step
             else:
                 marks = (k for k, mark in enumerate(self._marks) if mark.t <= step and mark.of[node])
@@ -250,6 +284,10 @@ class Samples:
             self._learn_onward(dict.fromkeys(nodes, start), until)
         if onward:
             self._learn_onward(onward, until)
+
+    def _starts_here(self, node: int, step: int) -> bool:
+        """Return True if the law's memory of a node is that before the sample of this step."""
+        return bool(self._learned[node] < step)
 
     def _learn_onward(self, since: Mapping[int, int], until: int) -> None:
         """Learn the samples of each node from its step in `since` to `until`; the law's memory is that before them."""
