@@ -55,7 +55,8 @@ class Waiting:
     def __init__(self, view: View) -> None:
         self._hears = [peer.hear for peer in view.peers]
         places = [(-1, -1)] * view.k + [(p, place) for p, hears in enumerate(self._hears) for place in range(hears)]
-        self._senders = [_Sender(*places[column], column) for column in view.column.tolist()]
+        columns: list[int] = view.column.tolist()
+        self._senders = [_Sender(*places[column], column) for column in columns]
         self._node = view.row.tolist()
         self._k = view.k
         self.rows: deque[Row] = deque(maxlen=MOST_WAITING + 1)

@@ -120,6 +120,7 @@ class World:
         first = np.concatenate([[0], stops[:-1]])
         self._local: Index = self._incidence_place - first[self._home]
         """Per incidence: its index within its shard."""
+        self._incidence_order: Index = incidence_order
         e = len(graph.edges)
         self._nobody: Mask = np.zeros(graph.n, dtype=bool)
         self._all_open: Flags = np.ones(e, dtype=np.uint8)
@@ -158,8 +159,9 @@ class World:
             down = down | (gone & soon)[graph.node]
         if active.lost is not None:
             down = down | active.lost
-        links.forget(absent)
-        deliveries = links.plan(t, down, active.late)
+        if gone is not None:
+            links.forget(absent, t)
+        deliveries = links.plan(down, active.late)
         read = self.x if active.blind is None else np.where(active.blind, np.nan, self.x)
         told = read if gone is None else np.where(absent, np.nan, read)
         self._now = _Step(
@@ -203,12 +205,14 @@ class World:
         anybody_back = now.back is not self._nobody and bool(now.back.any())
         if now.flags is None:
             return [(State(t, x[own], b""), None) for own in self._places]
+        flags_of_all, stop = now.flags.take(self._incidence_order).tobytes(), 0
         for p, part in enumerate(self._parts):
+            start, stop = stop, stop + len(part.incidences)
             own = x[self._places[p]]
             if not self.present(p):
                 told.append((None, None))
             else:
-                flags, own_spans = now.flags[part.incidences].tobytes(), spans.get(p, ())
+                flags, own_spans = flags_of_all[start:stop], spans.get(p, ())
                 if flags == self._up_bytes[p] and not own_spans:
                     flags = b""
                 record = self._record_of(part) if anybody_back else None
@@ -224,10 +228,12 @@ class World:
     def _spans(self) -> dict[int, list[Span]]:
         """Return, by shard, the spans of the incidences that deliver other rows than that of the step alone."""
         heard, told, reverse = self._heard, self._now.deliveries, self.graph.reverse
-        numbers = np.stack([heard.late, heard.back, told.late[reverse], told.back[reverse]])
+        numbers = np.array([heard.late, heard.back, told.late.take(reverse), told.back.take(reverse)])
+        found = np.flatnonzero(numbers.any(axis=0))
+        columns = (self._home.take(found), self._local.take(found), *numbers.take(found, axis=1))
         spans: dict[int, list[Span]] = {}
-        for c in np.flatnonzero(numbers.any(axis=0)).tolist():
-            spans.setdefault(self._home[c], []).append(Span(self._local[c], *numbers[:, c].tolist()))
+        for p, *span in zip(*(column.tolist() for column in columns), strict=True):
+            spans.setdefault(p, []).append(Span(*span))
         return spans
 
     def _record_of(self, part: _Part) -> Record | None:
@@ -266,7 +272,7 @@ class World:
         quiet = now.flags is None and gone is None and all_finite(u)
         if not quiet:
             u, edge_open, deliveries = self._what_acts(u, gone)
-        self.links.commit(t, deliveries)
+        self.links.commit(deliveries)
         w = self._w() if self._next_w is None else self._next_w
         self._next_w = None
         closed = None if edge_open is self._all_open else edge_open.view(np.bool_)
@@ -294,6 +300,8 @@ class World:
         """Return the inputs, the open edges and the deliveries of a step with something missing."""
         now, graph = self._now, self.graph
         edge_open, deliveries = self._all_open, now.deliveries
+        if now.cut is None and now.mute is None and gone is None and all_finite(u):
+            return u, edge_open, deliveries
         missing = ~np.isfinite(u)
         absent = self._nobody if gone is None else gone
         died = absent & ~now.absent  # ended since the step began
@@ -317,11 +325,13 @@ class World:
     ) -> tuple[Array, Flags, Flags]:
         """Return the reports, the used inputs and the links that are up, in a step with something missing."""
         graph, absent = self.graph, self._nobody if gone is None else gone
-        if absent.any():
+        if gone is not None:
             report = np.where(absent, np.nan, report)
             taken = np.where(absent[graph.node], np.uint8(0), taken)
         up = self._all_up if deliveries is self.links.whole else (deliveries.fresh & ~absent[graph.node]).view(np.uint8)
-        if now.back.any():  # messages from before their return are back-filled, not received in time
+        if (
+            now.back is not self._nobody and now.back.any()
+        ):  # messages from before their return are back-filled, not received in time
             taken = np.where(now.back[graph.node], taken & np.uint8(~Flag.HEAR & 0xFF), taken)
         return report, taken, up
 
