@@ -56,6 +56,7 @@ class QuietLaw:
         self._nodes = [_Node(*one) for one in zip(gains, columns, incidences, rules, strict=True)]
         self._law, self._height = law, len(law.memory)
         self._hears = [peer.hear for peer in view.peers]
+        self._said: list[list[int]] = [peer.say.tolist() for peer in view.peers]
         self._asks = asks(law.learn, "sample")
         self._rows = [struct.Struct(f"<{peer.hear}d") for peer in view.peers]
         self._J: list[list[float]] = []
@@ -221,14 +222,16 @@ class QuietLaw:
         """Return True if our rows from step `first` to t - 1 are here, and t is the last step."""
         return first == t or (self.waiting is not None and t - first <= len(self.waiting.rows))
 
-    def link(self, t: int, first: int, last: int, nodes: Sequence[int]) -> Link:
-        """Return the link message of the last step t with the rows of steps first to last of these nodes."""
-        rows = [] if self.waiting is None else [self.waiting.rows[step - t] for step in range(first, min(last + 1, t))]
-        if last == t:
-            rows.append(Row(self.x, self.u))
-        numbers = struct.Struct(f"<{len(rows) * len(nodes)}d")
-        x, u = ([row[which][i] for row in rows for i in nodes] for which in (0, 1))
-        return Link(t, first, numbers.pack(*x), numbers.pack(*u))
+    def rows(self, t: int, first: int, last: int, peer: int) -> tuple[list[float], list[float]]:
+        """Return the states and inputs of steps first to last for a peer, row by row; t is the last step made."""
+        nodes = self._said[peer]
+        x: list[float] = []
+        u: list[float] = []
+        for step in range(first, last + 1):
+            row_x, row_u = (self.x, self.u) if step == t or self.waiting is None else self.waiting.rows[step - t]
+            x += [row_x[i] for i in nodes]
+            u += [row_u[i] for i in nodes]
+        return x, u
 
     def _states_of(self, links: Sequence[Link | bytes]) -> list[float]:
         """Return the peers' newest states in their messages."""

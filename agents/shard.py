@@ -37,12 +37,14 @@ from hedgerow.wire.codec import (
     encode_link,
     gather,
     link_step,
+    pack_link,
 )
 
 Index = NDArray[np.int64]
 
 _TAKEN_OF = bytes(flags & TAKEN for flags in range(256))
 _SILENCE = struct.pack("<d", math.nan)
+_TELL = int(Flag.TELL)
 
 
 class Shard:
@@ -403,24 +405,38 @@ class Shard:
 
     def messages(self, state: State) -> tuple[list[tuple[Sequence[int], bytes]], bytes]:
         """Return the link messages of the step just answered, each with its receiving peers, and the input message."""
+        quiet = self._quiet
+        if quiet is not None and quiet.holds:
+            if not (state.flags or state.spans):
+                *said, own = self._forms.pack(self.t, quiet.x, quiet.u, quiet.report)
+                return [(peers, one) for (_, peers), one in zip(self.audience, said, strict=True)], own + self.took
+            told = self._told(state)
+            if all(quiet.stores(self.t, first) for _, first, _ in told):
+                links: list[tuple[Sequence[int], bytes]] = []
+                for p, first, last in told:
+                    x, u = quiet.rows(self.t, first, last, p)
+                    links.append(([p], pack_link(self.t, first, self.peers[p].says, x, u)))
+                return links, self._forms.input(self.t, quiet.u, quiet.report) + self.took
         links = [(peers, encode_link(link, self.peers[peers[0]].says)) for peers, link in self.send(state)]
-        if self._behind and (quiet := self._quiet) is not None:
-            return links, self._forms.input(self.t, quiet.u, quiet.report) + self.took
         return links, encode_input(self.t, self.u, self.report, self.took)
 
     def send(self, state: State) -> list[tuple[Sequence[int], Link]]:
         """Return the link messages of the step just answered, each with its receiving peers."""
         if not state.flags and not state.spans:
             return self._send_now()
-        flags, first, last = state.flags or self._up, {}, {}
-        for c, _, _, late, count in state.spans:
-            first[c], last[c] = self.t - late - count, self.t - late
-        said: list[tuple[Sequence[int], Link]] = []
+        return [([p], self._rows(self.peers[p], first, last)) for p, first, last in self._told(state)]
+
+    def _told(self, state: State) -> list[tuple[int, int, int]]:
+        """Return the peers that receive a link message of the last step, each with the steps of its rows."""
+        t, flags = self.t, state.flags or self._up
+        if not state.spans:
+            return [(p, t, t) for p, peer in enumerate(self.peers) if any(flags[c] & _TELL for c in peer.incidences)]
+        spans = {c: (t - late - count, t - late) for c, _, _, late, count in state.spans}
+        told = []
         for p, peer in enumerate(self.peers):
-            if told := [c for c in peer.incidences if flags[c] & Flag.TELL]:
-                begin, end = min(first.get(c, self.t) for c in told), max(last.get(c, self.t) for c in told)
-                said.append(([p], self._rows(peer, begin, end)))
-        return said
+            if steps := [spans.get(c, (t, t)) for c in peer.incidences if flags[c] & _TELL]:
+                told.append((p, min(first for first, _ in steps), max(last for _, last in steps)))
+        return told
 
     def _send_now(self) -> list[tuple[Sequence[int], Link]]:
         """Return messages with the row of this step alone, for every peer."""
@@ -440,7 +456,8 @@ class Shard:
         nodes = peer.nodes
         if (quiet := self._quiet) is not None and quiet.holds:
             if quiet.stores(self.t, first):
-                return quiet.link(self.t, first, last, range(self.k) if nodes is None else nodes.tolist())
+                rows = quiet.rows(self.t, first, last, self.peers.index(peer))
+                return Link(self.t, first, *(np.array(one).tobytes() for one in rows))
             self._settle(quiet)  # the history lacks the rows of samples that wait
         x, u = (self.x, self.u) if nodes is None else (self.x[nodes], self.u[nodes])
         if first == last == self.t:

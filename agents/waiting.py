@@ -14,7 +14,7 @@ from math import isfinite
 from typing import NamedTuple
 
 from hedgerow.agents.view import View
-from hedgerow.wire.codec import LATE, MOST_LATE, TAKEN, Flag, Link, Span, decode_link
+from hedgerow.wire.codec import LATE, MOST_LATE, TAKEN, Flag, Link, Span, link_inputs
 
 MOST_WAITING = 32
 """the maximum number of samples that wait here; with more, the general path takes over"""
@@ -29,13 +29,9 @@ class Row(NamedTuple):
     u: list[float]
 
 
-class Arrival(NamedTuple):
-    """The row of t - 1 - late and all missing rows before it, which arrive over an incidence."""
-
-    incidence: int
-    late: int
-    inputs: Sequence[float]
-    """of the neighbour, in the order of the steps; empty if it is one of our own nodes"""
+Arrival = tuple[int, int, Sequence[float]]
+"""An incidence, the delay of its link, and the inputs of the neighbour in the rows that arrive over it: those of all
+missing rows up to that of t - 1 - delay. There are no inputs if the neighbour is one of our own nodes."""
 
 
 class _Sender(NamedTuple):
@@ -95,13 +91,13 @@ class Waiting:
                     return None
                 hears = self._hears[peer]
                 if peer not in taken_apart:
-                    taken_apart[peer] = _inputs(link, hears)
+                    taken_apart[peer] = _inputs(link)
                 first, numbers = taken_apart[peer]
                 skipped = past - missing - first
                 inputs = numbers[skipped * hears + place : (skipped + back + 1) * hears : hears]
                 if skipped < 0 or len(inputs) != back + 1 or not isfinite(sum(inputs)):
                     return None
-            found.append(Arrival(c, late, inputs))
+            found.append((c, late, inputs))
         return found
 
     def fill(self, arrivals: Sequence[Arrival]) -> tuple[list[int], bytes]:
@@ -170,7 +166,8 @@ class Waiting:
         return rows, samples
 
 
-def _inputs(link: Link | bytes, hears: int) -> tuple[int, Sequence[float]]:
+def _inputs(link: Link | bytes) -> tuple[int, Sequence[float]]:
     """Return the first step of a link message, and all its inputs, row by row."""
-    _, first, _, u = decode_link(link, hears) if isinstance(link, bytes) else link
-    return first, struct.unpack(f"<{len(u) // 8}d", u)
+    if isinstance(link, bytes):
+        return link_inputs(link)
+    return link.first, struct.unpack(f"<{len(link.u) // 8}d", link.u)
