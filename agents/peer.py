@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from hedgerow.wire.codec import Link, decode_link
+from hedgerow.wire.codec import decode_link
+from hedgerow.wire.message import Link
 
 Index = NDArray[np.int64]
 
@@ -22,9 +23,9 @@ class Peer:
 
     nodes: Index | None
     """indices of our nodes in a link message to it; None for all nodes in order"""
-    says: int
+    sends: int
     """number of these nodes"""
-    hears: int
+    receives: int
     """number of its nodes in a message to us"""
     start: int
     """the place of its first input in our own inputs followed by the peers' inputs"""
@@ -42,4 +43,4 @@ class Peer:
     def take(self, t: int) -> Link | None:
         """Return the link message of step t and drop it; None if it has not arrived."""
         link = self.mail.pop(t, None)
-        return decode_link(link, self.hears) if isinstance(link, bytes) else link
+        return decode_link(link, self.receives) if isinstance(link, bytes) else link

@@ -34,10 +34,6 @@ from hedgerow.wire import keys
 from hedgerow.wire.access import MOST_PER_S
 from hedgerow.wire.child import run_child
 from hedgerow.wire.codec import (
-    REPORT_ROWS,
-    Kind,
-    MessageError,
-    State,
     decode_end,
     decode_record,
     decode_state,
@@ -46,6 +42,7 @@ from hedgerow.wire.codec import (
     kind_of,
 )
 from hedgerow.wire.credentials import Credentials
+from hedgerow.wire.message import REPORT_ROWS, Kind, MessageError, State
 from hedgerow.wire.runtime import LONG_BYTES, keep_memory, one_network_thread
 from hedgerow.wire.session import (
     CONNECT_TIMEOUT_S,

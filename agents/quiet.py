@@ -23,7 +23,8 @@ from hedgerow.agents.quiet_rule import Rule, Sample
 from hedgerow.agents.samples import Samples
 from hedgerow.agents.view import View
 from hedgerow.agents.waiting import MOST_WAITING, Row, Waiting
-from hedgerow.wire.codec import REPORT_ROWS, Flag, Form, Kind, Link, Span, decode_link
+from hedgerow.wire.codec import Form, decode_link
+from hedgerow.wire.message import REPORT_ROWS, Flag, Kind, Link, Span
 
 FEW_NODES = 8
 MOST_INCIDENCES = 24
@@ -55,10 +56,10 @@ class QuietLaw:
         columns = [column[~np.isnan(column)].tolist() for column in view.candidates.T]
         self._nodes = [_Node(*one) for one in zip(gains, columns, incidences, rules, strict=True)]
         self._law, self._height = law, len(law.memory)
-        self._hears = [peer.hear for peer in view.peers]
-        self._said: list[list[int]] = [peer.say.tolist() for peer in view.peers]
+        self._receives = [peer.receives for peer in view.peers]
+        self._sends: list[list[int]] = [peer.sends.tolist() for peer in view.peers]
         self._asks = asks(law.learn, "sample")
-        self._rows = [struct.Struct(f"<{peer.hear}d") for peer in view.peers]
+        self._rows = [struct.Struct(f"<{peer.receives}d") for peer in view.peers]
         self._J: list[list[float]] = []
         self.holds = False
         """True while the newest memory is here, and not in the law"""
@@ -72,7 +73,7 @@ class QuietLaw:
         """ahat and then the margins of the last step, (2k,)"""
         self.waiting = Waiting(view) if view.history > MOST_WAITING and isinstance(law, Minimax) else None
         """the samples that wait for rows; None for other laws and short histories, which wait in the general path"""
-        self._nothing = [nan] * (sum(self._hears))
+        self._nothing = [nan] * (sum(self._receives))
         self._easy = 0
         """number of steps of the general path in a row that could have been made here"""
 
@@ -224,7 +225,7 @@ class QuietLaw:
 
     def rows(self, t: int, first: int, last: int, peer: int) -> tuple[list[float], list[float]]:
         """Return the states and inputs of steps first to last for a peer, row by row; t is the last step made."""
-        nodes = self._said[peer]
+        nodes = self._sends[peer]
         x: list[float] = []
         u: list[float] = []
         for step in range(first, last + 1):
@@ -236,8 +237,8 @@ class QuietLaw:
     def _states_of(self, links: Sequence[Link | bytes]) -> list[float]:
         """Return the peers' newest states in their messages."""
         states: list[float] = []
-        for numbers, link, hears in zip(self._rows, links, self._hears, strict=True):
-            rows = (decode_link(link, hears) if isinstance(link, bytes) else link).x
+        for numbers, link, count in zip(self._rows, links, self._receives, strict=True):
+            rows = (decode_link(link, count) if isinstance(link, bytes) else link).x
             states += numbers.unpack_from(rows, len(rows) - numbers.size)
         return states
 

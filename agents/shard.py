@@ -22,23 +22,8 @@ from hedgerow.agents.samples import LateRows, Samples
 from hedgerow.agents.view import View
 from hedgerow.topologies.graph import all_finite
 from hedgerow.wire import crash
-from hedgerow.wire.codec import (
-    ALL_UP,
-    LATE,
-    MOST_LATE,
-    REPORT_ROWS,
-    TAKEN,
-    Flag,
-    Link,
-    Mask,
-    Record,
-    State,
-    encode_input,
-    encode_link,
-    gather,
-    link_step,
-    pack_link,
-)
+from hedgerow.wire.codec import encode_input, encode_link, gather, link_step, pack_link
+from hedgerow.wire.message import ALL_UP, LATE, MOST_LATE, REPORT_ROWS, TAKEN, Flag, Link, Mask, Record, State
 
 Index = NDArray[np.int64]
 
@@ -65,14 +50,14 @@ class Shard:
         self._row = view.row
         ends: Index = np.stack([view.row, view.column])
         """Per incidence: the indices of its two ends in our own inputs followed by the peers' inputs, (2, m)."""
-        stops = [self.k, *(self.k + np.cumsum([peer.hear for peer in view.peers], dtype=np.int64)).tolist()]
+        stops = [self.k, *(self.k + np.cumsum([peer.receives for peer in view.peers], dtype=np.int64)).tolist()]
         outside = np.flatnonzero(view.column >= self.k)
         peer_of = np.searchsorted(stops, view.column[outside], side="right") - 1
         self.peers = [
             Peer(
-                nodes=None if np.array_equal(peer.say, np.arange(self.k)) else peer.say,
-                says=len(peer.say),
-                hears=peer.hear,
+                nodes=None if np.array_equal(peer.sends, np.arange(self.k)) else peer.sends,
+                sends=len(peer.sends),
+                receives=peer.receives,
                 start=stops[p],
                 incidences=outside[peer_of == p].tolist(),
             )
@@ -122,7 +107,7 @@ class Shard:
     def hear_message(self, peer: int, message: bytes) -> None:
         """Keep the bytes of a link message, as `receive` does; raise MessageError if they are malformed."""
         own = self.peers[peer]
-        if (t := link_step(message, own.hears)) >= self.t:
+        if (t := link_step(message, own.receives)) >= self.t:
             own.keep(t, message)
 
     def recall(self, record: Record) -> None:
@@ -281,7 +266,7 @@ class Shard:
             self.took = b""
             # The last row of each message is its newest; here it should be the only one.
             last_rows = [
-                link.u[-8 * peer.hears :] for link, peer in zip(links, self.peers, strict=True) if link is not None
+                link.u[-8 * peer.receives :] for link, peer in zip(links, self.peers, strict=True) if link is not None
             ]
             inputs = gather([self._u, *last_rows]) if links else self._u
             states = self._states(links)
@@ -294,7 +279,7 @@ class Shard:
             return
         # The newest row of a link message is that of t - 1, unless the link is late.
         last_rows = [
-            _SILENCE * peer.hears if link is None else link.u[-8 * peer.hears :]
+            _SILENCE * peer.receives if link is None else link.u[-8 * peer.receives :]
             for link, peer in zip(links, self.peers, strict=True)
         ]
         took = bytearray((state.flags or self._up).translate(_TAKEN_OF))
@@ -320,7 +305,7 @@ class Shard:
         if not (self._asks or self._samples.asks):
             return None
         rows = [
-            _SILENCE * peer.hears if link is None else link.x[-8 * peer.hears :]
+            _SILENCE * peer.receives if link is None else link.x[-8 * peer.receives :]
             for link, peer in zip(links, self.peers, strict=True)
         ]
         return gather([self._x, *rows])
@@ -353,7 +338,7 @@ class Shard:
             return LateRows(c, start, stop)
         start, place = max(start, link.first), self._view.column[c] - peer.start
         inputs, states = (
-            gather([rows]).reshape(-1, peer.hears)[start - link.first : stop - link.first, place]
+            gather([rows]).reshape(-1, peer.receives)[start - link.first : stop - link.first, place]
             for rows in (link.u, link.x)
         )
         return LateRows(c, start, start + len(inputs), inputs, states)
@@ -415,9 +400,9 @@ class Shard:
                 links: list[tuple[Sequence[int], bytes]] = []
                 for p, first, last in told:
                     x, u = quiet.rows(self.t, first, last, p)
-                    links.append(([p], pack_link(self.t, first, self.peers[p].says, x, u)))
+                    links.append(([p], pack_link(self.t, first, self.peers[p].sends, x, u)))
                 return links, self._forms.input(self.t, quiet.u, quiet.report) + self.took
-        links = [(peers, encode_link(link, self.peers[peers[0]].says)) for peers, link in self.send(state)]
+        links = [(peers, encode_link(link, self.peers[peers[0]].sends)) for peers, link in self.send(state)]
         return links, encode_input(self.t, self.u, self.report, self.took)
 
     def send(self, state: State) -> list[tuple[Sequence[int], Link]]:

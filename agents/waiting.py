@@ -14,7 +14,8 @@ from math import isfinite
 from typing import NamedTuple
 
 from hedgerow.agents.view import View
-from hedgerow.wire.codec import LATE, MOST_LATE, TAKEN, Flag, Link, Span, link_inputs
+from hedgerow.wire.codec import link_inputs
+from hedgerow.wire.message import LATE, MOST_LATE, TAKEN, Flag, Link, Span
 
 MOST_WAITING = 32
 """the maximum number of samples that wait here; with more, the general path takes over"""
@@ -49,8 +50,10 @@ class Waiting:
     """The last rows of a shard, and the number of missing rows by incidence."""
 
     def __init__(self, view: View) -> None:
-        self._hears = [peer.hear for peer in view.peers]
-        places = [(-1, -1)] * view.k + [(p, place) for p, hears in enumerate(self._hears) for place in range(hears)]
+        self._receives = [peer.receives for peer in view.peers]
+        places = [(-1, -1)] * view.k + [
+            (p, place) for p, receives in enumerate(self._receives) for place in range(receives)
+        ]
         columns: list[int] = view.column.tolist()
         self._senders = [_Sender(*places[column], column) for column in columns]
         self._node = view.row.tolist()
@@ -89,12 +92,12 @@ class Waiting:
             if peer >= 0:
                 if (link := links[peer]) is None:
                     return None
-                hears = self._hears[peer]
+                receives = self._receives[peer]
                 if peer not in taken_apart:
                     taken_apart[peer] = _inputs(link)
                 first, numbers = taken_apart[peer]
                 skipped = past - missing - first
-                inputs = numbers[skipped * hears + place : (skipped + back + 1) * hears : hears]
+                inputs = numbers[skipped * receives + place : (skipped + back + 1) * receives : receives]
                 if skipped < 0 or len(inputs) != back + 1 or not isfinite(sum(inputs)):
                     return None
             found.append((c, late, inputs))

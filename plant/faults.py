@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hedgerow.topologies import lots
-from hedgerow.topologies.effects import Effect
+from hedgerow.topologies.effects import EDGES, INCIDENCES, NODES, Effect
 from hedgerow.topologies.graph import Graph, Index, Mask
 
 BLOCK, BLOCK_BYTES = 64, 2**24
@@ -38,30 +38,30 @@ class Lots:
             if not _drawn(effect):
                 continue
             targets = np.array(effect.targets, dtype=np.int64)
-            words = self._words(effect.kind, targets)
+            words = self._words(effect.of, targets)
             turns = np.array([self._turns[effect.kind, target] for target in effect.targets], dtype=np.int64)
             keys = np.empty(len(targets), dtype=np.uint64)
             for turn in np.unique(turns).tolist():
                 here = turns == turn
-                keys[here] = lots.keys(self._seeds(effect.kind, targets[here]), f"{effect.kind}.{turn}", words[here])
+                keys[here] = lots.keys(self._seeds(effect.of, targets[here]), f"{effect.kind}.{turn}", words[here])
             self._turns.update((effect.kind, target) for target in effect.targets)
             self._keys[_name(effect)] = keys
 
-    def _words(self, kind: str, targets: Index) -> lots.Words:
+    def _words(self, of: str, targets: Index) -> lots.Words:
         graph = self._graph
-        if kind in ("drop", "delay"):  # the direction is from the sending neighbour to the node
+        if of == INCIDENCES:  # the direction is from the sending neighbour to the node
             ends = graph.neighbour[targets], graph.node[targets]
             return lots.pairs_of(*(self._nodes(end) for end in ends))
-        if kind == "cut":
+        if of == EDGES:
             return lots.edges_of(*(self._nodes(end) for end in graph.edges[targets].T))
         return self._nodes(targets)
 
-    def _seeds(self, kind: str, targets: Index) -> int | lots.Words:
+    def _seeds(self, of: str, targets: Index) -> int | lots.Words:
         """Return the seed of each target; both ends of an edge have the same."""
         if isinstance(self._seed, int):
             return self._seed
-        ends = {"drop": self._graph.node, "delay": self._graph.node, "cut": self._graph.edges[:, 0]}
-        return self._seed[ends[kind][targets] if kind in ends else targets]
+        ends = {INCIDENCES: self._graph.node, EDGES: self._graph.edges[:, 0]}
+        return self._seed[ends[of][targets] if of in ends else targets]
 
     def _nodes(self, nodes: Index) -> lots.Words:
         if isinstance(self._ids, np.ndarray):
@@ -104,7 +104,11 @@ class ActiveFaults:
     """nodes without an input, (n,)"""
 
 
-NOTHING = ActiveFaults()
+def sizes(graph: Graph) -> dict[str, int]:
+    """Return the numbers of possible targets, by their meaning."""
+    return {INCIDENCES: len(graph.node), EDGES: len(graph.edges), NODES: graph.n}
+
+
 _FIELD = {"drop": "lost", "delay": "late", "cut": "cut", "sensor": "blind", "actuator": "mute"}
 
 
@@ -115,13 +119,7 @@ class Faults:
         self, effects: Iterable[Effect], graph: Graph, ids: Sequence[int | str] | NDArray[Any], seed: int | lots.Words
     ) -> None:
         self._graph, self._chance = graph, Lots(graph, ids, seed)
-        self._sizes = {
-            "lost": len(graph.node),
-            "late": len(graph.node),
-            "cut": len(graph.edges),
-            "blind": graph.n,
-            "mute": graph.n,
-        }
+        self._sizes = sizes(graph)
         self.effects = list(effects)
         self._chance.take(self.effects)
         self._changed()
@@ -131,7 +129,7 @@ class Faults:
         self._active: list[Effect] = []
         self._dead: list[Effect] = []
         self._jumps: list[Effect] = []
-        self._first, self._block = 0, list[ActiveFaults]()
+        self._first, self._block = 0, list[ActiveFaults | None]()
         """the faults of some steps from the first one on"""
 
     def add(self, effects: Sequence[Effect]) -> None:
@@ -163,15 +161,15 @@ class Faults:
         """Return True if no effect is active at step t."""
         return not self._look(t)
 
-    def at(self, t: int) -> ActiveFaults:
-        """Return the faults active at step t, except crashes and jumps."""
+    def at(self, t: int) -> ActiveFaults | None:
+        """Return the faults active at step t, except crashes and jumps; None if there are none."""
         if not self._look(t):
-            return NOTHING
+            return None
         if not 0 <= t - self._first < len(self._block):
             self._first, self._block = t, self._faults_from(t)
         return self._block[t - self._first]
 
-    def _faults_from(self, t: int) -> list[ActiveFaults]:
+    def _faults_from(self, t: int) -> list[ActiveFaults | None]:
         """Return the faults at some steps from t on, computed at once, while the same effects are active."""
         most = max(1, min(BLOCK, BLOCK_BYTES // max(1, *self._sizes.values())))
         steps = np.arange(t, min(t + most, self._until))
@@ -184,14 +182,12 @@ class Faults:
                 continue
             if field not in found:
                 kind = np.int64 if field == "late" else np.bool_
-                found[field] = np.zeros((len(steps), self._sizes[field]), dtype=kind)
+                found[field] = np.zeros((len(steps), self._sizes[effect.of]), dtype=kind)
             by = effect.by if field == "late" else True
             found[field][rows, targets] = np.maximum(found[field][rows, targets], by)
         struck = {field: values.any(axis=1).tolist() for field, values in found.items()}
         return [
-            ActiveFaults(**here)
-            if (here := {field: found[field][k] for field in found if struck[field][k]})
-            else NOTHING
+            ActiveFaults(**here) if (here := {field: found[field][k] for field in found if struck[field][k]}) else None
             for k in range(len(steps))
         ]
 

@@ -59,10 +59,11 @@ class Links:
         some = ~down & (late <= self._stored)
         return Deliveries(some, late * some, (self._stored - late) * some)
 
-    def commit(self, deliveries: Deliveries) -> None:
-        """Record the deliveries of the step as done."""
-        if not self._history or (deliveries is self.whole and self.complete):
+    def commit(self, deliveries: Deliveries | None) -> None:
+        """Record the deliveries of the step as done; None if every link delivers the row of the step alone."""
+        if not self._history or (deliveries is None and self.complete):
             return
+        deliveries = deliveries or self.whole
         if self._missing.max(initial=0) >= self._history:
             self.forgotten += int((self._missing - self._stored)[deliveries.some].sum())
         self._missing = np.where(deliveries.some, deliveries.late, self._missing + 1)

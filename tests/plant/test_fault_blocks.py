@@ -21,7 +21,9 @@ def faults_of(topology: Topology) -> Faults:
     return Faults(effects(topology.faults, topology), topology.graph, topology.ids, topology.seed)
 
 
-def same(one: ActiveFaults, other: ActiveFaults) -> bool:
+def same(one: ActiveFaults | None, other: ActiveFaults | None) -> bool:
+    if one is None or other is None:
+        return one is other
     pairs = [(getattr(one, field), getattr(other, field)) for field in FIELDS]
     return all((a is None) == (b is None) and (a is None or np.array_equal(a, b)) for a, b in pairs)
 
