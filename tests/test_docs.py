@@ -129,9 +129,11 @@ class Scratch:
             "XDG_RUNTIME_DIR": str(runtime),
             "COLUMNS": "160",
         }
+        self.python: tuple[str, ...] = (sys.executable, "-W", "error")
 
     def preload(self) -> None:
-        """Let commands of a shell begin in processes that have loaded their modules already."""
+        """Let commands and programs begin in processes that have loaded the modules already."""
+        self.python = (str(preloaded.SESSION.programs / "program"),)
         self.environment["PATH"] = f"{preloaded.SESSION.programs}{os.pathsep}{self.environment['PATH']}"
 
     def run(self, *command: str) -> tuple[int, str]:
@@ -169,7 +171,7 @@ def test_a_document_shows_the_real_output(document: Path, tmp_path: Path) -> Non
             case "python":
                 name = block.name or "block.py"
                 (tmp_path / name).write_text(block.text, encoding="utf-8")
-                code, printed = scratch.run(sys.executable, "-W", "error", name)
+                code, printed = scratch.run(*scratch.python, name)
                 assert code == 0, f"{where}: exit code {code}\n{printed}"
                 program = (block, printed)
             case "text" if program is not None and follows(program[0], block):

@@ -7,11 +7,13 @@ started. Tests of the start itself, of signals while modules load, and of the in
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import gc
 import json
 import os
 import resource
+import runpy
 import selectors
 import signal
 import socket
@@ -20,6 +22,8 @@ import sys
 import tempfile
 import threading
 import time
+import traceback
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import IO, Any, NoReturn
@@ -54,7 +58,8 @@ SERVER = f"import sys; sys.path.append({str(ROOT)!r}); from tests.tools.preloade
 
 CLIENT = """#!{python} -IS
 import json, os, socket, sys
-what = dict(arguments=sys.argv[1:], new_session=False, largest={unlimited}, folder=os.getcwd())
+program = os.path.basename(sys.argv[0]) == "program"
+what = dict(arguments=sys.argv[1:], program=program, new_session=False, largest={unlimited}, folder=os.getcwd())
 text = json.dumps(what | dict(environment=dict(os.environ))).encode()
 connection = socket.socket(socket.AF_UNIX)
 connection.connect({address!r})
@@ -65,7 +70,7 @@ with connection.makefile() as answers:
     code = int(answers.read())
 os.kill(os.getpid(), -code) if code < 0 else os._exit(code)
 """
-"""the program `orchestrator` for a shell: it orders a process, and exits with the code of that"""
+"""the programs `orchestrator`, and `program FILE`, for a shell: they order a process, and exit with the code of that"""
 
 
 class Process:
@@ -135,13 +140,14 @@ class Server:
 
     @property
     def programs(self) -> Path:
-        """Return a folder with the program `orchestrator`, which a shell finds there if its PATH begins with it."""
+        """Return a folder with `orchestrator`, and `program` for `python -W error`, for the beginning of a PATH."""
         folder = Path(self.address).parent / "bin"
         if not folder.exists():
             folder.mkdir()
             text = CLIENT.format(python=sys.executable, unlimited=resource.RLIM_INFINITY, address=self.address)
-            (folder / "orchestrator").write_text(text)
-            (folder / "orchestrator").chmod(0o755)
+            for name in ("orchestrator", "program"):
+                (folder / name).write_text(text)
+                (folder / name).chmod(0o755)
         return folder
 
     def run(self, arguments: Sequence[str], timeout: float, **how: Any) -> subprocess.CompletedProcess[str]:
@@ -285,6 +291,29 @@ def accept(listening: socket.socket, connections: dict[int, socket.socket]) -> N
     connection.sendall(f"{pid}\n".encode())
 
 
+def run_program(file: str) -> NoReturn:
+    """Run a Python program as `python -W error FILE` does."""
+    code = 0
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    warnings.simplefilter("error")
+    sys.argv = [file]
+    sys.path.insert(0, str(Path(file).parent.absolute()))
+    try:
+        runpy.run_path(file, run_name="__main__")
+    except SystemExit as ended:
+        code = ended.code if isinstance(ended.code, int) else int(ended.code is not None)
+    except BaseException:
+        traceback.print_exc()
+        code = 1
+    for thread in threading.enumerate():
+        if thread is not threading.current_thread() and not thread.daemon:
+            thread.join()
+    atexit._run_exitfuncs()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)
+
+
 def begin(what: dict[str, Any], streams: Sequence[int]) -> NoReturn:
     """Become the process of an order, and run its command."""
     from hedgerow.orchestrator import __main__ as command  # noqa: PLC0415
@@ -304,6 +333,8 @@ def begin(what: dict[str, Any], streams: Sequence[int]) -> NoReturn:
         os.environ.update(what["environment"])
         for number, (name, mode) in enumerate((("stdin", "r"), ("stdout", "w"), ("stderr", "w"))):
             setattr(sys, name, open(number, mode, encoding="utf-8", closefd=False))  # noqa: SIM115
+        if what.get("program"):
+            run_program(*what["arguments"])
         sys.argv = [command.__file__, *what["arguments"]]
         command.BEGAN = time.monotonic()
         command.main()
