@@ -9,12 +9,13 @@ from hypothesis import settings
 
 from tests.tools import preloaded
 from tests.tools.ctrl_c import mind_ctrl_c
+from tests.tools.examples import examples
 from tests.tools.leftovers import nothing_lives_on
 
 __all__ = ["nothing_lives_on"]
 
 # The time of an example means nothing on a busy machine: no deadline, unless a test is about time.
-settings.register_profile("hedgerow", deadline=None, max_examples=50, print_blob=True)
+settings.register_profile("hedgerow", deadline=None, max_examples=examples(50), print_blob=True)
 settings.load_profile("hedgerow")
 
 

@@ -41,6 +41,7 @@ from hedgerow.topologies.schema import Topology
 from tests.orchestrator.views.test_rerun_stream import begin_headless, kill, paper7, until
 from tests.orchestrator.views.test_rerun_stream import read as scalars
 from tests.tools import networks
+from tests.tools.examples import examples
 from tests.tools.networks import observe, simulate
 from tests.tools.processes import Orchestrator
 from tests.tools.schedules import with_faults
@@ -58,7 +59,7 @@ def recorded(topology: Topology, path: Path, rows: int = 7) -> tuple[Observer, l
         stream.log(batch)
     observer.finish(ran.end)
     stream.end(observer)
-    assert stream.close(5.0)
+    assert stream.close(60.0)
     return observer, batches
 
 
@@ -94,7 +95,7 @@ def test_a_grid_is_drawn_as_a_grid() -> None:
 
 
 @given(networks.networks(most=9, steps=1))
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=examples(40))
 def test_every_network_has_a_place_for_each_node_and_always_the_same(topology: Topology) -> None:
     places = positions(topology.graph)
     n = len(places)

@@ -44,7 +44,7 @@ def parquet_bytes(folder: Path) -> tuple[bytes, ...]:
     return tuple((folder / f"{name}.parquet").read_bytes() for name in ("telemetry", "edges", "summary"))
 
 
-def gone(processes: Mapping[str, int], within_s: float = 20.0) -> bool:
+def gone(processes: Mapping[str, int], within_s: float = DEADLINE_S) -> bool:
     """Return True if all these processes end within the time; a zombie has ended."""
     deadline = time.monotonic() + within_s
     pause = threading.Event()
