@@ -43,7 +43,7 @@ def test_what_a_law_prints_acts_on_no_terminal(file: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "words", [("simulate", "pair.yaml", "--no-record"), ("worst", "pair.yaml", "--budget", "0.2s")]
+    "words", [("simulate", "pair.yaml", "--no-record"), ("worst", "pair.yaml", "--budget", "0.2s", "--steps", "100")]
 )
 def test_the_json_of_a_command_is_its_only_output(file: str, words: tuple[str, ...]) -> None:
     assert words[1] == file
