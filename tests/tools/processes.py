@@ -12,6 +12,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -167,12 +168,13 @@ class Orchestrator:
             self.wait_for_log(name, "ready: ", life)
             os.kill(self.children[name], signal.SIGKILL)
             self.wait_for_event("died", life)
-            self.wait_until(lambda life=life: self._stays_down() or len(_events("restarted")) == life)
-            if self._stays_down():
+            self.wait_until(partial(self._is_decided, life))
+            if len(_events("restarted")) < life:
                 return
 
-    def _stays_down(self) -> bool:
-        return bool(_events("down")) or self._process.poll() is not None
+    def _is_decided(self, deaths: int) -> bool:
+        """Return True if an agent has been restarted after so many deaths, or stays down."""
+        return len(_events("restarted")) == deaths or bool(_events("down")) or self._process.poll() is not None
 
     def kill_all_who_could_clean_up(self) -> dict[str, int]:
         """Kill the command, its fork server and the plant at once, and return all processes of the run."""
