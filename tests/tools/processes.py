@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import json
 import os
@@ -12,7 +13,6 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -168,13 +168,16 @@ class Orchestrator:
             self.wait_for_log(name, "ready: ", life)
             os.kill(self.children[name], signal.SIGKILL)
             self.wait_for_event("died", life)
-            self.wait_until(partial(self._is_decided, life))
-            if len(_events("restarted")) < life:
+            self.wait_until(functools.partial(self._is_decided, life))
+            if self._stays_down():
                 return
 
-    def _is_decided(self, deaths: int) -> bool:
-        """Return True if an agent has been restarted after so many deaths, or stays down."""
-        return len(_events("restarted")) == deaths or bool(_events("down")) or self._process.poll() is not None
+    def _is_decided(self, life: int) -> bool:
+        """Return True once another life has followed this one, or none will."""
+        return self._stays_down() or len(_events("restarted")) == life
+
+    def _stays_down(self) -> bool:
+        return bool(_events("down")) or self._process.poll() is not None
 
     def kill_all_who_could_clean_up(self) -> dict[str, int]:
         """Kill the command, its fork server and the plant at once, and return all processes of the run."""
