@@ -75,6 +75,16 @@ def running(thread: int, law: type[Any]) -> str:
     return ""
 
 
+def call_of(thread: int, law: type[Any]) -> FrameType | None:
+    """Return the frame of the call of a law that a thread makes now, the first of its frames in a file of the law."""
+    frame: FrameType | None = sys._current_frames().get(thread)
+    own, call = set(files_of(law)), None
+    while frame is not None:
+        call = frame if frame.f_code.co_filename in own else call
+        frame = frame.f_back
+    return call
+
+
 def _short(file: str) -> str:
     """Return a path from the working directory where the file is below it."""
     with contextlib.suppress(ValueError, OSError):

@@ -69,15 +69,16 @@ FAULTS: list[dict[str, Any]] = [
 ]
 DISTURBANCES: list[Any] = [
     {"kind": "white", "std": 0.3},
-    {"kind": "samples", "file": "w.csv"},
+    {"kind": "samples", "file": "w1.csv", "header": "ids"},
     [{"kind": "ar1", "phi": 0.9, "std": 0.1}, {"kind": "confuse", "candidate": "random"}],
 ]
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    lines = ["1,2,3,4", *(f"{t % 3},0.5,-1,{0.1 * t}" for t in range(16))]
-    (tmp_path / "w.csv").write_text("\n".join(lines) + "\n")
+    rows = [f"{t % 3},0.5,-1,{0.1 * t}\n" for t in range(16)]
+    for first in (0, 1):
+        (tmp_path / f"w{first}.csv").write_text(",".join(f"{first + k}" for k in range(4)) + "\n" + "".join(rows))
     return tmp_path
 
 
@@ -95,6 +96,8 @@ def test_any_law_under_faults_gives_the_rows_of_single_runs(
 ) -> None:
     if "graph" in graph:  # each seed draws its own edges
         faults = [one for one in faults if "from" not in one]
+        if "file" in disturbance:
+            disturbance = {**disturbance, "file": "w0.csv"}
     defaults = {"x0": {"random": [-2, 2]}, "candidates": {"random": listed}, "disturbance": disturbance}
     text = {"name": "net", "b": 0.1, "steps": 14, "law": law, "history": history, "defaults": defaults}
     topology = laws.checked(parse(json.dumps({**text, **graph, "faults": faults}).encode(), "net.yaml", folder, ()))
