@@ -49,8 +49,8 @@ class LooksUp(Minimax):
 
 
 EXAMPLES = int(os.environ.get("HEDGEROW_BATCH_EXAMPLES", "8"))
-USERS = (CHECKS, f"{__name__}:Draws", f"{__name__}:LooksUp", "tests.tools.laws:Curious(weight=2)")
-USERS += ("tests.tools.laws:LeastSquares",)
+USERS = [CHECKS, f"{__name__}:Draws", f"{__name__}:LooksUp"]
+USERS += ["tests.tools.laws:Curious(weight=2)", "tests.tools.laws:LeastSquares"]
 GRAPHS: list[dict[str, Any]] = [
     {
         "nodes": {1: {"b": 0.05}, 2: {"b": 0.08}, 3: {}, 4: {"candidates": [0.6, 0.3]}},
