@@ -18,7 +18,7 @@ from hedgerow.orchestrator.metrics.observer import Batch, Observer
 from hedgerow.orchestrator.runs.reference import run
 from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import resolve
-from hedgerow.wire.codec import End, Telemetry
+from hedgerow.wire.message import End, Telemetry
 
 HERE = Path(__file__).parent
 NODE = 2  # the position of node 3

@@ -31,9 +31,12 @@ class Restarts:
     """the number of deaths in a row before reaching the router"""
     since: float = 0.0
     """the time of the first of these, by time.monotonic()"""
+    total: int = 0
+    """the number of all deaths"""
 
     def after_death(self, reached: bool, now: float) -> float | None:
         """Count an unplanned death; return the wait before the next life [s], None if there is none."""
+        self.total += 1
         if reached:
             again, before = self.deaths < RESTARTS, self.deaths
             self.deaths, self.unreached = self.deaths + 1, 0
@@ -47,4 +50,4 @@ class Restarts:
     @property
     def failed(self) -> bool:
         """Return True if it died more than RESTARTS times, in any way."""
-        return self.deaths + self.unreached > RESTARTS
+        return self.total > RESTARTS

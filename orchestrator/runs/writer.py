@@ -27,7 +27,7 @@ from hedgerow.orchestrator.runs.selection import selection
 from hedgerow.topologies.archive import id_array
 from hedgerow.topologies.graph import Index
 from hedgerow.topologies.schema import Topology
-from hedgerow.wire.codec import End
+from hedgerow.wire.message import End
 
 ROW_GROUP = 2**16
 STEPS_AT_ONCE = 64
@@ -133,8 +133,7 @@ SUMMARY = {
 
 def summary(batch: Batch) -> dict[str, NDArray[Any]]:
     """Return the facts of the whole network at each step of a batch, by name of the column, (B,)."""
-    x, u = np.abs(batch.x), np.abs(batch.u)
-    missing = np.isnan(u)
+    x, u, missing = np.abs(batch.x), np.abs(batch.u), batch.missing
     if missing.any():
         u[missing] = 0.0
     return {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import resource
@@ -18,7 +19,6 @@ from typing import Any
 import psutil
 
 from hedgerow.orchestrator.launch.live import Live
-from hedgerow.orchestrator.launch.restarts import RESTARTS
 
 COMMAND = (sys.executable, "-P", "-m", "hedgerow.orchestrator")
 DEADLINE_S = 60.0
@@ -109,7 +109,7 @@ class Orchestrator:
         """Wait until the latest run's events.jsonl has `times` events of a kind; return the last of them."""
         deadline = time.monotonic() + DEADLINE_S
         pause = threading.Event()
-        while len(found := [event for event in _events() if event["event"] == kind]) < times:
+        while len(found := _events(kind)) < times:
             assert self._process.poll() is None or self.output, self.output
             assert time.monotonic() < deadline, f"{len(found)} of {times} events {kind!r} in {_events()}"
             pause.wait(0.01)
@@ -149,13 +149,20 @@ class Orchestrator:
         self._process.send_signal(number)
 
     def kill_until_it_stays_down(self, name: str) -> None:
-        """Kill an agent's process repeatedly, each life after it has reached the router."""
-        for life in range(1, RESTARTS + 2):
+        """Kill an agent's process repeatedly, each life after it has reached the router, until no other one follows.
+
+        A plant that is too slow to hear of a life before its death grants another restart.
+        """
+        for life in itertools.count(1):
             self.wait_for_log(name, "ready: ", life)
             os.kill(self.children[name], signal.SIGKILL)
             self.wait_for_event("died", life)
-            if life <= RESTARTS:
-                self.wait_for_event("restarted", life)
+            self.wait_until(lambda life=life: self._stays_down() or len(_events("restarted")) == life)
+            if self._stays_down():
+                return
+
+    def _stays_down(self) -> bool:
+        return bool(_events("down")) or self._process.poll() is not None
 
     def kill_all_who_could_clean_up(self) -> dict[str, int]:
         """Kill the command, its fork server and the plant at once, and return all processes of the run."""
@@ -190,7 +197,9 @@ class Orchestrator:
         self._process.stdout.close()
 
 
-def _events() -> list[dict[str, Any]]:
+def _events(kind: str = "") -> list[dict[str, Any]]:
+    """The events of the latest run, all or those of one kind."""
     told = Path(os.getcwd()) / "runs/latest/events.jsonl"
     lines = told.read_text(encoding="utf-8").splitlines() if told.exists() else []
-    return [json.loads(line) for line in lines if line.endswith("}")]
+    events = [json.loads(line) for line in lines if line.endswith("}")]
+    return [event for event in events if kind in ("", event["event"])]

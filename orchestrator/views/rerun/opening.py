@@ -26,6 +26,7 @@ from hedgerow.orchestrator.runs.files import check_file, find_run, load_resolved
 from hedgerow.orchestrator.runs.reader import load_run
 from hedgerow.orchestrator.runs.round_trips import processes_of
 from hedgerow.orchestrator.runs.run import Run
+from hedgerow.orchestrator.views.event_line import event_line
 from hedgerow.orchestrator.views.rerun.rrd_file import parts
 from hedgerow.orchestrator.views.rerun.stream import APPLICATION, RerunStream
 from hedgerow.orchestrator.views.rerun.viewer import Viewer, start
@@ -37,12 +38,11 @@ from hedgerow.orchestrator.views.rerun.watch import (
     PatientStream,
     as_begun,
     keep_page,
-    note_of,
 )
 from hedgerow.topologies.errors import Code, HedgerowError, UserError
 from hedgerow.topologies.escape import markdown
 from hedgerow.topologies.regular_file import open_regular
-from hedgerow.wire.codec import TAKEN, End, Telemetry
+from hedgerow.wire.message import TAKEN, End, Telemetry
 
 Say = Callable[[str], None]
 Columns = NDArray[np.float64]
@@ -176,7 +176,7 @@ def _replay(run: Run, viewer: Viewer, say: Say, go_on: Callable[[], bool]) -> No
     observer = Observer(begun)
     stream = PatientStream(begun, observer, run.name, viewer, say, run.T)
     observer.change(run.topology)
-    for line in filter(None, map(note_of, run.events)):
+    for line in filter(None, map(event_line, run.events)):
         stream.event(*line)
     ends = at_ends(run.topology.graph)
     took = np.full(ends.size, TAKEN, np.uint8)

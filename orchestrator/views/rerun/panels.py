@@ -21,7 +21,7 @@ from hedgerow.orchestrator.views.rerun.fault_timeline import LANE_ENTITIES, LANE
 from hedgerow.orchestrator.views.rerun.network_picture import Legend
 from hedgerow.topologies.graph import Index
 from hedgerow.topologies.schema import Topology
-from hedgerow.wire.codec import Trips
+from hedgerow.wire.message import Trips
 
 Matrix = NDArray[np.float64]
 
@@ -149,7 +149,7 @@ def aggregates(topology: Topology) -> list[Quantity]:
     names, colors = ["largest", "90 %", "median"], [ORANGE, GREEN, GREY]
 
     def counts(batch: Batch) -> NDArray[Any]:
-        down = (~batch.edge_open, ~batch.link_up, np.isnan(batch.u))
+        down = (~batch.edge_open, ~batch.link_up, batch.missing)
         return np.stack([which.sum(axis=1) for which in down], axis=1)
 
     return [

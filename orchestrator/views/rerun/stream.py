@@ -21,7 +21,7 @@ from hedgerow.orchestrator.views.rerun.viewer import Viewer
 from hedgerow.topologies.describe import describe, window
 from hedgerow.topologies.errors import Code, HedgerowError
 from hedgerow.topologies.schema import Topology
-from hedgerow.wire.codec import Trips
+from hedgerow.wire.message import Trips
 
 # Rerun reads this once, on import. Without it, Rerun prints errors to the terminal when a viewer is closed.
 os.environ.setdefault("RUST_LOG", "error,re_grpc_client=off,re_sdk=off")

@@ -175,20 +175,25 @@ def test_a_law_that_asks_runs_in_the_search_as_in_the_engine(law: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("topology", "budget", "least"),
+    ("topology", "least"),
     [
-        (EAGER, 3.0, 7.0),
-        (hg.load("paper7"), 3.0, 3.36),
-        (vector("v1_path2"), 2.0, 5.63),
-        (vector("v2_tree7"), 2.0, 5.66),
-        (vector("w1_path3"), 2.0, 4.99),
+        (EAGER, 7.0),
+        (hg.load("paper7"), 3.36),
+        (vector("v1_path2"), 5.63),
+        (vector("v2_tree7"), 5.66),
+        (vector("w1_path3"), 4.99),
     ],
 )
-def test_lower_bounds_of_the_table_repeat_over_zenoh(
-    topology: Topology, budget: float, least: float, tmp_path: Path
-) -> None:
-    """The search writes a file, and its run in separate processes gives the number that the search claims."""
-    found = worst(topology, budget, steps=600, out=tmp_path / "worst.yaml")
+def test_lower_bounds_of_the_table_repeat_over_zenoh(topology: Topology, least: float, tmp_path: Path) -> None:
+    """The search writes a file, and its run in separate processes gives the number that the search claims.
+
+    A slow machine searches for longer: the search is continued up to the default budget.
+    """
+    found, seconds = None, 0.0
+    while found is None or (found.limit < least and found.seconds < 60):
+        found = worst(topology, 2.0, steps=600, out=tmp_path / "worst.yaml")
+        assert found.seconds > seconds
+        seconds = found.seconds
     assert found.limit >= least
     run_to_the_end(hg.load(tmp_path / "worst.yaml"), tmp_path / "run", "--viewer", "none", "--no-record", listed=False)
     content: dict[str, Any] = json.loads((tmp_path / "run/verdict.json").read_text())

@@ -37,6 +37,16 @@ def test_a_life_that_reaches_the_router_restarts_that_time() -> None:
     assert restarts.deaths == 1
 
 
+@pytest.mark.parametrize("first", range(RESTARTS + 2))
+def test_before_the_first_step_every_death_counts(first: int) -> None:
+    """One life that reached the router does not let a start that fails go on for longer."""
+    restarts = Restarts()
+    for k in range(RESTARTS + 1):
+        assert not restarts.failed
+        restarts.after_death(k >= first, float(k))
+    assert restarts.failed
+
+
 @pytest.mark.parametrize(("reached", "restarted"), [(True, RESTARTS), (False, 3 * RESTARTS)])
 def test_an_agent_on_ray_is_ended_when_its_restarts_are_used_up(
     reached: bool, restarted: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
