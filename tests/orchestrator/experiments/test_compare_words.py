@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy import stats
 
+import hedgerow as hg
 from hedgerow.agents.law import Array, Minimax
 from hedgerow.agents.local import Heard
 from hedgerow.orchestrator.experiments.compare.plan import comparison
@@ -16,6 +18,7 @@ from hedgerow.orchestrator.experiments.compare.statistics import Cell, paired
 from hedgerow.orchestrator.experiments.compare.tables import findings
 from hedgerow.orchestrator.experiments.sweep.plan import Chunk
 from hedgerow.orchestrator.metrics import observer
+from hedgerow.topologies.errors import UserError
 
 
 def cell(law: str, values: Array, metric: str = "regret") -> Cell:
@@ -78,3 +81,23 @@ def test_the_sums_of_a_run_that_its_law_ended_are_not_compared(monkeypatch: pyte
         assert row["verdict"] == "unknown"
         assert all(row[metric] is None for metric in METRICS)
     assert Path(__file__).name in rows[0]["reasons"]
+
+
+class Half(Minimax):
+    """Acts with half the input."""
+
+    def __init__(self, b: float, candidates: Array, *, share: float = 0.5) -> None:
+        super().__init__(b, candidates)
+        self.share = share
+
+    def act(self, x: Array) -> Array:
+        return np.asarray(self.share * super().act(x))
+
+
+def test_classes_are_compared_as_they_are_simulated(tmp_path: Path) -> None:
+    laws = [Half, functools.partial(Half, share=0.25), Minimax]
+    found = hg.compare("paper7", laws, ["white"], range(2), steps=5, out=tmp_path / "c")
+    half = f"{__name__}:Half"
+    assert found.plan.laws == [half, f"{half}(share=0.25)", "minimax", "hinf", "nominal"]
+    with pytest.raises(UserError):
+        hg.compare("paper7", [3], ["white"], range(2), steps=5)  # type: ignore[list-item]
