@@ -291,11 +291,11 @@ def _law(law: object) -> str:
     try:
         if isinstance(plain, dict):
             return str(LawChoice.of(plain["class"], {key: value for key, value in plain.items() if key != "class"}))
-        if isinstance(plain, str):
-            return plain
     except ValueError as error:
-        raise UserError(f"laws: {plain['class']} {error}", code=Code.OPTION) from None
-    raise UserError(f"laws: {plain!r} is neither the text of a law nor a class", code=Code.OPTION)
+        raise UserError(f"laws: {law!r} {error}. Correct it.", code=Code.OPTION) from None
+    if isinstance(plain, str):
+        return plain
+    raise UserError(f"laws: {law!r} is neither a text nor a class. Give one of both.", code=Code.OPTION)
 
 
 def _text(value: object) -> str:
