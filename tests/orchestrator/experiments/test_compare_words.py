@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -95,7 +96,7 @@ class Half(Minimax):
 
 
 def test_classes_are_compared_as_they_are_simulated(tmp_path: Path) -> None:
-    laws = [Half, functools.partial(Half, share=0.25), Minimax]
+    laws: list[Any] = [Half, functools.partial(Half, share=0.25), Minimax]
     found = hg.compare("paper7", laws, ["white"], range(2), steps=5, out=tmp_path / "c")
     half = f"{__name__}:Half"
     assert found.plan.laws == [half, f"{half}(share=0.25)", "minimax", "hinf", "nominal"]
