@@ -168,6 +168,8 @@ class Network:
                 missed = processes.failing if self._ending.first_step_s is None else []
                 if interrupts.count or processes.dead() or missed:
                     self._ask_to_stop(session, interrupts.name or (cause(missed) if missed else ""))
+        if self._ending.stopped == interrupts.name and run.observer.end.t == self._topology.steps:
+            self._ending.stopped = ""  # the signal was too late: the plant had made all steps already
 
     def _tick_s(self, processes: Processes) -> float:
         due = processes.next_due
