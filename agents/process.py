@@ -299,12 +299,12 @@ class Agent:
 
     def _send_last(self) -> None:
         counted = counts([self._input, *self._links], self._receivers)
-        counted["said"][self._input.key] += 1  # count this event too
+        counted["sent"][self._input.key] += 1  # count this event too
         # Leaving at once would lose the event. The plant sends END again after it received the event.
-        word = encode_event(max(0, self.shard.t), {"event": "counted", "life": self.joined.life, **counted})
+        report = encode_event(max(0, self.shard.t), {"event": "counted", "life": self.joined.life, **counted})
         self._ended.wait(PAUSE_S)
         self._over = True  # set it last, because a process that is over may leave
-        self._input.put(word)
+        self._input.put(report)
 
     def _take(self, state: State) -> None:
         done = self.shard.t
@@ -335,7 +335,7 @@ class Agent:
         for peers, link in shard.send(state):
             message = encode_link(link, shard.peers[peers[0]].sends)
             out += [(self._links[p], message) for p in peers]
-        out.append((self._input, encode_input(state.t, u, shard.report, shard.took)))
+        out.append((self._input, encode_input(state.t, u, shard.report, shard.used)))
         self._sent.append(out)
         if self._unsent or sum(len(message) for _, message in out) > LONG_BYTES:
             self._send_later(functools.partial(_put_all, out))

@@ -26,7 +26,7 @@ from hedgerow.wire.message import TAKEN, Flag, Flags, Mask, Record
 
 Index = NDArray[np.int64]
 
-_OPEN, _HEAR = np.uint8(Flag.OPEN), np.uint8(Flag.HEAR)
+_OPEN, _RECEIVE = np.uint8(Flag.OPEN), np.uint8(Flag.RECEIVE)
 MARK_EVERY = 64
 """steps between copies of the law's memory while a sample is incomplete; this bounds how much is learned again"""
 
@@ -110,7 +110,7 @@ class Samples:
         t: int,
         x: Array,
         u: Array,
-        took: bytes,
+        used: bytes,
         x_next: Array,
         late_rows: Sequence[LateRows],
         back: Mask | None,
@@ -122,9 +122,9 @@ class Samples:
         `states` are as in `take`.
         """
         row = states if self.asks and states is not None else x
-        bits = np.frombuffer(took, np.uint8)
+        bits = np.frombuffer(used, np.uint8)
         if self._most:
-            if (wants := Flag.OPEN in took) and not (self._marks and self._marks[-1].of.all()):
+            if (wants := Flag.OPEN in used) and not (self._marks and self._marks[-1].of.all()):
                 self._mark(t)
             self._append(x, row, u, bits)
             since = self._completed(late_rows)
@@ -133,7 +133,7 @@ class Samples:
                 since |= dict.fromkeys(np.flatnonzero(back).tolist(), self._history.first)
             self._learn_again(since, t)
             # A row of t itself closes a gap, because all earlier rows arrive with it.
-            self._behind = {c for c in self._behind if not took[c] & Flag.HEAR}
+            self._behind = {c for c in self._behind if not used[c] & Flag.RECEIVE}
             if wants:
                 self._behind.update(np.flatnonzero(bits == _OPEN).tolist())
         elif back is not None:
@@ -185,7 +185,7 @@ class Samples:
             if self.asks and states is not None:
                 history.x(first, stop)[:, self._other[c]] = states[len(states) - len(bits) :]
             waited = np.flatnonzero(bits == _OPEN)
-            bits |= _HEAR
+            bits |= _RECEIVE
             if len(waited):
                 node, step = int(self._row[c]), max(first, history.first) + int(waited[0])
                 since[node] = min(step, since.get(node, step))
@@ -279,7 +279,7 @@ class Samples:
         difference = u[self._own] - u[self._other]
         if self._weights is not None:
             difference *= self._weights
-        difference[bits & _HEAR == 0] = np.nan
+        difference[bits & _RECEIVE == 0] = np.nan
         difference[bits & _OPEN == 0] = 0.0
         return self._sums(difference).astype(float, copy=False)  # without incidences, bincount returns integers
 

@@ -115,7 +115,7 @@ class Shard:
         self._report: Array = np.full((REPORT_ROWS, self.k), np.nan)
         self._behind = False
         """True while these three are of an older step, and the quiet law has the newest"""
-        self.took = b""
+        self.used = b""
         """The used inputs of the step before: Flag bits by incidence; empty if every input was used."""
 
     # Incoming messages.
@@ -152,7 +152,7 @@ class Shard:
         past, flags = state.t - 1, state.flags
         late = [p for p, peer in enumerate(self.peers) if past not in peer.mail] if state.t else []
         if late and flags:
-            late = [p for p in late if any(flags[c] & Flag.HEAR for c in self.peers[p].incidences)]
+            late = [p for p in late if any(flags[c] & Flag.RECEIVE for c in self.peers[p].incidences)]
         return late
 
     # A step.
@@ -202,7 +202,7 @@ class Shard:
         for peer in self.peers:
             del peer.mail[past]
         self._samples.append_learned(quiet.states, inputs)
-        self.t, self.took, self._behind = past + 1, b"", True
+        self.t, self.used, self._behind = past + 1, b"", True
         return True
 
     def _settle(self, quiet: QuietLaw) -> None:
@@ -267,7 +267,7 @@ class Shard:
         past = state.t - 1
         links = [peer.take(past) for peer in self.peers]
         if not state.flags and not state.spans and self._samples.complete and back is None:
-            self.took = b""
+            self.used = b""
             # The last row of each message is its newest; here it should be the only one.
             last_rows = [
                 link.u[-8 * peer.receives :] for link, peer in zip(links, self.peers, strict=True) if link is not None
@@ -286,19 +286,19 @@ class Shard:
             _SILENCE * peer.receives if link is None else link.u[-8 * peer.receives :]
             for link, peer in zip(links, self.peers, strict=True)
         ]
-        took = bytearray((state.flags or self._up).translate(_TAKEN_OF))
+        used = bytearray((state.flags or self._up).translate(_TAKEN_OF))
         late_rows: list[LateRows] = []
         for c, late, count, _, _ in state.spans:
-            if took[c] & Flag.HEAR:
+            if used[c] & Flag.RECEIVE:
                 last = past - late
                 late_rows.append(self._came(c, links, last - count, min(last + 1, past)))
                 if late:
-                    took[c] -= Flag.HEAR
-        plain = bytes(took)
+                    used[c] -= Flag.RECEIVE
+        plain = bytes(used)
         # A law that does not learn acts alike under every delay: only this count shows which rows arrived when.
         for c, start, stop, *_ in late_rows:
-            took[c] |= min(max(stop - start, 0), MOST_LATE) << LATE
-        self.took = bytes(took)
+            used[c] |= min(max(stop - start, 0), MOST_LATE) << LATE
+        self.used = bytes(used)
         inputs, states = gather([self._u, *last_rows]), self._states(links)
         if self._asks and states is not None:
             self._note(past, states, inputs, late_rows)
@@ -319,7 +319,7 @@ class Shard:
 
         Call it before the sample of `past` is taken: rows of our own nodes are as far back as those in a message.
         """
-        got, column = np.frombuffer(self.took, np.uint8) & Flag.HEAR != 0, self._view.column
+        got, column = np.frombuffer(self.used, np.uint8) & Flag.RECEIVE != 0, self._view.column
         x, u = np.where(got, states[column], self._now.x), np.where(got, inputs[column], self._now.u)
         step = np.where(got, past, self._now.step)
         for c, _, stop, inputs_then, states_then in late_rows:
@@ -401,7 +401,7 @@ class Shard:
             first[c], last[c] = self.t - late - count, self.t - late
         said: list[tuple[Sequence[int], Link]] = []
         for p, peer in enumerate(self.peers):
-            if told := [c for c in peer.incidences if flags[c] & Flag.TELL]:
+            if told := [c for c in peer.incidences if flags[c] & Flag.SEND]:
                 begin, end = min(first.get(c, self.t) for c in told), max(last.get(c, self.t) for c in told)
                 said.append(([p], self._rows(peer, begin, end)))
         return said

@@ -82,7 +82,7 @@ def step(truth: Truth, view: View) -> Step:
         assert state is not None
         u = shard.answer(state)
         marks.append(time.process_time())
-        world.step(u, shard.report, [shard.took])
+        world.step(u, shard.report, [shard.used])
         marks.append(time.process_time())
         spent += [marks[1] - marks[0] + marks[3] - marks[2], marks[2] - marks[1]]
     return Step(*(spent / (truth.steps - WARM_UP)).tolist())

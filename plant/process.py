@@ -38,8 +38,8 @@ from hedgerow.wire.codec import (
     decode_seen,
     encode_end,
     encode_event,
+    encode_round_trips,
     encode_telemetry,
-    encode_trips,
     kind_of,
     telemetry_bytes,
 )
@@ -62,12 +62,12 @@ LOG = logging.getLogger("plant")
 START_DEADLINE_S = 60.0
 OBSERVER_DEADLINE_S = 60.0
 END_DEADLINE_S = 5.0
-WORD_BYTES, WORD_BYTES_PER_INCIDENCE = 2**16, 256
+REPORT_BYTES, REPORT_BYTES_PER_INCIDENCE = 2**16, 256
 """The maximum size of the final report of a shard.
 
 It names two keys per peer, and a shard has at most as many peers as incidences.
 """
-WORD_DEADLINE_S = 2.0
+REPORT_DEADLINE_S = 2.0
 """The time that a running shard has for its final report, after END [s]."""
 
 
@@ -305,7 +305,7 @@ class Plant:
             self.world.look_ahead()
         self._send_row(*encode_telemetry(row, self.world.whole))
         if tell:
-            self._tell_trips()
+            self._send_round_trips()
 
     def _share_row(self, *row: Buffer) -> None:
         """Write a row into the shared memory, and send its place; send the row if all places are in use."""
@@ -319,28 +319,28 @@ class Plant:
         """Report an event of this step to the observer."""
         self._outbox.send(encode_event(self.world.t, {"event": event, **details}))
 
-    def _tell_trips(self) -> None:
-        if (trips := self._stopwatch.take_out(self.world.t - 1)) is not None:
-            self._outbox.send(encode_trips(trips))
+    def _send_round_trips(self) -> None:
+        if (times := self._stopwatch.take_out(self.world.t - 1)) is not None:
+            self._outbox.send(encode_round_trips(times))
 
     def _end(self) -> None:
         """Send END, and wait until the observer has all telemetry and the message counts."""
         end = End(self.world.t, self.world.x, self._elapsed_s, self.world.links.forgotten)
         with self.changed:
             self.over = True
-            self._tell_trips()
+            self._send_round_trips()
             self._farewell = encode_end(end._replace(x=np.empty(0)))
             for shard in self.shards.all:
                 shard.state.put(self._farewell)
             self.changed.wait_for(
-                lambda: all(shard.word or not shard.ready for shard in self.shards.all), WORD_DEADLINE_S
+                lambda: all(shard.final_report or not shard.ready for shard in self.shards.all), REPORT_DEADLINE_S
             )
             counted = counts([shard.state for shard in self.shards.all], self._receivers)
-            counted["said"][keys.TELEMETRY] = self._outbox.sent + 1  # this event included
+            counted["sent"][keys.TELEMETRY] = self._outbox.sent + 1  # this event included
             self.tell(
-                "heard",
+                "counts",
                 plant=counted,
-                shards=[shard.word for shard in self.shards.all],
+                shards=[shard.final_report for shard in self.shards.all],
             )
             self._outbox.send(encode_end(end))
             by = time.monotonic() + END_DEADLINE_S
@@ -369,8 +369,8 @@ class Plant:
                     if not missing:
                         self._go_on()
             elif self.over and kind_of(message) == Kind.EVENT:
-                most = WORD_BYTES + WORD_BYTES_PER_INCIDENCE * shard.incidences
-                shard.word = shard.word or decode_event(message, most)
+                most = REPORT_BYTES + REPORT_BYTES_PER_INCIDENCE * shard.incidences
+                shard.final_report = shard.final_report or decode_event(message, most)
                 shard.state.put(self._farewell)
                 self.changed.notify_all()
             else:

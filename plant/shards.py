@@ -51,8 +51,8 @@ class Shard:
     """True if it has sent a message since then"""
     returning: bool = False
     """True if it was lost and has not acted since its return"""
-    word: dict[str, Any] | None = None
-    """its final report: the messages sent and received, by key"""
+    final_report: dict[str, Any] | None = None
+    """the messages that it sent and received, by key"""
     external: bool = False
     """True if another program restarts the process, and not `up`."""
     claim: int = -1

@@ -44,23 +44,23 @@ def _steps(world: World, views: Sequence[View], steps: int, law: Law | None) -> 
         messages = world.states()
         inputs: list[Array] = []
         reports: list[Array] = []
-        took: list[bytes] = []
+        used: list[bytes] = []
         said = []
         for view, shard, (state, record) in zip(views, shards, messages, strict=True):
             if state is None:
                 nothing, no_report, taken = shard.silence
                 inputs.append(gather([nothing]))
                 reports.append(gather([no_report]).reshape(REPORT_ROWS, -1))
-                took.append(taken)
+                used.append(taken)
             else:
                 if record is not None:
                     shard.recall(record)
                 inputs.append(shard.answer(state))
                 reports.append(shard.report)
-                took.append(shard.took)
+                used.append(shard.used)
                 said += [(view, peer, link) for peers, link in shard.send(state) for peer in peers]
         for view, peer, link in said:
             receiver = view.peers[peer].shard
             shards[receiver].receive(ends[receiver, view.shard], link)
         u = inputs[0] if len(inputs) == 1 else np.concatenate(inputs)
-        yield world.step(u, np.concatenate(reports, axis=1), took)
+        yield world.step(u, np.concatenate(reports, axis=1), used)

@@ -162,7 +162,7 @@ class ForgedReceipt(Shard):
 
     def answer(self, state: State) -> Array:
         u = super().answer(state)
-        self.took = b""
+        self.used = b""
         return u
 
 
@@ -172,7 +172,7 @@ class DeniedReceipt(Shard):
     def answer(self, state: State) -> Array:
         u = super().answer(state)
         if state.t == 3:
-            self.took = bytes([Flag.OPEN, *[TAKEN] * (self.m - 1)])
+            self.used = bytes([Flag.OPEN, *[TAKEN] * (self.m - 1)])
         return u
 
 

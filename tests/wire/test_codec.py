@@ -22,10 +22,10 @@ from hedgerow.wire.message import (
     Link,
     MessageError,
     Record,
+    RoundTripTimes,
     Span,
     State,
     Telemetry,
-    Trips,
 )
 
 BITS = st.integers(0, 2**64 - 1)
@@ -92,9 +92,9 @@ def messages(draw: st.DrawFn) -> Message:
         )
 
     def input_() -> Message:
-        u, report, took = array(n), array(REPORT_ROWS, n), flags(e if draw(st.booleans()) else 0)
-        raw = codec.encode_input(t, u, report, took)
-        read = (t, u, *report, took)
+        u, report, used = array(n), array(REPORT_ROWS, n), flags(e if draw(st.booleans()) else 0)
+        raw = codec.encode_input(t, u, report, used)
+        read = (t, u, *report, used)
         return Message(raw, read, lambda m: codec.decode_input(m, n, e), either(16 + 24 * n, e))
 
     def link() -> Message:
@@ -113,10 +113,13 @@ def messages(draw: st.DrawFn) -> Message:
         raw = codec.join(codec.encode_telemetry(sent, whole))
         return Message(raw, sent, lambda m: codec.decode_telemetry(m, n, e), either(16 + 40 * n, 5 * e))
 
-    def trips() -> Message:
-        sent = Trips(t, array(draw(st.integers(1, 4)), n + 1))
+    def round_trips() -> Message:
+        sent = RoundTripTimes(t, array(draw(st.integers(1, 4)), n + 1))
         return Message(
-            codec.encode_trips(sent), sent, lambda m: codec.decode_trips(m, n + 1), rows(16, 8 * (n + 1), least=1)
+            codec.encode_round_trips(sent),
+            sent,
+            lambda m: codec.decode_round_trips(m, n + 1),
+            rows(16, 8 * (n + 1), least=1),
         )
 
     def end() -> Message:
@@ -126,7 +129,7 @@ def messages(draw: st.DrawFn) -> Message:
     def seen() -> Message:
         return Message(codec.encode_seen(t), (t,), lambda m: (codec.decode_seen(m),))
 
-    message: Message = draw(st.sampled_from([state, record, input_, link, telemetry, trips, end, seen]))()
+    message: Message = draw(st.sampled_from([state, record, input_, link, telemetry, round_trips, end, seen]))()
     return message
 
 
@@ -263,7 +266,7 @@ def test_no_bytes_do_more_than_be_refused(raw: bytes, n: int, e: int) -> None:
         Kind.INPUT: (lambda: codec.decode_input(raw, n, e), either(16 + 24 * n, e)),
         Kind.LINK: (lambda: codec.decode_link(raw, k), rows(24, 16 * k, least=1)),
         Kind.TELEMETRY: (lambda: codec.decode_telemetry(raw, n, e), either(16 + 40 * n, 5 * e)),
-        Kind.TRIPS: (lambda: codec.decode_trips(raw, k), rows(16, 8 * k, least=1)),
+        Kind.ROUND_TRIPS: (lambda: codec.decode_round_trips(raw, k), rows(16, 8 * k, least=1)),
         Kind.END: (lambda: codec.decode_end(raw, n), either(32 + 8 * n, 0)),
     }
     for kind, (decode, fits) in readers.items():

@@ -179,7 +179,7 @@ def _replay(run: Run, viewer: Viewer, say: Say, go_on: Callable[[], bool]) -> No
     for line in filter(None, map(event_line, run.events)):
         stream.event(*line)
     ends = at_ends(run.topology.graph)
-    took = np.full(ends.size, TAKEN, np.uint8)
+    used = np.full(ends.size, TAKEN, np.uint8)
     heard = np.ones((run.T, ends.size), np.uint8)
     heard[:, ends[:, 0]], heard[:, ends[:, 1]] = run.i_hears, run.j_hears
     report = np.stack([run.ahat, run.margin], axis=1)
@@ -188,7 +188,7 @@ def _replay(run: Run, viewer: Viewer, say: Say, go_on: Callable[[], bool]) -> No
         if not go_on():
             break
         rows = [
-            Telemetry(int(t), run.x[t], run.u[t], run.w[t], report[t], run.edge_open[t], heard[t], took) for t in some
+            Telemetry(int(t), run.x[t], run.u[t], run.w[t], report[t], run.edge_open[t], heard[t], used) for t in some
         ]
         stream.log(observer.take(rows))
         stream.wait(go_on)

@@ -21,7 +21,7 @@ from hedgerow.orchestrator.views.rerun.fault_timeline import LANE_ENTITIES, LANE
 from hedgerow.orchestrator.views.rerun.network_picture import Legend
 from hedgerow.topologies.graph import Index
 from hedgerow.topologies.schema import Topology
-from hedgerow.wire.message import Trips
+from hedgerow.wire.message import RoundTripTimes
 
 Matrix = NDArray[np.float64]
 
@@ -177,7 +177,7 @@ class RoundTripLines:
         colors = [ORANGE, GREEN, GREY] if self._many else hues(len(self.names))
         return rr.SeriesLines(names=self.names, colors=colors, widths=[1.5] * len(self.names))
 
-    def columns(self, latencies: Trips) -> Matrix:
+    def columns(self, latencies: RoundTripTimes) -> Matrix:
         """Return the series [ms], one row per step, NaN without an answer."""
         ms = 1e3 * latencies.seconds
         return _quantiles(np.nan_to_num(ms)) if self._many else ms
