@@ -192,11 +192,11 @@ class _Test:
             self._raised(method, error)
         if not isinstance(memory, np.ndarray) or memory.dtype.kind not in "biufc" or memory.shape[-1:] != (k,):
             array = isinstance(memory, np.ndarray)
-            said = f"the shape {memory.shape}" if array else f"the type {type(memory).__name__}"
+            problem = f"the shape {memory.shape}" if array else f"the type {type(memory).__name__}"
             self._broken(
                 method,
                 None,
-                f"memory has {said}",
+                f"memory has {problem}",
                 f"Make it an array of numbers with a last axis of the {k} nodes, (…, {k}).",
             )
         return memory.copy()
@@ -285,8 +285,8 @@ class _Test:
         bad = ~np.isfinite(u) & np.isfinite(call.x)
         if bad.any():
             node = int(np.flatnonzero(bad)[0])
-            said = f"returns {u[node]} for the state {call.x[node]:g} at step {call.t}"
-            self._broken("act", node if k == NODES else None, said, "Return a finite input; mind divisions by 0.")
+            problem = f"returns {u[node]} for the state {call.x[node]:g} at step {call.t}"
+            self._broken("act", node if k == NODES else None, problem, "Return a finite input; mind divisions by 0.")
         return u
 
     def _report(self, law: Law, k: int) -> Array:
@@ -330,8 +330,8 @@ class _Test:
             if call.method == "learn":
                 self._call(law, call.only(node))
         if (wrong := _differ(self._memory(law, NODES), last, self._all)) is not None:
-            said = "learns something else when one node learns its past again"
-            self._broken("learn", wrong, said, _HIDDEN)
+            problem = "learns something else when one node learns its past again"
+            self._broken("learn", wrong, problem, _HIDDEN)
 
     def _assign(self, law: Law, memory: NDArray[Any]) -> None:
         kept = memory.copy()
@@ -354,8 +354,8 @@ class _Test:
 
     def _raised(self, method: str, error: Exception) -> NoReturn:
         called = "memory" if method == "memory" else f"{method}()"
-        said = f"{called} raised {crash.summary(error)}. Correct that line."
-        raise LawError(f"{place_of(error, self._law)}law {self._name}: {said}", method=method) from error
+        problem = f"{called} raised {crash.summary(error)}. Correct that line."
+        raise LawError(f"{place_of(error, self._law)}law {self._name}: {problem}", method=method) from error
 
 
 _UNREPEATABLE = "Let it depend on its arguments and on the memory alone: not on a clock, a counter or random numbers."

@@ -176,7 +176,7 @@ class Agent:
 
     def run(self) -> None:
         """Wait for the end and log the missing messages of a slow step; raise the error that a message caused."""
-        said = -1
+        warned = -1
         while not self._wait(PATIENCE_S):
             if self._over:
                 break
@@ -184,10 +184,10 @@ class Agent:
                 continue
             with self._lock:
                 late = self._pending is not None and time.monotonic() - self._since > PATIENCE_S
-                if late and self._pending is not None and self._pending.t != said:
-                    said = self._pending.t
+                if late and self._pending is not None and self._pending.t != warned:
+                    warned = self._pending.t
                     missing = [self.peers[p] for p in self.shard.awaits(self._pending)]
-                    LOG.warning("step %d: no link message of step %d from shards %s", said, said - 1, missing)
+                    LOG.warning("step %d: no link message of step %d from shards %s", warned, warned - 1, missing)
         if self._failure is not None:
             raise self._failure
 

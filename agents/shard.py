@@ -377,9 +377,9 @@ class Shard:
 
     def _failed(self, method: str, what: str, where: str | None = None) -> LawError:
         nodes = self._view.ids[:8].tolist()
-        said = f"law {self._view.law}: {method}() of node {', '.join(map(str, nodes))} {what}. Correct the law."
+        problem = f"law {self._view.law}: {method}() of node {', '.join(map(str, nodes))} {what}. Correct the law."
         where = line_of(type(self._law), method) if where is None else where
-        return LawError(where + said, method=method, node=nodes[0] if self.k == 1 else None)
+        return LawError(where + problem, method=method, node=nodes[0] if self.k == 1 else None)
 
     def _raised(self, method: str, error: Exception) -> LawError:
         return self._failed(method, f"raised {crash.summary(error)}", place_of(error, type(self._law)))
@@ -399,12 +399,12 @@ class Shard:
         flags, first, last = state.flags or self._up, {}, {}
         for c, _, _, late, count in state.spans:
             first[c], last[c] = self.t - late - count, self.t - late
-        said: list[tuple[Sequence[int], Link]] = []
+        messages: list[tuple[Sequence[int], Link]] = []
         for p, peer in enumerate(self.peers):
-            if told := [c for c in peer.incidences if flags[c] & Flag.SEND]:
-                begin, end = min(first.get(c, self.t) for c in told), max(last.get(c, self.t) for c in told)
-                said.append(([p], self._rows(peer, begin, end)))
-        return said
+            if sending := [c for c in peer.incidences if flags[c] & Flag.SEND]:
+                begin, end = min(first.get(c, self.t) for c in sending), max(last.get(c, self.t) for c in sending)
+                messages.append(([p], self._rows(peer, begin, end)))
+        return messages
 
     def _send_now(self) -> list[tuple[Sequence[int], Link]]:
         """Return messages with the row of this step alone, for every peer."""

@@ -99,9 +99,9 @@ def main(image: Path) -> None:
         axes[0].text(middle, 8.1, name, ha="center", va="bottom", fontsize=11, weight="bold")
         axes[0].text(middle, 7.6, what, ha="center", va="bottom", fontsize=8)
     axes[-1].set_xlabel("step")
-    said = f"regret D {observer.regret_sum:.4g} with faults, {lossless.regret_sum:.4g} without"
-    figure.savefig(image, dpi=150, metadata={"Description": said, "Software": None})
-    print(said)
+    summary = f"regret D {observer.regret_sum:.4g} with faults, {lossless.regret_sum:.4g} without"
+    figure.savefig(image, dpi=150, metadata={"Description": summary, "Software": None})
+    print(summary)
 
 
 if __name__ == "__main__":

@@ -235,9 +235,9 @@ class Control:
 
     def _tell_refused(self, who: str, cause: str) -> None:
         """Log a refusal and report it to the observer, once per cause: a refused process asks again and again."""
-        told = self._refused.setdefault(who, set())
-        if cause not in told and len(told) < MOST_CAUSES:
-            told.add(cause)
+        reported = self._refused.setdefault(who, set())
+        if cause not in reported and len(reported) < MOST_CAUSES:
+            reported.add(cause)
             LOG.warning("%s is refused: %s", who, cause)
             self._plant.tell("refused", who=who, cause=cause)
 

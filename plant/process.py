@@ -389,17 +389,19 @@ class Plant:
                 self.changed.notify_all()
 
     def _take_alive(self, sample: zenoh.Sample) -> None:
-        said = re.fullmatch(r"alive/shard-([0-9]{1,9})/([0-9]{1,9})(?:-([0-9]{1,10}))?", str(sample.key_expr))
-        if said is None or int(said[1]) >= len(self.shards.all):
+        match = re.fullmatch(r"alive/shard-([0-9]{1,9})/([0-9]{1,9})(?:-([0-9]{1,10}))?", str(sample.key_expr))
+        if match is None or int(match[1]) >= len(self.shards.all):
             return
         there = sample.kind == zenoh.SampleKind.PUT
-        if said[3] is not None and int(said[3]) != self.number:
+        if match[3] is not None and int(match[3]) != self.number:
             # An agent of an earlier run: it leaves when it sees our token, and until then would answer our states.
             with self.changed:
-                (self._left_behind.add if there else self._left_behind.discard)(f"shard-{said[1]}/{said[2]}-{said[3]}")
+                (self._left_behind.add if there else self._left_behind.discard)(
+                    f"shard-{match[1]}/{match[2]}-{match[3]}"
+                )
                 self.changed.notify_all()
             return
-        p, life = int(said[1]), int(said[2])
+        p, life = int(match[1]), int(match[2])
         with self.changed:
             if p in self._late_tokens or not self._token_allowances[p].take():
                 if life >= self._late_tokens.get(p, (life, there))[0]:

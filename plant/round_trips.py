@@ -35,6 +35,6 @@ class Stopwatch:
 
     def take_out(self, t: int) -> RoundTripTimes | None:
         """Return the answer times since the last call, the last of them of step t; None if there were no steps."""
-        said, self._unsent, self._sent_at = self._unsent, array("d"), time.monotonic()
-        seconds = np.frombuffer(said).reshape(-1, len(self._no_answers))
-        return RoundTripTimes(t + 1 - len(seconds), seconds) if said else None
+        unsent, self._unsent, self._sent_at = self._unsent, array("d"), time.monotonic()
+        seconds = np.frombuffer(unsent).reshape(-1, len(self._no_answers))
+        return RoundTripTimes(t + 1 - len(seconds), seconds) if unsent else None

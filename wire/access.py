@@ -108,18 +108,18 @@ def rules(places: Sequence[Place], namespace: str, plant_is_client: bool, reques
     `request_bytes`.
     """
     granted = rights(places)
-    said = [(place, [f"{namespace}/{key}" for key in granted[place.name].says]) for place in places]
+    published = [(place, [f"{namespace}/{key}" for key in granted[place.name].says]) for place in places]
     if not plant_is_client:
         del granted[keys.PLANT]
     joins = [f"{namespace}/{keys.join(place.shard)}" for place in places]
     settings: dict[str, Any] = {
         "access_control": access_control(granted, namespace),
         "downsampling": [
-            _often(["put", "delete"], [key for _, some in said for key in some], MOST_PER_S),
+            _often(["put", "delete"], [key for _, some in published for key in some], MOST_PER_S),
             _often(["query"], joins, MOST_JOINS_PER_S),
         ],
         "low_pass_filter": [
-            *(_large(place.name, "put", some, place.largest) for place, some in said),
+            *(_large(place.name, "put", some, place.largest) for place, some in published),
             _large("joins", "query", joins, JOIN_BYTES),
         ],
     }

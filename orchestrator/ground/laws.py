@@ -128,8 +128,8 @@ def _within_deadline(law: type[Law], name: str, test: Callable[[Callable[[], Non
         thread.join(1.0)
         if thread.is_alive() and time.monotonic() - began[0] > CALL_DEADLINE_S:
             where = running(thread.ident or 0, law)
-            said = f"one call in the contract test takes longer than {CALL_DEADLINE_S:g} s. Make the law end."
-            raise LawError(f"{where}{': ' if where else ''}law {name}: {said}")
+            problem = f"one call in the contract test takes longer than {CALL_DEADLINE_S:g} s. Make the law end."
+            raise LawError(f"{where}{': ' if where else ''}law {name}: {problem}")
     if failure:
         raise failure[0]
 
@@ -147,5 +147,5 @@ def _check_types(law: type[Any], given: Mapping[str, Any], where: str) -> None:
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         key = ".".join(map(str, first["loc"])) or "parameters"
-        said = first["msg"][:1].lower() + first["msg"][1:]
-        raise UserError(f"{where}: the parameter {key}: {said}. Correct it.", code=Code.LAW) from None
+        problem = first["msg"][:1].lower() + first["msg"][1:]
+        raise UserError(f"{where}: the parameter {key}: {problem}. Correct it.", code=Code.LAW) from None

@@ -182,8 +182,8 @@ class Replay:
         own = part.own
         missing = np.isnan(row.u)
         other = (missing != np.isnan(expected.u)) & own
-        said = ["has an input that a fault takes away", "has no input, and no fault takes it away"]
-        found = [(k, said[int(missing[k])]) for k in np.flatnonzero(other).tolist()]
+        texts = ["has an input that a fault takes away", "has no input, and no fault takes it away"]
+        found = [(k, texts[int(missing[k])]) for k in np.flatnonzero(other).tolist()]
         self._find(PLAN, t, found, part.nodes)
         # Compare first the used inputs of t - 1, and then the actions at t.
         self._find_flags(LAW, t - 1, ("counted for flow", "counted for none"), *used, Flag.OPEN)
@@ -216,12 +216,12 @@ class Replay:
         ]
         self._find(check, t, found, nodes)
 
-    def _find_flags(self, check: str, t: int, said: tuple[str, str], seen: Flags, right: Flags, bit: int) -> None:
-        """Find the incidences with another bit; `said` has the words for a set bit and a clear bit."""
+    def _find_flags(self, check: str, t: int, texts: tuple[str, str], seen: Flags, right: Flags, bit: int) -> None:
+        """Find the incidences with another bit; `texts` has the words for a set bit and a clear bit."""
         part, ids = self._part, self._topology.ids
         found = []
         for c in np.flatnonzero((seen ^ right) & bit).tolist():
-            words = said if seen[c] & bit else said[::-1]
+            words = texts if seen[c] & bit else texts[::-1]
             sender = ids[int(part.nodes[part.graph.neighbour[c]])]
             text = f"the row from node {sender} {words[0]}; by the faults, it {words[1]}"
             found.append((int(part.graph.node[c]), text))
@@ -252,8 +252,8 @@ class Replay:
         if not found or self.finding is not None:
             return
         ids = self._topology.ids
-        named = [(ids[k if nodes is None else int(nodes[k])], said) for k, said in found[:NAMED]]
-        self.finding = Finding(check, t, named[0][0], [f"node {node}: {said}" for node, said in named])
+        named = [(ids[k if nodes is None else int(nodes[k])], text) for k, text in found[:NAMED]]
+        self.finding = Finding(check, t, named[0][0], [f"node {node}: {text}" for node, text in named])
 
 
 class _Shadow(World):

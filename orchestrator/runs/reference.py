@@ -45,7 +45,7 @@ def _steps(world: World, views: Sequence[View], steps: int, law: Law | None) -> 
         inputs: list[Array] = []
         reports: list[Array] = []
         used: list[bytes] = []
-        said = []
+        sent = []
         for view, shard, (state, record) in zip(views, shards, messages, strict=True):
             if state is None:
                 nothing, no_report, taken = shard.silence
@@ -58,8 +58,8 @@ def _steps(world: World, views: Sequence[View], steps: int, law: Law | None) -> 
                 inputs.append(shard.answer(state))
                 reports.append(shard.report)
                 used.append(shard.used)
-                said += [(view, peer, link) for peers, link in shard.send(state) for peer in peers]
-        for view, peer, link in said:
+                sent += [(view, peer, link) for peers, link in shard.send(state) for peer in peers]
+        for view, peer, link in sent:
             receiver = view.peers[peer].shard
             shards[receiver].receive(ends[receiver, view.shard], link)
         u = inputs[0] if len(inputs) == 1 else np.concatenate(inputs)

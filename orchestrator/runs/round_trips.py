@@ -100,8 +100,8 @@ def line(summary: Mapping[str, Mapping[str, Any]]) -> str:
         return ""
     if len(answered) > SHOWN:
         answered = sorted(answered, key=lambda one: -one[1]["p99_ms"])[:SHOWN]
-    said = (
+    parts = (
         f"{name} " + "/".join(f"{figures[key]:.3g}" for key in (*PERCENTILES, "max_ms")) for name, figures in answered
     )
     which = f", the slowest of {len(summary)}" if len(summary) > len(answered) else ""
-    return f"round trips, median/99 %/most [ms]{which}: {', '.join(said)}"
+    return f"round trips, median/99 %/most [ms]{which}: {', '.join(parts)}"

@@ -87,20 +87,20 @@ def over_processes(
                 assert isinstance(connection, Connection)
                 worker = workers[connection]
                 assert worker.chunk is not None, "a worker without a chunk is let go"
-                said: Answer | None
+                received: Answer | None
                 try:
-                    said = connection.recv()
+                    received = connection.recv()
                 except (EOFError, OSError):
                     del workers[connection]
                     worker.close()
-                    said = _died(plan, worker, again)
+                    received = _died(plan, worker, again)
                 else:
                     if todo := task():
                         worker.begin(*todo)
                     else:
                         del workers[connection]
                         worker.close()
-                yield said
+                yield received
     finally:
         for worker in workers.values():
             worker.process.terminate()
