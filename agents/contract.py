@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from hedgerow.agents.law import Array, Law
 from hedgerow.agents.law_lines import line_of, place_of
 from hedgerow.agents.loading import LawError, arguments
-from hedgerow.agents.local import Heard, Local, asks
+from hedgerow.agents.local import Local, Received, asks
 from hedgerow.topologies.archive import id_array
 from hedgerow.topologies.graph import Gain, Index
 from hedgerow.wire import crash
@@ -67,7 +67,7 @@ class _Call(NamedTuple):
     x: Array
     flow: Array | None
     x_next: Array | None
-    heard: Heard
+    received: Received
 
     @property
     def method(self) -> str:
@@ -75,20 +75,20 @@ class _Call(NamedTuple):
 
     def of(self, nodes: Index, incidences: Index) -> _Call:
         """Return the call for some of the nodes."""
-        h = self.heard
+        h = self.received
         return _Call(
             self.t,
             self.x[nodes],
             None if self.flow is None else self.flow[nodes],
             None if self.x_next is None else self.x_next[nodes],
-            Heard(h.t, h.nodes[nodes], h.x[incidences], h.u[incidences], h.step[incidences]),
+            Received(h.t, h.nodes[nodes], h.x[incidences], h.u[incidences], h.step[incidences]),
         )
 
     def only(self, node: int) -> _Call:
         """Return the call of `learn` for one node, as for a sample that is learned again."""
         chosen = np.arange(len(self.x)) == node
         flow = None if self.flow is None else np.where(chosen, self.flow, np.nan)
-        return self._replace(flow=flow, heard=self.heard._replace(nodes=chosen))
+        return self._replace(flow=flow, received=self.received._replace(nodes=chosen))
 
 
 class _After(NamedTuple):
@@ -223,12 +223,12 @@ class _Test:
                 x, x_next = _read(past, t - 1), _read(truth, t)
                 flow[np.isnan(x + x_next)] = np.nan
                 got_x, got_u = (np.where(lost, np.nan, values[self._other]) for values in (x, u))
-                sample = Heard(t - 1, everybody.copy(), got_x, got_u, np.where(lost, -1, t - 1))
+                sample = Received(t - 1, everybody.copy(), got_x, got_u, np.where(lost, -1, t - 1))
                 heard_x, heard_u = np.where(lost, heard_x, got_x), np.where(lost, heard_u, got_u)
                 step = np.where(lost, step, t - 1)
                 self._learn(law, _Call(t - 1, x, flow, x_next, sample))
                 x = x_next
-            u = self._act(law, _Call(t, x, None, None, Heard(t, everybody.copy(), heard_x, heard_u, step)))
+            u = self._act(law, _Call(t, x, None, None, Received(t, everybody.copy(), heard_x, heard_u, step)))
 
     def _learn(self, law: Law, call: _Call) -> None:
         before = self._memory(law, NODES)
@@ -270,7 +270,7 @@ class _Test:
         k = len(call.x)
         given = [one.copy() for one in (call.x, call.flow, call.x_next) if one is not None]
         method = getattr(law, call.method)
-        record = [call.heard.at(call.t)] if self._asks[call.method] else []
+        record = [call.received.at(call.t)] if self._asks[call.method] else []
         try:
             answer = method(*given, *record)
             u = np.array(answer if call.flow is None else np.zeros(k), dtype=float)

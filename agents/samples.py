@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hedgerow.agents.law import Array, Law
-from hedgerow.agents.local import Heard, asks
+from hedgerow.agents.local import Received, asks
 from hedgerow.topologies.fast import kernels_for, unequal_kernels_for
 from hedgerow.topologies.graph import all_finite, starts
 from hedgerow.wire.history import History
@@ -91,7 +91,7 @@ class Samples:
         flow = self._whole_flow(u)
         if self.asks and states is not None:
             self._history.append(states, u, self._all)
-            self._learn(x, flow, x_next, self._heard(t, self._everybody, states, u, self._all))
+            self._learn(x, flow, x_next, self._received(t, self._everybody, states, u, self._all))
             return
         self._history.append(x, u, self._all)
         known, self._read_at = self._read_at == t, t + 1 if all_finite(x_next) else -1
@@ -138,7 +138,7 @@ class Samples:
                 self._behind.update(np.flatnonzero(bits == _OPEN).tolist())
         elif back is not None:
             self._forget(back)
-        self._learn(x, self._flow(u, bits), x_next, self._heard(t, self._everybody, row, u, bits))
+        self._learn(x, self._flow(u, bits), x_next, self._received(t, self._everybody, row, u, bits))
         if not self._behind:
             self._marks.clear()
         elif self._history.next % MARK_EVERY == 0:
@@ -206,7 +206,7 @@ class Samples:
         now, self._law.memory = self._law.memory, memory
         x_next = np.vstack([history.x(t + 1, t + 2)[:, : self.k], newest])[0]
         x, u, bits = history.x(t, t + 1)[0], history.u(t, t + 1)[0], history.bits(t, t + 1)[0]
-        self._learn(x[: self.k], self._flow(u, bits), x_next, self._heard(t, self._everybody, x, u, bits))
+        self._learn(x[: self.k], self._flow(u, bits), x_next, self._received(t, self._everybody, x, u, bits))
         self._marks.insert(0, _Mark(t + 1, self._law.memory, of))
         self._law.memory = now
 
@@ -254,7 +254,7 @@ class Samples:
                     partly[nodes] = flow[nodes]
                     flow = partly
                 row: Array = x[step]
-                sample = self._heard(start + step, chosen, row, u[step], bits[step])
+                sample = self._received(start + step, chosen, row, u[step], bits[step])
                 self._learn(row[: self.k], flow, x[step + 1][: self.k], sample)
 
     def _whole_flow(self, u: Array) -> Array:
@@ -287,7 +287,7 @@ class Samples:
         flow: Array = np.bincount(self._row, difference, self.k)  # type: ignore[assignment]  # weighted: floats
         return flow
 
-    def _heard(self, t: int, nodes: Mask, states: Array, u: Array, bits: Flags) -> Heard | None:
+    def _received(self, t: int, nodes: Mask, states: Array, u: Array, bits: Flags) -> Received | None:
         """Return the neighbours' values of step t, by incidence, for a law that asks; otherwise None.
 
         A sample does not wait for the message over a closed edge. So the sample never has that message. Otherwise its
@@ -297,9 +297,9 @@ class Samples:
             return None
         got = bits & TAKEN == TAKEN
         x, inputs = (np.where(got, values[self._other], np.nan) for values in (states, u))
-        return Heard(t, nodes.copy(), x, inputs, np.where(got, t, -1))
+        return Received(t, nodes.copy(), x, inputs, np.where(got, t, -1))
 
-    def _learn(self, x: Array, flow: Array, x_next: Array, sample: Heard | None = None) -> None:
+    def _learn(self, x: Array, flow: Array, x_next: Array, sample: Received | None = None) -> None:
         if not all_finite(x + x_next):  # without a reading, the samples before and after it are missing
             flow = np.where(np.isnan(x + x_next), np.nan, flow)
         if sample is None:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from hedgerow.agents.law import Array, Law
 from hedgerow.agents.law_lines import line_of, place_of, running
 from hedgerow.agents.loading import LawError, new_law
-from hedgerow.agents.local import Heard, asks
+from hedgerow.agents.local import Received, asks
 from hedgerow.agents.quiet import QuietForms, QuietLaw
 from hedgerow.agents.samples import LateRows, Samples
 from hedgerow.agents.view import View
@@ -97,7 +97,7 @@ class Shard:
         self._samples = Samples(self._law, view.history, self._row, ends, stops[-1], view.weights)
         self._asks = asks(self._law.act, "now")
         """the law acts on the newest values of its neighbours"""
-        self._now = Heard(
+        self._now = Received(
             -1,
             np.ones(self.k, dtype=bool),
             np.full(self.m, np.nan),

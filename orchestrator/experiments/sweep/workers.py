@@ -121,7 +121,7 @@ def _died(plan: Plan, worker: _Worker, again: deque[tuple[Chunk, int]]) -> Answe
     code = worker.process.exitcode
     how = f"signal {-code}" if code is not None and code < 0 else f"exit code {code}"
     return Failure(
-        f"{seeds}, {plan.says(chunk.setting)}: the process died {TRIES} times, the last by {how}; "
+        f"{seeds}, {plan.label(chunk.setting)}: the process died {TRIES} times, the last by {how}; "
         "check the free memory, and give fewer --jobs",
         users=False,
     )

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from hedgerow.agents.loading import new_law
-from hedgerow.agents.local import Heard, asks
+from hedgerow.agents.local import Received, asks
 from hedgerow.agents.view import View
 from hedgerow.orchestrator.ground.assignment import views_of
 from hedgerow.topologies.graph import Array, Graph, Index, Mask
@@ -167,11 +167,11 @@ def play(scene: Scene, w: Array, breaks: Breaks = NONE, steps: int | None = None
     sound = np.empty((steps, count), dtype=bool)
     energy, seen, fine = np.zeros((count, n)), np.zeros((count, n)), np.ones(count, dtype=bool)
     none = np.full(len(neighbours), np.nan)
-    heard = Heard(0, np.ones(count * n, dtype=bool), none, none, np.full(len(neighbours), -1))
+    received = Received(0, np.ones(count * n, dtype=bool), none, none, np.full(len(neighbours), -1))
     with np.errstate(all="ignore"):
         for t in range(steps):
             now = x[t]
-            u = np.asarray(law.act(now.reshape(-1), *([heard] if act else []))).reshape(count, n)
+            u = np.asarray(law.act(now.reshape(-1), *([received] if act else []))).reshape(count, n)
             margin = np.asarray(law.report())[1].reshape(count, n)
             tied = (margin < TIE * (energy + seen)) & (seen > 0) & ~single
             if t <= UNSCORED and not minimax:
@@ -187,13 +187,13 @@ def play(scene: Scene, w: Array, breaks: Breaks = NONE, steps: int | None = None
             seen += now * now
             if act or learn:
                 own = now.reshape(-1)[neighbours], u.reshape(-1)[neighbours]
-                heard = Heard(t, np.ones(count * n, dtype=bool), *own, np.full(len(neighbours), t))
+                received = Received(t, np.ones(count * n, dtype=bool), *own, np.full(len(neighbours), t))
             known = flow
             if lost := [node for node, first, end in deaf if first <= t < end]:
                 known = flow.copy()
                 known[:, lost] = np.nan
-            law.learn(now.reshape(-1), known.reshape(-1), x[t + 1].reshape(-1), *([heard] if learn else []))
-            heard = heard._replace(t=t + 1)
+            law.learn(now.reshape(-1), known.reshape(-1), x[t + 1].reshape(-1), *([received] if learn else []))
+            received = received._replace(t=t + 1)
     return Played(w, x, theta, np.nan_to_num(cost, nan=0.0, posinf=0.0), sound)
 
 

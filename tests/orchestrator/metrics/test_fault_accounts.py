@@ -78,7 +78,7 @@ class Recount:
     def absent(self, i: int, t: int) -> bool:
         return bool(t >= 0 and self.plain.absent[t, i])
 
-    def says(self, c: int, t: int, flag: Flag) -> bool | None:
+    def label(self, c: int, t: int, flag: Flag) -> bool | None:
         """Return True if the node of an incidence reports that it used this input of step t; None without a report."""
         if t + 1 == len(self.rows) or self.absent(self.graph.node[c], t + 1):
             return None
@@ -89,12 +89,12 @@ class Recount:
         if self.absent(j, t) or self.absent(i, t):
             return ["masked"]
         fired = ["fired"] if not self.rows[t].link_up[c] else []
-        return fired + (["seen"] if self.says(c, t, Flag.RECEIVE) is False else [])
+        return fired + (["seen"] if self.label(c, t, Flag.RECEIVE) is False else [])
 
     _delay = _drop
 
     def _cut(self, t: int, e: int) -> list[str]:
-        said = {self.says(c, t, Flag.OPEN) for c, edge in enumerate(self.graph.edge) if edge == e} - {None}
+        said = {self.label(c, t, Flag.OPEN) for c, edge in enumerate(self.graph.edge) if edge == e} - {None}
         fired = ["fired"] if not self.rows[t].edge_open[e] else []
         return fired + (["seen"] if said == {False} else [])
 
@@ -107,7 +107,7 @@ class Recount:
         if self.absent(i, t) or i in self.plain.struck("sensor", t):
             return ["masked"]
         edges = set(self.graph.edge[self.graph.node == i])
-        told = {self.says(c, t, Flag.OPEN) for c, e in enumerate(self.graph.edge) if e in edges} - {None}
+        told = {self.label(c, t, Flag.OPEN) for c, e in enumerate(self.graph.edge) if e in edges} - {None}
         fired = ["fired"] if np.isnan(self.rows[t].u[i]) else []
         return fired + (["seen"] if told == {False} else [])
 
