@@ -24,8 +24,8 @@ LANES = 24
 RUN = -1
 """the number of the lane of the whole run"""
 FINE: Color = (38, 44, 54, 255)
-HEARD, NOT_I, NOT_J, CLOSED = 0, 1, 2, 4
-"""the states of an edge (i, j), as sums of these numbers"""
+NOT_I, NOT_J, CLOSED = 1, 2, 4
+"""the states of an edge (i, j), as sums of these numbers; 0 is no failure"""
 THERE, MISTAKEN, TURNED, NO_INPUT, GONE = range(5)
 """the states of a node; the worst one counts"""
 OF_NODE: Sequence[tuple[str, Color]] = (

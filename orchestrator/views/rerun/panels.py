@@ -64,11 +64,6 @@ class Quantity:
         return np.where(np.isinf(values), np.nan, values)
 
 
-def quantities(topology: Topology, observer: Observer) -> list[Quantity]:
-    """Return the quantities of a batch: one entity each, named like its field of Batch."""
-    return [*lines(topology), *totals(topology, observer)]
-
-
 def lines(topology: Topology) -> list[Quantity]:
     """Return one line for each node and edge with rows, up to LINES."""
     which, graph = selection(topology), topology.graph
