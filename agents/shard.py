@@ -127,7 +127,7 @@ class Shard:
         """
         self._keep(self.peers[peer].mail, link.t, link)
 
-    def hear_message(self, peer: int, message: bytes) -> None:
+    def receive_message(self, peer: int, message: bytes) -> None:
         """Keep the bytes of a link message, as `receive` does; raise MessageError if they are malformed."""
         own = self.peers[peer]
         self._keep(own.mail, link_step(message, own.receives), message)

@@ -124,7 +124,7 @@ class Plant:
             self._send_row = self._share_row
         elif shared:
             LOG.warning("%s: cannot be opened here; telemetry travels in messages", shared)
-        self.shards = Shards(truth, self.world, session, self.tell)
+        self.shards = Shards(truth, self.world, session, self.report_event)
         self._token_allowances = [Allowance(TOKENS_PER_S, TOKENS_AT_ONCE) for _ in self.shards.all]
         self._late_tokens: dict[int, tuple[int, bool]] = {}
         """by shard: the newest change of its tokens above the rate limit, which is processed later"""
@@ -297,14 +297,14 @@ class Plant:
         """Act on the complete inputs of t, start t + 1, and only then read the rest of the messages and report t."""
         self.world.advance(self._inputs.u())
         self._elapsed_s = time.monotonic() - self.clock.began
-        tell = self._stopwatch.end_step()
+        report_times = self._stopwatch.end_step()
         self._prepare()
         # The states of t + 1 are on their way, and the agents compute meanwhile.
         row = self.world.account(*self._inputs.rest())
         if self.running:
             self.world.look_ahead()
         self._send_row(*encode_telemetry(row, self.world.whole))
-        if tell:
+        if report_times:
             self._send_round_trips()
 
     def _share_row(self, *row: Buffer) -> None:
@@ -315,7 +315,7 @@ class Plant:
         else:
             self._outbox.send(*row)
 
-    def tell(self, event: str, **details: Any) -> None:
+    def report_event(self, event: str, **details: Any) -> None:
         """Report an event of this step to the observer."""
         self._outbox.send(encode_event(self.world.t, {"event": event, **details}))
 
@@ -337,7 +337,7 @@ class Plant:
             )
             counted = counts([shard.state for shard in self.shards.all], self._receivers)
             counted["sent"][keys.TELEMETRY] = self._outbox.sent + 1  # this event included
-            self.tell(
+            self.report_event(
                 "counts",
                 plant=counted,
                 shards=[shard.final_report for shard in self.shards.all],
