@@ -238,11 +238,13 @@ def _in_turns(
 ) -> dict[str, float]:
     """Return the medians of the ratios of two networks of shards, the second to the first, within a round."""
     runs = []
-    for _ in range(rounds):
-        old, new = (
-            shards(truth_of(*case), views_of(*case), folder, share)
-            for case, share in zip((before, after), shared, strict=True)
-        )
+    for number in range(rounds):
+        turns = [*zip((before, after), shared, strict=True)]
+        if number % 2:
+            turns.reverse()
+        old, new = (shards(truth_of(*case), views_of(*case), folder, share) for case, share in turns)
+        if number % 2:
+            old, new = new, old
         if before[0] is after[0] and old.x.tobytes() != new.x.tobytes():
             raise SystemExit("the trajectories differ")
         runs.append((old, new))

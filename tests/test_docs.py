@@ -38,7 +38,7 @@ from PIL import Image
 from hedgerow.orchestrator.metrics.fault_accounts import Account
 from hedgerow.orchestrator.metrics.observer import Batch
 from hedgerow.orchestrator.runs.writer import to_parquet
-from hedgerow.orchestrator.views.rerun.panels import quantities
+from hedgerow.orchestrator.views.rerun.panels import lines, totals
 from hedgerow.topologies.errors import Code
 from hedgerow.topologies.faults import KINDS
 from hedgerow.topologies.load import load
@@ -439,7 +439,7 @@ def test_every_metric_is_in_the_place_that_theory_md_gives() -> None:
 
     assert all(hasattr(batch, name) for name in named("Batch"))
     assert named("verdict.json") == observer.summary().keys()
-    shown = {quantity.entity for quantity in quantities(topology, observer)}
+    shown = {quantity.entity for quantity in [*lines(topology), *totals(topology, observer)]}
     assert named("Rerun") == shown
     fields = {*Batch.__dataclass_fields__, "cost_regret", "ratio", "gain"}
     assert named("Batch") == fields - {"t", "a", "edge_open", "link_up"}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import json
 import os
@@ -151,15 +152,18 @@ class Orchestrator:
     def kill_until_it_stays_down(self, name: str) -> None:
         """Kill an agent's process repeatedly, each life after it has reached the router, until no other one follows.
 
-        A plant that is too slow to hear of a life before its death grants another restart.
+        A plant that is too slow to see a life before its death grants another restart.
         """
         for life in itertools.count(1):
             self.wait_for_log(name, "ready: ", life)
             os.kill(self.children[name], signal.SIGKILL)
             self.wait_for_event("died", life)
-            self.wait_until(lambda life=life: self._stays_down() or len(_events("restarted")) == life)
+            self.wait_until(functools.partial(self._is_decided, life))
             if self._stays_down():
                 return
+
+    def _is_decided(self, life: int) -> bool:
+        return self._stays_down() or len(_events("restarted")) == life
 
     def _stays_down(self) -> bool:
         return bool(_events("down")) or self._process.poll() is not None
