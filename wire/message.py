@@ -38,7 +38,7 @@ class Kind(IntEnum):
 class Flag(IntEnum):
     """The flag bits of one incidence in a state message.
 
-    In an input message, `OPEN` and `HEAR` mark the inputs of t - 1 that the node used.
+    In an input message, `OPEN` and `RECEIVE` mark the inputs of t - 1 that the node used.
 
     In an input message, the six bits above these two count the late and back-filled rows that arrived.
     """
@@ -66,8 +66,8 @@ class MessageError(HedgerowError):
 class Span(NamedTuple):
     """The rows that cross the links of one incidence, if they are more than the row of the step.
 
-    The link from the neighbour delivers at t - 1 the row t - 1 - heard_late and heard_back rows before it. The link to
-    the neighbour delivers at t the row t - told_late and told_back rows before it.
+    The link from the neighbour delivers at t - 1 the row t - 1 - received_late and received_back rows before it. The
+    link to the neighbour delivers at t the row t - sent_late and sent_back rows before it.
     """
 
     incidence: int
