@@ -122,6 +122,9 @@ class Verdict:
     error: HedgerowError | None = None
     """the error of the law that ended a run in this process"""
 
+    def __repr__(self) -> str:
+        return f"<Verdict {self.line()}>" if self.content else "<Verdict: none yet>"
+
     @property
     def exit_code(self) -> int:
         """Return the exit code of the command."""
