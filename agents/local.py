@@ -1,7 +1,7 @@
 """The local data that a law may request: a record per shard, and a record per step.
 
 A law asks by naming an argument. `local` of its constructor is a `Local`, `now` of `act` and `sample` of `learn` are
-each a `Heard`. A law without these arguments is called without them, at no extra cost.
+each a `Received`. A law without these arguments is called without them, at no extra cost.
 """
 
 from __future__ import annotations
