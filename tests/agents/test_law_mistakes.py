@@ -98,7 +98,7 @@ class ChangesLate(Minimax):
         return u
 
 class Typed(Minimax):  # its annotations exist for a type checker alone
-    def __init__(self, b: float, candidates: NDArray, *, local: Local, share: float = 0.2, kind: Received | None = None):
+    def __init__(self, b: float, candidates: NDArray, *, local: Local, share: float = .2, kind: Received | None = None):
         super().__init__(b, candidates)
 
 class ByPosition(Minimax):
