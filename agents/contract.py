@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from hedgerow.agents.law import Array, Law
 from hedgerow.agents.law_lines import line_of, place_of
 from hedgerow.agents.loading import LawError, arguments, reals
-from hedgerow.agents.local import Heard, Local, asks
+from hedgerow.agents.local import Local, Received, asks
 from hedgerow.topologies.archive import id_array
 from hedgerow.topologies.graph import Gain, Index
 from hedgerow.wire import crash
@@ -67,7 +67,7 @@ class _Call(NamedTuple):
     x: Array
     flow: Array | None
     x_next: Array | None
-    heard: Heard
+    received: Received
 
     @property
     def method(self) -> str:
@@ -75,20 +75,20 @@ class _Call(NamedTuple):
 
     def of(self, nodes: Index, incidences: Index) -> _Call:
         """Return the call for some of the nodes."""
-        h = self.heard
+        h = self.received
         return _Call(
             self.t,
             self.x[nodes],
             None if self.flow is None else self.flow[nodes],
             None if self.x_next is None else self.x_next[nodes],
-            Heard(h.t, h.nodes[nodes], h.x[incidences], h.u[incidences], h.step[incidences]),
+            Received(h.t, h.nodes[nodes], h.x[incidences], h.u[incidences], h.step[incidences]),
         )
 
     def only(self, node: int) -> _Call:
         """Return the call of `learn` for one node, as for a sample that is learned again."""
         chosen = np.arange(len(self.x)) == node
         flow = None if self.flow is None else np.where(chosen, self.flow, np.nan)
-        return self._replace(flow=flow, heard=self.heard._replace(nodes=chosen))
+        return self._replace(flow=flow, received=self.received._replace(nodes=chosen))
 
 
 class _After(NamedTuple):
@@ -205,17 +205,17 @@ class _Test:
             memory: Any = law.memory
         except (Exception, SystemExit) as error:
             self._raised("memory", error)
-        said = ""
+        problem = ""
         if not isinstance(memory, np.ndarray):
-            said = f"the type {type(memory).__name__}"
+            problem = f"the type {type(memory).__name__}"
         elif memory.dtype.kind not in "biufc":
-            said = f"elements of the type {memory.dtype}"
+            problem = f"elements of the type {memory.dtype}"
         elif memory.shape[-1:] != (k,):
-            said = f"the shape {memory.shape}"
-        if said:
-            said = f"has {said}" if method == "memory" else f"leaves a memory that has {said}"
+            problem = f"the shape {memory.shape}"
+        if problem:
+            problem = f"has {problem}" if method == "memory" else f"leaves a memory that has {problem}"
             cure = f"Make it an array of numbers with a last axis of the {k} nodes, (…, {k})."
-            self._broken(method, None, said, cure)
+            self._broken(method, None, problem, cure)
         return cast(NDArray[Any], memory.copy())
 
     # The calls.
@@ -241,12 +241,12 @@ class _Test:
                 flow[np.isnan(x + x_next)] = np.nan
                 lost |= np.isnan(x[self._other])  # a neighbour without a reading has no state and no input
                 got_x, got_u = (np.where(lost, np.nan, values[self._other]) for values in (x, u))
-                sample = Heard(t - 1, everybody.copy(), got_x, got_u, np.where(lost, -1, t - 1))
+                sample = Received(t - 1, everybody.copy(), got_x, got_u, np.where(lost, -1, t - 1))
                 heard_x, heard_u = np.where(lost, heard_x, got_x), np.where(lost, heard_u, got_u)
                 step = np.where(lost, step, t - 1)
                 self._learn(law, _Call(t - 1, x, flow, x_next, sample))
                 x = x_next
-            u = self._act(law, _Call(t, x, None, None, Heard(t, everybody.copy(), heard_x, heard_u, step)))
+            u = self._act(law, _Call(t, x, None, None, Received(t, everybody.copy(), heard_x, heard_u, step)))
 
     def _learn(self, law: Law, call: _Call) -> None:
         before = self._memory(law, NODES)
@@ -291,7 +291,7 @@ class _Test:
         k = len(call.x)
         given = [one.copy() for one in (call.x, call.flow, call.x_next) if one is not None]
         method = getattr(law, call.method)
-        record = [call.heard.at(call.t)] if self._asks[call.method] else []
+        record = [call.received.at(call.t)] if self._asks[call.method] else []
         try:
             answer = method(*given, *record)
             u = np.zeros(k) if call.flow is not None else reals(answer)
@@ -305,10 +305,10 @@ class _Test:
         bad = ~np.isfinite(u) & np.isfinite(call.x)
         if bad.any():
             node = int(np.flatnonzero(bad)[0])
-            said = f"returns {u[node]} for the state {call.x[node]:g} at step {call.t}"
+            problem = f"returns {u[node]} for the state {call.x[node]:g} at step {call.t}"
             more = ", and neighbours without a value (NaN, step -1)" if record else ""
             self._broken(
-                "act", node if k == NODES else None, said, f"Return a finite input; mind divisions by 0{more}."
+                "act", node if k == NODES else None, problem, f"Return a finite input; mind divisions by 0{more}."
             )
         return u
 
@@ -365,8 +365,8 @@ class _Test:
             if call.method == "learn":
                 self._call(law, call.only(node))
         if (wrong := _differ(self._memory(law, NODES), last, self._all)) is not None:
-            said = "learns something else when one node learns its past again"
-            self._broken("learn", wrong, said, _HIDDEN)
+            problem = "learns something else when one node learns its past again"
+            self._broken("learn", wrong, problem, _HIDDEN)
 
     def _assign(self, law: Law, memory: NDArray[Any]) -> None:
         kept = memory.copy()
@@ -391,9 +391,9 @@ class _Test:
         if isinstance(error, SystemExit) and type(error) is not SystemExit:
             raise error  # of a signal handler of ours, and not of the law
         called = "memory" if method == "memory" else f"{method}()"
-        said = f"{called} raised {crash.summary(error)}. Correct that line."
+        problem = f"{called} raised {crash.summary(error)}. Correct that line."
         where = place_of(error, self._law) or line_of(self._law, method)
-        raise LawError(f"{where}law {self._name}: {said}", method=method) from error
+        raise LawError(f"{where}law {self._name}: {problem}", method=method) from error
 
 
 def _copy(name: str) -> str:

@@ -140,11 +140,11 @@ def new_law(view: View) -> Law:
         begun = law(view.b, view.candidates, **more)
         shape = np.shape(begun.memory)
     except (Exception, SystemExit) as error:
-        said = f"__init__() raised {crash.summary(error)}. Correct that line."
-        raise LawError(f"{place_of(error, law)}law {view.law}: {said}", method="__init__") from error
+        problem = f"__init__() raised {crash.summary(error)}. Correct that line."
+        raise LawError(f"{place_of(error, law)}law {view.law}: {problem}", method="__init__") from error
     if shape[-1:] != (view.k,):
-        said = f"memory has the shape {shape}. Make its last axis the {view.k} nodes."
-        raise LawError(f"{line_of(law, 'memory')}law {view.law}: {said}", method="memory")
+        problem = f"memory has the shape {shape}. Make its last axis the {view.k} nodes."
+        raise LawError(f"{line_of(law, 'memory')}law {view.law}: {problem}", method="memory")
     return begun
 
 

@@ -142,8 +142,8 @@ def _within_deadline(law: type[Law], name: str, test: Callable[[Callable[[], Non
         thread.join(1.0)
         if thread.is_alive() and time.monotonic() - began[0] > CALL_DEADLINE_S:
             where = running(thread.ident or 0, law)
-            said = f"one call in the contract test takes longer than {CALL_DEADLINE_S:g} s. Make the law end."
-            raise LawError(f"{where}{': ' if where else ''}law {name}: {said}")
+            problem = f"one call in the contract test takes longer than {CALL_DEADLINE_S:g} s. Make the law end."
+            raise LawError(f"{where}{': ' if where else ''}law {name}: {problem}")
     if failure:
         raise failure[0]
 
@@ -167,13 +167,13 @@ def _check_types(law: type[Any], given: Mapping[str, Any], where: str) -> None:
         model = create_model("Parameters", __config__=ConfigDict(arbitrary_types_allowed=True), **fields)
         model.model_validate_json(written, strict=True)
     except PydanticUserError as error:
-        said = f"its parameters cannot be checked: {error.message.splitlines()[0]}. Correct their types."
-        raise UserError(f"{where}: {said}", code=Code.LAW) from error
+        problem = f"its parameters cannot be checked: {error.message.splitlines()[0]}. Correct their types."
+        raise UserError(f"{where}: {problem}", code=Code.LAW) from error
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         key = ".".join(map(str, first["loc"])) or "parameters"
-        said = first["msg"][:1].lower() + first["msg"][1:]
-        raise UserError(f"{where}: the parameter {key}: {said}. Correct it.", code=Code.LAW) from None
+        problem = first["msg"][:1].lower() + first["msg"][1:]
+        raise UserError(f"{where}: the parameter {key}: {problem}. Correct it.", code=Code.LAW) from None
 
 
 def _hints(law: type[Any], keys: Iterable[str]) -> dict[str, Any]:

@@ -60,8 +60,8 @@ def simulate(network: Named, *settings: str, run_dir: str | Path | None = None, 
 
 
 def _warn_of_another_source(law: str, kept: Path) -> None:
-    if kept.is_dir() and (said := differs(law, kept)):
-        warnings.warn(said, UserWarning, stacklevel=4)
+    if kept.is_dir() and (warning := differs(law, kept)):
+        warnings.warn(warning, UserWarning, stacklevel=4)
 
 
 def simulate_into(

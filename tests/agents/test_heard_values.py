@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hedgerow.agents.law import Array, Minimax
-from hedgerow.agents.local import Heard, Local
+from hedgerow.agents.local import Local, Received
 from hedgerow.orchestrator.ground import laws
 from hedgerow.topologies.schema import Topology
 from tests.test_faults import faulty
@@ -31,18 +31,18 @@ class Checks(Minimax):
         self.J, self.sums = memory[:-1].copy(), memory[-1:].copy()
         self._choose()
 
-    def _seen(self, heard: Heard) -> Array:
-        there = heard.step >= 0
-        assert (there == np.isfinite(heard.x)).all()
-        assert (there == np.isfinite(heard.u)).all()
-        return self.local.sums(np.tanh(np.where(there, heard.x + heard.u, 0.0)))
+    def _seen(self, received: Received) -> Array:
+        there = received.step >= 0
+        assert (there == np.isfinite(received.x)).all()
+        assert (there == np.isfinite(received.u)).all()
+        return self.local.sums(np.tanh(np.where(there, received.x + received.u, 0.0)))
 
-    def act(self, x: Array, now: Heard) -> Array:  # type: ignore[override]  # it asks
+    def act(self, x: Array, now: Received) -> Array:  # type: ignore[override]  # it asks
         assert (now.step < now.t).all()
         return np.asarray(super().act(x) + 1e-3 * (self._seen(now) + self.sums[0]))
 
     def learn(  # type: ignore[override]  # it asks
-        self, x: Array, flow: Array, x_next: Array, sample: Heard
+        self, x: Array, flow: Array, x_next: Array, sample: Received
     ) -> None:
         assert ((sample.step == sample.t) | (sample.step == -1)).all()
         self.sums = np.where(np.isfinite(flow), 0.9 * self.sums + self._seen(sample), self.sums)

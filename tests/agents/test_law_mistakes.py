@@ -25,7 +25,7 @@ from pydantic import BaseModel, Field
 from hedgerow.agents.law import Minimax
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-    from hedgerow.agents.local import Heard, Local
+    from hedgerow.agents.local import Received, Local
 
 class Counts(Minimax):  # a process has no rows of candidates for the lists of other processes
     def act(self, x):
@@ -98,7 +98,7 @@ class ChangesLate(Minimax):
         return u
 
 class Typed(Minimax):  # its annotations exist for a type checker alone
-    def __init__(self, b: float, candidates: NDArray, *, local: Local, share: float = 0.2, kind: Heard | None = None):
+    def __init__(self, b: float, candidates: NDArray, *, local: Local, share: float = .2, kind: Received | None = None):
         super().__init__(b, candidates)
 
 class ByPosition(Minimax):

@@ -162,7 +162,7 @@ class Orchestrator:
     def kill_until_it_stays_down(self, name: str) -> None:
         """Kill an agent's process repeatedly, each life after it has reached the router, until no other one follows.
 
-        A plant that is too slow to hear of a life before its death grants another restart.
+        A plant that is too slow to see a life before its death grants another restart.
         """
         for life in itertools.count(1):
             self.wait_for_log(name, "ready: ", life)

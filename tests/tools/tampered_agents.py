@@ -167,7 +167,7 @@ class ForgedReceipt(Shard):
 
     def answer(self, state: State) -> Array:
         u = super().answer(state)
-        self.took = b""
+        self.used = b""
         return u
 
 
@@ -177,7 +177,7 @@ class DeniedReceipt(Shard):
     def answer(self, state: State) -> Array:
         u = super().answer(state)
         if state.t == 3:
-            self.took = bytes([Flag.OPEN, *[TAKEN] * (self.m - 1)])
+            self.used = bytes([Flag.OPEN, *[TAKEN] * (self.m - 1)])
         return u
 
 

@@ -56,8 +56,8 @@ def markdown(cells: Sequence[Cell], tests: Sequence[Paired]) -> str:
         heading, *rows = grid(cells, disturbance)
         lines = [heading, ["---"] * len(heading), *rows]
         table = "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
-        said = "\n".join(f"- {line}" for line in findings(cells, tests, disturbance))
-        parts.append(f"## {disturbance}\n\n{table}\n\n{said}\n")
+        listed = "\n".join(f"- {line}" for line in findings(cells, tests, disturbance))
+        parts.append(f"## {disturbance}\n\n{table}\n\n{listed}\n")
     return "\n".join(parts)
 
 

@@ -12,7 +12,7 @@ from scipy import stats
 
 import hedgerow as hg
 from hedgerow.agents.law import Array, Minimax
-from hedgerow.agents.local import Heard
+from hedgerow.agents.local import Received
 from hedgerow.orchestrator.experiments.compare.plan import comparison
 from hedgerow.orchestrator.experiments.compare.runs import METRICS, answer
 from hedgerow.orchestrator.experiments.compare.statistics import Cell, paired
@@ -65,7 +65,7 @@ def test_the_intervals_and_tests_are_those_of_scipy() -> None:
 class Ends(Minimax):
     """Raises after some steps."""
 
-    def act(self, x: Array, now: Heard) -> Array:  # type: ignore[override]  # it asks
+    def act(self, x: Array, now: Received) -> Array:  # type: ignore[override]  # it asks
         if now.t == 20:
             raise ValueError("no")
         return super().act(x)

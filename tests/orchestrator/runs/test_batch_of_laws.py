@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from hedgerow.agents.law import Array, Minimax
-from hedgerow.agents.local import Heard, Local
+from hedgerow.agents.local import Local, Received
 from hedgerow.orchestrator.experiments.compare import runs as compared
 from hedgerow.orchestrator.experiments.sweep import runs as swept
 from hedgerow.orchestrator.experiments.sweep.plan import Chunk, Plan, Setting
@@ -31,7 +31,7 @@ class Draws(Minimax):
         super().__init__(b, candidates)
         self.local = local
 
-    def act(self, x: Array, now: Heard) -> Array:  # type: ignore[override]  # it asks
+    def act(self, x: Array, now: Received) -> Array:  # type: ignore[override]  # it asks
         drawn = [np.random.default_rng([self.local.seed, int(node), now.t]).normal() for node in self.local.ids]
         return super().act(x) + 0.01 * np.array(drawn)
 
