@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import json
 import os
@@ -167,9 +168,13 @@ class Orchestrator:
             self.wait_for_log(name, "ready: ", life)
             os.kill(self.children[name], signal.SIGKILL)
             self.wait_for_event("died", life)
-            self.wait_until(lambda life=life: self._stays_down() or len(_events("restarted")) == life)
+            self.wait_until(functools.partial(self._is_decided, life))
             if self._stays_down():
                 return
+
+    def _is_decided(self, life: int) -> bool:
+        """Return True once another life has followed this one, or none will."""
+        return self._stays_down() or len(_events("restarted")) == life
 
     def _stays_down(self) -> bool:
         return bool(_events("down")) or self._process.poll() is not None
