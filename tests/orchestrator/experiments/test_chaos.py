@@ -12,7 +12,6 @@ from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import resolve
 from tests.tools.processes import orchestrator
 
-
 NETWORKS = int(os.environ.get("HEDGEROW_CHAOS_NETWORKS", "60"))
 
 
