@@ -346,7 +346,7 @@ class Samples:
         """
         if not self.asks:
             return None
-        got = bits & TAKEN == TAKEN
+        got = (bits & TAKEN == TAKEN) & np.isfinite(states[self._other] + u[self._other])
         x, inputs = (np.where(got, values[self._other], np.nan) for values in (states, u))
         return Heard(t, nodes.copy(), x, inputs, np.where(got, t, -1))
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from hedgerow.agents.law import Array, Law
 from hedgerow.agents.law_lines import line_of, place_of, running
-from hedgerow.agents.loading import LawError, new_law
+from hedgerow.agents.loading import LawError, new_law, reals
 from hedgerow.agents.local import Heard, asks
 from hedgerow.agents.peer import Peer
 from hedgerow.agents.quiet import QuietForms, QuietLaw
@@ -147,7 +147,7 @@ class Shard:
                 self._restore(record)
             if t > 0:
                 self._close(state, record.back if record is not None else None)
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             raise self._raised("learn", error) from error
         self._record = None
         u = self._act(t, x)
@@ -271,10 +271,7 @@ class Shard:
             inputs = gather([self._u, *last_rows]) if links else self._u
             states = self._states(links)
             if self._asks and states is not None:
-                column = self._view.column
-                self._now = self._now._replace(
-                    x=states[column], u=inputs[column], step=np.full(self.m, past, dtype=np.int64)
-                )
+                self._note(past, states, inputs, ())
             self._samples.take(past, self._x, inputs, state.x, states)
             return
         # The newest row of a link message is that of t - 1, unless the link is late.
@@ -315,21 +312,24 @@ class Shard:
 
         Call it before the sample of `past` is taken: rows of our own nodes are as far back as those in a message.
         """
-        got, column = np.frombuffer(self.took, np.uint8) & Flag.HEAR != 0, self._view.column
+        column = self._view.column
+        got = np.isfinite(states[column] + inputs[column])  # a neighbour without a reading has no input either
+        got &= np.frombuffer(self.took or self._up, np.uint8) & Flag.HEAR != 0
         x, u = np.where(got, states[column], self._now.x), np.where(got, inputs[column], self._now.u)
         step = np.where(got, past, self._now.step)
-        for c, _, stop, inputs_then, states_then in late_rows:
+        for c, start, stop, inputs_then, states_then in late_rows:
             if stop - 1 <= step[c]:
                 continue
             if inputs_then is not None and states_then is not None:
-                newest = states_then[-1:], inputs_then[-1:]
+                rows = states_then, inputs_then
             elif (place := column[c]) < self.k:
-                own_x, own_u = self._samples.sent(stop - 1, stop)
-                newest = own_x[:, place], own_u[:, place]
+                own_x, own_u = self._samples.sent(start, stop)
+                rows = own_x[:, place], own_u[:, place]
             else:
                 continue
-            if len(newest[0]):
-                x[c], u[c], step[c] = newest[0][0], newest[1][0], stop - 1
+            known = np.flatnonzero(np.isfinite(rows[0] + rows[1]))
+            if len(known) and (newest := stop - len(rows[0]) + int(known[-1])) > step[c]:
+                x[c], u[c], step[c] = rows[0][known[-1]], rows[1][known[-1]], newest
         self._now = self._now._replace(x=x, u=u, step=step)
 
     def _came(self, c: int, links: Sequence[Link | None], start: int, stop: int) -> LateRows:
@@ -344,13 +344,14 @@ class Shard:
         return LateRows(c, start, start + len(inputs), inputs, states)
 
     def _act(self, t: int, x: Array) -> Array:
+        method = "act"
         try:
             now = [self._now.at(t)] if self._asks else []
-            given = self._law.act(x, *now)
-            u = np.array(given, dtype=float)  # copy: the shard keeps it, and the law may reuse its array
+            u = reals(self._law.act(x, *now))  # a copy: the shard keeps it, and the law may reuse its array
+            method = "report"
             self._report = np.asarray(self._law.report(), dtype=float)
-        except Exception as error:
-            raise self._raised("act", error) from error
+        except (Exception, SystemExit) as error:
+            raise self._raised(method, error) from error
         if u.shape != (self.k,) or not all_finite(u):
             u = self._without_blind(x, u)
         if self._report.shape != (REPORT_ROWS, self.k):
@@ -377,8 +378,11 @@ class Shard:
         where = line_of(type(self._law), method) if where is None else where
         return LawError(where + said, method=method, node=nodes[0] if self.k == 1 else None)
 
-    def _raised(self, method: str, error: Exception) -> LawError:
-        return self._failed(method, f"raised {crash.summary(error)}", place_of(error, type(self._law)))
+    def _raised(self, method: str, error: BaseException) -> LawError:
+        law = type(self._law)
+        if isinstance(error, SystemExit) and type(error) is not SystemExit:
+            raise error  # of a signal handler of ours, and not of the law
+        return self._failed(method, f"raised {crash.summary(error)}", place_of(error, law) or line_of(law, method))
 
     # Outgoing messages.
 

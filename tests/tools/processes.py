@@ -185,6 +185,7 @@ class Orchestrator:
                 return
 
     def _is_decided(self, life: int) -> bool:
+        """Return True once another life has followed this one, or none will."""
         return self._stays_down() or len(_events("restarted")) == life
 
     def _stays_down(self) -> bool:
