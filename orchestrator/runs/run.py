@@ -286,13 +286,13 @@ class Run:
         """Return the number of right estimates, (T,)."""
         if self.whole:
             return self._by_step(self._observed[0].right)
-        return frozen(np.nan_to_num(self._summed("right", self.T), nan=-1.0).astype(np.int64))
+        return frozen(np.nan_to_num(self.summed("right", self.T), nan=-1.0).astype(np.int64))
 
     @cached_property
     def regret_sum(self) -> Array:
         """Return the regret D(t), the cumulative sum of r_i^2 including the final state, (T + 1,)."""
         if not self.whole:
-            return self._summed("regret_sum", self.T + 1)
+            return self.summed("regret_sum", self.T + 1)
         batch, observer = self._observed
         return frozen(np.append(self._by_step(batch.regret_sum), observer.regret_sum))
 
@@ -300,7 +300,7 @@ class Run:
     def nominal_regret_sum(self) -> Array:
         """Return the regret D(t) of the nominal twin, (T + 1,)."""
         if not self.whole:
-            return self._summed("nominal_regret_sum", self.T + 1)
+            return self.summed("nominal_regret_sum", self.T + 1)
         batch, observer = self._observed
         return frozen(np.append(self._by_step(batch.nominal_regret_sum), observer.nominal_regret_sum))
 
@@ -438,7 +438,7 @@ class Run:
             raise UserError(f"{self.folder}: has no summary, by `record:` of its topology.yaml", code=Code.NOT_RECORDED)
         return self.tables["summary"]
 
-    def _summed(self, name: str, rows: int) -> Array:
+    def summed(self, name: str, rows: int) -> Array:
         """Return a column of the summary, (rows,)."""
         return spread(self._summary.column(name, 1)[:, 0].astype(np.float64), self._summary.steps(1), rows, np.nan)
 
