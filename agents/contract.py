@@ -21,7 +21,7 @@ from hedgerow.agents.local import Heard, Local, asks
 from hedgerow.topologies.archive import id_array
 from hedgerow.topologies.graph import Gain, Index
 from hedgerow.wire import crash
-from hedgerow.wire.codec import REPORT_ROWS
+from hedgerow.wire.message import REPORT_ROWS
 
 STEPS = 14
 NODES = 5

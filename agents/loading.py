@@ -109,7 +109,7 @@ def new_law(view: View) -> Law:
 
 def local_of(view: View, parameters: Mapping[str, Any]) -> Local:
     """Return the local knowledge of a view."""
-    known = np.concatenate([view.ids.astype(object), view.heard.astype(object)])
+    known = np.concatenate([view.ids.astype(object), view.outside.astype(object)])
     return Local(
         ids=view.ids,
         b=view.b,

@@ -34,10 +34,6 @@ from hedgerow.wire import keys
 from hedgerow.wire.access import MOST_PER_S
 from hedgerow.wire.child import run_child
 from hedgerow.wire.codec import (
-    REPORT_ROWS,
-    Kind,
-    MessageError,
-    State,
     decode_end,
     decode_record,
     decode_state,
@@ -47,6 +43,7 @@ from hedgerow.wire.codec import (
     kind_of,
 )
 from hedgerow.wire.credentials import Credentials
+from hedgerow.wire.message import REPORT_ROWS, Kind, MessageError, State
 from hedgerow.wire.runtime import LONG_BYTES, keep_memory, one_network_thread
 from hedgerow.wire.session import (
     CONNECT_TIMEOUT_S,
@@ -336,7 +333,7 @@ class Agent:
         self._answering = None
         out = []
         for peers, link in shard.send(state):
-            message = encode_link(link, shard.peers[peers[0]].says)
+            message = encode_link(link, shard.peers[peers[0]].sends)
             out += [(self._links[p], message) for p in peers]
         out.append((self._input, encode_input(state.t, u, shard.report, shard.took)))
         self._sent.append(out)

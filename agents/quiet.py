@@ -20,7 +20,8 @@ from hedgerow.agents.law import Array, Law, Minimax
 from hedgerow.agents.local import asks
 from hedgerow.agents.quiet_rule import Rule, Sample
 from hedgerow.agents.view import View
-from hedgerow.wire.codec import REPORT_ROWS, Form, Kind, Link, decode_link
+from hedgerow.wire.codec import Form, decode_link
+from hedgerow.wire.message import REPORT_ROWS, Kind, Link
 
 FEW_NODES = 4
 MOST_INCIDENCES = 24
@@ -52,9 +53,9 @@ class QuietLaw:
         columns = [column[~np.isnan(column)].tolist() for column in view.candidates.T]
         self._nodes = [_Node(*one) for one in zip(gains, columns, incidences, rules, strict=True)]
         self._law, self._height = law, len(law.memory)
-        self._hears = [peer.hear for peer in view.peers]
+        self._receives = [peer.receives for peer in view.peers]
         self._asks = asks(law.learn, "sample")
-        self._rows = [struct.Struct(f"<{peer.hear}d") for peer in view.peers]
+        self._rows = [struct.Struct(f"<{peer.receives}d") for peer in view.peers]
         self._J: list[list[float]] = []
         self.holds = False
         """True while the newest memory is here, and not in the law"""
@@ -161,8 +162,8 @@ class QuietLaw:
     def _states_of(self, links: Sequence[Link | bytes]) -> list[float]:
         """Return the peers' newest states in their messages."""
         states: list[float] = []
-        for numbers, link, hears in zip(self._rows, links, self._hears, strict=True):
-            rows = (decode_link(link, hears) if isinstance(link, bytes) else link).x
+        for numbers, link, count in zip(self._rows, links, self._receives, strict=True):
+            rows = (decode_link(link, count) if isinstance(link, bytes) else link).x
             states += numbers.unpack_from(rows, len(rows) - numbers.size)
         return states
 

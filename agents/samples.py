@@ -21,8 +21,8 @@ from hedgerow.agents.law import Array, Law
 from hedgerow.agents.local import Heard, asks
 from hedgerow.topologies.fast import kernels_for, unequal_kernels_for
 from hedgerow.topologies.graph import all_finite, starts
-from hedgerow.wire.codec import TAKEN, Flag, Flags, Mask, Record
 from hedgerow.wire.history import History
+from hedgerow.wire.message import TAKEN, Flag, Flags, Mask, Record
 
 Index = NDArray[np.int64]
 
@@ -75,8 +75,8 @@ class Samples:
         """the marks by step, while a sample is incomplete; all are valid for all nodes, except possibly the first mark,
         at the oldest row, which may cover only returned nodes
         """
-        self._read: Array | None = None
-        """the readings x(t + 1) of the last sample taken, None if one is missing"""
+        self._read_at = -1
+        """the step t + 1 of the last sample taken, -1 if a reading of that step is missing"""
 
     @property
     def complete(self) -> bool:
@@ -94,8 +94,8 @@ class Samples:
             self._learn(x, flow, x_next, self._heard(t, self._everybody, states, u, self._all))
             return
         self._history.append(x, u, self._all)
-        before, self._read = self._read, x_next if all_finite(x_next) else None
-        if before is x and self._read is x_next:
+        known, self._read_at = self._read_at == t, t + 1 if all_finite(x_next) else -1
+        if known and self._read_at > 0:  # both states are complete, and were checked once each
             self._law.learn(x, flow, x_next)
         else:
             self._learn(x, flow, x_next)
@@ -103,7 +103,7 @@ class Samples:
     def append_learned(self, x: Sequence[float], u: Sequence[float]) -> None:
         """Store the row of a step with a sample that is complete and learned: x (k,) and u (width,)."""
         self._history.append(x, u, self._all)
-        self._read = None
+        self._read_at = -1
 
     def take_late(
         self,
@@ -149,6 +149,7 @@ class Samples:
 
     def restore(self, record: Record, anew: bool) -> None:
         """Write the record of nodes that come back into the history; `anew` if the shard has no other history."""
+        self._read_at = -1
         if not self._most:
             return
         first, last = record.first, record.t - 1

@@ -22,21 +22,8 @@ from hedgerow.agents.samples import LateRows, Samples
 from hedgerow.agents.view import View
 from hedgerow.topologies.graph import all_finite
 from hedgerow.wire import crash
-from hedgerow.wire.codec import (
-    ALL_UP,
-    LATE,
-    MOST_LATE,
-    REPORT_ROWS,
-    TAKEN,
-    Flag,
-    Link,
-    Mask,
-    Record,
-    State,
-    decode_link,
-    gather,
-    link_step,
-)
+from hedgerow.wire.codec import decode_link, gather, link_step
+from hedgerow.wire.message import ALL_UP, LATE, MOST_LATE, REPORT_ROWS, TAKEN, Flag, Link, Mask, Record, State
 
 Index = NDArray[np.int64]
 
@@ -52,9 +39,9 @@ class Peer:
 
     nodes: Index | None
     """indices of our nodes in a link message to it; None for all nodes in order"""
-    says: int
+    sends: int
     """number of these nodes"""
-    hears: int
+    receives: int
     """number of its nodes in a message to us"""
     start: int
     """the place of its first input in our own inputs followed by the peers' inputs"""
@@ -66,7 +53,7 @@ class Peer:
     def take(self, t: int) -> Link | None:
         """Return the link message of step t and drop it; None if it has not arrived."""
         link = self.mail.pop(t, None)
-        return decode_link(link, self.hears) if isinstance(link, bytes) else link
+        return decode_link(link, self.receives) if isinstance(link, bytes) else link
 
 
 class Shard:
@@ -87,14 +74,14 @@ class Shard:
         self._row = view.row
         ends: Index = np.stack([view.row, view.column])
         """Per incidence: the indices of its two ends in our own inputs followed by the peers' inputs, (2, m)."""
-        stops = [self.k, *(self.k + np.cumsum([peer.hear for peer in view.peers], dtype=np.int64)).tolist()]
+        stops = [self.k, *(self.k + np.cumsum([peer.receives for peer in view.peers], dtype=np.int64)).tolist()]
         outside = np.flatnonzero(view.column >= self.k)
         peer_of = np.searchsorted(stops, view.column[outside], side="right") - 1
         self.peers = [
             Peer(
-                nodes=None if np.array_equal(peer.say, np.arange(self.k)) else peer.say,
-                says=len(peer.say),
-                hears=peer.hear,
+                nodes=None if np.array_equal(peer.sends, np.arange(self.k)) else peer.sends,
+                sends=len(peer.sends),
+                receives=peer.receives,
                 start=stops[p],
                 incidences=outside[peer_of == p].tolist(),
             )
@@ -143,7 +130,7 @@ class Shard:
     def hear_message(self, peer: int, message: bytes) -> None:
         """Keep the bytes of a link message, as `receive` does; raise MessageError if they are malformed."""
         own = self.peers[peer]
-        self._keep(own.mail, link_step(message, own.hears), message)
+        self._keep(own.mail, link_step(message, own.receives), message)
 
     def _keep(self, mail: dict[int, Link | bytes], t: int, link: Link | bytes) -> None:
         if t >= self.t:
@@ -283,7 +270,7 @@ class Shard:
             self.took = b""
             # The last row of each message is its newest; here it should be the only one.
             last_rows = [
-                link.u[-8 * peer.hears :] for link, peer in zip(links, self.peers, strict=True) if link is not None
+                link.u[-8 * peer.receives :] for link, peer in zip(links, self.peers, strict=True) if link is not None
             ]
             inputs = gather([self._u, *last_rows]) if links else self._u
             states = self._states(links)
@@ -296,7 +283,7 @@ class Shard:
             return
         # The newest row of a link message is that of t - 1, unless the link is late.
         last_rows = [
-            _SILENCE * peer.hears if link is None else link.u[-8 * peer.hears :]
+            _SILENCE * peer.receives if link is None else link.u[-8 * peer.receives :]
             for link, peer in zip(links, self.peers, strict=True)
         ]
         took = bytearray((state.flags or self._up).translate(_TAKEN_OF))
@@ -322,7 +309,7 @@ class Shard:
         if not (self._asks or self._samples.asks):
             return None
         rows = [
-            _SILENCE * peer.hears if link is None else link.x[-8 * peer.hears :]
+            _SILENCE * peer.receives if link is None else link.x[-8 * peer.receives :]
             for link, peer in zip(links, self.peers, strict=True)
         ]
         return gather([self._x, *rows])
@@ -355,7 +342,7 @@ class Shard:
             return LateRows(c, start, stop)
         start, place = max(start, link.first), self._view.column[c] - peer.start
         inputs, states = (
-            gather([rows]).reshape(-1, peer.hears)[start - link.first : stop - link.first, place]
+            gather([rows]).reshape(-1, peer.receives)[start - link.first : stop - link.first, place]
             for rows in (link.u, link.x)
         )
         return LateRows(c, start, start + len(inputs), inputs, states)

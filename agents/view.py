@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hedgerow.topologies import archive
+from hedgerow.topologies.document import Form, Lists, NodeIds, Numbers, Ragged, Rows, Setting, ragged
 from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.json_file import read_json
 
@@ -26,9 +27,9 @@ class Peer:
     """Another shard that contains neighbours of our nodes."""
 
     shard: int
-    say: Index
+    sends: Index
     """indices of our nodes in a message to it, in message order"""
-    hear: int
+    receives: int
     """number of its nodes in a message to us"""
 
 
@@ -52,9 +53,9 @@ class View:
     row: Index
     """per incidence: the node that it is seen from, (m,)"""
     column: Index
-    """per incidence: the index of the neighbour in our own nodes followed by `heard`, (m,)"""
+    """per incidence: the index of the neighbour in our own nodes followed by `outside`, (m,)"""
     peers: Sequence[Peer]
-    heard: Ids
+    outside: Ids
     """ids of the neighbours in other shards, peer by peer"""
     history: int
     """number of past steps kept for back-filling; with 0, missed samples are never learned"""
@@ -74,50 +75,22 @@ class View:
         """Write the view as the file that `read` reads: JSON if the name ends with .json, else .npz."""
         if path.suffix == ".json":
             path.write_text(self.to_json(), encoding="utf-8")
-            return
-        settings: dict[str, Any] = {
-            "shard": self.shard,
-            "law": self.law,
-            "history": self.history,
-            "seed": self.seed,
-            "law_source": self.law_source,
-        }
-        peers = [(peer.shard, len(peer.say), peer.hear) for peer in self.peers]
-        say = [peer.say for peer in self.peers]
-        arrays = {
-            "ids": self.ids,
-            "candidates": self.candidates,
-            "row": self.row,
-            "column": self.column,
-            "peers": np.array(peers, dtype=np.int64).reshape(-1, 3),
-            "say": np.concatenate(say) if say else np.empty(0, dtype=np.int64),
-            "heard": self.heard,
-        }
-        if isinstance(self.b, float):
-            settings["b"] = self.b
         else:
-            arrays["b"] = self.b
-        if self.weights is not None:
-            arrays["weights"] = self.weights
-        archive.write(path, settings, arrays)
+            _FORM.save(path, self._document(np.arange(self.k + len(self.outside))))
 
     @classmethod
     def read(cls, path: Path) -> View:
         """Return the view stored in a file."""
-        if path.suffix == ".json":
-            told = read_json(path)
-            try:
-                return cls.from_dict(told)
-            except (KeyError, TypeError, ValueError, AttributeError) as error:
-                raise UserError(
-                    f"{path}: is not a local view: {type(error).__name__}. Start the run again.", code=Code.FILE_FORMAT
-                ) from None
-        settings, arrays = archive.read(path)
-        with archive.reading(path):
-            shards, says, hears = arrays.pop("peers").T
-            say = np.split(arrays.pop("say"), np.cumsum(says)[:-1])
-            peers = [Peer(int(q), own, int(n)) for q, own, n in zip(shards, say, hears, strict=False)]
-            return cls(**settings, **arrays, peers=peers)
+        if path.suffix != ".json":
+            with archive.reading(path):
+                return cls._of(_FORM.load(path), in_words=False)
+        written = read_json(path)
+        try:
+            return cls.from_dict(written)
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise UserError(
+                f"{path}: is not a local view: {type(error).__name__}. Start the run again.", code=Code.FILE_FORMAT
+            ) from None
 
     def to_json(self) -> str:
         """Return `to_dict` as JSON text."""
@@ -125,68 +98,88 @@ class View:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the view as a dictionary; every node has its candidates and the ids of its neighbours."""
-        own, heard = self.ids.tolist(), self.heard.tolist()
-        known = own + heard
-        neighbours: list[list[Any]] = [[] for _ in own]
-        for i, j in zip(self.row.tolist(), self.column.tolist(), strict=True):
-            neighbours[i].append(known[j])
-        nodes: list[dict[str, Any]] = [
-            {"id": node, "candidates": column[~np.isnan(column)].tolist(), "neighbours": beside}
-            for node, column, beside in zip(own, self.candidates.T, neighbours, strict=True)
-        ]
-        if self.weights is not None:
-            for i, node in enumerate(nodes):
-                node["weights"] = self.weights[self.row == i].tolist()
-        ends = np.cumsum([peer.hear for peer in self.peers], dtype=np.int64)
-        peers = [
-            {"shard": peer.shard, "say": [own[i] for i in peer.say.tolist()], "hear": heard[end - peer.hear : end]}
-            for peer, end in zip(self.peers, ends.tolist(), strict=True)
-        ]
-        b = self.b if isinstance(self.b, float) else self.b.tolist()
-        told = {"shard": self.shard, "b": b, "law": self.law, "nodes": nodes, "peers": peers}
-        more = {"seed": self.seed, "law_source": self.law_source}
-        return {**told, "history": self.history, **{key: value for key, value in more.items() if value}}
+        return _FORM.plain(self._document(np.concatenate([self.ids, self.outside])))
 
     @classmethod
-    def from_dict(cls, told: Mapping[str, Any]) -> View:
+    def from_dict(cls, written: Mapping[str, Any]) -> View:
         """Return the view from a dictionary of `to_dict`.
 
         KeyError, TypeError or ValueError if the dictionary is malformed.
         """
-        nodes = told["nodes"]
-        own, heard = [node["id"] for node in nodes], [j for peer in told["peers"] for j in peer["hear"]]
-        place = {node: k for k, node in enumerate(own + heard)}
-        lists = [np.array(node["candidates"], dtype=np.float64) for node in nodes]
-        candidates = np.full((max(map(len, lists)), len(own)), np.nan)
-        for column, listed in zip(candidates.T, lists, strict=True):
-            column[: len(listed)] = listed
-        incidences = [(i, place[j]) for i, node in enumerate(nodes) for j in node["neighbours"]]
-        row, column = np.array(incidences, dtype=np.int64).reshape(-1, 2).T.copy()
-        weights = None
-        if any("weights" in node for node in nodes):
-            listed_weights = [weight for node in nodes for weight in node["weights"]]
-            weights = np.array(listed_weights, dtype=np.float64)
-            if len(weights) != len(row):
-                raise ValueError("the weights are not one per neighbour")
-        b = np.array(told["b"], dtype=np.float64) if isinstance(told["b"], list) else told["b"]
-        if isinstance(b, np.ndarray) and b.shape != (len(own),):
+        return cls._of(_FORM.read(written), in_words=True)
+
+    def _document(self, names: Ids) -> dict[str, Any]:
+        """Return the view as a document; `names` stand for our own nodes followed by `outside`."""
+        degrees, listed = np.bincount(self.row, minlength=self.k), ~np.isnan(self.candidates.T)
+        sends, receives = ragged([peer.sends for peer in self.peers]), [peer.receives for peer in self.peers]
+        return {
+            "shard": self.shard,
+            "b": self.b,
+            "law": self.law,
+            "nodes": {
+                "id": self.ids,
+                "candidates": Ragged(self.candidates.T[listed], listed.sum(axis=1)),
+                "neighbours": Ragged(names[self.column], degrees),
+                "weights": None if self.weights is None else Ragged(self.weights, degrees),
+            },
+            "peers": {
+                "shard": np.array([peer.shard for peer in self.peers], dtype=np.int64),
+                "sends": Ragged(names[sends.values], sends.sizes),
+                "receives": Ragged(self.outside, np.array(receives, dtype=np.int64)),
+            },
+            "history": self.history,
+            "seed": self.seed or None,
+            "law_source": self.law_source or None,
+        }
+
+    @classmethod
+    def _of(cls, document: Mapping[str, Any], in_words: bool) -> View:
+        """Return the view from its document, with node ids in place of positions if `in_words`."""
+        nodes, peers = document["nodes"], document["peers"]
+        ids, candidates, neighbours = nodes["id"], nodes["candidates"], nodes["neighbours"]
+        weights, sends, receives = nodes.get("weights"), peers["sends"], peers["receives"]
+        if weights is not None and not np.array_equal(weights.sizes, neighbours.sizes):
+            raise ValueError("the weights are not one per neighbour")
+        b = document["b"]
+        if isinstance(b, np.ndarray) and b.shape != ids.shape:
             raise ValueError("the gains are not one per node")
-        peers = [
-            Peer(peer["shard"], np.array([place[i] for i in peer["say"]], dtype=np.int64), len(peer["hear"]))
-            for peer in told["peers"]
-        ]
+        if in_words:
+            place = {node: k for k, node in enumerate([*ids.tolist(), *receives.values.tolist()])}
+            neighbours, sends = (
+                one._replace(values=np.array([place[node] for node in one.values.tolist()], dtype=np.int64))
+                for one in (neighbours, sends)
+            )
+        padded = np.full((candidates.sizes.max(), len(ids)), np.nan)
+        padded.T[np.arange(len(padded)) < candidates.sizes[:, None]] = candidates.values
         return cls(
-            shard=told["shard"],
+            shard=document["shard"],
             b=b,
-            law=told["law"],
-            ids=archive.id_array(own),
-            candidates=candidates,
-            row=row,
-            column=column,
-            weights=weights,
-            peers=peers,
-            heard=archive.id_array(heard),
-            history=told["history"],
-            seed=told.get("seed", 0),
-            law_source=told.get("law_source", ""),
+            law=document["law"],
+            ids=ids,
+            candidates=padded,
+            row=np.repeat(np.arange(len(ids)), neighbours.sizes),
+            column=neighbours.values,
+            weights=None if weights is None else weights.values,
+            peers=[
+                Peer(*one) for one in zip(peers["shard"].tolist(), sends.lists(), receives.sizes.tolist(), strict=True)
+            ],
+            outside=receives.values,
+            history=document["history"],
+            seed=document.get("seed", 0),
+            law_source=document.get("law_source", ""),
         )
+
+
+_IDS = Lists(NodeIds())
+_FORM = Form(
+    shard=Setting(),
+    b=Numbers(np.float64),
+    law=Setting(),
+    nodes=Rows(
+        id=NodeIds(), candidates=Lists(Numbers(np.float64)), neighbours=_IDS, weights=Lists(Numbers(np.float64))
+    ),
+    peers=Rows(shard=Numbers(np.int64), sends=_IDS, receives=_IDS),
+    history=Setting(),
+    seed=Setting(),
+    law_source=Setting(),
+)

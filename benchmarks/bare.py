@@ -18,7 +18,7 @@ import time
 from pathlib import Path
 
 from hedgerow.wire import keys
-from hedgerow.wire.codec import REPORT_ROWS
+from hedgerow.wire.message import REPORT_ROWS
 from hedgerow.wire.runtime import one_network_thread, runtime_environment, share_the_cores
 from hedgerow.wire.session import open_client, open_router, publisher, subscriber, wait_for_listeners
 

@@ -29,7 +29,7 @@ from hedgerow.orchestrator.runs.reference import run as run_in_process
 from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import resolve
 from hedgerow.topologies.schema import Topology
-from hedgerow.wire.codec import End, Telemetry
+from hedgerow.wire.message import End, Telemetry
 
 SHORT, BATCH = 2048, 256
 MARKS = (0.1, 0.5, 1.0)

@@ -30,7 +30,7 @@ from hedgerow.plant.truth import Truth
 from hedgerow.topologies.fast import LARGE, kernels_for
 from hedgerow.topologies.graph import Array, Graph
 from hedgerow.topologies.network import Group
-from hedgerow.wire.codec import Telemetry
+from hedgerow.wire.message import Telemetry
 
 B = 0.1
 CANDIDATES = 3
@@ -86,7 +86,7 @@ def ring(n: int, steps: int) -> Ring:
         row=graph.node,
         column=graph.neighbour,
         peers=[],
-        heard=np.empty(0, dtype=np.int64),
+        outside=np.empty(0, dtype=np.int64),
         history=history,
     )
     return Ring(truth, view, graph)

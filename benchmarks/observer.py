@@ -26,7 +26,7 @@ from hedgerow.orchestrator.runs.writer import Recorder
 from hedgerow.orchestrator.views.rerun.stream import RerunStream
 from hedgerow.topologies.load import parse
 from hedgerow.topologies.resolve import resolve
-from hedgerow.wire.codec import Telemetry
+from hedgerow.wire.message import Telemetry
 
 PARTS = ("loop", "twins", "certificate", "other metrics and checks", "tables", "run.rrd")
 

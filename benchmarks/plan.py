@@ -30,7 +30,8 @@ from hedgerow.topologies.load import load
 from hedgerow.topologies.partition import partition
 from hedgerow.topologies.resolve import resolve
 from hedgerow.topologies.schema import Topology
-from hedgerow.wire.codec import REPORT_ROWS, encode_input, encode_state, telemetry_bytes
+from hedgerow.wire.codec import encode_input, encode_state, telemetry_bytes
+from hedgerow.wire.message import REPORT_ROWS
 
 GRAPHS = {"grid": 0.5, "random_regular": 1.0}
 """By graph: the exponent of a part's size in the size of its border."""

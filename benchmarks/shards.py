@@ -38,7 +38,8 @@ from hedgerow.topologies.partition import by_orders, cut, partition
 from hedgerow.topologies.resolve import resolve
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire import keys
-from hedgerow.wire.codec import Kind, Telemetry, decode_end, encode_seen, kind_of, telemetry_bytes
+from hedgerow.wire.codec import decode_end, encode_seen, kind_of, telemetry_bytes
+from hedgerow.wire.message import Kind, Telemetry
 from hedgerow.wire.runtime import LONG_BYTES, keep_memory, runtime_environment
 from hedgerow.wire.session import WireError, close, open_client, publisher, subscriber
 from hedgerow.wire.shared_rows import SharedRows, create
@@ -96,7 +97,11 @@ def shards(truth: Truth, views: Sequence[View], folder: Path, share: bool = True
     n, e = len(truth.ids), len(truth.edges)
     size = telemetry_bytes(n, e)
     shared, path = create(size, rows_ahead(n, e)) if share and size > LONG_BYTES else (None, "")
-    commands = [["plant", str(folder / "plant.npz"), "--listen", endpoint, *(["--shared", path] if path else [])]]
+    # On a busy machine, an agent may take longer than the plant waits by default: then every step is wrong.
+    waits = ["--deadline", str(DEADLINE_S)]
+    commands = [
+        ["plant", str(folder / "plant.npz"), "--listen", endpoint, *waits, *(["--shared", path] if path else [])]
+    ]
     for view in views:
         view.write(folder / f"{view.shard}.npz")
         commands.append(["agents", str(folder / f"{view.shard}.npz"), "--connect", endpoint])
@@ -233,11 +238,13 @@ def _in_turns(
 ) -> dict[str, float]:
     """Return the medians of the ratios of two networks of shards, the second to the first, within a round."""
     runs = []
-    for _ in range(rounds):
-        old, new = (
-            shards(truth_of(*case), views_of(*case), folder, share)
-            for case, share in zip((before, after), shared, strict=True)
-        )
+    for number in range(rounds):
+        turns = [*zip((before, after), shared, strict=True)]
+        if number % 2:
+            turns.reverse()
+        old, new = (shards(truth_of(*case), views_of(*case), folder, share) for case, share in turns)
+        if number % 2:
+            old, new = new, old
         if before[0] is after[0] and old.x.tobytes() != new.x.tobytes():
             raise SystemExit("the trajectories differ")
         runs.append((old, new))

@@ -40,7 +40,7 @@ from hedgerow.orchestrator.ground.assignment import truth_of, views_of
 from hedgerow.orchestrator.runs import reference as in_process
 from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import resolve
-from hedgerow.wire.codec import Telemetry
+from hedgerow.wire.message import Telemetry
 from hedgerow.wire.runtime import runtime_environment
 
 HERE = Path(__file__).parent

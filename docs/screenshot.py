@@ -22,7 +22,7 @@ from hedgerow.orchestrator.views.rerun.stream import RerunStream
 from hedgerow.orchestrator.views.rerun.viewer import native
 from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import resolve
-from hedgerow.wire.codec import End, Telemetry
+from hedgerow.wire.message import End, Telemetry
 
 STEPS = 60
 IMAGES = Path(__file__).parent / "images"

@@ -249,6 +249,12 @@ def from_networkx(graph: nx.Graph[Any], **options: Any) -> Network:
     options: those of `orchestrator import`, such as `weight="capacity"`, `b=0.1`, `largest_component=True`; and keys of
     a topology file, such as `law="hinf"`. Raise UserError if the graph cannot be imported.
     """
+    if not hasattr(graph, "nodes") or not hasattr(graph, "is_directed"):
+        raise UserError(
+            f"the graph: is a {type(graph).__name__}, no graph of networkx. Use hg.from_edges for pairs, and "
+            "hg.from_adjacency for a matrix.",
+            code=Code.FILE_FORMAT,
+        )
     own, keys = _split(options)
     own.setdefault("name", str(graph.name) or "graph")
     chosen = Options(**own)
@@ -264,7 +270,11 @@ def from_adjacency(matrix: Any, names: Sequence[Hashable] | None = None, **optio
     own.setdefault("name", "adjacency")
     chosen = Options(**own)
     if names is None and hasattr(matrix, "columns") and hasattr(matrix, "to_numpy"):
-        names, matrix = list(matrix.columns), matrix.to_numpy()
+        names = list(matrix.columns)
+        rows = list(matrix.index) if hasattr(matrix, "loc") else []
+        if len({*names}) == len(names) == len(rows) and {*rows} == {*names}:
+            matrix = matrix.loc[names]  # its rows may have another order
+        matrix = matrix.to_numpy()
     return _made(imported(of_matrix(matrix, chosen, "the matrix", names), chosen), keys)
 
 

@@ -30,8 +30,8 @@ from hedgerow.plant.request import Request
 from hedgerow.topologies.effects import FOREVER, Effect
 from hedgerow.topologies.errors import Code, UserError
 from hedgerow.wire import keys
-from hedgerow.wire.codec import MessageError
 from hedgerow.wire.handshake import introduction, mismatch
+from hedgerow.wire.message import MessageError
 from hedgerow.wire.session import direct
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hedgerow.topologies import lots
-from hedgerow.topologies.effects import Effect
+from hedgerow.topologies.effects import EDGES, INCIDENCES, NODES, Effect
 from hedgerow.topologies.graph import Graph, Index, Mask
 
 BLOCK = 64
@@ -38,30 +38,30 @@ class Lots:
             if not _drawn(effect):
                 continue
             targets = np.array(effect.targets, dtype=np.int64)
-            words = self._words(effect.kind, targets)
+            words = self._words(effect.of, targets)
             turns = np.array([self._turns[effect.kind, target] for target in effect.targets], dtype=np.int64)
             keys = np.empty(len(targets), dtype=np.uint64)
             for turn in np.unique(turns).tolist():
                 here = turns == turn
-                keys[here] = lots.keys(self._seeds(effect.kind, targets[here]), f"{effect.kind}.{turn}", words[here])
+                keys[here] = lots.keys(self._seeds(effect.of, targets[here]), f"{effect.kind}.{turn}", words[here])
             self._turns.update((effect.kind, target) for target in effect.targets)
             self._keys[_name(effect)] = keys
 
-    def _words(self, kind: str, targets: Index) -> lots.Words:
+    def _words(self, of: str, targets: Index) -> lots.Words:
         graph = self._graph
-        if kind in ("drop", "delay"):  # the direction is from the sending neighbour to the node
+        if of == INCIDENCES:  # the direction is from the sending neighbour to the node
             ends = graph.neighbour[targets], graph.node[targets]
             return lots.pairs_of(*(self._nodes(end) for end in ends))
-        if kind == "cut":
+        if of == EDGES:
             return lots.edges_of(*(self._nodes(end) for end in graph.edges[targets].T))
         return self._nodes(targets)
 
-    def _seeds(self, kind: str, targets: Index) -> int | lots.Words:
+    def _seeds(self, of: str, targets: Index) -> int | lots.Words:
         """Return the seed of each target; both ends of an edge have the same."""
         if isinstance(self._seed, int):
             return self._seed
-        ends = {"drop": self._graph.node, "delay": self._graph.node, "cut": self._graph.edges[:, 0]}
-        return self._seed[ends[kind][targets] if kind in ends else targets]
+        ends = {INCIDENCES: self._graph.node, EDGES: self._graph.edges[:, 0]}
+        return self._seed[ends[of][targets] if of in ends else targets]
 
     def _nodes(self, nodes: Index) -> lots.Words:
         if isinstance(self._ids, np.ndarray):
@@ -104,7 +104,11 @@ class ActiveFaults:
     """nodes without an input, (n,)"""
 
 
-NOTHING = ActiveFaults()
+def sizes(graph: Graph) -> dict[str, int]:
+    """Return the numbers of possible targets, by their meaning."""
+    return {INCIDENCES: len(graph.node), EDGES: len(graph.edges), NODES: graph.n}
+
+
 _FIELD = {"drop": "lost", "cut": "cut", "sensor": "blind", "actuator": "mute"}
 
 
@@ -115,7 +119,7 @@ class Faults:
         self, effects: Iterable[Effect], graph: Graph, ids: Sequence[int | str] | NDArray[Any], seed: int | lots.Words
     ) -> None:
         self._graph, self._chance = graph, Lots(graph, ids, seed)
-        self._sizes = {"lost": len(graph.node), "cut": len(graph.edges), "blind": graph.n, "mute": graph.n}
+        self._sizes = sizes(graph)
         self.effects = list(effects)
         self._chance.take(self.effects)
         self._changed()
@@ -151,10 +155,10 @@ class Faults:
         """Return True if no effect is active at step t."""
         return not self._look(t)
 
-    def at(self, t: int) -> ActiveFaults:
-        """Return the faults active at step t, except crashes and jumps."""
+    def at(self, t: int) -> ActiveFaults | None:
+        """Return the faults active at step t, except crashes and jumps; None if there are none."""
         if not self._look(t):
-            return NOTHING
+            return None
         found: dict[str, Mask] = {}
         late: Index | None = None
         for effect in self._active:
@@ -165,9 +169,9 @@ class Faults:
                 late[struck] = np.maximum(late[struck], effect.by)
             elif (field := _FIELD.get(effect.kind)) is not None and len(struck := self._struck(effect, t)):
                 if field not in found:
-                    found[field] = np.zeros(self._sizes[field], dtype=bool)
+                    found[field] = np.zeros(self._sizes[effect.of], dtype=bool)
                 found[field][struck] = True
-        return ActiveFaults(late=late, **found) if found or late is not None else NOTHING
+        return ActiveFaults(late=late, **found) if found or late is not None else None
 
     def _struck(self, effect: Effect, t: int) -> Index:
         if effect.table is not None:

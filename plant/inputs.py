@@ -11,7 +11,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from hedgerow.topologies.graph import Array, Index
-from hedgerow.wire.codec import HEADER_BYTES, REPORT_ROWS, Buffer, Input, Kind, decode_input, gather, header
+from hedgerow.wire.codec import HEADER_BYTES, decode_input, gather, header
+from hedgerow.wire.message import REPORT_ROWS, Buffer, Input, Kind
 
 TOGETHER = 4096
 """nodes up to which messages are joined whole; the copies of larger ones would delay the next states"""

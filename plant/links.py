@@ -58,10 +58,11 @@ class Links:
         back = np.where(some, np.maximum(t - late - kept, 0), 0)
         return Deliveries(some, np.where(some, late, 0), back)
 
-    def commit(self, t: int, deliveries: Deliveries) -> None:
-        """Record the deliveries as done."""
-        if not self._history or (deliveries is self.whole and self.complete):
+    def commit(self, t: int, deliveries: Deliveries | None) -> None:
+        """Record the deliveries as done; None if every link delivers the row of the step alone."""
+        if not self._history or (deliveries is None and self.complete):
             return
+        deliveries = deliveries or self.whole
         first = np.where(self._lacks < 0, t, self._lacks)
         self.forgotten += int(np.maximum(t - self._history + 1 - first, 0)[deliveries.some].sum())
         after = np.where(deliveries.some, t + 1 - deliveries.late, first)

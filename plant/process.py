@@ -33,9 +33,6 @@ from hedgerow.topologies.paths import user_path
 from hedgerow.wire import keys
 from hedgerow.wire.child import run_child
 from hedgerow.wire.codec import (
-    Buffer,
-    End,
-    Kind,
     decode_event,
     decode_input,
     decode_seen,
@@ -46,6 +43,7 @@ from hedgerow.wire.codec import (
     kind_of,
     telemetry_bytes,
 )
+from hedgerow.wire.message import Buffer, End, Kind
 from hedgerow.wire.runtime import LONG_BYTES, keep_memory
 from hedgerow.wire.session import (
     Receiver,

@@ -9,7 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from hedgerow.topologies.effects import FOREVER, Effect
+from hedgerow.plant.faults import sizes
+from hedgerow.topologies.effects import FOREVER, TARGETS, Effect
 from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.graph import Graph
 from hedgerow.wire import bounded_json
@@ -76,16 +77,15 @@ def effects(request: Request, graph: Graph, fault: int) -> list[Effect]:
 
 
 def _effect(one: Request, graph: Graph, fault: int) -> Effect:
-    n, e = graph.n, len(graph.edges)
-    among = {"drop": 2 * e, "delay": 2 * e, "cut": e, "sensor": n, "actuator": n, "crash": n, "jump": n}
     kind = one.get("kind")
-    if not isinstance(kind, str) or kind not in among:
-        raise UserError(f"kind: {shortened(kind)} is none of {', '.join(among)}", code=Code.FAULT)
-    targets, table = _targets("targets", one.get("targets"), among[kind]), None
+    if not isinstance(kind, str) or kind not in TARGETS:
+        raise UserError(f"kind: {shortened(kind)} is none of {', '.join(TARGETS)}", code=Code.FAULT)
+    size = sizes(graph)[TARGETS[kind]]
+    targets, table = _targets("targets", one.get("targets"), size), None
     if kind == "jump" and len(targets) != 1:
         raise UserError(f"targets: a jump is of one node, and not of {len(targets)}", code=Code.FAULT)
     if one.get("table") is not None:
-        table = _table(one["table"], among[kind])
+        table = _table(one["table"], size)
     return Effect(
         fault,
         kind,

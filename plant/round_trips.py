@@ -11,7 +11,7 @@ from array import array
 
 import numpy as np
 
-from hedgerow.wire.codec import Trips
+from hedgerow.wire.message import Trips
 
 TELL_EVERY_S = 0.5
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hedgerow.topologies import archive
+from hedgerow.topologies.document import Form, Lists, Named, NodeIds, Numbers, Parts, Setting, ragged
 from hedgerow.topologies.graph import Array, Gain, Index
 from hedgerow.topologies.network import Group
 
@@ -42,88 +43,51 @@ class Truth:
 
     def write(self, path: Path) -> None:
         """Write the truth as the .npz file that `read` reads."""
-        settings = {name: getattr(self, name) for name in ("steps", "seed", "effects", "faults", "history")}
-        arrays = {
-            "ids": self.ids,
-            "a": self.a,
-            "x0": self.x0,
-            "edges": self.edges,
-            "nodes": np.concatenate(self.shards),
-            "sizes": np.array([len(nodes) for nodes in self.shards]),
-        }
-        if isinstance(self.b, float):
-            settings["b"] = self.b
-        else:
-            arrays["b"] = self.b
-        if self.weights is not None:
-            arrays["weights"] = self.weights
-        for g, group in enumerate(self.disturbance):
-            arrays[f"w{g}"] = group.nodes
-            arrays |= {f"w{g} {key}": value for key, value in group.values.items()}
-        groups = [(group.number, group.kind, list(group.values)) for group in self.disturbance]
-        archive.write(path, settings | {"groups": groups}, arrays)
+        _FORM.save(path, self._document())
 
     @classmethod
     def read(cls, path: Path) -> Truth:
         """Return the truth in a file."""
-        settings, arrays = archive.read(path)
         with archive.reading(path):
-            groups = [
-                Group(number, kind, arrays.pop(f"w{g}"), {key: arrays.pop(f"w{g} {key}") for key in keys})
-                for g, (number, kind, keys) in enumerate(settings.pop("groups"))
-            ]
-            shards = np.split(arrays.pop("nodes"), np.cumsum(arrays.pop("sizes"))[:-1])
-            return cls(**settings, **arrays, disturbance=groups, shards=shards)
+            return cls._of(_FORM.load(path))
 
     def to_dict(self) -> dict[str, Any]:
         """Return the truth as a dictionary for JSON and TOML."""
-        disturbance = [
-            {"number": group.number, "kind": group.kind, "nodes": group.nodes.tolist()}
-            | {"values": {key: value.tolist() for key, value in group.values.items()}}
-            for group in self.disturbance
-        ]
-        return {
-            "b": self.b if isinstance(self.b, float) else self.b.tolist(),
-            "steps": self.steps,
-            "seed": self.seed,
-            "history": self.history,
-            "faults": self.faults,
-            "ids": self.ids.tolist(),
-            "a": self.a.tolist(),
-            "x0": self.x0.tolist(),
-            "edges": self.edges.tolist(),
-            **({} if self.weights is None else {"weights": self.weights.tolist()}),
-            "shards": [nodes.tolist() for nodes in self.shards],
-            "disturbance": disturbance,
-            "effects": list(self.effects),
-        }
+        return _FORM.plain(self._document())
 
     @classmethod
-    def from_dict(cls, told: Mapping[str, Any]) -> Truth:
+    def from_dict(cls, written: Mapping[str, Any]) -> Truth:
         """Return the truth from a dictionary of `to_dict`; raise KeyError, TypeError or ValueError if it is
         malformed.
         """
-        disturbance = [
-            Group(
-                group["number"],
-                group["kind"],
-                np.array(group["nodes"], dtype=np.int64),
-                {key: np.array(value) for key, value in group["values"].items()},
-            )
-            for group in told["disturbance"]
-        ]
-        return cls(
-            ids=archive.id_array(told["ids"]),
-            b=np.array(told["b"], dtype=np.float64) if isinstance(told["b"], list) else told["b"],
-            a=np.array(told["a"], dtype=np.float64),
-            x0=np.array(told["x0"], dtype=np.float64),
-            edges=np.array(told["edges"], dtype=np.int64).reshape(-1, 2),
-            weights=np.array(told["weights"], dtype=np.float64) if "weights" in told else None,
-            disturbance=disturbance,
-            steps=told["steps"],
-            seed=told["seed"],
-            shards=[np.array(nodes, dtype=np.int64) for nodes in told["shards"]],
-            effects=[{"table": None, **effect} for effect in told["effects"]],
-            faults=told["faults"],
-            history=told["history"],
-        )
+        return cls._of(_FORM.read(written))
+
+    def _document(self) -> dict[str, Any]:
+        disturbance = [vars(group) for group in self.disturbance]
+        return {**vars(self), "disturbance": disturbance, "shards": ragged(self.shards)}
+
+    @classmethod
+    def _of(cls, document: Mapping[str, Any]) -> Truth:
+        disturbance = [Group(**group) for group in document["disturbance"]]
+        # TOML has no null: an effect without a table leaves it out.
+        effects = [{"table": None, **effect} for effect in document["effects"]]
+        changed = {"disturbance": disturbance, "shards": document["shards"].lists(), "effects": effects}
+        return cls(**{**document, **changed})
+
+
+_FLOATS, _INDEX = Numbers(np.float64), Numbers(np.int64)
+_FORM = Form(
+    b=_FLOATS,
+    steps=Setting(),
+    seed=Numbers(np.uint64),
+    history=Setting(),
+    faults=Setting(),
+    ids=NodeIds(),
+    a=_FLOATS,
+    x0=_FLOATS,
+    edges=Numbers(np.int64, -1, 2),
+    weights=_FLOATS,
+    shards=Lists(_INDEX),
+    disturbance=Parts(Form(number=Setting(), kind=Setting(), nodes=_INDEX, values=Named())),
+    effects=Setting(),
+)

@@ -16,14 +16,15 @@ from typing import NamedTuple
 import numpy as np
 
 from hedgerow.plant.disturbance import Disturbance
-from hedgerow.plant.faults import NOTHING, Faults
+from hedgerow.plant.faults import ActiveFaults, Faults
 from hedgerow.plant.links import Deliveries, Links
 from hedgerow.plant.truth import Truth
 from hedgerow.topologies.effects import Effect
 from hedgerow.topologies.fast import kernels_for, unequal_kernels_for
 from hedgerow.topologies.graph import Array, Gain, Graph, Index, Mask, all_finite
-from hedgerow.wire.codec import ALL_UP, TAKEN, Buffer, Flag, Flags, Record, Span, State, Telemetry, join
+from hedgerow.wire.codec import join
 from hedgerow.wire.history import History
+from hedgerow.wire.message import ALL_UP, TAKEN, Buffer, Flag, Flags, Record, Span, State, Telemetry
 
 
 def dynamics(a: Array, b: Gain, graph: Graph, x: Array, u: Array, w: Array, edge_open: Mask | None = None) -> Array:
@@ -58,18 +59,20 @@ class _Part:
 class _Step:
     """The faults and messages of one step."""
 
-    told: Array
+    sent: Array
     """x(t) as the agents read it, (n,): NaN if the reading is lost or the node is absent"""
     read: Array
     """the same for absent nodes too; a returning node receives it for the time of its absence"""
-    absent: Mask
-    back: Mask
-    """nodes that were absent at the step before"""
-    deliveries: Deliveries
-    cut: Mask | None
-    mute: Mask | None
-    flags: Flags | None
+    flags: Flags | None = None
     """Flag bits by incidence, (2E,); None if all are set and there is no other message"""
+    absent: Mask | None = None
+    """None for no node"""
+    back: Mask | None = None
+    """nodes that were absent at the step before; None for no node"""
+    deliveries: Deliveries | None = None
+    """None if every link delivers the row of t alone"""
+    cut: Mask | None = None
+    mute: Mask | None = None
 
 
 class _Made(NamedTuple):
@@ -79,8 +82,10 @@ class _Made(NamedTuple):
     x: Array
     u: Array
     w: Array
-    edge_open: Flags
-    deliveries: Deliveries
+    edge_open: Flags | None
+    """None if all edges were open"""
+    deliveries: Deliveries | None
+    """None if every link delivered the row of t alone"""
     gone: Mask | None
     now: _Step | None
     """the faults and messages of the step; None if nothing was missing"""
@@ -121,7 +126,6 @@ class World:
         self._local: Index = self._incidence_place - first[self._home]
         """Per incidence: its index within its shard."""
         e = len(graph.edges)
-        self._nobody: Mask = np.zeros(graph.n, dtype=bool)
         self._all_open: Flags = np.ones(e, dtype=np.uint8)
         self._all_up: Flags = np.ones(2 * e, dtype=np.uint8)
         self._all_taken: Flags = np.full(2 * e, TAKEN, dtype=np.uint8)
@@ -129,11 +133,11 @@ class World:
         self._taken_bytes = [bytes([TAKEN]) * len(part.incidences) for part in self._parts]
         self.whole = True
         """True if, at t - 1, all edges were open, all links were up and every input was used"""
-        self._open: Flags = self._all_open
-        """edges that carried flow at t - 1, (E,)"""
-        self._heard = self.links.whole
-        """the deliveries at t - 1"""
-        self._now = _Step(self.x, self.x, self._nobody, self._nobody, self.links.whole, None, None, None)
+        self._open: Flags | None = None
+        """edges that carried flow at t - 1, (E,); None for all"""
+        self._received: Deliveries | None = None
+        """the deliveries at t - 1; None if every link delivered the row of that step alone"""
+        self._now = _Step(self.x, self.x)
 
     # The first half of a step: what holds at t, and the messages to the shards.
 
@@ -141,41 +145,40 @@ class World:
         """Decide which faults, edges and links hold at t."""
         t, faults, links, graph = self.t, self.faults, self.links, self.graph
         before = self._now.absent
-        active, gone, soon = NOTHING, None, None
+        active, gone, soon = None, None, None
         if not (faults.none_at(t) and faults.none_at(t + 1)):
             for node, a in faults.jumps(t):
                 self.a[node] = a
             active, gone, soon = faults.at(t), faults.absent(t), faults.absent(t + 1)
-        if active is NOTHING and gone is None and soon is None and before is self._nobody and links.complete:
-            deliveries = links.whole
-            quiet = self._open is self._all_open and self._heard is deliveries
-            flags = None if quiet else self._flags(deliveries)
-            self._now = _Step(self.x, self.x, before, before, deliveries, None, None, flags)
+        if active is None and gone is None and soon is None and before is None and links.complete:
+            quiet = self._open is None and self._received is None
+            self._now = _Step(self.x, self.x) if quiet else _Step(self.x, self.x, self._flags(links.whole))
             return
-        absent = self._nobody if gone is None else gone
-        down = absent[graph.neighbour]
-        if gone is not None and soon is not None:  # a node that returns at t + 1 already receives the messages of t
-            down = down | (gone & soon)[graph.node]
+        active = active or ActiveFaults()
+        down: Mask = np.zeros(len(graph.node), dtype=bool) if gone is None else gone[graph.neighbour]
+        if gone is not None:
+            if soon is not None:  # a node that returns at t + 1 already receives the messages of t
+                down = down | (gone & soon)[graph.node]
+            links.forget(gone)
         if active.lost is not None:
             down = down | active.lost
-        links.forget(absent)
         deliveries = links.plan(t, down, active.late)
         read = self.x if active.blind is None else np.where(active.blind, np.nan, self.x)
-        told = read if gone is None else np.where(absent, np.nan, read)
-        self._now = _Step(
-            told, read, absent, before & ~absent, deliveries, active.cut, active.mute, self._flags(deliveries)
-        )
+        sent = read if gone is None else np.where(gone, np.nan, read)
+        back = before if before is None or gone is None else before & ~gone
+        self._now = _Step(sent, read, self._flags(deliveries), gone, back, deliveries, active.cut, active.mute)
 
     def _flags(self, deliveries: Deliveries) -> Flags:
-        graph = self.graph
-        flags = self._open.take(graph.edge)
-        flags |= self._heard.some.view(np.uint8) << 1
+        graph, received = self.graph, self._received or self.links.whole
+        flags = (self._all_open if self._open is None else self._open).take(graph.edge)
+        flags |= received.some.view(np.uint8) << 1
         flags |= deliveries.some.take(graph.reverse).view(np.uint8) << 2
         return flags
 
     def present(self, p: int) -> bool:
         """Return True if shard p has a node that is present at t."""
-        return self._now.absent is self._nobody or not bool(self._now.absent[self._parts[p].nodes].all())
+        absent = self._now.absent
+        return absent is None or not bool(absent[self._parts[p].nodes].all())
 
     def wanted(self, p: int, t: int) -> bool:
         """Return True if shard p has a node that should be present at step t."""
@@ -192,28 +195,26 @@ class World:
         """Return x(t) in the order of the shards, (n,), if that is the whole message; otherwise None."""
         if self._now.flags is not None:
             return None
-        return self._now.told if self._in_order else self._now.told.take(self.order)
+        return self._now.sent if self._in_order else self._now.sent.take(self.order)
 
     def states(self) -> list[tuple[State | None, Record | None]]:
         """Return, by shard, its state of t, None if the shard is absent, and the record of its returning nodes."""
         now, t = self._now, self.t
-        x = now.told if self._in_order else now.told.take(self.order)
-        told: list[tuple[State | None, Record | None]] = []
-        spans = self._spans() if now.flags is not None else {}
-        anybody_back = now.back is not self._nobody and bool(now.back.any())
+        x = now.sent if self._in_order else now.sent.take(self.order)
         if now.flags is None:
             return [(State(t, x[own], b""), None) for own in self._places]
+        messages: list[tuple[State | None, Record | None]] = []
+        spans = self._spans()
         for p, part in enumerate(self._parts):
             own = x[self._places[p]]
             if not self.present(p):
-                told.append((None, None))
+                messages.append((None, None))
             else:
                 flags, own_spans = now.flags[part.incidences].tobytes(), spans.get(p, ())
                 if flags == self._up_bytes[p] and not own_spans:
                     flags = b""
-                record = self._record_of(part) if anybody_back else None
-                told.append((State(t, own, flags, own_spans), record))
-        return told
+                messages.append((State(t, own, flags, own_spans), self._record_of(part)))
+        return messages
 
     @cached_property
     def _places(self) -> list[slice]:
@@ -223,16 +224,16 @@ class World:
 
     def _spans(self) -> dict[int, list[Span]]:
         """Return, by shard, the spans of the incidences that deliver other rows than that of the step alone."""
-        heard, told, reverse = self._heard, self._now.deliveries, self.graph.reverse
-        numbers = np.stack([heard.late, heard.back, told.late[reverse], told.back[reverse]])
+        reverse, whole = self.graph.reverse, self.links.whole
+        received, sent = self._received or whole, self._now.deliveries or whole
+        numbers = np.stack([received.late, received.back, sent.late[reverse], sent.back[reverse]])
         spans: dict[int, list[Span]] = {}
         for c in np.flatnonzero(numbers.any(axis=0)).tolist():
             spans.setdefault(self._home[c], []).append(Span(self._local[c], *numbers[:, c].tolist()))
         return spans
 
     def _record_of(self, part: _Part) -> Record | None:
-        back = self._now.back[part.nodes]
-        if not back.any():
+        if self._now.back is None or not (back := self._now.back[part.nodes]).any():
             return None
         nodes, record = part.nodes[back], self._record
         edges = self.graph.edge[part.incidences[np.isin(self.graph.node[part.incidences], nodes)]]
@@ -262,17 +263,16 @@ class World:
         if not self._in_order:
             u = u.take(self._place)
         gone = self.faults.absent(t)
-        edge_open, deliveries = self._all_open, now.deliveries
+        edge_open, deliveries = None, now.deliveries
         quiet = now.flags is None and gone is None and all_finite(u)
         if not quiet:
             u, edge_open, deliveries = self._what_acts(u, gone)
         self.links.commit(t, deliveries)
         w = self._w() if self._next_w is None else self._next_w
         self._next_w = None
-        closed = None if edge_open is self._all_open else edge_open.view(np.bool_)
-        self.x = dynamics(self.a, self.b, graph, x, u, w, closed)
-        self._record.append(now.read, u, edge_open)
-        self._open, self._heard = edge_open, deliveries
+        self.x = dynamics(self.a, self.b, graph, x, u, w, None if edge_open is None else edge_open.view(np.bool_))
+        self._record.append(now.read, u, self._all_open if edge_open is None else edge_open)
+        self._open, self._received = edge_open, deliveries
         self._made = _Made(t, x, u, w, edge_open, deliveries, gone, None if quiet else now)
         self.t += 1
 
@@ -284,22 +284,27 @@ class World:
         t, x, u, w, edge_open, deliveries, gone, now = self._made
         if not self._in_order:
             report = report.take(self._place, axis=1)
-        taken, up = self._taken(took), self._all_up
+        taken, up = self._taken(took), None
+        if now is None and taken is None:
+            self.whole = True
+            return Telemetry(t, x, u, w, report, self._all_open, self._all_up, self._all_taken)
         if now is not None:
-            report, taken, up = self._what_is_told(report, taken, deliveries, gone, now)
-        self.whole = edge_open is self._all_open and up is self._all_up and taken is self._all_taken
+            report, taken, up = self._what_is_reported(report, taken, deliveries, gone, now)
+        self.whole = edge_open is None and up is None and taken is None
+        edge_open = self._all_open if edge_open is None else edge_open
+        up, taken = self._all_up if up is None else up, self._all_taken if taken is None else taken
         return Telemetry(t, x, u, w, report, edge_open, up, taken)
 
-    def _what_acts(self, u: Array, gone: Mask | None) -> tuple[Array, Flags, Deliveries]:
+    def _what_acts(self, u: Array, gone: Mask | None) -> tuple[Array, Flags | None, Deliveries | None]:
         """Return the inputs, the open edges and the deliveries of a step with something missing."""
         now, graph = self._now, self.graph
-        edge_open, deliveries = self._all_open, now.deliveries
+        edge_open: Flags | None = None
+        deliveries = now.deliveries
         missing = ~np.isfinite(u)
-        absent = self._nobody if gone is None else gone
-        died = absent & ~now.absent  # ended since the step began
         if now.mute is not None:
             missing |= now.mute
-        missing |= absent
+        if gone is not None:
+            missing |= gone
         if now.cut is not None or missing.any():
             u = np.where(missing, np.nan, u)
             closed = missing[graph.edges].any(axis=1)
@@ -307,32 +312,40 @@ class World:
                 closed |= now.cut
             if closed.any():
                 edge_open = np.where(closed, np.uint8(0), np.uint8(1))
-        if absent.any():
-            some = deliveries.some & ~absent[graph.neighbour] & ~died[graph.node]
+        if gone is not None:
+            deliveries = deliveries or self.links.whole
+            died = gone if now.absent is None else gone & ~now.absent  # ended since the step began
+            some = deliveries.some & ~gone[graph.neighbour] & ~died[graph.node]
             deliveries = Deliveries(some, np.where(some, deliveries.late, 0), np.where(some, deliveries.back, 0))
         return u, edge_open, deliveries
 
-    def _what_is_told(
-        self, report: Array, taken: Flags, deliveries: Deliveries, gone: Mask | None, now: _Step
-    ) -> tuple[Array, Flags, Flags]:
-        """Return the reports, the used inputs and the links that are up, in a step with something missing."""
-        graph, absent = self.graph, self._nobody if gone is None else gone
-        if absent.any():
-            report = np.where(absent, np.nan, report)
-            taken = np.where(absent[graph.node], np.uint8(0), taken)
-        up = self._all_up if deliveries is self.links.whole else (deliveries.fresh & ~absent[graph.node]).view(np.uint8)
-        if now.back.any():  # messages from before their return are back-filled, not received in time
-            taken = np.where(now.back[graph.node], taken & np.uint8(~Flag.HEAR & 0xFF), taken)
-        return report, taken, up
+    def _what_is_reported(
+        self, report: Array, taken: Flags | None, deliveries: Deliveries | None, gone: Mask | None, now: _Step
+    ) -> tuple[Array, Flags | None, Flags | None]:
+        """Return the reports, the used inputs and the links that are up, in a step with something missing.
+
+        None for all.
+        """
+        node, used = self.graph.node, self._all_taken if taken is None else taken
+        up = None if deliveries is None else deliveries.fresh
+        if gone is not None:
+            report = np.where(gone, np.nan, report)
+            taken = used = np.where(gone[node], np.uint8(0), used)
+            up = None if up is None else up & ~gone[node]
+        if now.back is not None and now.back.any():
+            # Messages from before their return are back-filled, not received in time.
+            taken = np.where(now.back[node], used & np.uint8(~Flag.HEAR & 0xFF), used)
+        return report, taken, None if up is None else up.view(np.uint8)
 
     @cached_property
     def _in_order(self) -> bool:
         """Return True if the shards, one after another, hold the nodes in network order."""
         return bool((self.order[1:] > self.order[:-1]).all())
 
-    def _taken(self, took: Sequence[Buffer]) -> Flags:
+    def _taken(self, took: Sequence[Buffer]) -> Flags | None:
+        """Return the Flag bits of the used inputs in the order of the incidences, (2E,); None if all are set."""
         if not any(took):
-            return self._all_taken
+            return None
         parts = (bits or everything for bits, everything in zip(took, self._taken_bytes, strict=True))
         taken = np.frombuffer(join(parts), np.uint8)
         return taken if self._in_order else taken.take(self._incidence_place)

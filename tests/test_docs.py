@@ -44,6 +44,7 @@ from hedgerow.topologies.faults import KINDS
 from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import resolve
 from hedgerow.wire import codec, keys, session
+from hedgerow.wire.message import REPORT_ROWS, End, Flag, Kind, Link, Record, Span, Telemetry, Trips
 from tests.tools.networks import observe, read, simulate
 
 ROOT = Path(__file__).parents[1]
@@ -262,7 +263,7 @@ R, D = 2, 3
 ARRAYS = {
     name: np.arange(1.0, 1 + size).reshape(shape) / 7 + offset
     for offset, (name, size, shape) in enumerate(
-        [("x", N, (N,)), ("u", N, (N,)), ("w", N, (N,)), ("report", N * codec.REPORT_ROWS, (codec.REPORT_ROWS, N))]
+        [("x", N, (N,)), ("u", N, (N,)), ("w", N, (N,)), ("report", N * REPORT_ROWS, (REPORT_ROWS, N))]
     )
 }
 FLAGS = {
@@ -272,7 +273,7 @@ FLAGS = {
 }
 X, U, W, REPORT = ARRAYS["x"], ARRAYS["u"], ARRAYS["w"], ARRAYS["report"]
 TOOK = np.array([3, 0, 1, 3, 2], np.uint8)
-SPANS = [codec.Span(1, 0, 3, 0, 0), codec.Span(4, 2, 1, 5, 6)]
+SPANS = [Span(1, 0, 3, 0, 0), Span(4, 2, 1, 5, 6)]
 ROWS = {"first": np.array(T - 2), "x": np.arange(S * N).reshape(S, N) / 3, "u": np.arange(S * N).reshape(S, N) / 5}
 PAST = {
     "x": ROWS["x"][:, :R].copy(),
@@ -285,26 +286,24 @@ TEXT = np.frombuffer(json.dumps(EVENT).encode(), np.uint8)
 MESSAGES: dict[str, tuple[bytes, dict[str, Any]]] = {
     "state": (codec.encode_state(T, X[:K], FLAGS["flags"], SPANS), {"x": X[:K], **FLAGS, "spans": np.array(SPANS)}),
     "record": (
-        codec.encode_record(codec.Record(T, BACK, T - 2, *PAST.values())),
+        codec.encode_record(Record(T, BACK, T - 2, *PAST.values())),
         {"first": ROWS["first"], "back": BACK, **PAST},
     ),
     "input": (
         codec.encode_input(T, U[:K], REPORT[:, :K].copy(), TOOK),
         {"u": U[:K], "report": REPORT[:, :K], "took": TOOK},
     ),
-    "link": (codec.encode_link(codec.Link(T, T - 2, ROWS["x"].tobytes(), ROWS["u"].tobytes()), N), ROWS),
+    "link": (codec.encode_link(Link(T, T - 2, ROWS["x"].tobytes(), ROWS["u"].tobytes()), N), ROWS),
     "telemetry": (
         codec.join(
-            codec.encode_telemetry(
-                codec.Telemetry(T, X, U, W, REPORT, FLAGS["edge_open"], FLAGS["link_up"], TOOK[: 2 * E])
-            )
+            codec.encode_telemetry(Telemetry(T, X, U, W, REPORT, FLAGS["edge_open"], FLAGS["link_up"], TOOK[: 2 * E]))
         ),
         {**ARRAYS, **FLAGS, "took": TOOK[: 2 * E]},
     ),
-    "trips": (codec.encode_trips(codec.Trips(T, TRIPS)), {"seconds": TRIPS}),
+    "trips": (codec.encode_trips(Trips(T, TRIPS)), {"seconds": TRIPS}),
     "event": (codec.encode_event(T, EVENT), {"event": TEXT}),
     "end": (
-        codec.encode_end(codec.End(T, X, 1.25, 3)),
+        codec.encode_end(End(T, X, 1.25, 3)),
         {**ARRAYS, "elapsed_s": np.array(1.25), "forgotten": np.array(3)},
     ),
     "place": (codec.encode_place(T, 4096, 512), {"start": np.array(4096), "length": np.array(512)}),
@@ -345,7 +344,7 @@ def test_optional_parts_of_messages_and_of_a_batch() -> None:
     assert codec.encode_state(T, X[:K], FLAGS["flags"]) == whole[: -20 * S]
     assert codec.encode_state(T, X[:K], b"") == whole[: -20 * S - M]
     assert codec.encode_input(T, U[:K], REPORT[:, :K].copy(), b"") == MESSAGES["input"][0][:-M]
-    told = codec.Telemetry(T, X, U, W, REPORT, *(np.ones(size, np.uint8) for size in (E, 2 * E, 2 * E)))
+    told = Telemetry(T, X, U, W, REPORT, *(np.ones(size, np.uint8) for size in (E, 2 * E, 2 * E)))
     assert codec.join(codec.encode_telemetry(told, whole=True)) == MESSAGES["telemetry"][0][: -5 * E]
     message = np.frombuffer(whole, np.uint8)
     packed = packed_by("batch", {"number": np.array(T), "message": message}, len(message))
@@ -357,10 +356,10 @@ def test_every_message_has_a_table() -> None:
     """Each encoder of wire.codec, and each kind, is in docs/wire.md."""
     encoders = {name.removeprefix("encode_") for name in vars(codec) if name.startswith("encode_")}
     assert encoders == {*MESSAGES, "batch", "quiet_states"}
-    assert {kind.name.lower() for kind in codec.Kind} == MESSAGES.keys()
+    assert {kind.name.lower() for kind in Kind} == MESSAGES.keys()
     bits = {row["name"]: int(row["bit"]) for row in table("wire.md", "state", 1)}
-    assert bits == {flag.name: flag.value for flag in codec.Flag}
-    assert [row["number of a span"] for row in table("wire.md", "state", 2)] == [*codec.Span._fields]
+    assert bits == {flag.name: flag.value for flag in Flag}
+    assert [row["number of a span"] for row in table("wire.md", "state", 2)] == [*Span._fields]
 
 
 def test_the_keys_are_those_of_the_code() -> None:

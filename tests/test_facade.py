@@ -25,6 +25,7 @@ from hedgerow.orchestrator.experiments.worst import Found
 from hedgerow.orchestrator.launch.running import Running
 from hedgerow.orchestrator.metrics.guarantee import Guarantee
 from hedgerow.orchestrator.metrics.verdict import Verdict
+from hedgerow.orchestrator.runs.recorded import RecordedRows
 
 PAIR = {"name": "pair", "b": 0.1, "steps": 6, "seed": 3, "nodes": ["p", "q"], "edges": [["p", "q"]]}
 
@@ -113,13 +114,15 @@ def stored(public: type) -> Iterator[tuple[str, str, str]]:
                 yield name, annotation, str(text.value) if isinstance(text, ast.Constant) else ""
 
 
-@pytest.mark.parametrize("public", [hg.Run, hg.Network, hg.Live, Running, Verdict, Compared, Found, Guarantee])
+@pytest.mark.parametrize(
+    "public", [hg.Run, RecordedRows, hg.Network, hg.Live, Running, Verdict, Compared, Found, Guarantee]
+)
 def test_every_stored_attribute_has_a_docstring(public: type) -> None:
     assert not [name for name, _, text in stored(public) if not text]
 
 
 def test_every_array_of_a_run_has_its_shape() -> None:
-    for name, member in vars(hg.Run).items():
+    for name, member in (vars(RecordedRows) | vars(hg.Run)).items():
         if isinstance(member, cached_property | property) and not name.startswith("_"):
             read: Any = member.func if isinstance(member, cached_property) else member.fget
             kind = str(inspect.signature(read).return_annotation)

@@ -16,7 +16,7 @@ from hedgerow.topologies.hinf import contraction
 from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import resolve
 from hedgerow.topologies.schema import Topology
-from hedgerow.wire.codec import Link, State
+from hedgerow.wire.message import Link, State
 from tests.tools.networks import networks, partitions, read, simulate
 from tests.tools.schedules import Plain, schedules, with_faults
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import subprocess
 import sys
 from pathlib import Path
@@ -10,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.tools.fuzz import ROOT
+from tests.tools.importing import needs
 
 PAGE = ROOT / "docs" / "gallery.md"
 
@@ -23,8 +23,7 @@ def test_every_picture_of_the_gallery_is_there() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("package", ["wntr", "topohub", "pandapower"])
 def test_the_command_of_the_gallery_prints_the_numbers_of_the_page(package: str, tmp_path: Path) -> None:
-    if importlib.util.find_spec(package) is None:
-        pytest.skip(f"{package} is not installed")
+    needs(package)
     command = [sys.executable, str(PAGE.parent / "make_gallery.py"), str(tmp_path), package]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=240, check=False)
     assert done.returncode == 0, done.stderr

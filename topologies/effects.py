@@ -8,16 +8,24 @@ from typing import Any
 
 FOREVER = 2**62
 """A step that no run reaches: the end of a fault without an end."""
+INCIDENCES, EDGES, NODES = "incidences", "edges", "nodes"
+TARGETS: Mapping[str, str] = {
+    "drop": INCIDENCES,
+    "delay": INCIDENCES,
+    "cut": EDGES,
+    "sensor": NODES,
+    "actuator": NODES,
+    "crash": NODES,
+    "jump": NODES,
+}
+"""By kind of effect: the meaning of its targets. Incidence c is the link to node[c] from neighbour[c]."""
 
 
 @dataclass(frozen=True)
 class Effect:
     """The effect of one fault of the list, at steps `start` <= t < `stop`.
 
-    `kind` determines the meaning of `targets`. For drop and delay they are incidences of
-    `hedgerow.topologies.graph.Graph`: incidence c is the link to node[c] from neighbour[c]. For cut they are edges. For
-    sensor, actuator, crash and jump they are positions of nodes. A crash starts when the nodes fail and stops when they
-    return; a jump never stops.
+    A crash starts when the nodes fail and stops when they return; a jump never stops.
     """
 
     fault: int
@@ -34,6 +42,21 @@ class Effect:
     """The true a after a jump."""
     table: Mapping[int, Sequence[int]] | None = None
     """Targets by step, in place of `targets` at every step."""
+
+    @property
+    def of(self) -> str:
+        """Return the meaning of its targets: positions of INCIDENCES, EDGES or NODES in the graph."""
+        return TARGETS[self.kind]
+
+    @property
+    def counts_once(self) -> bool:
+        """Return True if the effect occurs once per target, at `start`; otherwise it occurs at every step."""
+        return self.kind in ("crash", "jump")
+
+    @property
+    def lossy(self) -> bool:
+        """Return True if a reading, a message, an input or a flow can be missing."""
+        return self.kind != "jump"
 
     def to_dict(self) -> dict[str, Any]:
         """Return the effect as a dictionary for JSON."""

@@ -171,9 +171,9 @@ class Drop(FaultModel):
 
     def effects(self, fault: int, at: Places) -> list[Effect]:
         if self.at is not None:
-            return [_by_step(fault, "drop", {step: at.links(pairs) for step, pairs in self.at.items()})]
+            return [_by_step(fault, self.kind, {step: at.links(pairs) for step, pairs in self.at.items()})]
         links = at.links(_directed(self.link, self.from_, self.to))
-        return [Effect(fault, "drop", links, *_window(self.steps), self.probability)]
+        return [Effect(fault, self.kind, links, *_window(self.steps), self.probability)]
 
 
 class Delay(FaultModel):
@@ -191,7 +191,7 @@ class Delay(FaultModel):
 
     def effects(self, fault: int, at: Places) -> list[Effect]:
         links = at.links(_directed(self.link, self.from_, self.to))
-        return [Effect(fault, "delay", links, *_window(self.steps), self.probability, by=self.by)]
+        return [Effect(fault, self.kind, links, *_window(self.steps), self.probability, by=self.by)]
 
 
 class Cut(FaultModel):
@@ -207,9 +207,9 @@ class Cut(FaultModel):
 
     def effects(self, fault: int, at: Places) -> list[Effect]:
         if self.at is not None:
-            return [_by_step(fault, "cut", {step: at.edges(pairs) for step, pairs in self.at.items()})]
+            return [_by_step(fault, self.kind, {step: at.edges(pairs) for step, pairs in self.at.items()})]
         edges = at.edges([self.edge] if self.edge else [])
-        return [Effect(fault, "cut", edges, *_window(self.steps), self.probability)]
+        return [Effect(fault, self.kind, edges, *_window(self.steps), self.probability)]
 
 
 class Partition(FaultModel):
@@ -240,7 +240,7 @@ class Sensor(FaultModel):
     probability: Probability = 1.0
 
     def effects(self, fault: int, at: Places) -> list[Effect]:
-        return [Effect(fault, "sensor", at.nodes([self.node]), *_window(self.steps), self.probability)]
+        return [Effect(fault, self.kind, at.nodes([self.node]), *_window(self.steps), self.probability)]
 
 
 class Actuator(FaultModel):
@@ -252,7 +252,7 @@ class Actuator(FaultModel):
     probability: Probability = 1.0
 
     def effects(self, fault: int, at: Places) -> list[Effect]:
-        return [Effect(fault, "actuator", at.nodes([self.node]), *_window(self.steps), self.probability)]
+        return [Effect(fault, self.kind, at.nodes([self.node]), *_window(self.steps), self.probability)]
 
 
 class Crash(FaultModel):
@@ -271,7 +271,7 @@ class Crash(FaultModel):
     def effects(self, fault: int, at: Places) -> list[Effect]:
         nodes = at.shard(self.process) if self.process is not None else at.nodes([cast("int | str", self.node)])
         stop = FOREVER if self.restart_after is None else min(self.at + self.restart_after, FOREVER)
-        return [Effect(fault, "crash", nodes, self.at, stop)]
+        return [Effect(fault, self.kind, nodes, self.at, stop)]
 
 
 class Jump(FaultModel):
@@ -284,7 +284,7 @@ class Jump(FaultModel):
 
     def effects(self, fault: int, at: Places) -> list[Effect]:
         assert isinstance(self.a, float), "resolving draws it"
-        return [Effect(fault, "jump", at.nodes([self.node]), self.at, FOREVER, a=self.a)]
+        return [Effect(fault, self.kind, at.nodes([self.node]), self.at, FOREVER, a=self.a)]
 
 
 KINDS: dict[str, type[FaultModel]] = {

@@ -30,21 +30,15 @@ def of_frame(samples: Any, ids: Sequence[NodeId], times: Times | None, steps: in
     times: as in `by_steps`; at most `steps` samples are returned. Raise UserError for a column that names no node, for
     values that are not numbers, and for too few samples.
     """
-    name = "the samples"
-    if isinstance(samples, str | Path):
-        name, path = str(samples), user_path(str(samples))
-        try:
-            columns = parquet(path) if path.suffix == ".parquet" else _csv(path)
-        except FileRefusedError as error:
-            raise UserError(f"{name}: {error.what}. {error.cure}", code=error.code) from None
-        except OSError as error:
-            raise UserError(f"{name}: {error.strerror}. Check the path.", code=Code.FILE_UNREADABLE) from None
-    else:
-        columns = columns_of(samples)
+    name = str(samples) if isinstance(samples, str | Path) else "the samples"
     try:
-        table = by_steps(name, columns, ids, times)
+        table = by_steps(name, _columns(name, samples), ids, times)
     except FileRefusedError as error:
-        raise UserError(f"{error.what}. {error.cure}.", code=error.code) from None
+        cure = error.cure[:1].upper() + error.cure[1:]
+        text = f"{error.what.rstrip('.')}." + (f" {cure.rstrip('.')}." if cure else "")
+        raise UserError(text, code=error.code) from None
+    except OSError as error:
+        raise UserError(f"{name}: {error.strerror}. Check the path.", code=Code.FILE_UNREADABLE) from None
     found = min(map(len, table.values()), default=0)
     if found < steps:
         raise UserError(
@@ -54,6 +48,14 @@ def of_frame(samples: Any, ids: Sequence[NodeId], times: Times | None, steps: in
     return {node: values[:steps] for node, values in table.items()}
 
 
+def _columns(name: str, samples: Any) -> dict[Any, Any]:
+    """Return the columns of a data frame, a mapping, or a file."""
+    if not isinstance(samples, str | Path):
+        return columns_of(samples)
+    path = user_path(name)
+    return parquet(path) if path.suffix.lower() == ".parquet" else _csv(path)
+
+
 def columns_of(frame: Any) -> dict[Any, Any]:
     """Return the columns of a data frame of pandas, polars or pyarrow, or of a mapping, without an index."""
     if hasattr(frame, "to_pydict"):
@@ -61,6 +63,7 @@ def columns_of(frame: Any) -> dict[Any, Any]:
     if hasattr(frame, "iloc"):
         named = frame.index.name is not None and frame.index.name not in frame.columns
         frame = frame.reset_index() if named else frame
+        _once("the samples", list(frame.columns))
         return {column: frame[column].to_numpy() for column in frame.columns}
     if hasattr(frame, "get_columns"):
         return {column.name: column.to_numpy() for column in frame.get_columns()}
@@ -85,6 +88,7 @@ def parquet(path: Path) -> dict[Any, Any]:
             raise
         raise FileRefusedError(f"{path}: is no Parquet file: {str(error)[:200]}") from None
     names = [name for name in table.column_names if not name.startswith("__index_level_")]
+    _once(str(path), names)
     return {name: table.column(name).to_numpy() for name in names}
 
 
@@ -93,12 +97,30 @@ def _csv(path: Path) -> dict[Any, Any]:
     import csv  # noqa: PLC0415
 
     try:
-        rows = [row for row in csv.reader(io.StringIO(read_regular(path, growth=60).decode("utf-8-sig"))) if row]
+        reader = csv.reader(io.StringIO(read_regular(path, growth=60).decode("utf-8-sig")))
+        numbered = [(reader.line_num, row) for row in reader if row]
     except (UnicodeDecodeError, csv.Error) as error:
-        raise FileRefusedError(f"cannot be read: {error}", "Save it as CSV in UTF-8") from None
-    if len(rows) < 2 or any(len(row) != len(rows[0]) for row in rows):
-        raise FileRefusedError("is no table with a header", "Write one cell per column in each row")
-    return {name.strip(): [row[k] for row in rows[1:]] for k, name in enumerate(rows[0])}
+        raise FileRefusedError(f"{path}: cannot be read: {error}", "Save it as CSV in UTF-8") from None
+    rows = [row for _, row in numbered]
+    for line, row in numbered:
+        if len(row) != len(rows[0]):
+            raise FileRefusedError(
+                f"{path}:{line}: has {len(row)} cells, not {len(rows[0])}", "write one cell per column"
+            )
+    if len(rows) < 2:
+        raise FileRefusedError(f"{path}: has no samples below a header", "write a header, and a row per step")
+    names = [name.strip() for name in rows[0]]
+    _once(str(path), names)
+    return {name: [row[k] for row in rows[1:]] for k, name in enumerate(names)}
+
+
+def _once(name: str, columns: Sequence[Any]) -> None:
+    """Raise FileRefusedError if two columns have one name: only one of them would be used."""
+    seen: set[Any] = set()
+    for column in columns:
+        if column in seen:
+            raise FileRefusedError(f"{name}: two columns are named {str(column)[:40]!r}", "give each its own name")
+        seen.add(column)
 
 
 def by_steps(
@@ -127,6 +149,7 @@ def by_steps(
             others = ", ".join(map(str, list(ids)[:8]))
             cure = f"the nodes are {others}" if time else f"the nodes are {others}; name a column of times with `time`"
             raise FileRefusedError(f"{name}: the column {str(key)[:40]!r} names no node", cure)
+        _once(name, [*table, node])
         table[node] = _numbers(name, key, values)
     if time is not None and stamps is None:
         raise FileRefusedError(f"{name}: has no column {time!r}", "name the column of times with `time`")
@@ -134,16 +157,19 @@ def by_steps(
         raise FileRefusedError(f"{name}: has no column that names a node", "name the columns by node ids")
     if times is None or stamps is None:
         return {node: values.tolist() for node, values in table.items()}
-    return _resampled(stamps, table, times.step, times.resample or "hold")
+    return _resampled(name, stamps, table, times.step, times.resample or "hold")
 
 
 def _resampled(
-    times: Array, table: dict[NodeId, Array], step: float | None, resample: str
+    name: str, times: Array, table: dict[NodeId, Array], step: float | None, resample: str
 ) -> dict[NodeId, list[float]]:
     pace = float(step if step is not None else times[1] - times[0] if len(times) > 1 else 1.0)
     # Times such as 0.1, 0.2, 0.3 are not exact multiples: a step just below a sample is at the sample.
     slack = 1e-9 * pace
     count = math.floor((times[-1] + slack) / pace) + 1
+    # A short step and a long gap make many samples of a small file.
+    if why := budget.excess(count * 40 * (2 + len(table))):
+        raise FileRefusedError(f"{name}: {count:,} steps of {pace:g}: {why}", code=Code.FILE_TOO_LARGE)
     at = np.arange(count) * pace
     last = np.searchsorted(times, at + slack, side="right") - 1
     found: dict[NodeId, list[float]] = {}
@@ -164,7 +190,9 @@ def _resampled(
 def _times(name: str, time: str, values: Any) -> Array:
     """Return the times of a column from 0: its numbers, or the seconds since its first date."""
     array = np.asarray(values)
-    if array.dtype.kind == "M":
+    if not len(array):
+        raise FileRefusedError(f"{name}: has no rows", "write a row per time")
+    if array.dtype.kind in "mM":
         seconds = (array - array[0]) / np.timedelta64(1, "s")
     else:
         try:
@@ -180,8 +208,12 @@ def _times(name: str, time: str, values: Any) -> Array:
                     f"{name}: the column {time!r} holds neither numbers nor dates", "write numbers, or 2026-01-31T08:00"
                 ) from None
     seconds = np.asarray(seconds, dtype=float)
-    if not len(seconds) or not np.isfinite(seconds).all() or (np.diff(seconds) <= 0).any():
-        raise FileRefusedError(f"{name}: the times in {time!r} do not ascend", "sort the rows, and keep each time once")
+    rising = np.isfinite(seconds) & (np.diff(seconds, prepend=-math.inf) > 0)
+    if not rising.all():
+        row = int(rising.argmin()) + 1
+        raise FileRefusedError(
+            f"{name}: row {row}: the times in {time!r} do not ascend", "sort the rows, and keep each time once"
+        )
     return np.asarray(seconds - seconds[0])
 
 

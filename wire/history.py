@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from hedgerow.wire.codec import Array, Flags
+from hedgerow.wire.message import Array, Flags
 
 ASIDE = 64
 """The maximum number of short rows in the queue."""

@@ -19,9 +19,9 @@ import zenoh
 from hedgerow.topologies.errors import Code, DeadlineError, HedgerowError, UserError
 from hedgerow.topologies.escape import escape
 from hedgerow.topologies.json_file import read_json
-from hedgerow.wire.codec import MessageError
 from hedgerow.wire.credentials import Credentials, router_tls
 from hedgerow.wire.limits import limit_in, limits_now
+from hedgerow.wire.message import MessageError
 from hedgerow.wire.runtime import KEPT, keep_thread
 
 LOG = logging.getLogger("wire")

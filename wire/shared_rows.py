@@ -17,7 +17,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hedgerow.wire.codec import Buffer, MessageError, decode_place, encode_place
+from hedgerow.wire.codec import decode_place, encode_place
+from hedgerow.wire.message import Buffer, MessageError
 
 _PATH = re.compile(r"/proc/[1-9][0-9]*/fd/[0-9]+")
 SPARE = 2

@@ -7,7 +7,8 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 
-from hedgerow.wire.codec import Buffer, Kind, MessageError, decode_batch, encode_batch, join, kind_of, telemetry_bytes
+from hedgerow.wire.codec import decode_batch, encode_batch, join, kind_of, telemetry_bytes
+from hedgerow.wire.message import Buffer, Kind, MessageError
 
 REPEAT_AFTER_S = 2.0
 """Batches that the observer has not acknowledged for this time are sent again [s]."""

@@ -19,7 +19,7 @@ from hedgerow.topologies.partition import parts_of
 from hedgerow.topologies.schema import LAWS, Topology
 from hedgerow.wire import keys
 from hedgerow.wire.access import Place
-from hedgerow.wire.codec import REPORT_ROWS
+from hedgerow.wire.message import REPORT_ROWS
 
 Layout = Sequence[Sequence[int] | Index]
 """Per agent process: the positions of its nodes, ascending."""
@@ -118,13 +118,13 @@ def views_of(topology: Topology, shards: Layout, source: str = "") -> list[View]
         outside = home[neighbour] != p
         # By shard and then by node: both ends use this order in a link message.
         shard, beside = home[neighbour[outside]] * graph.n, neighbour[outside]
-        heard, place = np.unique(shard + beside, return_inverse=True)
+        received, place = np.unique(shard + beside, return_inverse=True)
         column[outside] = len(nodes) + place
-        said = np.unique(shard + row[outside])
-        hears, says = heard // graph.n, said // graph.n
+        sent = np.unique(shard + row[outside])
+        found = np.unique(received // graph.n, return_counts=True)
         peers = [
-            Peer(q, said[says == q] % graph.n, int(count))
-            for q, count in zip(*(found.tolist() for found in np.unique(hears, return_counts=True)), strict=True)
+            Peer(q, sent[sent // graph.n == q] % graph.n, count)
+            for q, count in zip(*(one.tolist() for one in found), strict=True)
         ]
         views.append(
             View(
@@ -137,7 +137,7 @@ def views_of(topology: Topology, shards: Layout, source: str = "") -> list[View]
                 column=column,
                 weights=None if graph.weight is None else graph.weight[own],
                 peers=peers,
-                heard=ids[heard % graph.n],
+                outside=ids[received % graph.n],
                 history=history,
                 seed=law_seed(topology),
                 law_source=source,
@@ -175,7 +175,7 @@ def _largest(view: View) -> int:
     """Return an upper bound of the largest message of a process [bytes]: its final report, or all rows that a peer has
     missed.
     """
-    row = max((len(peer.say) for peer in view.peers), default=0)
+    row = max((len(peer.sends) for peer in view.peers), default=0)
     input_ = 8 * view.k * (1 + REPORT_ROWS) + len(view.row)
     return WORD_BYTES * (1 + len(view.peers)) + max(16 * row * (view.history + 1), input_)
 

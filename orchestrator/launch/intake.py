@@ -19,12 +19,10 @@ from hedgerow.orchestrator.launch.supervisor import Processes
 from hedgerow.orchestrator.metrics.message_audit import audit, observed
 from hedgerow.orchestrator.metrics.verdict import Ending
 from hedgerow.orchestrator.runs.folder import RunFolder
+from hedgerow.orchestrator.views.event_line import event_line
 from hedgerow.orchestrator.views.screen import Screen
 from hedgerow.wire import keys
 from hedgerow.wire.codec import (
-    Kind,
-    MessageError,
-    Telemetry,
     decode_end,
     decode_event,
     decode_telemetry,
@@ -33,6 +31,7 @@ from hedgerow.wire.codec import (
     kind_of,
     telemetry_bytes,
 )
+from hedgerow.wire.message import Kind, MessageError, Telemetry
 from hedgerow.wire.runtime import LONG_BYTES, keep_memory
 from hedgerow.wire.session import Receiver, Sender
 from hedgerow.wire.shared_rows import SharedRows
@@ -136,10 +135,9 @@ class Intake:
         """Act on an event of the plant between two steps, record it, and update the resolved file."""
         run, step = self._run, event["step"]
         topology = run.topology
-        details = {key: value for key, value in event.items() if key != "event"}
-        if "fault" in event:  # users count from 1
-            details["fault"] += 1
+        recorded = {**event, "fault": event["fault"] + 1} if "fault" in event else event  # users count from 1
         if event["event"] != "heard":  # verdict.json has it
+            details = {key: value for key, value in recorded.items() if key != "event"}
             self._folder.event(event["event"], **details)
         match event["event"]:
             case "heard":
@@ -154,21 +152,14 @@ class Intake:
                 nodes = [topology.ids[k] for k in self._shards[event["shard"]]]
                 self._ending.losses.add(event["fault"])
                 run.change(with_loss(topology, event["shard"], nodes, step))
-                slow = processes.slow_law(step, event["shard"])
-                why = f"{event['cause']}; {slow}" if slow else event["cause"]
-                self._say(f"step {step}: going on without {event['who']}: {why}", "WARN", step)
+                if slow := processes.slow_law(step, event["shard"]):
+                    recorded = {**recorded, "cause": f"{event['cause']}; {slow}"}
             case "refused":
                 self._screen.say(f"{event['who']} is refused: {event['cause']}")
-            case "back":
+            case "back" | "heal":
                 run.change(with_end(topology, event["fault"], event["at"]))
-                self._say(f"step {event['at']}: {event['who']} is back", "INFO", step)
             case "fault":
                 run.change(with_fault(topology, event["entry"]))
-                self._say(f"step {event['at']}: fault {event['fault'] + 1} begins", "WARN", step)
-            case "heal":
-                run.change(with_end(topology, event["fault"], event["at"]))
-                self._say(f"step {event['at']}: fault {event['fault'] + 1} ends", "INFO", step)
-
-    def _say(self, text: str, level: str, step: int) -> None:
-        self._screen.say(text)
-        self._run.note(text, level, step)
+        if (line := event_line(recorded)) is not None:
+            self._screen.say(line.text)
+            run.note(line.text, line.level, step)

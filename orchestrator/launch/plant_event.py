@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from hedgerow.orchestrator.metrics.message_audit import is_counted
-from hedgerow.wire.codec import MessageError
+from hedgerow.wire.message import MessageError
 
 Check = Callable[[Any], bool]
 

@@ -25,8 +25,8 @@ from hedgerow.topologies.regular_file import open_regular
 from hedgerow.topologies.resolve import to_yaml
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire import crash
-from hedgerow.wire.codec import End, Telemetry, Trips
 from hedgerow.wire.limits import limit_reached
+from hedgerow.wire.message import End, Telemetry, Trips
 
 if TYPE_CHECKING:
     from hedgerow.orchestrator.runs.round_trips import RoundTrips

@@ -23,7 +23,7 @@ from hedgerow.topologies.errors import HedgerowError
 from hedgerow.topologies.named import Named, resolved, text_of
 from hedgerow.topologies.paths import user_path
 from hedgerow.topologies.schema import Topology
-from hedgerow.wire.codec import End, Telemetry
+from hedgerow.wire.message import End, Telemetry
 
 if TYPE_CHECKING:
     from hedgerow.orchestrator.runs.run import Run

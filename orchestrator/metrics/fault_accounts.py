@@ -24,7 +24,7 @@ import numpy as np
 from hedgerow.orchestrator.metrics.checks import Worst
 from hedgerow.orchestrator.metrics.fault_schedule import Instances, Schedule
 from hedgerow.topologies.graph import Graph, Index, Mask
-from hedgerow.wire.codec import TAKEN, Flag, Flags
+from hedgerow.wire.message import TAKEN, Flag, Flags
 
 _OPEN, _HEAR, _TAKEN = np.uint8(Flag.OPEN), np.uint8(Flag.HEAR), np.uint8(TAKEN)
 

@@ -64,7 +64,7 @@ class Schedule:
             pairs = [(row, target) for row, t in enumerate(steps.tolist()) for target in table.get(t, ())]
             row, target = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
             return row, target
-        if effect.kind in ("crash", "jump"):
+        if effect.counts_once:
             struck = np.repeat(steps[:, None] == effect.start, len(effect.targets), axis=1)
         else:
             struck = self._lots.strikes(effect, steps)
@@ -90,7 +90,7 @@ class Schedule:
         for one in self.effects:
             if one.table is not None:
                 beyond[one.fault] += sum(len(struck) for step, struck in one.table.items() if step >= steps)
-            elif one.kind in ("crash", "jump"):
+            elif one.counts_once:
                 beyond[one.fault] += len(one.targets) * (steps <= one.start < one.stop)
             elif one.stop < FOREVER:
                 beyond[one.fault] += len(one.targets) * max(0, one.stop - max(one.start, steps))

@@ -8,6 +8,7 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,7 @@ from hedgerow.orchestrator.metrics.twins import Twins
 from hedgerow.plant.world import dynamics
 from hedgerow.topologies.graph import Array, Graph, Mask
 from hedgerow.topologies.schema import Topology
-from hedgerow.wire.codec import End, Telemetry
+from hedgerow.wire.message import End, Telemetry
 
 Matrix = NDArray[np.float64]
 
@@ -87,7 +88,17 @@ class Batch:
     ceiling_slack: Array
     """the slack of the certificate of that bound, (B,)"""
 
-    @property
+    @cached_property
+    def missing(self) -> Mask:
+        """Return True where the plant used no input, (B, n)."""
+        return np.isnan(self.u)
+
+    @cached_property
+    def dead(self) -> Mask:
+        """Return True where a missing input came without a report: the agent was absent, (B, n)."""
+        return self.missing & np.isnan(self.ahat) & np.isnan(self.margin)
+
+    @cached_property
     def wrong(self) -> Mask:
         """Return True where ahat is a candidate other than the truth, (B, n).
 

@@ -16,7 +16,7 @@ from hedgerow.agents.shard import Shard
 from hedgerow.agents.view import View
 from hedgerow.orchestrator.ground.assignment import candidates_of, history_of, law_of, law_seed
 from hedgerow.plant.disturbance import Disturbance
-from hedgerow.plant.faults import NOTHING, ActiveFaults, Faults
+from hedgerow.plant.faults import ActiveFaults, Faults
 from hedgerow.plant.truth import Truth
 from hedgerow.plant.world import World
 from hedgerow.topologies.archive import id_array
@@ -24,7 +24,8 @@ from hedgerow.topologies.effects import Effect
 from hedgerow.topologies.faults import effects
 from hedgerow.topologies.graph import Array, Graph, Index, Mask, all_finite
 from hedgerow.topologies.schema import Topology
-from hedgerow.wire.codec import LATE, REPORT_ROWS, Flag, Flags, State, Telemetry, gather
+from hedgerow.wire.codec import gather
+from hedgerow.wire.message import LATE, REPORT_ROWS, Flag, Flags, State, Telemetry
 
 AUDITED = 20_000
 """the maximum number of replayed nodes; in a larger network, a subset that the seed draws"""
@@ -91,7 +92,7 @@ class Replay:
                 column=part.graph.neighbour,
                 weights=part.graph.weight,
                 peers=[],
-                heard=id_array([]),
+                outside=id_array([]),
                 history=history,
                 seed=law_seed(topology),
             )
@@ -267,7 +268,7 @@ class _Shadow(World):
         """Make a quiet step with complete inputs."""
         t, x = self.t, self.x
         self._record.append(x, u, self._all_open)
-        self._open, self._heard = self._all_open, self._now.deliveries
+        self._open, self._received = None, None
         self.t += 1
         return Telemetry(t, x, u, x, report, self._all_open, self._all_up, self._all_taken)
 
@@ -339,10 +340,9 @@ class _Some(Faults):
     def none_at(self, t: int) -> bool:
         return self._whole.none_at(t)
 
-    def at(self, t: int) -> ActiveFaults:
-        active = self._whole.at(t)
-        if active is NOTHING:
-            return active
+    def at(self, t: int) -> ActiveFaults | None:
+        if (active := self._whole.at(t)) is None:
+            return None
         found = {name: getattr(active, name) for name in self._targets}
         return ActiveFaults(**{name: None if one is None else one[self._targets[name]] for name, one in found.items()})
 

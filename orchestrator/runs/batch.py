@@ -29,7 +29,7 @@ from hedgerow.plant.world import dynamics
 from hedgerow.topologies.graph import Array, Graph, Mask
 from hedgerow.topologies.law_choice import LawChoice, is_listed
 from hedgerow.topologies.schema import Topology
-from hedgerow.wire.codec import End, Telemetry
+from hedgerow.wire.message import End, Telemetry
 
 NODES = 20_000
 """the maximum number of nodes of all runs: the numbers of a step then fit the cache"""
@@ -113,7 +113,7 @@ class _Batch:
         self._listed = is_listed(union.topology.law)
         self._fault_accounts: Accounts | None = None
         self._rows: list[Telemetry] = []
-        if any(one.kind != "jump" for one in union.effects):
+        if any(one.lossy for one in union.effects):
             self._schedule = Schedule.of(union.graph, union.ids, union.words, len(union.topology.faults), union.effects)
             self._fault_accounts = Accounts(union.graph, self._schedule)
 

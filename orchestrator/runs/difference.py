@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from hedgerow.topologies.graph import Mask
 
 if TYPE_CHECKING:
-    from hedgerow.orchestrator.runs.run import NodeId, Run
+    from hedgerow.orchestrator.runs.recorded import NodeId
+    from hedgerow.orchestrator.runs.run import Run
 
 
 class Estimates(dict["NodeId", "float | None"]):

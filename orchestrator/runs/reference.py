@@ -14,7 +14,8 @@ from hedgerow.agents.view import View
 from hedgerow.plant.truth import Truth
 from hedgerow.plant.world import World
 from hedgerow.topologies.graph import Array
-from hedgerow.wire.codec import REPORT_ROWS, End, Telemetry, gather
+from hedgerow.wire.codec import gather
+from hedgerow.wire.message import REPORT_ROWS, End, Telemetry
 
 
 def run(truth: Truth, views: Sequence[View], law: Law | None = None) -> Iterator[Telemetry | End]:

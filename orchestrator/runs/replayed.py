@@ -11,7 +11,7 @@ from hedgerow.orchestrator.metrics.fault_accounts import at_ends
 from hedgerow.orchestrator.metrics.observer import Batch, Observer
 from hedgerow.orchestrator.metrics.replay import Finding, Replay
 from hedgerow.topologies.errors import Code, HedgerowError, UserError
-from hedgerow.wire.codec import TAKEN, End, Telemetry
+from hedgerow.wire.message import TAKEN, End, Telemetry
 
 if TYPE_CHECKING:
     from hedgerow.orchestrator.runs.run import Run

@@ -17,7 +17,7 @@ from hedgerow.orchestrator.ground.spelling import spelled
 from hedgerow.orchestrator.runs.columns import column, names
 from hedgerow.orchestrator.runs.writer import to_parquet
 from hedgerow.topologies.schema import Topology
-from hedgerow.wire.codec import Trips
+from hedgerow.wire.message import Trips
 
 TABLE = "round_trips"
 SCHEMA = pa.schema([("step", pa.int64()), ("process", pa.string()), ("round_trip_ms", pa.float64())])

@@ -25,7 +25,7 @@ from hedgerow.plant.truth import Truth
 from hedgerow.topologies import lots
 from hedgerow.topologies.archive import id_array
 from hedgerow.topologies.edges import Edge
-from hedgerow.topologies.effects import Effect
+from hedgerow.topologies.effects import EDGES, INCIDENCES, NODES, Effect
 from hedgerow.topologies.faults import Jump, effects
 from hedgerow.topologies.graph import Array, Gain, Graph, Index
 from hedgerow.topologies.law_choice import LawChoice
@@ -77,7 +77,7 @@ class Union:
     @property
     def history(self) -> int:
         """Return the number of past steps stored for back-filling; 0 if no message can be missing."""
-        lossy = any(effect.kind != "jump" for effect in self.effects)
+        lossy = any(effect.lossy for effect in self.effects)
         return history_of(self.topology) if lossy else 0
 
     @cached_property
@@ -115,7 +115,7 @@ class Union:
             column=self.graph.neighbour,
             weights=self.graph.weight,
             peers=[],
-            heard=id_array([]),
+            outside=id_array([]),
             history=self.history,
             seed=np.repeat(self.law_seeds, self.n),
         )
@@ -252,9 +252,9 @@ class _Place:
     incidence: int
     edge: int
 
-    def of(self, kind: str) -> int:
-        """Return the shift of the targets of a kind of effect."""
-        return {"drop": self.incidence, "delay": self.incidence, "cut": self.edge}.get(kind, self.node)
+    def of(self, effect: Effect) -> int:
+        """Return the shift of the targets of an effect."""
+        return {INCIDENCES: self.incidence, EDGES: self.edge, NODES: self.node}[effect.of]
 
 
 def _shifted(of_parts: Sequence[Sequence[Effect]], places: Sequence[_Place]) -> list[Effect]:
@@ -262,7 +262,7 @@ def _shifted(of_parts: Sequence[Sequence[Effect]], places: Sequence[_Place]) -> 
     found: dict[Any, Effect] = {}
     for k, (own, place) in enumerate(zip(of_parts, places, strict=True)):
         for number, effect in enumerate(own):
-            shift = place.of(effect.kind)
+            shift = place.of(effect)
             targets = tuple(target + shift for target in effect.targets)
             if effect.kind == "jump":
                 found[number, k] = dataclasses.replace(effect, targets=targets)

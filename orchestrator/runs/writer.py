@@ -28,7 +28,7 @@ from hedgerow.orchestrator.runs.selection import selection
 from hedgerow.topologies.archive import id_array
 from hedgerow.topologies.graph import Array, Index
 from hedgerow.topologies.schema import Topology
-from hedgerow.wire.codec import End
+from hedgerow.wire.message import End
 
 if TYPE_CHECKING:
     from hedgerow.orchestrator.metrics.gain_certificate import GainCertificate
@@ -145,8 +145,7 @@ SUMMARY = {
 
 def summary(batch: Batch) -> dict[str, NDArray[Any]]:
     """Return the facts of the whole network at each step of a batch, by name of the column, (B,)."""
-    x, u = np.abs(batch.x), np.abs(batch.u)
-    missing = np.isnan(u)
+    x, u, missing = np.abs(batch.x), np.abs(batch.u), batch.missing
     if missing.any():
         u[missing] = 0.0
     return {

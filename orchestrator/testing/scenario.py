@@ -27,7 +27,7 @@ from hedgerow.topologies.named import Named, text_of
 from hedgerow.topologies.record import Record
 from hedgerow.topologies.resolve import resolve
 from hedgerow.topologies.schema import Topology
-from hedgerow.wire.codec import End, Telemetry
+from hedgerow.wire.message import End, Telemetry
 
 RUN_DEADLINE_S = 120.0
 LIVE_STEPS = 1_000_000

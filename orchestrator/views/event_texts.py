@@ -53,8 +53,7 @@ class Now:
     def _text(self, batch: Batch, k: int, gain: float, less: float) -> str:
         x, regret = np.abs(batch.x[k]), batch.regret[k]
         top, worst = int(x.argmax()), int(regret.argmax())
-        missing, wrong = np.isnan(batch.u[k]), batch.wrong[k]
-        dead = missing & np.isnan(batch.ahat[k])
+        missing, dead, wrong = batch.missing[k], batch.dead[k], batch.wrong[k]
         down = [
             *_those("edge cut:", self._edge, ~batch.edge_open[k]),
             *_those("message lost:", self._link, ~batch.link_up[k]),

@@ -19,10 +19,9 @@ class Scene(NamedTuple):
     """The data of a picture: the fields of a Batch with these names, R rows each."""
 
     t: NDArray[np.int64]
-    a: NDArray[np.float64]
     x: NDArray[np.float64]
-    u: NDArray[np.float64]
-    ahat: NDArray[np.float64]
+    missing: Mask
+    dead: Mask
     wrong: Mask
     u_edge: NDArray[np.float64]
     edge_open: Mask
@@ -65,18 +64,14 @@ class Groups:
         def of(values: NDArray[Any], most: np.ufunc = np.maximum) -> NDArray[Any]:
             return np.asarray(most.reduceat(values[:, self._nodes], self._starts, axis=1))
 
-        x, u, ahat = np.abs(batch.x[rows]), batch.u[rows], batch.ahat[rows]
-        missing = np.isnan(u)
-        silent, dead = of(missing, np.logical_or), of(missing & np.isnan(ahat), np.logical_or)
         size = np.diff(np.append(self._starts, len(self._nodes)))
         wrong = of(batch.wrong[rows].astype(np.int64), np.add) > size / 2
         return Scene(
             t=batch.t[rows],
-            a=np.zeros(wrong.shape),
+            x=of(np.abs(batch.x[rows])),
+            missing=of(batch.missing[rows], np.logical_or),
+            dead=of(batch.dead[rows], np.logical_or),
             wrong=wrong,
-            x=of(x),
-            u=np.where(silent, np.nan, 0.0),
-            ahat=np.where(dead, np.nan, wrong),
             u_edge=self._edges.most(self._flow(batch.u_edge[rows])),
             edge_open=self._edges.all(batch.edge_open[rows]),
             link_up=self._links.all(batch.link_up[rows]),

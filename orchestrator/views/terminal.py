@@ -84,7 +84,7 @@ class Standing:
     def take(self, batch: Batch, now: float) -> None:
         """Record further steps, finished at the time `now` [s]."""
         self._last = batch
-        self._missing += np.isnan(batch.u).sum(axis=0)
+        self._missing += batch.missing.sum(axis=0)
         self._lost += batch.link_up.size - int(np.count_nonzero(batch.link_up))
         while self._due and self._due[0][0] <= batch.t[-1]:
             step, number, what = self._due.popleft()
@@ -123,9 +123,8 @@ class Standing:
         """Return a heading and the nodes, the worst first, in `room` lines; nothing if there is no space for a node."""
         if room < 2:
             return []
-        x, ahat, missing = batch.x[-1], batch.ahat[-1], np.isnan(batch.u[-1])
-        dead = missing & np.isnan(ahat) & np.isnan(batch.margin[-1]) & (batch.index[-1] < 0)
-        silent, wrong = missing & ~dead, batch.wrong[-1]
+        x, ahat, dead, wrong = batch.x[-1], batch.ahat[-1], batch.dead[-1], batch.wrong[-1]
+        silent = batch.missing[-1] & ~dead
         rank = np.select([dead, silent, wrong], [0, 1, 2], 3)
         hidden: list[Text] = []
         if room - 1 < len(rank):

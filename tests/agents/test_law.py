@@ -196,7 +196,7 @@ def test_an_agent_receives_only_its_nodes_and_neighbours(topology: Topology, dat
             assert sorted(node.get("weights", [])) == sorted(weights[beside_node].tolist())
         own = {topology.ids[k] for k in nodes}
         beside = {end for edge in topology.pairs if own & set(edge) for end in edge} - own
-        assert {node for peer in told["peers"] for node in peer["hear"]} == {*view.heard.tolist()} == beside
+        assert {node for peer in told["peers"] for node in peer["receives"]} == {*view.outside.tolist()} == beside
         assert all(
             {*node["neighbours"]} == {e for edge in topology.pairs if node["id"] in edge for e in edge} - {node["id"]}
             for node in told["nodes"]
@@ -218,9 +218,10 @@ def test_the_data_of_a_process_survive_its_file(
         view.write(folder / f"{view.shard}.npz")
         with np.load(folder / f"{view.shard}.npz") as file:
             settings_of, arrays = json.loads(file["settings"].tobytes()), {*file.files} - {"settings"}
-        assert settings_of.keys() - {"b"} == {"shard", "law", "law_source", "history", "seed", "ids"}
-        own = {"ids", "candidates", "row", "column", "peers", "say", "heard"}
-        assert arrays - {"b", "weights"} == own
+        assert settings_of.keys() - {"b", "seed"} == {"shard", "law", "history", "nodes", "peers", "ids"}
+        lists = {"nodes.candidates", "nodes.neighbours", "nodes.weights", "peers.sends", "peers.receives"}
+        own = {"nodes.id", "peers.shard", *(f"{name}.{part}" for name in lists for part in ("values", "sizes"))}
+        assert own - {"nodes.weights.values", "nodes.weights.sizes"} <= arrays - {"b"} <= own
         assert ("b" in settings_of) != ("b" in arrays)
     back = [View.read(folder / f"{view.shard}.npz") for view in views]
     assert [view.to_json() for view in back] == [view.to_json() for view in views]
@@ -245,9 +246,9 @@ def test_sent_and_received_messages_are_equal() -> None:
     views = views_of(topology, [[0, 2, 4], [1, 3, 5]])
     (to_second,), (to_first,) = (view.peers for view in views)
     first, second = views
-    assert first.ids[to_second.say].tolist() == second.heard.tolist() == ["f", "d", "b"]
-    assert second.ids[to_first.say].tolist() == first.heard.tolist() == ["e", "c", "a"]
-    assert to_second.hear == to_first.hear == 3
+    assert first.ids[to_second.sends].tolist() == second.outside.tolist() == ["f", "d", "b"]
+    assert second.ids[to_first.sends].tolist() == first.outside.tolist() == ["e", "c", "a"]
+    assert to_second.receives == to_first.receives == 3
 
 
 def test_candidates_of_different_lengths_run_together() -> None:

@@ -23,7 +23,8 @@ from hedgerow.plant.world import World
 from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import resolve
 from hedgerow.topologies.schema import Topology
-from hedgerow.wire.codec import Link, encode_input, encode_link, encode_state
+from hedgerow.wire.codec import encode_input, encode_link, encode_state
+from hedgerow.wire.message import Link
 from tests.test_faults import faulty, harsh
 from tests.tools.networks import partitions, simulate
 
@@ -99,7 +100,7 @@ def test_any_numbers_give_the_bits_of_the_law_or_are_passed_to_it(
         row=np.array([0, 0]),
         column=np.array([1, 2]),
         peers=[Peer(1, np.array([0]), 2)],
-        heard=np.array([2, 3]),
+        outside=np.array([2, 3]),
         history=0,
     )
     law, other = Minimax(b, view.candidates), Minimax(b, view.candidates)
@@ -142,7 +143,7 @@ def test_messages_answered_without_numpy_are_those_of_the_general_path(processes
         for view, (one, other), (state, _) in zip(views, pairs, told, strict=True):
             assert state is not None
             other.answer(state)
-            general = [encode_link(link, other.peers[peers[0]].says) for peers, link in other.send(state)]
+            general = [encode_link(link, other.peers[peers[0]].sends) for peers, link in other.send(state)]
             general.append(encode_input(state.t, other.u, other.report, other.took))
             answer = one.answer_quietly(encode_state(*state))
             if answer is None:

@@ -21,7 +21,7 @@ from hedgerow.orchestrator.ground.assignment import layout
 from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import resolve
 from hedgerow.topologies.schema import Topology
-from hedgerow.wire.codec import Link
+from hedgerow.wire.message import Link
 from tests.agents.test_quiet import check_same_bits, general_path
 from tests.test_faults import faulty, harsh
 from tests.tools.networks import partitions, simulate
@@ -89,7 +89,7 @@ def test_any_numbers_give_the_bits_of_the_law_or_are_left_to_it(
         row=np.array([0]),
         column=np.array([1]),
         peers=[Peer(1, np.array([0]), 1)],
-        heard=np.array([2]),
+        outside=np.array([2]),
         history=0,
         seed=5,
     )

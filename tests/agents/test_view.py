@@ -336,7 +336,8 @@ class Seen:
     def at(self, color: palette.Color, place: NDArray[np.float64], reach: int = 8) -> bool:
         """Return True if a colour is near a place of the picture; the legend gives the position of the picture."""
         legend = self._picture.legend
-        ring = np.argwhere(self.of(palette.NO_INPUT))  # in the legend only, and above "lost both"
+        ring = np.argwhere(self.of(palette.NO_INPUT))  # in the legend, above "lost both"; above it, a node's name
+        ring = ring[ring[:, 0] > len(self._pixels) / 2]
         if not len(ring):
             return False
         top, left = (ring.min(axis=0) + ring.max(axis=0)) / 2

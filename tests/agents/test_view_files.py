@@ -27,7 +27,7 @@ def test_a_view_of_any_file_is_the_view_that_was_written(suffix: str, topology: 
             file = Path(folder) / f"view{suffix}"
             view.write(file)
             back = View.read(file)
-            for name in ("ids", "row", "column", "heard"):
+            for name in ("ids", "row", "column", "outside"):
                 one, other = getattr(view, name), getattr(back, name)
                 assert (one.dtype, one.shape, one.tolist()) == (other.dtype, other.shape, other.tolist())
             assert back.candidates.tobytes() == np.ascontiguousarray(view.candidates).tobytes()

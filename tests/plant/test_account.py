@@ -13,7 +13,8 @@ from hedgerow.orchestrator.runs import reference
 from hedgerow.plant.world import World
 from hedgerow.topologies.graph import Array
 from hedgerow.topologies.schema import Topology
-from hedgerow.wire.codec import Record, State, Telemetry, encode_quiet_states, encode_state
+from hedgerow.wire.codec import encode_quiet_states, encode_state
+from hedgerow.wire.message import Record, State, Telemetry
 from tests.test_faults import faulty
 from tests.tools.networks import partitions, simulate
 

@@ -23,7 +23,7 @@ from hedgerow.topologies.errors import HedgerowError, UserError
 from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import resolve
 from hedgerow.wire import keys
-from hedgerow.wire.codec import REPORT_ROWS
+from hedgerow.wire.message import REPORT_ROWS
 from hedgerow.wire.session import close, open_client
 from tests.tools.processes import Orchestrator, orchestrator, parquet_bytes
 

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from hedgerow.plant import inputs as module
 from hedgerow.plant.inputs import Inputs
-from hedgerow.wire.codec import REPORT_ROWS, MessageError, encode_input
+from hedgerow.wire.codec import encode_input
+from hedgerow.wire.message import REPORT_ROWS, MessageError
 
 T = 7
 BITS = st.integers(0, 2**64 - 1)

@@ -20,17 +20,9 @@ from hedgerow.plant.process import Plant
 from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import resolve
 from hedgerow.wire import keys
-from hedgerow.wire.codec import (
-    REPORT_ROWS,
-    Kind,
-    decode_event,
-    decode_state,
-    encode_event,
-    encode_input,
-    encode_seen,
-    kind_of,
-)
+from hedgerow.wire.codec import decode_event, decode_state, encode_event, encode_input, encode_seen, kind_of
 from hedgerow.wire.handshake import introduction
+from hedgerow.wire.message import REPORT_ROWS, Kind
 from hedgerow.wire.session import close, open_client, open_router, subscriber
 from hedgerow.wire.stream import Inbox
 

@@ -20,7 +20,7 @@ from hedgerow.topologies.hinf import contraction, gamma_star, q_solver
 from hedgerow.topologies.network import groups_of, padded
 from hedgerow.topologies.resolve import truth
 from hedgerow.topologies.schema import Topology
-from hedgerow.wire.codec import REPORT_ROWS
+from hedgerow.wire.message import REPORT_ROWS
 from tests.tools.networks import disturbances, networks, observe, read, simulate
 
 SEED = 2**63 - 1

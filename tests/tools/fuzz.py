@@ -45,9 +45,10 @@ from hedgerow.orchestrator.launch.simulation import simulate_into
 from hedgerow.orchestrator.metrics.observer import Observer
 from hedgerow.orchestrator.runs.files import load_resolved
 from hedgerow.orchestrator.runs.folder import create
+from hedgerow.orchestrator.views.event_line import event_line
 from hedgerow.orchestrator.views.rerun.opening import _open
 from hedgerow.orchestrator.views.rerun.viewer import Viewer
-from hedgerow.orchestrator.views.rerun.watch import Happenings, Trail, note_of
+from hedgerow.orchestrator.views.rerun.watch import Happenings, Trail
 from hedgerow.orchestrator.views.screen import Quiet
 from hedgerow.plant.truth import Truth
 from hedgerow.topologies import table
@@ -55,7 +56,7 @@ from hedgerow.topologies.errors import HedgerowError
 from hedgerow.topologies.load import bundled, find, load
 from hedgerow.topologies.resolve import resolve
 from hedgerow.wire import codec
-from hedgerow.wire.codec import MessageError
+from hedgerow.wire.message import REPORT_ROWS, End, Link, MessageError, Record, Span, Telemetry, Trips
 from hedgerow.wire.ports import free_port
 from hedgerow.wire.stream import Inbox
 from tests.tools import fuzz_inputs
@@ -297,7 +298,7 @@ class Files:
         except FileNotFoundError:
             return
         for event in Happenings(folder / "events.jsonl").new():
-            note_of(event)
+            event_line(event)
         observer = Observer(topology)
         while rows := trail.take(64):
             observer.take(rows)
@@ -311,31 +312,31 @@ class Payloads:
         k, m, n, e = 3, 5, 4, 6
         x, flags = np.arange(float(k)), np.ones(m, np.uint8)
         back, degrees = np.array([True, False, True]), np.array([2, 1, 2])
-        record = codec.Record(9, back, 5, np.ones((4, 2)), np.ones((4, 2)), np.ones((4, 4), np.uint8))
-        link = codec.Link(7, 7, x.tobytes(), x.tobytes())
-        far = codec.Link(7, 5, np.ones((3, 3)).tobytes(), np.ones((3, 3)).tobytes())
+        record = Record(9, back, 5, np.ones((4, 2)), np.ones((4, 2)), np.ones((4, 4), np.uint8))
+        link = Link(7, 7, x.tobytes(), x.tobytes())
+        far = Link(7, 5, np.ones((3, 3)).tobytes(), np.ones((3, 3)).tobytes())
         ones, bits = np.ones(n), np.ones(e, np.uint8)
-        row = codec.Telemetry(
+        row = Telemetry(
             4,
             ones,
             ones,
             ones,
-            np.ones((codec.REPORT_ROWS, n)),
+            np.ones((REPORT_ROWS, n)),
             bits,
             np.ones(2 * e, np.uint8),
             np.ones(2 * e, np.uint8),
         )
         self._messages: list[bytes] = [
             codec.encode_state(7, x, flags),
-            codec.encode_state(7, x, flags, [codec.Span(2, 1, 0, 0, 3)]),
+            codec.encode_state(7, x, flags, [Span(2, 1, 0, 0, 3)]),
             codec.encode_record(record),
-            codec.encode_input(7, x, np.ones((codec.REPORT_ROWS, k)), flags),
+            codec.encode_input(7, x, np.ones((REPORT_ROWS, k)), flags),
             codec.encode_link(link, k),
             codec.encode_link(far, k),
             codec.join(codec.encode_telemetry(row)),
             codec.join(codec.encode_telemetry(row, whole=True)),
-            codec.encode_trips(codec.Trips(2, np.ones((3, k)))),
-            codec.encode_end(codec.End(9, ones, 1.5)),
+            codec.encode_trips(Trips(2, np.ones((3, k)))),
+            codec.encode_end(End(9, ones, 1.5)),
             codec.encode_seen(12),
             codec.encode_event(3, {"event": "kill", "shard": 1, "life": 0}),
             codec.encode_event(3, {"event": "x", "a": [[[{}]]]}),

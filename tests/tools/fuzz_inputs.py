@@ -41,6 +41,7 @@ from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import resolve
 from hedgerow.wire import bounded_json, codec, config, keys, standalone
 from hedgerow.wire.credentials import Credentials
+from hedgerow.wire.message import MessageError
 from hedgerow.wire.session import _rules_in
 from tests.tools.fuzz_bends import bent_bytes, bent_text
 
@@ -431,7 +432,7 @@ class Requests(Inputs):
     def _ask(self, payload: bytes) -> None:
         with contextlib.suppress(ValueError):
             json.dumps(bounded_json.decode(payload)).encode()
-        with contextlib.suppress(codec.MessageError):
+        with contextlib.suppress(MessageError):
             codec.decode_event(codec.encode_event(3, {})[: codec._SIZE] + payload)
         request = requests.read(payload, self._graph)
         for reads in (

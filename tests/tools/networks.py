@@ -20,7 +20,7 @@ from hedgerow.topologies.hinf import allowed_interval
 from hedgerow.topologies.load import parse
 from hedgerow.topologies.resolve import resolve
 from hedgerow.topologies.schema import Topology
-from hedgerow.wire.codec import End, Telemetry
+from hedgerow.wire.message import End, Telemetry
 
 VECTORS = sorted((Path(__file__).parents[1] / "vectors").glob("*.json"))
 

@@ -10,7 +10,7 @@ from hedgerow.agents.law import Array, Minimax
 from hedgerow.agents.samples import LateRows
 from hedgerow.agents.shard import Shard
 from hedgerow.agents.view import View
-from hedgerow.wire.codec import TAKEN, Flag, Flags, Link, State
+from hedgerow.wire.message import TAKEN, Flag, Flags, Link, State
 
 
 class SecondBest(Minimax):
@@ -106,7 +106,7 @@ class HeldForMissing(Shard):
 
     def __init__(self, view: View) -> None:
         super().__init__(view)
-        samples, last = self._samples, np.zeros(1 + sum(peer.hears for peer in self.peers))
+        samples, last = self._samples, np.zeros(1 + sum(peer.receives for peer in self.peers))
 
         def flow(u: Array, bits: Flags) -> Array:
             last[:] = np.where(np.isnan(u), last, u)

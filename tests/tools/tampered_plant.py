@@ -15,7 +15,7 @@ from hedgerow.plant.truth import Truth
 from hedgerow.plant.world import World
 from hedgerow.topologies.effects import Effect
 from hedgerow.topologies.graph import Mask
-from hedgerow.wire.codec import Telemetry
+from hedgerow.wire.message import Telemetry
 from tests.tools.watched_network import NODE
 
 
@@ -23,18 +23,15 @@ class _Changed(World):
     """A plant with a changed truth, changed faults or changed disturbances."""
 
     def __init__(self, truth: Truth) -> None:
-        super().__init__(self.told(truth))
+        super().__init__(self.changed(truth))
         self.disturb(truth)
-        if self.none_of:
-            kept = [one for one in self.faults.effects if one.kind != self.none_of]
-            self.faults = Faults(map(self.other, kept), self.graph, truth.ids, truth.seed)
-        else:
-            self.faults = Faults(map(self.other, self.faults.effects), self.graph, truth.ids, truth.seed)
+        effects = map(self.other, self.kept(self.faults.effects))
+        self.faults = Faults(effects, self.graph, truth.ids, truth.seed)
 
-    none_of = ""
-    """the kind of fault that does not happen"""
+    def kept(self, effects: Sequence[Effect]) -> Sequence[Effect]:
+        return effects
 
-    def told(self, truth: Truth) -> Truth:
+    def changed(self, truth: Truth) -> Truth:
         return truth
 
     def other(self, effect: Effect) -> Effect:
@@ -50,7 +47,7 @@ class _Changed(World):
 class StartOff(_Changed):
     """Begins 1 % off."""
 
-    def told(self, truth: Truth) -> Truth:
+    def changed(self, truth: Truth) -> Truth:
         return replace(truth, x0=truth.x0 * np.where(truth.ids == NODE, 1.01, 1.0))
 
 
@@ -88,14 +85,14 @@ class OneUlpMotion(_Changed):
 class OtherA(_Changed):
     """Moves by an a that is off by 1e-12."""
 
-    def told(self, truth: Truth) -> Truth:
+    def changed(self, truth: Truth) -> Truth:
         return replace(truth, a=truth.a + np.where(truth.ids == NODE, 1e-12, 0.0))
 
 
 class OtherB(_Changed):
     """Moves by another gain b."""
 
-    def told(self, truth: Truth) -> Truth:
+    def changed(self, truth: Truth) -> Truth:
         return replace(truth, b=truth.b * (1 + 1e-9))
 
 
@@ -106,46 +103,15 @@ class ShorterDelay(_Changed):
         return replace(effect, by=2) if effect.kind == "delay" else effect
 
 
-class NoDelay(_Changed):
-    """Does not delay."""
+class Without(_Changed):
+    """Leaves out the faults of one kind."""
 
-    none_of = "delay"
+    def __init__(self, kind: str, truth: Truth) -> None:
+        self._kind = kind
+        super().__init__(truth)
 
-
-class NoDrop(_Changed):
-    """Does not drop."""
-
-    none_of = "drop"
-
-
-class NoCut(_Changed):
-    """Does not cut."""
-
-    none_of = "cut"
-
-
-class NoSensorFault(_Changed):
-    """Does not lose the readings."""
-
-    none_of = "sensor"
-
-
-class NoActuatorFault(_Changed):
-    """Lets inputs act that should be lost."""
-
-    none_of = "actuator"
-
-
-class NoCrash(_Changed):
-    """Does not let the agent crash."""
-
-    none_of = "crash"
-
-
-class NoJump(_Changed):
-    """Keeps the old a."""
-
-    none_of = "jump"
+    def kept(self, effects: Sequence[Effect]) -> Sequence[Effect]:
+        return [one for one in effects if one.kind != self._kind]
 
 
 class LateJump(_Changed):
@@ -168,12 +134,11 @@ class OtherLots(_Changed):
     def begin(self) -> None:
         at = self.faults.at
 
-        def lost(t: int) -> ActiveFaults:
-            wrong = at(t)
+        def lost(t: int) -> ActiveFaults | None:
             if t != 12:
-                return wrong
+                return at(t)
             dropped: Mask = np.arange(len(self.graph.node)) == int(self.graph.first[NODE - 1])
-            return replace(wrong, lost=dropped)
+            return replace(at(t) or ActiveFaults(), lost=dropped)
 
         self.faults.at = lost  # type: ignore[method-assign]
         super().begin()
@@ -202,7 +167,7 @@ class HeldInput(_Changed):
         super().advance(self._last)
 
 
-class EdgeToldOpen(_Changed):
+class EdgeReportedOpen(_Changed):
     """Reports a closed edge as open."""
 
     def account(self, report: Array, took: Sequence[Any]) -> Telemetry:
@@ -213,5 +178,5 @@ class EdgeToldOpen(_Changed):
 class ShortHistory(_Changed):
     """Keeps one past row in place of all."""
 
-    def told(self, truth: Truth) -> Truth:
+    def changed(self, truth: Truth) -> Truth:
         return replace(truth, history=1)

@@ -19,7 +19,7 @@ from scipy import special, stats
 
 from hedgerow.orchestrator.metrics.fault_schedule import Schedule
 from hedgerow.plant.disturbance import Disturbance, white_keys
-from hedgerow.plant.faults import Faults
+from hedgerow.plant.faults import ActiveFaults, Faults
 from hedgerow.topologies import lots
 from hedgerow.topologies.faults import effects
 from hedgerow.topologies.graph import Array
@@ -138,7 +138,7 @@ def test_a_fault_that_is_added_late_or_ends_early_has_the_lots_that_the_file_giv
             live.add([second])
         if t == 9:
             live.end(0, 9)
-        one, other = live.at(t).blind, file.at(t).blind
+        one, other = ((some.at(t) or ActiveFaults()).blind for some in (live, file))
         assert (one is None) == (other is None)
         assert one is None or other is None or (one == other).all()
 

@@ -12,6 +12,7 @@ from hedgerow.plant import request
 from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.graph import Graph
 from hedgerow.wire import bounded_json, codec
+from hedgerow.wire.message import MessageError
 
 GRAPH = Graph(2, np.array([[0, 1]]))
 HEADER = codec.encode_event(3, {})[:-2]
@@ -40,7 +41,7 @@ REFUSED = [
 
 @pytest.mark.parametrize("text", REFUSED, ids=range(len(REFUSED)))
 def test_an_event_that_cannot_be_passed_on_is_refused(text: str) -> None:
-    with pytest.raises(codec.MessageError) as refused:
+    with pytest.raises(MessageError) as refused:
         codec.decode_event(HEADER + text.encode())
     assert refused.value.code == Code.MESSAGE
 
@@ -54,7 +55,7 @@ def test_a_command_that_cannot_be_passed_on_is_refused(text: str) -> None:
 
 @pytest.mark.parametrize("encoding", ["utf-16", "utf-32", "latin-1"])
 def test_text_that_is_not_utf_8_is_refused(encoding: str) -> None:
-    with pytest.raises(codec.MessageError):
+    with pytest.raises(MessageError):
         codec.decode_event(HEADER + '{"who": "é"}'.encode(encoding))
 
 
@@ -63,7 +64,7 @@ def test_bytes_and_values_are_bounded_before_the_text_is_parsed() -> None:
         bounded_json.decode(b"[1, 2]", most_bytes=5)
     with pytest.raises(ValueError, match="values"):
         bounded_json.decode(b"[" + b"1," * bounded_json.MOST_VALUES + b"1]")
-    with pytest.raises(codec.MessageError):
+    with pytest.raises(MessageError):
         codec.decode_event(HEADER + b'{"event": "counted"}', most_bytes=8)
 
 
@@ -78,7 +79,7 @@ JSON = st.recursive(
 def test_a_decoded_message_encodes_to_the_same_bytes(event: dict[str, Any]) -> None:
     try:
         decoded = codec.decode_event(codec.encode_event(3, event))
-    except codec.MessageError:
+    except MessageError:
         with pytest.raises(ValueError, match="nested"):
             bounded_json.decode(json.dumps(event).encode())
         return
@@ -92,5 +93,5 @@ def test_an_event_that_json_cannot_hold_is_refused_by_its_sender() -> None:
     for _ in range(5000):
         deep = [deep]
     for event in ({"entry": deep}, {"entry": {1, 2}}):
-        with pytest.raises(codec.MessageError):
+        with pytest.raises(MessageError):
             codec.encode_event(0, event)

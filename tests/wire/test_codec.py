@@ -12,7 +12,21 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from hedgerow.wire import codec
-from hedgerow.wire.codec import End, Kind, Link, MessageError, Record, Span, State, Telemetry, Trips
+from hedgerow.wire.message import (
+    REPORT_ROWS,
+    TAKEN,
+    Array,
+    End,
+    Flags,
+    Kind,
+    Link,
+    MessageError,
+    Record,
+    Span,
+    State,
+    Telemetry,
+    Trips,
+)
 
 BITS = st.integers(0, 2**64 - 1)
 """Any eight bytes are a float: NaNs with payloads, -0.0, infinities and subnormals among them."""
@@ -51,12 +65,12 @@ def messages(draw: st.DrawFn) -> Message:
     n, e, t = draw(st.integers(0, 5)), draw(st.integers(0, 6)), draw(STEPS)
     first = min(t, 2**62)
 
-    def array(*shape: int) -> codec.Array:
+    def array(*shape: int) -> Array:
         size = int(np.prod(shape))
         values = np.array(draw(st.lists(BITS, min_size=size, max_size=size)), np.uint64).view("<f8")
         return values.reshape(shape)
 
-    def flags(*shape: int) -> codec.Flags:
+    def flags(*shape: int) -> Flags:
         size = int(np.prod(shape))
         return np.frombuffer(draw(st.binary(min_size=size, max_size=size)), np.uint8).reshape(shape)
 
@@ -78,7 +92,7 @@ def messages(draw: st.DrawFn) -> Message:
         )
 
     def input_() -> Message:
-        u, report, took = array(n), array(codec.REPORT_ROWS, n), flags(e if draw(st.booleans()) else 0)
+        u, report, took = array(n), array(REPORT_ROWS, n), flags(e if draw(st.booleans()) else 0)
         raw = codec.encode_input(t, u, report, took)
         read = (t, u, *report, took)
         return Message(raw, read, lambda m: codec.decode_input(m, n, e), either(16 + 24 * n, e))
@@ -91,9 +105,9 @@ def messages(draw: st.DrawFn) -> Message:
         return Message(raw, sent, lambda m: codec.decode_link(m, boundary), rows(24, 16 * boundary, least=1))
 
     def telemetry() -> Message:
-        x, u, w, report = array(n), array(n), array(n), array(codec.REPORT_ROWS, n)
+        x, u, w, report = array(n), array(n), array(n), array(REPORT_ROWS, n)
         whole = draw(st.booleans())
-        everything = (np.full(c, bit, np.uint8) for c, bit in ((e, 1), (2 * e, 1), (2 * e, codec.TAKEN)))
+        everything = (np.full(c, bit, np.uint8) for c, bit in ((e, 1), (2 * e, 1), (2 * e, TAKEN)))
         bits = everything if whole else (flags(e), flags(2 * e), flags(2 * e))
         sent = Telemetry(t, x, u, w, report, *bits)
         raw = codec.join(codec.encode_telemetry(sent, whole))

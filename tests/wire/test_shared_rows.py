@@ -11,7 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hedgerow.wire.codec import Kind, MessageError, Telemetry, encode_place, encode_telemetry, join, kind_of
+from hedgerow.wire.codec import encode_place, encode_telemetry, join, kind_of
+from hedgerow.wire.message import Kind, MessageError, Telemetry
 from hedgerow.wire.shared_rows import SharedRows, close, create, open_shared
 from hedgerow.wire.stream import Inbox, Outbox
 

@@ -82,7 +82,7 @@ def numbers(
             found[k] = missing
             continue
         try:
-            if value is None or isinstance(value, bool):
+            if value is None or isinstance(value, bool) or (isinstance(value, str) and as_number(value) is None):
                 raise ValueError
             found[k] = float(value)
         except (TypeError, ValueError):
@@ -140,8 +140,6 @@ def storage_of(
     if asked is None:
         return None, None
     if (number := as_number(asked)) is not None:
-        if not number > 0:
-            raise refuse(f"--storage {asked}", "is not above 0", "Give a number above 0", Code.OPTION)
         return np.full(len(attributes), number), f"Every {noun} has the storage {number:g}, by the option"
     key = str(asked)
     if not any(key in own for own in attributes):
@@ -169,6 +167,8 @@ def storage_of(
 
 def as_number(value: str | float) -> float | None:
     """Return a word of the command line as a number, or None if it is a name."""
+    if isinstance(value, str) and "_" in value:
+        return None  # Python reads 1_0 as 10
     try:
         found = float(value)
     except ValueError:
@@ -182,8 +182,12 @@ def pairs(found: Sequence[tuple[int, int]]) -> Index:
 
 
 def places(found: Sequence[tuple[float, float] | None]) -> Array | None:
-    """Return the positions of nodes, (n, 2), NaN for a node without one; None if no node has one."""
-    if all(place is None for place in found):
+    """Return the positions of nodes, (n, 2), NaN for a node without one; None if no node has one.
+
+    Some tools write (0, 0) for every node if they have no positions: several nodes in one place have none.
+    """
+    given = {place for place in found if place is not None}
+    if not given or (len(given) == 1 < sum(place is not None for place in found)):
         return None
     array: NDArray[np.float64] = np.array([(np.nan, np.nan) if one is None else one for one in found], dtype=float)
     return array

@@ -32,7 +32,7 @@ def read(path: Path, options: Options, kind: str) -> Found:
         "graphml": lambda: _graphml(data),
         "gml": lambda: _gml(data),
         "gexf": lambda: nx.read_gexf(io.BytesIO(data)),
-        "pajek": lambda: nx.parse_pajek(data.decode()),
+        "pajek": lambda: _pajek(data),
         "edgelist": lambda: nx.parse_edgelist(data.decode("utf-8-sig").splitlines(), data=True),
         "JSON": lambda: _json_graph(json.loads(data)),
     }
@@ -63,6 +63,20 @@ def _gml(data: bytes) -> Any:
     raise ValueError("it has neither ids nor labels")
 
 
+def _pajek(data: bytes) -> Any:
+    import networkx as nx  # noqa: PLC0415
+
+    return _upwards(nx.parse_pajek(data.decode("utf-8-sig")))
+
+
+def _upwards(graph: Any) -> Any:
+    """Return a graph of a tool whose y points down, with y upwards."""
+    for _, own in graph.nodes(data=True):
+        if "y" in own and (place := _pair(0, own["y"])) is not None:
+            own["y"] = 0.0 - place[1]  # of 0, this makes no -0
+    return graph
+
+
 def _graphml(data: bytes) -> Any:
     import networkx as nx  # noqa: PLC0415
 
@@ -76,7 +90,7 @@ def _graphml(data: bytes) -> Any:
     if len(graph) > len(listed):
         strange = next(node for node in graph if str(node) not in listed)
         raise ValueError(f"an edge leads to {strange!r}, which is no node")
-    return graph
+    return _upwards(graph) if b"yworks.com/xml" in data else graph  # yEd's format
 
 
 def _json_graph(content: Any) -> Any:
@@ -84,7 +98,14 @@ def _json_graph(content: Any) -> Any:
     import networkx as nx  # noqa: PLC0415
 
     if isinstance(content, dict) and isinstance(content.get("elements"), dict):
-        return nx.cytoscape_graph(content)
+        for listed in content["elements"]["nodes"]:
+            listed["data"].setdefault("value", listed["data"].get("id"))  # networkx needs it, Cytoscape has none
+        graph = nx.cytoscape_graph(content)
+        for node, listed in zip(graph, content["elements"]["nodes"], strict=True):
+            # networkx leaves the positions out. In Cytoscape, y points down.
+            if isinstance(place := listed.get("position"), dict) and {"x", "y"} <= {*place}:
+                graph.nodes[node]["pos"] = (place["x"], 0.0 - place["y"])
+        return graph
     if isinstance(content, dict) and "nodes" in content and "adjacency" in content:
         return nx.adjacency_graph(content)
     key = next((key for key in ("edges", "links") if isinstance(content, dict) and key in content), None)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from numbers import Integral, Real
 
 from hedgerow.topologies.errors import Code, UserError
 
@@ -35,15 +36,23 @@ class Options:
 
     def __post_init__(self) -> None:
         """Raise UserError for an invalid number."""
+        storage = self.storage
+        if isinstance(storage, str):
+            try:
+                storage = float(storage)
+            except ValueError:
+                storage = None  # an attribute
         for option, value in (
+            ("--storage", storage),
             ("--junction-storage", self.junction_storage),
             ("--b", self.b),
             ("--time-step", self.time_step),
             ("--leak", self.leak),
             ("--reservoir-storage", self.reservoirs),
         ):
-            if value is not None and not 0 < value < 1e100:
-                raise UserError(f"{option} {value:g}: is not above 0. Give a number above 0.", code=Code.OPTION)
+            # In Python, a value may have any type.
+            if value is not None and not (isinstance(value, Real) and 0 < value < 1e100):
+                raise UserError(f"{option} {value}: is no number above 0. Give a number above 0.", code=Code.OPTION)
         for option, whole in (("--max-degree", self.max_degree), ("--steps", self.steps)):
-            if whole is not None and whole < 1:
+            if whole is not None and not (isinstance(whole, Integral) and whole >= 1):
                 raise UserError(f"{option} {whole}: is below 1. Give a whole number from 1.", code=Code.OPTION)

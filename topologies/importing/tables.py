@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 from collections.abc import Hashable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,10 +19,13 @@ from hedgerow.topologies.regular_file import read_regular
 
 GROWTH = 25
 """the memory per byte of a file: every cell is a text first"""
+MOST_COLUMNS = 4
+"""a square of up to so many columns without names of rows is a matrix only if it is symmetric"""
 COMMENTS = ("#", "%", "//")
 FROM = ("source", "from", "src", "node1", "start", "from_node", "node_from", "tail")
 TO = ("target", "to", "dst", "node2", "end", "to_node", "node_to", "head")
 _SEPARATORS = ",;\t| "
+_DECIMAL = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
 
 
 def read(path: Path, options: Options) -> Found:
@@ -37,7 +41,7 @@ def read(path: Path, options: Options) -> Found:
         from hedgerow.topologies.importing import graphs  # noqa: PLC0415
 
         return graphs.read(path, options, "edgelist")
-    matrix = _matrix(rows)
+    matrix = _matrix(path, rows)
     if matrix is not None:
         names, values = matrix
         return of_matrix(values, options, str(path), names)
@@ -50,61 +54,106 @@ def _rows(path: Path) -> list[tuple[int, list[str]]]:
         text = read_regular(path, growth=GROWTH).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise refuse(path, f"byte {error.start} is not UTF-8 text", "Save the file as UTF-8") from None
-    lines = [(k, line) for k, line in enumerate(text.splitlines(), 1)]
-    lines = [(k, line) for k, line in lines if line.strip() and not line.lstrip().startswith(COMMENTS)]
+    # Other line ends of Unicode may be part of a name.
+    lines = list(enumerate(text.replace("\r\n", "\n").replace("\r", "\n").split("\n"), 1))
+    lines = [(k, line.rstrip()) for k, line in lines if line.strip() and not line.lstrip().startswith(COMMENTS)]
     separator = _separator([line for _, line in lines[:50]])
+    if separator == " " and not any('"' in line for _, line in lines):
+        return [(k, line.split()) for k, line in lines]
+    if separator == " ":
+        lines = [(k, line.strip().replace("\t", " ")) for k, line in lines]
+    reader = csv.reader(io.StringIO("\n".join(line for _, line in lines)), delimiter=separator, skipinitialspace=True)
+    rows, first = [], 0
     try:
-        if separator == " ":
-            return [(k, line.split()) for k, line in lines]
-        reader = csv.reader(
-            io.StringIO("\n".join(line for _, line in lines)), delimiter=separator, skipinitialspace=True
-        )
-        return [(k, [cell.strip() for cell in row]) for (k, _), row in zip(lines, reader, strict=False)]
+        for row in reader:
+            # A quoted cell may span lines: the place of a row is its first line.
+            rows.append((lines[first][0], [cell.strip() for cell in row]))
+            first = reader.line_num
     except csv.Error as error:
         raise refuse(path, f"is no table: {error}", "Write an edge per row") from None
+    return rows
 
 
 def _separator(lines: Sequence[str]) -> str:
     """Return the separator of the cells: the first of `,;TAB|` that every line has, otherwise blanks.
 
-    If most lines have one, it is the separator, and the other lines lack an end.
+    If most lines have one, it is the separator, and the other lines lack an end. Commas that are only in numbers, such
+    as in `1;2;0,5`, are decimal commas, and the separator is another one.
     """
     signs = _SEPARATORS[:-1]
     of_all = next((sign for sign in signs if lines and all(sign in line for line in lines)), None)
     of_most = next((sign for sign in signs if 2 * sum(sign in line for line in lines) > len(lines)), " ")
-    return of_all or of_most
+    found = of_all or of_most
+    if found == ",":
+        return next((sign for sign in _SEPARATORS[1:] if all(_decimal(line, sign) for line in lines)), found)
+    return found
+
+
+def _decimal(line: str, sign: str) -> bool:
+    """Return True if a sign separates cells of which some are numbers with a decimal comma, and no other has commas."""
+    cells = line.split() if sign == " " else line.split(sign)
+    # Blanks often follow a comma that separates: `1, 2`.
+    if len(cells) < 2 + (sign == " ") or (sign == " " and "," in cells[0] + cells[1]):
+        return False
+    return all("," not in cell or _DECIMAL.fullmatch(cell.strip()) for cell in cells)
 
 
 def _number(cell: str) -> float | None:
     return 0.0 if not cell else as_number(cell)
 
 
-def _matrix(rows: Sequence[tuple[int, list[str]]]) -> tuple[list[Hashable] | None, Array] | None:
+def _matrix(path: Path, rows: Sequence[tuple[int, list[str]]]) -> tuple[list[Hashable] | None, Array] | None:
     """Return the names and the values of an adjacency matrix, or None if the rows are not a square of numbers."""
-    cells = [row for _, row in rows]
-    widths = {len(row) for row in cells}
-    names: list[Hashable] | None = None
-    if len(cells) == max(widths) == len(cells[0]) and len(cells) > 2 and not cells[0][0] and len(widths) == 1:
-        names = [node_id(cell) for cell in cells[0][1:]]  # the corner is empty
-        cells = [row[1:] for row in cells[1:]]
-    elif len(cells) > 2 and len(widths) == 1 and len(cells) == len(cells[0]) + 1 and _named(cells[0]):
-        names, cells = [node_id(cell) for cell in cells[0]], cells[1:]
-    elif len(cells) > 2 and len(widths) == 1 and len(cells) == len(cells[0]) and _named(cells[0][1:]):
-        names, cells = [node_id(cell) for cell in cells[0][1:]], [row[1:] for row in cells[1:]]
+    header, n = rows[0][1], len(rows) - 1
+    widths = {len(row) for _, row in rows[1:]}
+    names: list[str] | None = None
+    beside: list[str] | None = None
+    cells: Sequence[tuple[int, list[str]]]
+    if n < 2 or _ends_named(header):
+        return None
+    first = [row[0] for _, row in rows[1:]]
+    corner = len(header) == n + 1 and as_number(header[0]) is None
+    if (
+        widths == {n + 1}
+        and (len(header) == n or corner)
+        and (_named(header[-n:]) or header[-n:] == first or not header[0])
+    ):
+        # The rows have names too. The corner is empty, holds any text, or is left out.
+        names, beside = header[-n:], first
+        cells = [(line, row[1:]) for line, row in rows[1:]]
+    elif _named(header) and len(header) == n:
+        names, cells = header, rows[1:]
+    else:
+        cells = rows
     n = len(cells)
     # Two edges in two columns look like a matrix of two nodes: treat them as edges, which are far more common.
-    if n < 3 or any(len(row) != n for row in cells):
+    if n < 3 or any(len(row) != n for _, row in cells) or (names is not None and len(names) != n):
         return None
     values = np.empty((n, n))
-    for k, row in enumerate(cells):
+    commas: tuple[int, str] | None = None
+    for k, (line, row) in enumerate(cells):
         for column, cell in enumerate(row):
-            if (value := _number(cell)) is None:
+            value = _number(cell)
+            if value is None and _DECIMAL.fullmatch(cell):
+                commas = commas or (line, cell)
+                value = _number(cell.replace(",", "."))
+            if value is None:
                 return None
             values[k, column] = value
-    # Three edges with weights are a square too: an adjacency matrix is symmetric and has no loops.
-    if names is None and n == 3 and (not np.array_equal(values, values.T) or values.diagonal().any()):
+    # Edges with attributes are a square too: an adjacency matrix is symmetric and has no loops.
+    if beside is None and n <= MOST_COLUMNS and (not np.array_equal(values, values.T) or values.diagonal().any()):
         return None
-    return names, values
+    if commas is not None:
+        raise refuse(f"{path}:{commas[0]}", f"{commas[1]!r} is not a number", "Write decimals with a point")
+    if names is not None and beside is not None and len(set(names)) == n and set(beside) == set(names):
+        values = values[[beside.index(name) for name in names]]
+    return None if names is None else [node_id(name) for name in names], values
+
+
+def _ends_named(header: Sequence[str]) -> bool:
+    """Return True if a header names the two ends of an edge."""
+    lower = {cell.lower() for cell in header}
+    return bool(lower & {*FROM}) and bool(lower & {*TO})
 
 
 def _named(cells: Sequence[str]) -> bool:
@@ -194,6 +243,10 @@ def of_pairs(
     tails, heads = list(tails), list(heads)
     if len({len(tails), len(heads), *map(len, columns.values())}) > 1:
         raise refuse(source, "its columns differ in length", "Give every column a value per edge")
+    for k, pair in enumerate(zip(tails, heads, strict=True)):
+        if any(_missing(end) is None for end in pair):
+            place = edge_names[k] if edge_names is not None else f"{source}: row {k + 1}"
+            raise refuse(place, "has no two ends of an edge", "Remove the row, or name both ends")
     ends = [(position(i), position(j)) for i, j in zip(tails, heads, strict=True)]
     edges = np.array(ends, dtype=np.int64).reshape(-1, 2)
     names = list(place)
@@ -221,9 +274,11 @@ def of_matrix(
     Nodes are numbered from `first` if they have no names. A symmetric matrix gives every edge twice, and it is taken
     once.
     """
-    from scipy.sparse import coo_array  # noqa: PLC0415 (half a second to load)
+    from scipy.sparse import coo_array, issparse  # noqa: PLC0415 (half a second to load)
 
     try:
+        if not issparse(matrix) and np.asarray(matrix).dtype.kind == "O":
+            matrix = np.asarray(matrix).astype(float)
         entries = coo_array(matrix)
     except (TypeError, ValueError) as error:
         raise refuse(source, f"is no matrix of numbers: {str(error)[:60]}", "Give an array (n, n)") from None
@@ -257,6 +312,7 @@ def of_matrix(
         directed=True,
         weights=None if ones else values,
         storage=storage,
+        sign=lambda weight: "and a pair without an edge has 0" if np.isnan(weight) else "",
         facts=["Every edge has the weight 1" if ones else "The weights are the entries of the matrix"],
     )
 
@@ -268,6 +324,8 @@ def of_frame(frame: Any, options: Options, source: str, tail: str | None, head: 
     if hasattr(frame, "to_pydict"):
         columns = frame.to_pydict()
     elif hasattr(frame, "to_dict"):
+        if twice := [name for name in frame.columns if list(frame.columns).count(name) > 1]:
+            raise refuse(source, f"two columns are named {twice[0]!r}", "Give each column its own name")
         columns = frame.to_dict("list") if hasattr(frame, "iloc") else frame.to_dict(as_series=False)
     else:
         columns = {key: list(values) for key, values in dict(frame).items()}
@@ -275,12 +333,13 @@ def of_frame(frame: Any, options: Options, source: str, tail: str | None, head: 
     listed = list(columns)
     if len(listed) < 2:
         raise refuse(source, "has fewer than two columns", "Give a column for each end of an edge")
-    i, j = _columns(listed)
-    ends = []
-    for given, default in ((tail, listed[i]), (head, listed[j])):
+    for given in (tail, head):
         if given is not None and given not in columns:
             raise refuse(source, f"has no column {given!r}", f"Its columns are {', '.join(listed)}")
-        ends.append(given or default)
+    # A column that the user names for one end is not the default of the other.
+    i, j = _columns([name if name not in (tail, head) else "" for name in listed])
+    spare = [listed[k] for k in (i, j, *range(len(listed))) if listed[k] not in (tail, head)]
+    ends = [tail or spare.pop(0), head or spare.pop(0)]
     return of_pairs(
         columns[ends[0]],
         columns[ends[1]],
@@ -291,5 +350,7 @@ def of_frame(frame: Any, options: Options, source: str, tail: str | None, head: 
 
 
 def _missing(value: Any) -> Any:
-    """Return None for a missing value of pandas, which is NaN."""
-    return None if isinstance(value, float) and value != value else value  # noqa: PLR0124
+    """Return None for a missing value of pandas: NaN, NaT, or NA, which has no truth value."""
+    if isinstance(value, float) or type(value).__name__ in ("NaTType", "NAType"):
+        return value if isinstance(value, float) and value == value else None  # noqa: PLR0124
+    return value

@@ -20,7 +20,7 @@ from hedgerow.orchestrator.runs import reference
 from hedgerow.orchestrator.runs.batch import Runs
 from hedgerow.topologies.resolve import resolve
 from hedgerow.topologies.schema import Topology
-from hedgerow.wire.codec import End, Telemetry
+from hedgerow.wire.message import End, Telemetry
 
 METRICS = ("share_right", "error", "regret", "cost_regret", "gain", "switches")
 """the numbers of a row that are compared"""

@@ -25,8 +25,8 @@ from hedgerow.topologies.json_file import read_json
 from hedgerow.topologies.resolve import resolve
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire import crash
-from hedgerow.wire.codec import End, Telemetry
 from hedgerow.wire.limits import limit_reached
+from hedgerow.wire.message import End, Telemetry
 
 Row = dict[str, Any]
 METRICS = (

@@ -130,11 +130,10 @@ class Lanes:
         before = batch.a[:1] if self._a is None else self._a[None]
         turned = batch.a != np.concatenate([before, batch.a[:-1]])
         self._a = batch.a[-1].copy()
-        missing, nobody = np.isnan(batch.u), np.isnan(batch.ahat)
         # At step 0 an estimate is the first of the list: no agent has learned anything.
         nodes = np.where(batch.wrong & self._models & (batch.t > 0)[:, None], MISTAKEN, THERE)
         nodes = np.where(turned, TURNED, nodes)
-        nodes = np.where(missing, np.where(nobody, GONE, NO_INPUT), nodes)
+        nodes = np.select([batch.dead, batch.missing], [GONE, NO_INPUT], nodes)
         return np.concatenate([links, nodes], axis=1).astype(np.uint8)
 
     def changes(self, batch: Batch, wall: NDArray[np.float64]) -> Changes:

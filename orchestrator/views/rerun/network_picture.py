@@ -192,10 +192,9 @@ class Picture:
         flow_peak = decaying_peak(flow.max(axis=1, initial=0.0), self._flow_peak)
         self._x_peak, self._flow_peak = float(x_peak[-1]), float(flow_peak[-1])
         x, flow, x_peak, flow_peak = x[rows], flow[rows], x_peak[rows, None], flow_peak[rows, None]
-        missing, ahat = np.isnan(batch.u[rows]), batch.ahat[rows]
-        dead = missing & np.isnan(ahat)
+        dead = batch.dead[rows]
         rings = np.full(x.shape, packed(palette.RIGHT))
-        rings[missing] = packed(palette.NO_INPUT)
+        rings[batch.missing[rows]] = packed(palette.NO_INPUT)
         rings[batch.wrong[rows]] = packed(palette.WRONG)
         rings[dead] = packed(palette.DEAD)
         part = (flow / np.maximum(flow_peak, 1e-300))[:, self._graph.edge]

@@ -21,7 +21,7 @@ from hedgerow.orchestrator.views.rerun.viewer import Viewer
 from hedgerow.topologies.describe import describe, window
 from hedgerow.topologies.errors import Code, HedgerowError
 from hedgerow.topologies.schema import Topology
-from hedgerow.wire.codec import Trips
+from hedgerow.wire.message import Trips
 
 # Rerun reads this once, on import. Without it, Rerun prints errors to the terminal when a viewer is closed.
 os.environ.setdefault("RUST_LOG", "error,re_grpc_client=off,re_sdk=off")
@@ -233,7 +233,7 @@ class RerunStream:
         self._heatmap, self._heatmap_due = HeatMap(len(topology.ids)) if large else None, False
         self._plan = Plan(topology, observer)
         self._round_trips = RoundTripLines(processes)
-        self._blueprint = blueprint(topology, topology.network.gamma_star_now, self._picture.legend, bool(processes))
+        self._blueprint = blueprint(topology, topology.network.gamma_star_now, self._picture.legend, len(processes))
         self._wall = time.time()
         # Use a monotonic clock for the writes, because the wall clock may jump.
         self._written = self._heatmap_at = time.monotonic()

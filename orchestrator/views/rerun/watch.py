@@ -31,6 +31,7 @@ from hedgerow.orchestrator.runs.folder import RunFolder
 from hedgerow.orchestrator.runs.registry import Entry
 from hedgerow.orchestrator.runs.round_trips import TABLE, processes_of, trips_in
 from hedgerow.orchestrator.runs.selection import selection
+from hedgerow.orchestrator.views.event_line import event_line
 from hedgerow.orchestrator.views.rerun.stream import RerunStream
 from hedgerow.orchestrator.views.rerun.viewer import Viewer, start
 from hedgerow.orchestrator.views.rerun.viewer_version import VERSION_DEADLINE_S, compare
@@ -38,7 +39,7 @@ from hedgerow.topologies.errors import Code, HedgerowError, UserError
 from hedgerow.topologies.escape import command
 from hedgerow.topologies.graph import Graph
 from hedgerow.topologies.schema import Topology
-from hedgerow.wire.codec import TAKEN, End, Telemetry
+from hedgerow.wire.message import TAKEN, End, Telemetry
 
 Say = Callable[[str], None]
 
@@ -174,20 +175,6 @@ class Happenings:
         with reading(self._path):
             yield from read_events(text, self._path)
         self._at += text.rfind(b"\n") + 1
-
-
-def note_of(event: Mapping[str, Any]) -> tuple[str, str, int] | None:
-    """Return the line of an event for the viewer's log, its level and its step; None if it needs no line."""
-    match event:
-        case {"event": "lost", "who": who, "cause": cause, "step": step}:
-            return f"step {step}: going on without {who}: {cause}", "WARN", step
-        case {"event": "back", "who": who, "at": step}:
-            return f"step {step}: {who} is back", "INFO", step
-        case {"event": "fault", "fault": number, "at": step}:
-            return f"step {step}: fault {number} begins", "WARN", step
-        case {"event": "heal", "fault": number, "at": step}:
-            return f"step {step}: fault {number} ends", "INFO", step
-    return None
 
 
 def as_begun(topology: Topology, folder: Path) -> Topology:
@@ -362,7 +349,7 @@ class _Watch:
             self._file = (status.st_ino, status.st_mtime_ns)
             self._observer.change(load_resolved(self._folder.path))
         for event in self._happenings.new():
-            if (line := note_of(event)) is not None:
+            if (line := event_line(event)) is not None:
                 self._stream.event(*line)
         if rows:
             self._stream.log(self._observer.take(rows))

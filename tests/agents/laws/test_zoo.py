@@ -48,7 +48,7 @@ def law(choice: str, models: Sequence[Sequence[float]] = MODELS, ids: Sequence[i
             row=none,
             column=none,
             peers=[],
-            heard=id_array([]),
+            outside=id_array([]),
             history=0,
             seed=5,
         )

@@ -17,8 +17,8 @@ import pytest
 from hedgerow.orchestrator.launch.plant_event import checked
 from hedgerow.topologies.errors import Code, Exit, TopologyError
 from hedgerow.topologies.load import parse
-from hedgerow.wire.codec import MessageError
 from hedgerow.wire.limits import limit_reached
+from hedgerow.wire.message import MessageError
 from tests.tools.processes import COMMAND, DEADLINE_S
 
 ROOT = Path(__file__).parents[3]

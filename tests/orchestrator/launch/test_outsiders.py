@@ -31,8 +31,9 @@ from hedgerow.plant.process import Plant
 from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import resolve
 from hedgerow.wire import keys
-from hedgerow.wire.codec import Kind, decode_event, kind_of
+from hedgerow.wire.codec import decode_event, kind_of
 from hedgerow.wire.handshake import introduction
+from hedgerow.wire.message import Kind
 from hedgerow.wire.refusal import refused
 from hedgerow.wire.session import close, open_client, open_router, subscriber
 from hedgerow.wire.stream import Inbox

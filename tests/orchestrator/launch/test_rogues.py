@@ -26,7 +26,8 @@ from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import resolve
 from hedgerow.wire import keys
 from hedgerow.wire.access import MOST_JOINS_PER_S, MOST_PER_S, OBSERVER, OPERATOR, ROUTER, Place, rights
-from hedgerow.wire.codec import VERSION, Link, encode_input, encode_link, encode_state
+from hedgerow.wire.codec import VERSION, encode_input, encode_link, encode_state
+from hedgerow.wire.message import Link
 from hedgerow.wire.ports import free_port
 from hedgerow.wire.session import WireError, close, direct, open_client, open_router
 from tests.tools.processes import Orchestrator, orchestrator, parquet_bytes

@@ -30,7 +30,7 @@ from hedgerow.topologies.effects import Effect
 from hedgerow.topologies.load import load, parse
 from hedgerow.topologies.resolve import resolve, truth
 from hedgerow.topologies.schema import Node, Topology
-from hedgerow.wire.codec import Flag
+from hedgerow.wire.message import Flag
 from tests.tools.networks import Trajectory, networks, observe, read, simulate
 from tests.tools.schedules import Plain, schedules, with_faults
 

@@ -17,7 +17,7 @@ from hedgerow.orchestrator.metrics.replay import Replay
 from hedgerow.topologies.effects import FOREVER
 from hedgerow.topologies.faults import effects
 from hedgerow.topologies.schema import Topology
-from hedgerow.wire.codec import Telemetry
+from hedgerow.wire.message import Telemetry
 from tests.tools.networks import Trajectory, networks, partitions, read, simulate
 from tests.tools.schedules import schedules, with_faults
 

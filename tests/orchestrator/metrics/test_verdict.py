@@ -22,7 +22,7 @@ from hedgerow.plant.world import dynamics
 from hedgerow.topologies.load import bundled, load
 from hedgerow.topologies.resolve import resolve, truth
 from hedgerow.topologies.schema import Topology
-from hedgerow.wire.codec import REPORT_ROWS, TAKEN, End, Telemetry
+from hedgerow.wire.message import REPORT_ROWS, TAKEN, End, Telemetry
 from tests.tools.networks import Trajectory, listed, networks, observe, read, simulate
 
 PAPER = resolve(load("paper7"))

@@ -17,6 +17,7 @@ from traitlets.config import Config
 
 from hedgerow.orchestrator.runs.export import NAMES, arrays, export
 from hedgerow.orchestrator.runs.reader import load_run
+from hedgerow.orchestrator.runs.recorded import RecordedRows
 from hedgerow.orchestrator.runs.run import Run
 from tests.test_docs import ROOT, blocks, table
 from tests.tools.recorded import same
@@ -48,7 +49,7 @@ def test_the_page_names_every_array_and_its_shape(run: Run) -> None:
 
 def test_the_page_names_every_attribute() -> None:
     """The page also names the attributes of Run beside the arrays."""
-    public = {name for name in vars(Run) if not name.startswith("_")}
+    public = {name for one in (Run, RecordedRows) for name in vars(one) if not name.startswith("_")}
     public |= Run.__dataclass_fields__.keys()
     tables = (table("data.md", "In Python"), table("data.md", "Runs with some rows only"))
     named = {row["attribute"].split("(")[0] for rows in tables for row in rows}

@@ -19,7 +19,7 @@ from hedgerow.orchestrator.runs.round_trips import RoundTrips, line
 from hedgerow.orchestrator.views.rerun.stream import RerunStream
 from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import resolve
-from hedgerow.wire.codec import Trips
+from hedgerow.wire.message import Trips
 from tests.orchestrator.views.test_rerun_stream import read as read_rrd
 from tests.tools.processes import Orchestrator, orchestrator
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ import scipy.io
 import hedgerow as hg
 from hedgerow.topologies.importing.options import Options
 from hedgerow.topologies.importing.written import Imported, import_file
-from tests.tools.importing import edges_of
+from tests.tools.importing import edges_of, needs
 
 NODE_LINK = {"nodes": [{"id": 1}, {"id": 2}], "links": [{"source": 1, "target": 2}]}
 GRAPHML = '<?xml version="1.0"?><graphml><graph edgedefault="undirected">{}</graph></graphml>'
@@ -141,8 +140,7 @@ def branch(i: int, j: int, x: float = 0.1, tap: float = 0, shift: float = 0, sta
 
 @pytest.fixture
 def matpower() -> None:
-    if importlib.util.find_spec("matpowercaseframes") is None:
-        pytest.skip("matpowercaseframes is not installed")
+    needs("matpowercaseframes")
 
 
 @pytest.mark.usefixtures("matpower")
@@ -175,7 +173,7 @@ def test_a_case_that_is_no_network_of_susceptances_is_refused(content: str, here
 @pytest.mark.slow
 @pytest.mark.filterwarnings("default")
 def test_lines_and_buses_out_of_service_are_no_part_of_a_grid(here: Path) -> None:
-    pytest.importorskip("pandapower")
+    needs("pandapower")
     import pandapower  # noqa: PLC0415
     from pandapower.networks import case9  # noqa: PLC0415
 
@@ -237,7 +235,7 @@ INP = """[JUNCTIONS]
     ids=["pipe", "closed pipe", "Darcy-Weisbach", "pump", "pump of a power", "valve", "closed valve", "curve"],
 )
 def test_pumps_valves_and_closed_pipes(links: str, loss: str, joined: bool, here: Path) -> None:
-    pytest.importorskip("wntr")
+    needs("wntr")
     roughness = INP if loss == "H-W" else INP.replace("100 0 Open", "0.1 0 Open")
     edges = edges_of(network_of(imported("n.inp", roughness.format(links=links, loss=loss), steps=3)))
     assert (frozenset(("J2", "J3")) in edges) == joined
@@ -246,7 +244,7 @@ def test_pumps_valves_and_closed_pipes(links: str, loss: str, joined: bool, here
 
 @pytest.mark.parametrize("content", ["", "hello\n"])
 def test_an_epanet_file_without_a_network_is_refused(content: str, here: Path) -> None:
-    pytest.importorskip("wntr")
+    needs("wntr")
     with pytest.raises(hg.UserError) as raised:
         imported("n.inp", content)
     assert raised.value.code == hg.Code.FILE_FORMAT

@@ -1,11 +1,12 @@
 """Public networks that packages of PyPI ship: each becomes a valid topology that runs, or is refused with a fix.
 
-The readers of water and power networks are extras. A test is skipped if its reader is not installed.
+The readers of water and power networks are extras. A test is skipped if its reader is not installed, and fails if the
+environment variable HEDGEROW_READERS is set.
 """
 
 from __future__ import annotations
 
-import importlib.util
+import json
 import math
 from pathlib import Path
 from typing import Any
@@ -19,20 +20,11 @@ from hedgerow.topologies.hinf import condition_holds
 from hedgerow.topologies.importing.options import Options
 from hedgerow.topologies.importing.written import Imported, import_file
 from hedgerow.topologies.schema import Topology
-from tests.tools.importing import edges_of
+from tests.tools.importing import edges_of, needs, shipped
 
 WATER = ("Net1", "Net2", "Net3", "ky4")
+BACKBONES = ("sndlib/nobel-eu", "sndlib/germany50", "topozoo/Abilene")
 GRIDS = ("case9", "case14", "case_ieee30", "case39", "case57", "case118")
-
-
-def shipped(package: str, *inside: str) -> Path:
-    spec = importlib.util.find_spec(package)
-    if spec is None or spec.origin is None:
-        pytest.skip(f"{package} is not installed")
-    path = Path(spec.origin).parent.joinpath(*inside)
-    if not path.exists():
-        pytest.skip(f"this release of {package} has no {path.name}")
-    return path
 
 
 def water(name: str) -> Path:
@@ -72,6 +64,25 @@ def test_a_network_of_networkx(make: Any, here: Path) -> None:
     weights = np.ones(len(edges)) if network.graph.weights is None else network.graph.weights
     ends = [frozenset((names[i], names[j])) for i, j in network.graph.edges.tolist()]
     assert dict(zip(ends, weights.tolist(), strict=True)) == edges
+
+
+@pytest.mark.parametrize("name", BACKBONES)
+def test_a_backbone_of_topohub(name: str, here: Path) -> None:
+    path = shipped("topohub", "data", f"{name}.json")
+    content = json.loads(path.read_text())
+    topology = checked(import_file(path, Options(weight="dist")))
+    network = topology.network
+    labels = {node["id"]: node["name"] for node in content["nodes"]}
+    assert len(set(labels.values())) == len(labels)
+    assert network.positions is not None
+    assert {network.name(k): tuple(network.positions[k]) for k in range(len(labels))} == {
+        node["name"]: tuple(node["pos"]) for node in content["nodes"]
+    }
+    assert network.graph.weights is not None
+    ends = [frozenset(map(network.name, edge)) for edge in network.graph.edges.tolist()]
+    assert dict(zip(ends, network.graph.weights.tolist(), strict=True)) == {
+        frozenset((labels[edge["source"]], labels[edge["target"]])): edge["dist"] for edge in content["edges"]
+    }
 
 
 @pytest.mark.slow
@@ -153,8 +164,7 @@ def test_a_grid_of_pandapower(name: str, here: Path) -> None:
 
 @pytest.mark.filterwarnings("default")
 def test_a_case_of_matpower_has_susceptances_and_a_storage_by_its_demand(here: Path) -> None:
-    if importlib.util.find_spec("matpowercaseframes") is None:
-        pytest.skip("matpowercaseframes is not installed")
+    needs("matpowercaseframes")
     Path("pair.m").write_text(
         "function mpc = pair\nmpc.version = '2';\nmpc.baseMVA = 100;\n"
         "mpc.bus = [\n1 3 40 0 0 0 1 1 0 345 1 1.1 0.9;\n2 1 90 30 0 0 1 1 0 345 1 1.1 0.9;\n"

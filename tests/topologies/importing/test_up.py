@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 from pathlib import Path
 from typing import Any
@@ -11,14 +10,8 @@ import networkx as nx
 import pyarrow.parquet as pq
 import pytest
 
+from tests.tools.importing import needs, shipped
 from tests.tools.processes import orchestrator
-
-
-def shipped(package: str, *inside: str) -> Path:
-    spec = importlib.util.find_spec(package)
-    if spec is None or spec.origin is None:
-        pytest.skip(f"{package} is not installed")
-    return Path(spec.origin).parent.joinpath(*inside)
 
 
 def graphml(make: Any) -> Path:
@@ -31,6 +24,7 @@ def graphml(make: Any) -> Path:
 SOURCES = {
     "karate": lambda: graphml(nx.karate_club_graph),
     "florentine": lambda: graphml(nx.florentine_families_graph),
+    "nobel-eu": lambda: shipped("topohub", "data", "sndlib", "nobel-eu.json"),
     "Net1": lambda: shipped("wntr", "library", "networks", "Net1.inp"),
     "case9": lambda: shipped("pandapower", "networks", "power_system_test_case_jsons", "case9.json"),
     "case14": lambda: shipped("matpower", "data", "case14.m"),
@@ -40,8 +34,8 @@ SOURCES = {
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SOURCES)
 def test_a_public_network_is_imported_checked_and_run_in_processes(name: str, here: Path) -> None:
-    if name == "case14" and importlib.util.find_spec("matpowercaseframes") is None:
-        pytest.skip("matpowercaseframes is not installed")
+    if name == "case14":
+        needs("matpowercaseframes")
     done = orchestrator("import", str(SOURCES[name]()), "-o", "net.yaml", "--steps", "20")
     assert done.returncode == 0, done.stderr
     assert orchestrator("check", "net.yaml").returncode == 0
