@@ -1,6 +1,6 @@
 """Make docs/images/paper7.gif: a run of paper7 over Zenoh, as the viewer shows it live.
 
-    python docs/animation.py
+    python docs/animation.py [RATE]
 
 Messages between nodes 2 and 4 are lost at first, and node 2 has a wrong estimate until they arrive late. Then the edge
 between 3 and 5 is cut, and the agent of node 4 is killed and comes back. The run is `orchestrator up`, with seven
@@ -24,7 +24,7 @@ from hedgerow.orchestrator.views.rerun.viewer import native
 
 STEPS = 64
 RATE = 2.5
-"""steps per second; a picture of the viewer takes about 0.3 s on two cores without a graphics card"""
+"""steps per second; a picture takes 0.3 s on two idle cores without a graphics card. On a busy machine, give less."""
 FAULTS = [
     {"kind": "drop", "link": [2, 4], "steps": [0, 18]},
     {"kind": "cut", "edge": [3, 5], "steps": [24, 36]},
@@ -39,14 +39,14 @@ LAST_MS = 2500
 IMAGE = Path(__file__).parent / "images" / "paper7.gif"
 
 
-def pictures(folder: Path) -> list[Image.Image]:
+def pictures(folder: Path, rate: float) -> list[Image.Image]:
     """Run the network and return the pictures of the viewer in order, without repetitions."""
     viewer = native("--headless", "--window-size", f"{SIZE[0]}x{SIZE[1]}")
     assert viewer.process is not None
     try:
         viewer.wait_until_it_listens()
         client = ViewerClient.connect(viewer.url)
-        options = [f"--set=faults={json.dumps(FAULTS)}", f"--steps={STEPS}", f"--rate={RATE}", "--no-record"]
+        options = [f"--set=faults={json.dumps(FAULTS)}", f"--steps={STEPS}", f"--rate={rate}", "--no-record"]
         command = [sys.executable, "-m", "hedgerow.orchestrator", "up", "paper7", "--viewer", viewer.url, *options]
         found: list[Image.Image] = []
         with subprocess.Popen(command, cwd=folder) as up:
@@ -56,7 +56,7 @@ def pictures(folder: Path) -> list[Image.Image]:
                 frame = Image.open(folder / "frame.png").convert("RGB").crop(CROP)
                 if not found or frame.tobytes() != found[-1].tobytes():
                     found.append(frame)
-                time.sleep(max(0.0, 1 / RATE - (time.monotonic() - began)))
+                time.sleep(max(0.0, 1 / rate - (time.monotonic() - began)))
         if up.returncode:
             raise SystemExit(f"the run ended with {up.returncode}")
         return found
@@ -67,7 +67,7 @@ def pictures(folder: Path) -> list[Image.Image]:
 def main() -> None:
     """Run, and write the animation."""
     with tempfile.TemporaryDirectory() as folder:
-        frames = pictures(Path(folder))
+        frames = pictures(Path(folder), float(sys.argv[1]) if len(sys.argv) > 1 else RATE)
     height = round(WIDTH * frames[0].height / frames[0].width)
     small = [frame.resize((WIDTH, height), Image.Resampling.LANCZOS) for frame in frames]
     # Use one palette for all frames: otherwise each frame would change the colours of unchanged parts, and the file

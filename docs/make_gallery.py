@@ -14,11 +14,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib import pyplot as plt
+from matplotlib.figure import Figure
 
 import hedgerow as hg
+from hedgerow.orchestrator.report.curves import draw_nodes, steps_axis
+from hedgerow.orchestrator.report.style import PAGE_IN, look
 from hedgerow.orchestrator.views.drawing import draw
 from hedgerow.topologies.importing.options import Options
 from hedgerow.topologies.importing.written import import_file
@@ -42,7 +43,6 @@ NETWORKS = (
 
 def main(folder: Path, packages: Sequence[str]) -> None:
     """Import and run each network, draw it, and print a line of numbers."""
-    mpl.use("agg")
     warnings.simplefilter("ignore")
     print(f"{'network':9} nodes edges steps  gamma*  gain  right  peak |x| at")
     for shown in NETWORKS:
@@ -60,13 +60,15 @@ def main(folder: Path, packages: Sequence[str]) -> None:
 
 def show(shown: Shown, run: hg.Run, folder: Path) -> None:
     """Draw a run beside its network, and print its numbers."""
-    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.5), layout="constrained", width_ratios=[1.2, 1])
-    draw(run.topology, left)
-    steps = np.arange(run.T + 1)
-    right.plot(steps, np.abs(run.x), lw=0.6)
-    right.set(xlabel="t [steps]", ylabel="|x|", title=f"{shown.name}: state of every node")
-    figure.savefig(folder / f"gallery-{shown.name}.png", dpi=110)
-    plt.close(figure)
+    with look():
+        figure = Figure(figsize=(PAGE_IN, 3.1))
+        left, right = figure.subplots(1, 2, width_ratios=[1.6, 1])
+        draw(run.topology, left)
+        figure.legend(*draw_nodes(right, run, np.abs(run.x)), loc="outside upper right", ncols=3)
+        right.set_ylabel("$|x_i(t)|$ [units of $x$]")
+        right.set_ylim(bottom=0)
+        steps_axis(right, [run])
+        figure.savefig(folder / f"gallery-{shown.name}.png", dpi=180)
     t, k = np.unravel_index(np.abs(run.x).argmax(), run.x.shape)
     cost = (run.x[:-1] ** 2).sum() + (run.weights * run.u_edge**2).sum()
     w = run.w

@@ -15,6 +15,7 @@ from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
 from hedgerow.orchestrator.ground.assignment import layout
+from hedgerow.orchestrator.ground.colours import COLOURS, GREY
 from hedgerow.orchestrator.launch.recording import Watching
 from hedgerow.orchestrator.launch.simulation import simulate_into
 from hedgerow.orchestrator.report.figures import FIGURES
@@ -32,7 +33,7 @@ PICTURES = {
     "report-authors7": ("authors7", ("paper",)),
     "report-paper7-ours": ("paper7", ("estimates", "regret", "cost", "gain")),
 }
-DPI, GAP, COLOURS = 180, 24, 48
+DPI, GAP, SHADES = 180, 24, 7
 
 
 def ran(name: str, scratch: Path) -> Run:
@@ -64,6 +65,15 @@ def picture(run: Run, keys: tuple[str, ...]) -> Image.Image:
     return whole
 
 
+def palette() -> Image.Image:
+    """Return the colours of the figures in shades up to white: a palette of the picture's own would merge two hues."""
+    codes = [bytes.fromhex(code[1:]) for code in (*COLOURS, GREY)]
+    shades = [round(255 + (part - 255) * k / SHADES) for code in codes for k in range(1, SHADES + 1) for part in code]
+    sheet = Image.new("P", (1, 1))
+    sheet.putpalette([255, 255, 255, *shades])
+    return sheet
+
+
 def numbers(run: Run) -> str:
     """Return the numbers behind a picture, to detect an outdated one."""
     metrics = run.verdict.content["metrics"]
@@ -79,7 +89,7 @@ def main(images: Path, pictures: Sequence[str]) -> None:
             name, keys = PICTURES[file]
             info = PngInfo()
             info.add_text("Description", numbers(runs[name]))
-            small = picture(runs[name], keys).quantize(COLOURS, dither=Image.Dither.NONE)
+            small = picture(runs[name], keys).quantize(palette=palette(), dither=Image.Dither.NONE)
             small.save(images / f"{file}.png", optimize=True, pnginfo=info)
             print(f"{file}.png: {numbers(runs[name])}")
 

@@ -8,13 +8,14 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from hedgerow.orchestrator.ground.assignment import layout, truth_of, views_of
+from hedgerow.orchestrator.ground.colours import RED
 from hedgerow.orchestrator.metrics.observer import Batch, Observer
+from hedgerow.orchestrator.report.style import look
 from hedgerow.orchestrator.runs.reference import run
 from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import resolve
@@ -37,7 +38,7 @@ NOTES = (
     (2, 37, 0.35, "the oracle has the same edges closed: no regret"),
 )
 """(panel, step, height, text)"""
-FAULTY, WITHOUT, SHADE = "#D55E00", "#555555", "#e8edf3"
+FAULTY, WITHOUT, SHADE, NOTE = RED, "#555555", "#EAEAEA", "#333333"
 
 
 def ran(*overrides: str) -> tuple[Observer, Batch]:
@@ -63,11 +64,11 @@ def draw(axes: np.ndarray[tuple[int], np.dtype[np.object_]], faulty: Batch, with
         state.plot(batch.t, batch.x[:, NODE], **style)
         estimate.step(batch.t, batch.ahat[:, NODE], where="post", **style)
         regret.plot(batch.t, batch.regret[:, NODE], **style)
-    state.legend(loc="upper left", bbox_to_anchor=(0.54, 1.0), fontsize=8, frameon=False, handlelength=1.6)
+    state.legend(loc="upper left", bbox_to_anchor=(0.54, 1.0), frameon=False)
     estimate.set_yticks([0.3, 0.6, 0.88], ["0.3", "0.6", "truth 0.88"])
     for panel, step, height, text in NOTES:
         where = "center" if step in (6, 27, 37, 47) else "left"
-        axes[panel].text(step, height, text, ha=where, va="center", fontsize=8, color="#334155")
+        axes[panel].text(step, height, text, ha=where, va="center", color=NOTE)
     for axis, title, highest in (
         (state, "state $x_3$", 7.4),
         (estimate, "estimate $\\hat a_3$", 1.05),
@@ -90,17 +91,18 @@ def main(image: Path) -> None:
     """Draw and write the picture."""
     observer, faulty = ran()
     lossless, without = ran("faults=[]")
-    mpl.use("Agg")
-    figure, axes = plt.subplots(3, 1, figsize=(9, 6.4), sharex=True, layout="constrained")
-    draw(axes, faulty, without)
-    for (start, stop), text in WINDOWS.items():
-        name, what = text.split("\n")
-        middle = (start + stop) / 2
-        axes[0].text(middle, 8.1, name, ha="center", va="bottom", fontsize=11, weight="bold")
-        axes[0].text(middle, 7.6, what, ha="center", va="bottom", fontsize=8)
-    axes[-1].set_xlabel("step")
     said = f"regret D {observer.regret_sum:.4g} with faults, {lossless.regret_sum:.4g} without"
-    figure.savefig(image, dpi=150, metadata={"Description": said, "Software": None})
+    with look():
+        figure = Figure(figsize=(7.16, 5.2))
+        axes = figure.subplots(3, 1, sharex=True)
+        draw(axes, faulty, without)
+        for (start, stop), text in WINDOWS.items():
+            name, what = text.split("\n")
+            middle = (start + stop) / 2
+            axes[0].text(middle, 8.3, name, ha="center", va="bottom", fontsize=10, weight="bold")
+            axes[0].text(middle, 7.6, what, ha="center", va="bottom")
+        axes[-1].set_xlabel("step $t$")
+        figure.savefig(image, dpi=180, metadata={"Description": said, "Software": None})
     print(said)
 
 

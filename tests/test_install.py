@@ -81,6 +81,9 @@ def test_a_wheel_holds_one_package(tmp_path: Path) -> None:
     (wheel,) = tmp_path.glob("*.whl")
     with zipfile.ZipFile(wheel) as archive:
         names = archive.namelist()
+        (place,) = (name for name in names if name.endswith(".dist-info/METADATA"))
+        shown = archive.read(place).decode()
+    assert [link for link in re.findall(r"\]\(([^)]*)\)", shown) if not link.startswith("https://")] == []
     assert {name.split("/")[0].partition("-")[0] for name in names} == {"hedgerow"}
     assert {"hedgerow/topologies/paper7.yaml", "hedgerow/orchestrator/report/report.css"} <= set(names)
 

@@ -7,7 +7,8 @@ from pathlib import Path
 
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
-from hedgerow.orchestrator.report.style import BLUE, COLOURS, GREY, look, sheet
+from hedgerow.orchestrator.ground.colours import BLUE, COLOURS, GREY
+from hedgerow.orchestrator.report.style import look, sheet
 
 ROW_IN = 0.19
 MARKS = "os^Dvp"
@@ -23,7 +24,7 @@ def draw(ratios: Mapping[str, Mapping[int, float]], ours: Sequence[str], beside:
         places = range(len(ratios), 0, -1)
         for place, (title, own) in zip(places, ratios.items(), strict=True):
             colour = BLUE if title in ours else COLOURS[1]
-            axes.plot(sorted(own.values()), [place] * len(own), color=colour, linewidth=0.8)
+            axes.plot(sorted(own.values()), [place] * len(own), color=colour, linestyle="-", linewidth=0.8)
             for n, ratio in own.items():
                 axes.plot(ratio, place, MARKS[sizes.index(n) % len(MARKS)], color=colour, markersize=3.5)
         for n in sizes:
@@ -39,7 +40,7 @@ def draw(ratios: Mapping[str, Mapping[int, float]], ours: Sequence[str], beside:
         axes.set_yticks(list(places), list(ratios))
         axes.set_ylim(0.4, len(ratios) + 0.6)
         axes.grid(axis="x")
-        axes.set_xlabel(f"steps/s, to those of {beside}")
+        axes.set_xlabel(f"steps/s, relative to {beside}")
         figure.legend(loc="outside upper center", ncols=len(sizes))
         metadata = dict.fromkeys(("Date", "Creator")) if file.suffix == ".svg" else {"Software": None}
         figure.savefig(file, metadata=metadata)

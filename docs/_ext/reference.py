@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import typer
+from docutils import nodes
 from pygments.lexers.special import TextLexer
 from sphinx.application import Sphinx
 
@@ -87,9 +88,22 @@ def plain_to_rst(app: Sphinx, what: str, name: str, obj: object, options: object
     lines[:] = written
 
 
+SHORT = 24
+"""the maximum length of code that never breaks at the end of a line, such as an option with its hyphens"""
+
+
+def mark_short_code(app: Sphinx, doctree: nodes.document, name: str) -> None:
+    """Mark short code for site.css."""
+    del app, name
+    for literal in doctree.findall(nodes.literal):
+        if len(literal.astext()) <= SHORT:
+            literal["classes"].append("short")
+
+
 def setup(app: Sphinx) -> dict[str, Any]:
-    """Connect both to a build."""
+    """Connect all of them to a build."""
     app.add_lexer("csv", TextLexer)  # Pygments has no lexer of that name
     app.connect("builder-inited", write)
     app.connect("autodoc-process-docstring", plain_to_rst)
+    app.connect("doctree-resolved", mark_short_code)
     return {"parallel_read_safe": True}

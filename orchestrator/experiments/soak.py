@@ -339,7 +339,7 @@ def _draw(folder: Path, samples: Sequence[Sample], say: Say) -> None:
         counts.legend(ncols=2)
         t, steps = pace_of(samples)
         pace.plot(t / 60, steps)
-        pace.set_title("Steps a second")
+        pace.set_title("Steps per second")
         for axes in (memory, counts, pace):
             axes.axvspan(0, warm_up_s(samples[-1].t_s) / 60, color="#EEEEEE", linewidth=0)
             axes.set_ylim(bottom=0)

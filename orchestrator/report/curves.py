@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import StepPatch
 from matplotlib.ticker import MaxNLocator
 
-from hedgerow.orchestrator.report.style import BLACK, GREY, SKY
+from hedgerow.orchestrator.ground.colours import BLACK, GREY, SKY
 from hedgerow.orchestrator.runs.run import Run
 from hedgerow.topologies.graph import Array, Index
 

@@ -9,8 +9,9 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from hedgerow.orchestrator.ground.colours import BLUE, GREY, ORANGE, PINK
 from hedgerow.orchestrator.report.curves import NODES, Entries, bins, legend, plain, short, stairs, steps_axis
-from hedgerow.orchestrator.report.style import BLUE, GREY, ORANGE, RED, sheet
+from hedgerow.orchestrator.report.style import sheet
 from hedgerow.orchestrator.report.timeline import stretches
 from hedgerow.orchestrator.report.totals import Series, draw_series
 from hedgerow.orchestrator.runs.run import Run
@@ -74,10 +75,10 @@ def _mark_wrong(axis: Axes, run: Run, i: int, shown: dict[str, Artist]) -> None:
     off = run.ahat[:, i] - run.a[:, i]
     wrong = run.wrong[:, i]
     if wrong.any():
-        bars = axis.broken_barh(stretches(wrong), (0, 0.09), color=RED, lw=0, zorder=3)
+        bars = axis.broken_barh(stretches(wrong), (0, 0.09), color=PINK, lw=0, zorder=3)
         shown["wrong"] = bars
     if wrong[-1]:
-        axis.set_title(f"ends off by {off[-1]:+.2g}".replace("-", "−"), loc="right", color=RED, fontsize="small")
+        axis.set_title(f"ends off by {off[-1]:+.2g}".replace("-", "−"), loc="right", fontsize="small")
 
 
 SHARES = (

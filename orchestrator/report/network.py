@@ -10,8 +10,9 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from hedgerow.orchestrator.ground.colours import BLACK, GREY, PINK
 from hedgerow.orchestrator.report.curves import Entries, called, legend, plain, short
-from hedgerow.orchestrator.report.style import BLACK, GREY, RED, sheet, width_in
+from hedgerow.orchestrator.report.style import sheet, width_in
 from hedgerow.orchestrator.runs.run import Run
 from hedgerow.orchestrator.views.layout import placed
 from hedgerow.orchestrator.views.palette import thickness
@@ -36,7 +37,7 @@ def network(runs: Sequence[Run]) -> Figure:
         if len(runs) > 1:
             axis.set_title(called(k, run))
     if any(wrong(run).any() for run in runs):
-        mark = Line2D([], [], ls="", marker="o", ms=6, mfc=RED, mec=BLACK, mew=0.6)
+        mark = Line2D([], [], ls="", marker="o", ms=6, mfc=PINK, mec=BLACK, mew=0.6)
         legend(figure, Entries([mark], ["estimate wrong at the end"]))
     return figure
 
@@ -65,7 +66,7 @@ def _draw(axis: Axes, run: Run, places: Array) -> None:
     widths: Array | float = wide if weights is None else 3 * wide * thickness(weights, len(weights))
     axis.add_collection(LineCollection([*places[run.edges]], colors=GREY, linewidths=widths, zorder=1))
     size = 170 if n <= NAMED // 2 else 90 if n <= NAMED else max(2.0, 6000 / n)
-    faces = np.where(wrong(run), RED, "#FFFFFF")
+    faces = np.where(wrong(run), PINK, "#FFFFFF")
     axis.scatter(
         places[:, 0],
         places[:, 1],
@@ -75,11 +76,10 @@ def _draw(axis: Axes, run: Run, places: Array) -> None:
         linewidths=0.6 if n <= NAMED else 0.2,
         zorder=2,
     )
-    for k, ((x, y), own) in enumerate(zip(places.tolist(), wrong(run), strict=True)):
+    for k, (x, y) in enumerate(places.tolist()):
         name = plain(short(run.topology.network.name(k)))
         if n <= NAMED and len(name) <= _INSIDE:
-            ink = "#FFFFFF" if own else BLACK
-            axis.text(x, y, name, ha="center", va="center_baseline", color=ink, fontsize="x-small", zorder=3)
+            axis.text(x, y, name, ha="center", va="center_baseline", color=BLACK, fontsize="x-small", zorder=3)
         elif n <= NAMED:
             axis.annotate(name, (x, y), (0, -9), textcoords="offset points", ha="center", va="top", fontsize="x-small")
     low, high = places.min(axis=0) - _MARGIN, places.max(axis=0) + _MARGIN

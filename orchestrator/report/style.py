@@ -21,16 +21,10 @@ from matplotlib.backends.backend_pdf import FigureCanvasPdf
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
+from hedgerow.orchestrator.ground.colours import COLOURS
 from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.paths import user_path
 from hedgerow.topologies.regular_file import check_regular
-
-BLUE, ORANGE, GREEN, RED, SKY, PINK, BLACK = COLOURS = (
-    *("#0072B2", "#E69F00", "#009E73", "#D55E00", "#56B4E9", "#CC79A7"),
-    "#000000",
-)
-"""the colours of Okabe and Ito, in the order of hedgerow.mplstyle"""
-GREY = "#777777"
 
 
 def colour(place: int) -> str:
@@ -138,10 +132,7 @@ def save(figure: Figure, folder: Path, name: str, title: str, formats: Sequence[
         pdf: Any = FigureCanvasPdf(figure)
         pdf.print_pdf(folder / f"{name}.pdf", metadata={"Title": title, "CreationDate": None, "Producer": None})
     if "pgf" in formats:
-        from matplotlib.backends.backend_pgf import FigureCanvasPgf  # noqa: PLC0415 (it looks for LaTeX)
-
-        pgf: Any = FigureCanvasPgf(figure)
-        pgf.print_pgf(str(folder / f"{name}.pgf"))
+        (folder / f"{name}.pgf").write_text(_pgf(figure), encoding="utf-8")
     drawn = io.BytesIO()
     svg: Any = FigureCanvasSVG(figure)
     svg.print_svg(drawn, metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
@@ -152,3 +143,22 @@ def save(figure: Figure, folder: Path, name: str, title: str, formats: Sequence[
         png: Any = FigureCanvasAgg(figure)
         png.print_png(folder / f"{name}.png", metadata={"Title": title, "Software": None})
     return drawn.getvalue()
+
+
+def _pgf(figure: Figure) -> str:
+    """Return a figure as PGF. Raise UserError if LaTeX cannot measure the text."""
+    from matplotlib.backends.backend_pgf import FigureCanvasPgf, LatexError  # noqa: PLC0415 (it looks for LaTeX)
+
+    drawn = io.StringIO()
+    pgf: Any = FigureCanvasPgf(figure)
+    try:
+        pgf.print_pgf(drawn)
+    except (LatexError, ValueError) as error:
+        reason = next((line for line in str(error).splitlines() if line.startswith("!")), str(error)[:200])
+        raise UserError(
+            f"--format pgf: LaTeX cannot measure a text: {reason}. Install the packages fontspec, pgf and underscore of"
+            " LaTeX, or choose pdf.",
+            code=Code.OPTION,
+        ) from None
+    # A comment names the folder of the fonts on this computer: without it, the file is the same everywhere.
+    return "".join(line for line in drawn.getvalue().splitlines(keepends=True) if "Path=" not in line)

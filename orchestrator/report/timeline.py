@@ -11,14 +11,15 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from hedgerow.orchestrator.ground.colours import BLACK, BLUE, ORANGE, RED
 from hedgerow.orchestrator.report.curves import Entries, bins, called, legend, plain, short, steps_axis
-from hedgerow.orchestrator.report.style import BLACK, BLUE, ORANGE, RED, sheet
+from hedgerow.orchestrator.report.style import sheet
 from hedgerow.orchestrator.runs.run import Run
 from hedgerow.topologies.graph import Mask
 
 ROWS = 24
 """the maximum number of links and nodes with a row; more are counted instead"""
-_COLOUR = {"message lost": ORANGE, "no flow": BLUE, "no input": RED}
+_COLOUR = {"message lost": ORANGE, "no flow": RED, "no input": BLUE}
 _JUMP = "a jumps"
 
 

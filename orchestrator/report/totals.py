@@ -11,8 +11,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from hedgerow.orchestrator.ground.colours import BLACK, BLUE, GREY, ORANGE, RED
 from hedgerow.orchestrator.report.curves import Entries, called, extremes, law, legend, stairs, steps_axis, thin
-from hedgerow.orchestrator.report.style import BLACK, BLUE, GREY, ORANGE, RED, colour, sheet
+from hedgerow.orchestrator.report.style import colour, sheet
 from hedgerow.orchestrator.runs.run import Run
 from hedgerow.topologies.graph import Array
 
@@ -90,12 +91,12 @@ def cost(runs: Runs) -> Figure:
 
 
 GAINS = (
-    Series("less $V(x(0))$", lambda run: run.gain_less_x0, BLUE),
     Series("gain", lambda run: run.gain, ORANGE, "--"),
-    Series(r"$\gamma^*$ (the oracle's)", lambda run: float(run.gamma_star), GREY, ":"),
+    Series("less $V(x(0))$", lambda run: run.gain_less_x0, BLUE),
+    Series(r"$\gamma^*$ (oracle)", lambda run: float(run.gamma_star), GREY, ":"),
 )
 
-CEILING = Series("at most (the law's)", lambda run: run.ceiling, RED, "-.")
+CEILING = Series("at most (law)", lambda run: run.ceiling, RED, "-.")
 
 
 def gain(runs: Runs) -> Figure:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 
+from hedgerow.orchestrator.ground.colours import COLOURS
 from hedgerow.topologies.errors import Code, UserError
 
 if TYPE_CHECKING:
@@ -28,6 +29,7 @@ def plot(run: Run, names: Sequence[str]) -> Figure:
                 f"plot: {name}: is no array with one row per step; choose for example x, ahat or regret",
                 code=Code.OPTION,
             )
+        axis.set_prop_cycle(color=COLOURS)
         lines = axis.plot(np.arange(len(values)), values, linewidth=1.0)
         axis.set_ylabel(name)
         if values.ndim == 2 and values.shape[1] == len(run.ids) <= LEGEND_MOST:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hedgerow.orchestrator.ground.colours import BLUE
 from hedgerow.orchestrator.views.layout import placed
 from hedgerow.topologies.schema import Topology
 
@@ -23,6 +24,7 @@ def draw(topology: Topology, ax: Axes | None = None, labels: bool | None = None)
     """
     from matplotlib import pyplot as plt  # noqa: PLC0415 (a third of a second)
     from matplotlib.collections import LineCollection  # noqa: PLC0415
+    from matplotlib.patheffects import withStroke  # noqa: PLC0415
 
     if ax is None:
         _, ax = plt.subplots(figsize=(8, 6), layout="constrained")
@@ -35,13 +37,15 @@ def draw(topology: Topology, ax: Axes | None = None, labels: bool | None = None)
     share = np.log(weights / low) / np.log(high / low) if high > low else np.full(len(weights), 0.3)
     segments = [places[edge] for edge in graph.edges]
     ax.add_collection(LineCollection(segments, linewidths=0.6 + 3.4 * share, colors="0.6", zorder=1))
-    size = float(np.clip(3000 / max(len(places), 1), 6, 120))
-    ax.scatter(places[:, 0], places[:, 1], s=size, c="#1f77b4", zorder=2)
+    size = float(np.clip(1000 / max(len(places), 1), 5, 90))
+    ax.scatter(places[:, 0], places[:, 1], s=size, c=BLUE, edgecolors="white", linewidths=0.5, zorder=2, clip_on=False)
+    halo = withStroke(linewidth=1.5, foreground="white")  # names cross edges
     if labels if labels is not None else len(places) <= NAMED:
         for k in range(len(places)):
             text = network.name(k).replace("$", r"\$")  # a `$` would start a formula
-            ax.annotate(text, places[k], xytext=(4, 4), textcoords="offset points", fontsize=7)
+            ax.annotate(text, places[k], (4, 4), textcoords="offset points", fontsize=7, path_effects=[halo], zorder=3)
     ax.set_aspect("equal", adjustable="datalim")
+    ax.margins(0.05)
     ax.set_axis_off()
     ax.autoscale_view()
     return ax

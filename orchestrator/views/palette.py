@@ -7,6 +7,8 @@ import colorsys
 import numpy as np
 from numpy.typing import NDArray
 
+from hedgerow.orchestrator.ground.colours import ON_DARK
+
 Color = tuple[int, int, int, int]
 Packed = NDArray[np.uint32]
 
@@ -14,9 +16,6 @@ BACKGROUND: Color = (17, 20, 26, 255)
 """the background of the picture: objects in this colour are invisible"""
 TEXT: Color = (190, 196, 206, 255)
 GREY: Color = (170, 170, 170, 255)
-GREEN: Color = (90, 200, 120, 255)
-ORANGE: Color = (240, 150, 60, 255)
-PURPLE: Color = (190, 130, 255, 255)
 
 RIGHT: Color = (66, 74, 90, 255)
 """the ring of a node with the right model"""
@@ -31,10 +30,22 @@ _STATES = np.array([[46, 62, 118], [40, 110, 142], [34, 160, 134], [122, 209, 81
 _FLOWS = np.array([[58, 66, 80], [120, 134, 156], [226, 234, 246]], dtype=float)
 
 
+def of_hex(code: str, alpha: int = 255) -> Color:
+    """Return the colour of a code #RRGGBB."""
+    r, g, b = bytes.fromhex(code.removeprefix("#"))
+    return r, g, b, alpha
+
+
+BLUE, ORANGE, _, VERMILLION = (of_hex(code) for code in ON_DARK[:4])
+
+
 def hues(count: int, alpha: int = 255) -> list[Color]:
-    """Return one colour per node, by its place in the file: each is a golden section of the circle from the last."""
-    rgb = (colorsys.hsv_to_rgb(0.55 + k * 0.6180339887 % 1, 0.6, 0.95) for k in range(count))
-    return [(int(255 * r), int(255 * g), int(255 * b), alpha) for r, g, b in rgb]
+    """Return one colour per node, by its place in the file: those of the figures, and then a golden section of the
+    circle from the last.
+    """
+    first = [of_hex(code, alpha) for code in ON_DARK[:count]]
+    rgb = (colorsys.hsv_to_rgb(0.55 + k * 0.6180339887 % 1, 0.6, 0.95) for k in range(len(first), count))
+    return [*first, *((int(255 * r), int(255 * g), int(255 * b), alpha) for r, g, b in rgb)]
 
 
 def packed(color: Color) -> np.uint32:

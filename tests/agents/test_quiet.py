@@ -27,6 +27,7 @@ from hedgerow.topologies.schema import Topology
 from hedgerow.wire.codec import encode_input, encode_link, encode_state
 from hedgerow.wire.message import Link
 from tests.test_faults import faulty, harsh
+from tests.tools.examples import examples
 from tests.tools.networks import partitions, read, simulate
 
 
@@ -53,7 +54,7 @@ def check_same_bits(topology: Topology, shards: Layout, steps: int) -> None:
 
 
 @given(topology=faulty(steps=20), history=st.sampled_from([1, 2, 5, 100_000]), steps=st.integers(1, 4), data=st.data())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 def test_quiet_steps_give_the_bits_of_the_general_path_under_faults(
     topology: Topology, history: int, steps: int, data: st.DataObject
 ) -> None:

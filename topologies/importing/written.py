@@ -55,9 +55,8 @@ class Imported:
 
     def text(self, table: str | None = None) -> str:
         """Return the file: comments about assumptions and changes, then the keys."""
-        lines = [
-            f"# Imported from {escape(self.source, keep='')}" + (f", SHA-256 {self.digest}" if self.digest else "")
-        ]
+        digest = f", SHA-256 {self.digest}" if self.digest else ""
+        lines = [f"# Imported from {escape(self.source, keep='')}{digest}"] if self.source else []
         for title, sentences in (
             ("From the source", self.facts),
             ("Assumed", self.assumptions),
@@ -70,12 +69,17 @@ class Imported:
             # The ids are whole numbers in many files, and so are the positions of nodes in the table.
             content |= {"table": table, "table_nodes": "positions"}
         else:
-            content["nodes"] = {node: Line(own) for node, own in self.content["nodes"].items()}
-            content["edges"] = [Line(edge) for edge in self.content["edges"]]
+            # A network of Python may name its nodes only, or have a rule for them.
+            if isinstance(nodes := self.content.get("nodes", []), dict):
+                content["nodes"] = {node: Line(own or {}) for node, own in nodes.items()}
+            elif nodes:
+                content["nodes"] = nodes
+            if edges := self.content.get("edges", []):
+                content["edges"] = [Line(edge) for edge in edges]
         dumped = yaml.dump(
             content, Dumper=Dumper, sort_keys=False, default_flow_style=None, width=10**6, allow_unicode=True
         )
-        return "\n".join(lines) + "\n" + dumped
+        return "".join(f"{line}\n" for line in lines) + dumped
 
     def save(self, path: Path, force: bool = False) -> list[Path]:
         """Write the file, and beside it the table of a large network; raise UserError if one of them exists."""

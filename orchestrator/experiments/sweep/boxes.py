@@ -12,7 +12,8 @@ from matplotlib.figure import Figure
 from hedgerow.orchestrator.experiments.sweep.plan import Plan
 from hedgerow.orchestrator.experiments.sweep.runs import Row
 from hedgerow.orchestrator.experiments.sweep.summary import values_of, varied
-from hedgerow.orchestrator.report.style import BLUE, GREY, label_panels, look, save, sheet
+from hedgerow.orchestrator.ground.colours import BLUE, GREY
+from hedgerow.orchestrator.report.style import label_panels, look, save, sheet
 from hedgerow.topologies.graph import Array
 
 PANELS = {

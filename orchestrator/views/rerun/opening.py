@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import colorsys
 import threading
 import warnings
 from collections import Counter
@@ -27,6 +26,7 @@ from hedgerow.orchestrator.runs.reader import load_run
 from hedgerow.orchestrator.runs.round_trips import processes_of
 from hedgerow.orchestrator.runs.run import Run
 from hedgerow.orchestrator.views.event_line import event_line
+from hedgerow.orchestrator.views.palette import Color, hues
 from hedgerow.orchestrator.views.rerun.rrd_file import parts
 from hedgerow.orchestrator.views.rerun.stream import APPLICATION, RerunStream
 from hedgerow.orchestrator.views.rerun.viewer import Viewer, start
@@ -237,12 +237,11 @@ def _compare(runs: Sequence[Run], viewer: Viewer) -> None:
     stream.set_log_time_enabled(False)
     stream.set_sinks(rr.GrpcSink(viewer.url), default_blueprint=comparison_blueprint(names))
     stream.log("about", rr.TextDocument(_about(runs, names), media_type=rr.MediaType.MARKDOWN), static=True)
-    nodes = common_nodes(runs)
+    nodes, own = common_nodes(runs), hues(len(runs))
     for place, (run, name) in enumerate(zip(runs, names, strict=True)):
-        hue = place / len(runs)
         # The lines of x have the colours of their nodes; those of the first run are the widest.
         width = 2.5 / (1 + place)
-        for entity, titles, colors, widths, values in _series(run, name, nodes, hue, width):
+        for entity, titles, colors, widths, values in _series(run, name, nodes, own[place], width):
             path = rr.new_entity_path([name, entity])
             stream.log(path, rr.SeriesLines(names=titles, colors=colors, widths=widths), static=True)
             steps = run.rows if entity == "x" else np.arange(len(values))
@@ -254,17 +253,15 @@ def _compare(runs: Sequence[Run], viewer: Viewer) -> None:
     stream.disconnect()
 
 
-Series = tuple[str, list[str], list[tuple[int, int, int]], list[float], Columns]
+Series = tuple[str, list[str], list[Color], list[float], Columns]
 
 
-def _series(run: Run, name: str, nodes: Sequence[int | str], hue: float, width: float) -> Iterable[Series]:
+def _series(run: Run, name: str, nodes: Sequence[int | str], own: Color, width: float) -> Iterable[Series]:
     """Yield each shared entity of a run: the names, colours and widths of its series, and their values, (steps,
     series).
     """
     places = [run.ids.index(node) for node in nodes]
-    hues = [_color(0.55 + k * 0.6180339887 % 1) for k in range(len(nodes))]
-    yield "x", [f"{name}: {node}" for node in nodes], hues, [width] * len(nodes), run.x[:, places]
-    own = _color(0.55 + hue)
+    yield "x", [f"{name}: {node}" for node in nodes], hues(len(nodes)), [width] * len(nodes), run.x[:, places]
     for entity, values in (
         ("regret_sum", run.regret_sum),
         ("cost_regret", run.cost_regret),
@@ -273,11 +270,6 @@ def _series(run: Run, name: str, nodes: Sequence[int | str], hue: float, width: 
         yield entity, [name], [own], [2.0], values[:, None]
     gains = np.stack([run.gain, np.full(run.T, run.gamma_star)], axis=1)
     yield "gain", [name, f"{name}: γ*"], [own, own], [2.0, 0.75], gains
-
-
-def _color(hue: float) -> tuple[int, int, int]:
-    r, g, b = colorsys.hsv_to_rgb(hue % 1, 0.6, 0.95)
-    return int(255 * r), int(255 * g), int(255 * b)
 
 
 def comparison_blueprint(names: Sequence[str]) -> rrb.Blueprint:

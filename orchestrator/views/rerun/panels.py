@@ -13,10 +13,18 @@ from numpy.typing import NDArray
 
 from hedgerow.orchestrator.metrics.observer import Batch, Observer
 from hedgerow.orchestrator.runs.selection import evenly, selection
-from hedgerow.orchestrator.views.palette import BACKGROUND, GREEN, GREY, ORANGE, PURPLE, Color, hues
-from hedgerow.orchestrator.views.palette import CUT as RED
-from hedgerow.orchestrator.views.palette import LOST as AMBER
-from hedgerow.orchestrator.views.palette import NO_INPUT as BLUE
+from hedgerow.orchestrator.views.palette import (
+    BACKGROUND,
+    BLUE,
+    CUT,
+    GREY,
+    LOST,
+    NO_INPUT,
+    ORANGE,
+    VERMILLION,
+    Color,
+    hues,
+)
 from hedgerow.orchestrator.views.rerun.fault_timeline import LANE_ENTITIES, LANES
 from hedgerow.orchestrator.views.rerun.network_picture import Legend
 from hedgerow.topologies.graph import Index
@@ -80,9 +88,10 @@ def lines(topology: Topology) -> list[Quantity]:
     def each(name: str) -> Callable[[Batch], Matrix]:
         return lambda batch: _some(getattr(batch, name), nodes)
 
+    # Equal names share one entry of a legend: with one entry per line, the legend would not fit beside seven nodes.
     listed = [
         Quantity("x", each("x"), ids, node),
-        Quantity("x_oracle", each("x_oracle"), _each(ids, "oracle"), pale, 1.0),
+        Quantity("x_oracle", each("x_oracle"), ["oracle"] * len(ids), pale, 1.0),
         Quantity("x_nominal", each("x_nominal"), _each(ids, "nominal"), pale, 1.0),
         Quantity("u", each("u"), ids, node, steps=True),
         Quantity("u_edge", lambda batch: _some(batch.u_edge, flows), edges, hues(len(edges)), steps=True),
@@ -120,14 +129,12 @@ def totals(topology: Topology, observer: Observer) -> list[Quantity]:
         return np.stack([batch.regret_sum, batch.nominal_regret_sum], axis=1)
 
     return [
-        Quantity("nodes_right", lambda batch: batch.right, ["nodes right"], [GREEN], steps=True),
-        Quantity("regret_sum", sums, [topology.law, "nominal"], [GREEN, ORANGE], 2.0),
-        Quantity("cost_regret", lambda batch: batch.cost_regret, ["R"], [GREEN], 2.0),
-        Quantity("cost_ratio", lambda batch: batch.ratio, ["cost / oracle's cost"], [GREEN], 2.0),
-        Quantity(
-            "gain", gains, ["gain", "gain less x(0)", "γ* (oracle's)", "at most"], [ORANGE, GREEN, GREY, PURPLE], 2.0
-        ),
-        Quantity("ceiling_slack", lambda batch: batch.ceiling_slack, ["slack"], [PURPLE], 2.0),
+        Quantity("nodes_right", lambda batch: batch.right, ["nodes right"], [BLUE], steps=True),
+        Quantity("regret_sum", sums, [topology.law, "nominal"], [BLUE, ORANGE], 2.0),
+        Quantity("cost_regret", lambda batch: batch.cost_regret, ["R"], [BLUE], 2.0),
+        Quantity("cost_ratio", lambda batch: batch.ratio, ["cost / oracle's cost"], [BLUE], 2.0),
+        Quantity("gain", gains, ["gain", "less x(0)", "γ*", "at most"], [ORANGE, BLUE, GREY, VERMILLION], 2.0),
+        Quantity("ceiling_slack", lambda batch: batch.ceiling_slack, ["slack"], [VERMILLION], 2.0),
     ]
 
 
@@ -146,7 +153,7 @@ def aggregates(topology: Topology) -> list[Quantity]:
     """Return the quantities of a large network that replace a line per node; they are computed for the viewer only."""
     if len(topology.ids) <= LARGE:
         return []
-    names, colors = ["largest", "90 %", "median"], [ORANGE, GREEN, GREY]
+    names, colors = ["largest", "90 %", "median"], [ORANGE, BLUE, GREY]
 
     def counts(batch: Batch) -> NDArray[Any]:
         down = (~batch.edge_open, ~batch.link_up, batch.missing)
@@ -156,7 +163,7 @@ def aggregates(topology: Topology) -> list[Quantity]:
         Quantity("quantiles/x", lambda batch: _quantiles(np.abs(batch.x)), names, colors),
         Quantity("quantiles/regret", lambda batch: _quantiles(batch.regret), names, colors),
         Quantity("quantiles/u", lambda batch: _quantiles(np.abs(np.nan_to_num(batch.u))), names, colors, steps=True),
-        Quantity("quantiles/down", counts, list(DOWN), [RED, AMBER, BLUE], 2.0, steps=True),
+        Quantity("quantiles/down", counts, list(DOWN), [CUT, LOST, NO_INPUT], 2.0, steps=True),
     ]
 
 
@@ -174,7 +181,7 @@ class RoundTripLines:
 
     def style(self) -> rr.SeriesLines:
         """Return names, colours and widths [points]."""
-        colors = [ORANGE, GREEN, GREY] if self._many else hues(len(self.names))
+        colors = [ORANGE, BLUE, GREY] if self._many else hues(len(self.names))
         return rr.SeriesLines(names=self.names, colors=colors, widths=[1.5] * len(self.names))
 
     def columns(self, latencies: Trips) -> Matrix:
@@ -197,10 +204,10 @@ def _each(ids: Sequence[str], what: str) -> list[str]:
     return [f"{node} {what}" for node in ids]
 
 
-def blueprint(topology: Topology, gamma_star: float, legend: Legend, wired: bool = False) -> rrb.Blueprint:
+def blueprint(topology: Topology, gamma_star: float, legend: Legend, processes: int = 0) -> rrb.Blueprint:
     """Return the layout: the network and its status at the left; six plots, the faults and the events at the right.
 
-    In a run over Zenoh, the answer times are beside the events.
+    In a run over Zenoh, the answer times of the `processes` are beside the events.
     """
     nodes = len(topology.ids)
     large = nodes > LARGE
@@ -223,13 +230,15 @@ def blueprint(topology: Topology, gamma_star: float, legend: Legend, wired: bool
     )
     title = f"Faults (first {LANES} links and nodes)" if large else "Faults"
     fault_lines = rrb.StateTimelineView(origin="/", contents=LANE_ENTITIES, name=title, time_view=_whole())
-    latencies = [_plot("Round trips, ms", ROUND_TRIPS, legend="LeftTop" if nodes <= LEGEND_NODES else None)]
+    # One process per node has the colour of its node, and a legend would cover the lines.
+    named = processes < nodes and processes <= LEGEND_NODES
+    latencies = [_plot("Round trips, ms", ROUND_TRIPS, legend="LeftTop" if named else None)]
     if large:
         down = _plot("Down", "quantiles/down", legend="LeftTop")
-        first = rrb.Tabs(down, *latencies) if wired else down
+        first = rrb.Tabs(down, *latencies) if processes else down
         happened = rrb.Horizontal(first, fault_lines, events, column_shares=[2, 3, 2])
-    elif wired:
-        happened = rrb.Horizontal(*latencies, fault_lines, events, column_shares=[2, 3, 2])
+    elif processes:
+        happened = rrb.Horizontal(*latencies, fault_lines, events, column_shares=[2, 3, 3])
     else:
         happened = rrb.Horizontal(fault_lines, events, column_shares=[3, 2])
     plots = _aggregated(topology, gamma_star) if large else _plots(topology, gamma_star)
@@ -259,7 +268,7 @@ def _plots(topology: Topology, gamma_star: float) -> rrb.Grid:
             _plot("Right", "nodes_right"),
         ),
         rrb.Tabs(_plot("Regret", "regret"), _plot("Nominal gap", "nominal_gap")),
-        *_totals(gamma_star),
+        *_totals(topology, gamma_star),
         grid_columns=3,
     )
 
@@ -297,7 +306,7 @@ def _aggregated(topology: Topology, gamma_star: float) -> rrb.Grid:
             _plot("u", "u"),
             *edge_inputs,
         ),
-        *_totals(gamma_star),
+        *_totals(topology, gamma_star),
         grid_columns=3,
     )
 
@@ -312,11 +321,16 @@ def steady_state(topology: Topology) -> float:
     It is max |w_i| / (1 - a_i) over the nodes, by the disturbances of the file.
     """
     network = topology.network
-    peak = np.zeros(len(topology.ids))
-    for group in network.disturbance:
-        np.add.at(peak, group.nodes, peak_of(group.kind, group.values))
-    bound = float((peak / (1 - network.a)).max(initial=0.0))
+    bound = float((peak_of_nodes(topology) / (1 - network.a)).max(initial=0.0))
     return bound if bound > 0 and float(np.abs(network.x0).max(initial=0.0)) > STARTS_HIGH * bound else 0.0
+
+
+def peak_of_nodes(topology: Topology) -> Matrix:
+    """Return the peak of |w_i| of every node, (n,), by the disturbances of the file."""
+    peak = np.zeros(len(topology.ids))
+    for group in topology.network.disturbance:
+        np.add.at(peak, group.nodes, peak_of(group.kind, group.values))
+    return peak
 
 
 def peak_of(kind: str, values: Mapping[str, NDArray[Any]]) -> Matrix:
@@ -329,7 +343,7 @@ def peak_of(kind: str, values: Mapping[str, NDArray[Any]]) -> Matrix:
     return np.asarray(np.abs(values[name])) if name is not None else np.zeros(len(next(iter(values.values()), ())))
 
 
-def _totals(gamma_star: float) -> list[rrb.Tabs | rrb.TimeSeriesView]:
+def _totals(topology: Topology, gamma_star: float) -> list[rrb.Tabs | rrb.TimeSeriesView]:
     """Return the panels of the costs."""
     gain = rrb.ScalarAxis(range=(0.0, 4 * gamma_star), zoom_lock=False) if gamma_star > 0 else None
     return [
@@ -340,10 +354,21 @@ def _totals(gamma_star: float) -> list[rrb.Tabs | rrb.TimeSeriesView]:
         ),
         # A large x(0) makes the first gains huge: start the axis where they are comparable.
         rrb.Tabs(
-            _plot("Gain, axis to 4 γ*", "gain", legend="RightTop", axis=gain),
+            _plot("Gain, axis to 4 γ*", "gain", legend=_free_corner(topology, gamma_star), axis=gain),
             _plot("Slack", "ceiling_slack"),
         ),
     ]
+
+
+def _free_corner(topology: Topology, gamma_star: float) -> str:
+    """Return the corner of the gain's panel for the legend.
+
+    After x(0), the gain falls like sqrt(|x(0)|² / (t |w|²)) into an axis to 4 gamma*. A short run ends while it falls,
+    so that the left corner is free; a long run ends below the legend.
+    """
+    power = float((peak_of_nodes(topology) ** 2).sum()) / 2
+    enters = float((topology.network.x0**2).sum())
+    return "LeftTop" if 6 * enters > topology.steps * power * (4 * gamma_star) ** 2 else "RightTop"
 
 
 def _plot(

@@ -233,7 +233,7 @@ class RerunStream:
         self._heatmap, self._heatmap_due = HeatMap(len(topology.ids)) if large else None, False
         self._plan = Plan(topology, observer)
         self._round_trips = RoundTripLines(processes)
-        self._blueprint = blueprint(topology, topology.network.gamma_star_now, self._picture.legend, bool(processes))
+        self._blueprint = blueprint(topology, topology.network.gamma_star_now, self._picture.legend, len(processes))
         self._wall = time.time()
         # Use a monotonic clock for the writes, because the wall clock may jump.
         self._written = self._heatmap_at = time.monotonic()

@@ -9,9 +9,9 @@ import pytest
 from matplotlib.colors import to_hex
 from numpy.typing import NDArray
 
+from hedgerow.orchestrator.ground.colours import PINK
 from hedgerow.orchestrator.report import report
 from hedgerow.orchestrator.report.curves import BINS, quantiles
-from hedgerow.orchestrator.report.style import RED
 from hedgerow.orchestrator.report.timeline import rows
 from hedgerow.orchestrator.runs.run import Run
 from hedgerow.topologies.load import load
@@ -31,8 +31,8 @@ def test_the_network_is_its_graph(paper: Run) -> None:
     assert [text.get_text() for text in axis.texts] == [str(node) for node in paper.ids]
     np.testing.assert_array_equal([text.get_position() for text in axis.texts], places)
     np.testing.assert_array_equal([path.vertices for path in edges.get_paths()], places[paper.edges])
-    in_red = [to_hex(face) == RED.lower() for face in np.asarray(nodes.get_facecolor())]
-    assert in_red == (paper.ahat[-1] != paper.a[-1]).tolist() == [False] * 5 + [True, False]
+    in_pink = [to_hex(face) == PINK.lower() for face in np.asarray(nodes.get_facecolor())]
+    assert in_pink == (paper.ahat[-1] != paper.a[-1]).tolist() == [False] * 5 + [True, False]
     assert names(figure) == ["estimate wrong at the end"]
 
 
@@ -87,8 +87,8 @@ def test_totals_are_the_runs(paper: Run) -> None:
     assert low < paper.cost_regret.min() < 0 < paper.cost_regret.max() < high
 
     figure = drawn("gain", paper)
-    np.testing.assert_array_equal(curves(figure.axes[0]), [paper.gain_less_x0, paper.gain, paper.ceiling])
-    assert names(figure)[-1] == r"$\gamma^*$ (the oracle's)"
+    np.testing.assert_array_equal(curves(figure.axes[0]), [paper.gain, paper.gain_less_x0, paper.ceiling])
+    assert names(figure)[-1] == r"$\gamma^*$ (oracle)"
     assert [*figure.axes[0].lines[-1].get_ydata()] == [paper.gamma_star] * 2  # type: ignore[misc]
     assert figure.axes[0].get_ylim()[1] < paper.gain[0]
     assert f"above the axis, at up to {paper.gain[0]:.3g}" in KINDS["gain"].caption([paper])
