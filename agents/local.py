@@ -1,7 +1,7 @@
 """The local data that a law may request: a record per shard, and a record per step.
 
 A law asks by naming an argument. `local` of its constructor is a `Local`, `now` of `act` and `sample` of `learn` are
-each a `Heard`. A law without these arguments is called without them, at no extra cost.
+each a `Received`. A law without these arguments is called without them, at no extra cost.
 """
 
 from __future__ import annotations
@@ -74,12 +74,12 @@ class Local:
         return np.bincount(self.node, values, len(self.ids)).astype(float, copy=False)
 
 
-class Heard(NamedTuple):
+class Received(NamedTuple):
     """The step of a call, its nodes, and the values of their neighbours from the links.
 
     `act(x, now)` at step t gets the newest values that have arrived by then, each with its step. `learn(x, flow,
     x_next, sample)` of the sample of step t gets the values of step t alone, over the edges that carried flow at t. A
-    value that is missing is NaN, and its step is -1.
+    value that is missing is NaN, and its step is -1. A neighbour without a reading has no values of that step.
     """
 
     t: int
@@ -92,9 +92,9 @@ class Heard(NamedTuple):
     step: Index
     """per incidence: the step of these values, (m,)"""
 
-    def at(self, t: int) -> Heard:
+    def at(self, t: int) -> Received:
         """Return a copy for a call at step t; a law may change it."""
-        return Heard(t, self.nodes.copy(), self.x.copy(), self.u.copy(), self.step.copy())
+        return Received(t, self.nodes.copy(), self.x.copy(), self.u.copy(), self.step.copy())
 
 
 def asks(call: Any, argument: str) -> bool:

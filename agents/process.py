@@ -111,7 +111,7 @@ class Agent:
         self._sent: deque[list[tuple[Sender, bytes]]] = deque(maxlen=2)
         """The messages sent in the last two steps; a neighbour may still need those of the step before the last."""
         self._answering: _Answering | None = None
-        self._slow_told = 0.0
+        self._slow_reported = 0.0
         """when the log last named a slow law, by time.monotonic()"""
         self._repeated = 0
         """number of repetitions of these messages"""
@@ -130,7 +130,7 @@ class Agent:
         """True once the plant sent END and we answered it"""
 
         self.joined = Joined(-1)
-        self._deaf = True
+        self._closed = True
         """True while messages are ignored: until we have the place, because another process may have it, and at the end
         """
 
@@ -159,7 +159,7 @@ class Agent:
         # Waiting may take minutes. Ask again: another process may have our place, or another run may have begun.
         self.joined = begin.join(self.session)
         with self._lock:
-            self._deaf = self._ended.is_set()
+            self._closed = self._ended.is_set()
 
     def live(self) -> None:
         """Take part until the end, then leave the network, and log both. Raises the same errors as `run`."""
@@ -175,28 +175,28 @@ class Agent:
 
     def run(self) -> None:
         """Wait for the end and log the missing messages of a slow step; raise the error that a message caused."""
-        said = -1
+        warned = -1
         while not self._wait(PATIENCE_S):
             if self._over:
                 break
-            if self._tell_slow_law():  # the law runs under the lock
+            if self._report_slow_law():  # the law runs under the lock
                 continue
             with self._lock:
                 late = self._pending is not None and time.monotonic() - self._since > PATIENCE_S
-                if late and self._pending is not None and self._pending.t != said:
-                    said = self._pending.t
+                if late and self._pending is not None and self._pending.t != warned:
+                    warned = self._pending.t
                     missing = [self.peers[p] for p in self.shard.awaits(self._pending)]
-                    LOG.warning("step %d: no link message of step %d from shards %s", said, said - 1, missing)
+                    LOG.warning("step %d: no link message of step %d from shards %s", warned, warned - 1, missing)
         if self._failure is not None:
             raise self._failure
 
-    def _tell_slow_law(self) -> bool:
+    def _report_slow_law(self) -> bool:
         """Log the line that a law executes if it takes long; return True if the law runs now."""
         answering, now = self._answering, time.monotonic()
         if answering is None:
             return False
-        if now - answering.since > PATIENCE_S and now - self._slow_told > SLOW_EVERY_S:
-            self._slow_told = now
+        if now - answering.since > PATIENCE_S and now - self._slow_reported > SLOW_EVERY_S:
+            self._slow_reported = now
             where = self.shard.running(answering.thread)
             LOG.warning(
                 "step %d: law %s %s %.1f s%s", answering.t, self._view.law, SLOW_LAW, now - answering.since, where
@@ -229,7 +229,7 @@ class Agent:
         self._end()
 
     def _end(self) -> None:
-        self._deaf = True
+        self._closed = True
         self._ended.set()
         self._send_later(lambda: None)
 
@@ -246,7 +246,7 @@ class Agent:
 
     def _take_state(self, message: bytes) -> None:
         with self._lock:
-            if self._deaf:
+            if self._closed:
                 return
             try:
                 if self._answers_quietly(message):
@@ -285,10 +285,10 @@ class Agent:
 
     def _take_link(self, peer: int, message: bytes) -> None:
         with self._lock:
-            if self._deaf:
+            if self._closed:
                 return
             try:
-                self.shard.hear_message(peer, message)
+                self.shard.receive_message(peer, message)
                 if self._pending is not None:
                     self._step_if_complete()
             except MessageError:
@@ -298,12 +298,12 @@ class Agent:
 
     def _send_last(self) -> None:
         counted = counts([self._input, *self._links], self._receivers)
-        counted["said"][self._input.key] += 1  # count this event too
+        counted["sent"][self._input.key] += 1  # count this event too
         # Leaving at once would lose the event. The plant sends END again after it received the event.
-        word = encode_event(max(0, self.shard.t), {"event": "counted", "life": self.joined.life, **counted})
+        report = encode_event(max(0, self.shard.t), {"event": "counted", "life": self.joined.life, **counted})
         self._ended.wait(PAUSE_S)
         self._over = True  # set it last, because a process that is over may leave
-        self._input.put(word)
+        self._input.put(report)
 
     def _take(self, state: State) -> None:
         done = self.shard.t

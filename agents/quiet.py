@@ -197,7 +197,7 @@ class QuietLaw:
             return None
         rows = waiting.rows
         rows.append(Row(self.x, [*self.u, *self._nothing]))
-        missing, took = waiting.fill(arrivals)
+        missing, used = waiting.fill(arrivals)
         samples = waiting.samples_with(missing)
         costs, inputs, estimates, margins = [], [], [], []
         for i, (node, J, now) in enumerate(zip(self._nodes, self._J, states, strict=True)):
@@ -217,7 +217,7 @@ class QuietLaw:
         learned_rows = [rows[k] for k in range(-1 - waiting.most, -most)]
         waiting.missing, waiting.samples, waiting.most = missing, samples, most
         self._J, self.x, self.u, self.report = costs, states, inputs, estimates + margins
-        return took, learned_rows
+        return used, learned_rows
 
     def stores(self, t: int, first: int) -> bool:
         """Return True if our rows from step `first` to t - 1 are here, and t is the last step."""

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hedgerow.agents.law import Array, Law
-from hedgerow.agents.local import Heard, asks
+from hedgerow.agents.local import Received, asks
 from hedgerow.topologies.fast import kernels_for, unequal_kernels_for
 from hedgerow.topologies.graph import all_finite, starts
 from hedgerow.wire.history import History
@@ -26,7 +26,7 @@ from hedgerow.wire.message import TAKEN, Flag, Flags, Mask, Record
 
 Index = NDArray[np.int64]
 
-_OPEN, _HEAR = np.uint8(Flag.OPEN), np.uint8(Flag.HEAR)
+_OPEN, _RECEIVE = np.uint8(Flag.OPEN), np.uint8(Flag.RECEIVE)
 MARK_EVERY = 64
 """steps between copies of the law's memory while a sample is incomplete; this bounds how much is learned again"""
 
@@ -93,7 +93,7 @@ class Samples:
         flow = self._whole_flow(u)
         if self.asks and states is not None:
             self._history.append(states, u, self._all)
-            self._learn(x, flow, x_next, self._heard(t, self._everybody, states, u, self._all))
+            self._learn(x, flow, x_next, self._received(t, self._everybody, states, u, self._all))
             return
         self._history.append(x, u, self._all)
         known, self._read_at = self._read_at == t, t + 1 if all_finite(x_next) else -1
@@ -146,7 +146,7 @@ class Samples:
         t: int,
         x: Array,
         u: Array,
-        took: bytes,
+        used: bytes,
         x_next: Array,
         late_rows: Sequence[LateRows],
         back: Mask | None,
@@ -158,11 +158,11 @@ class Samples:
         `states` are as in `take`.
         """
         row = states if self.asks and states is not None else x
-        bits = np.frombuffer(took, np.uint8)
+        bits = np.frombuffer(used, np.uint8)
         if not self._marks:
             self._learned.fill(t - 1)
         if self._most:
-            if (wants := Flag.OPEN in took) and not (self._marks and self._marks[-1].of.all()):
+            if (wants := Flag.OPEN in used) and not (self._marks and self._marks[-1].of.all()):
                 self._mark(t)
             self._append(x, row, u, bits)
             since = self._completed(late_rows)
@@ -171,13 +171,13 @@ class Samples:
                 since |= dict.fromkeys(np.flatnonzero(back).tolist(), self._history.first)
             self._learn_again(since, t)
             # A row of t itself closes a gap, because all earlier rows arrive with it.
-            self._behind = {c for c in self._behind if not took[c] & Flag.HEAR}
+            self._behind = {c for c in self._behind if not used[c] & Flag.RECEIVE}
             if wants:
                 self._behind.update(np.flatnonzero(bits == _OPEN).tolist())
         elif back is not None:
             self._forget(back)
         flow = self._flow(u, bits)
-        self._learn(x, flow, x_next, self._heard(t, self._everybody, row, u, bits))
+        self._learn(x, flow, x_next, self._received(t, self._everybody, row, u, bits))
         self._learned[np.isfinite(flow)] = t
         if not self._behind:
             self._marks.clear()
@@ -225,7 +225,7 @@ class Samples:
             if self.asks and states is not None:
                 history.x(first, stop)[:, self._other[c]] = states[len(states) - len(bits) :]
             waited = np.flatnonzero(bits == _OPEN)
-            bits |= _HEAR
+            bits |= _RECEIVE
             if len(waited):
                 node, step = int(self._row[c]), max(first, history.first) + int(waited[0])
                 since[node] = min(step, since.get(node, step))
@@ -246,7 +246,7 @@ class Samples:
         now, self._law.memory = self._law.memory, memory
         x_next = np.vstack([history.x(t + 1, t + 2)[:, : self.k], newest])[0]
         x, u, bits = history.x(t, t + 1)[0], history.u(t, t + 1)[0], history.bits(t, t + 1)[0]
-        self._learn(x[: self.k], self._flow(u, bits), x_next, self._heard(t, self._everybody, x, u, bits))
+        self._learn(x[: self.k], self._flow(u, bits), x_next, self._received(t, self._everybody, x, u, bits))
         self._marks.insert(0, _Mark(t + 1, self._law.memory, of))
         self._law.memory = now
 
@@ -304,7 +304,7 @@ class Samples:
             if step < until:
                 row, inputs, flags = (rows[step - start] for rows in (x, u, bits))
                 flow = np.where(chosen, self._flow(inputs, flags), np.nan)
-                sample = self._heard(step, chosen, row, inputs, flags)
+                sample = self._received(step, chosen, row, inputs, flags)
                 self._learn(row[: self.k], flow, x[step + 1 - start][: self.k], sample)
                 self._learned[np.isfinite(flow)] = step
 
@@ -330,7 +330,7 @@ class Samples:
         difference = u[self._own] - u[self._other]
         if self._weights is not None:
             difference *= self._weights
-        difference[bits & _HEAR == 0] = np.nan
+        difference[bits & _RECEIVE == 0] = np.nan
         difference[bits & _OPEN == 0] = 0.0
         return self._sums(difference).astype(float, copy=False)  # without incidences, bincount returns integers
 
@@ -338,7 +338,7 @@ class Samples:
         flow: Array = np.bincount(self._row, difference, self.k)  # type: ignore[assignment]  # weighted: floats
         return flow
 
-    def _heard(self, t: int, nodes: Mask, states: Array, u: Array, bits: Flags) -> Heard | None:
+    def _received(self, t: int, nodes: Mask, states: Array, u: Array, bits: Flags) -> Received | None:
         """Return the neighbours' values of step t, by incidence, for a law that asks; otherwise None.
 
         A sample does not wait for the message over a closed edge. So the sample never has that message. Otherwise its
@@ -346,11 +346,11 @@ class Samples:
         """
         if not self.asks:
             return None
-        got = bits & TAKEN == TAKEN
+        got = (bits & TAKEN == TAKEN) & np.isfinite(states[self._other] + u[self._other])
         x, inputs = (np.where(got, values[self._other], np.nan) for values in (states, u))
-        return Heard(t, nodes.copy(), x, inputs, np.where(got, t, -1))
+        return Received(t, nodes.copy(), x, inputs, np.where(got, t, -1))
 
-    def _learn(self, x: Array, flow: Array, x_next: Array, sample: Heard | None = None) -> None:
+    def _learn(self, x: Array, flow: Array, x_next: Array, sample: Received | None = None) -> None:
         if not all_finite(x + x_next):  # without a reading, the samples before and after it are missing
             flow = np.where(np.isnan(x + x_next), np.nan, flow)
         if sample is None:

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from hedgerow.agents.law import Array, Law
 from hedgerow.agents.law_lines import line_of, place_of, running
-from hedgerow.agents.loading import LawError, new_law
-from hedgerow.agents.local import Heard, asks
+from hedgerow.agents.loading import LawError, new_law, reals
+from hedgerow.agents.local import Received, asks
 from hedgerow.agents.peer import Peer
 from hedgerow.agents.quiet import QuietForms, QuietLaw
 from hedgerow.agents.samples import LateRows, Samples
@@ -29,7 +29,7 @@ Index = NDArray[np.int64]
 
 _TAKEN_OF = bytes(flags & TAKEN for flags in range(256))
 _SILENCE = struct.pack("<d", math.nan)
-_TELL = int(Flag.TELL)
+_SEND = int(Flag.SEND)
 
 
 class Shard:
@@ -73,7 +73,7 @@ class Shard:
         self._samples = Samples(self._law, view.history, self._row, ends, stops[-1], view.weights)
         self._asks = asks(self._law.act, "now")
         """the law acts on the newest values of its neighbours"""
-        self._now = Heard(
+        self._now = Received(
             -1,
             np.ones(self.k, dtype=bool),
             np.full(self.m, np.nan),
@@ -91,7 +91,7 @@ class Shard:
         self._report: Array = np.full((REPORT_ROWS, self.k), np.nan)
         self._behind = False
         """True while these three are of an older step, and the quiet law has the newest"""
-        self.took = b""
+        self.used = b""
         """The used inputs of the step before: Flag bits by incidence; empty if every input was used."""
 
     # Incoming messages.
@@ -104,7 +104,7 @@ class Shard:
         if link.t >= self.t:
             self.peers[peer].keep(link.t, link)
 
-    def hear_message(self, peer: int, message: bytes) -> None:
+    def receive_message(self, peer: int, message: bytes) -> None:
         """Keep the bytes of a link message, as `receive` does; raise MessageError if they are malformed."""
         own = self.peers[peer]
         if (t := link_step(message, own.receives)) >= self.t:
@@ -124,7 +124,7 @@ class Shard:
         past, flags = state.t - 1, state.flags
         late = [p for p, peer in enumerate(self.peers) if past not in peer.mail] if state.t else []
         if late and flags:
-            late = [p for p in late if any(flags[c] & Flag.HEAR for c in self.peers[p].incidences)]
+            late = [p for p in late if any(flags[c] & Flag.RECEIVE for c in self.peers[p].incidences)]
         return late
 
     # A step.
@@ -147,7 +147,7 @@ class Shard:
                 self._restore(record)
             if t > 0:
                 self._close(state, record.back if record is not None else None)
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             raise self._raised("learn", error) from error
         self._record = None
         u = self._act(t, x)
@@ -178,7 +178,7 @@ class Shard:
         for peer in self.peers:
             del peer.mail[past]
         self._samples.append_learned(quiet.states, inputs)
-        self.t, self.took, self._behind = past + 1, b"", True
+        self.t, self.used, self._behind = past + 1, b"", True
         return True
 
     def _step_in_floats(self, state: State, quiet: QuietLaw) -> bool:
@@ -193,7 +193,7 @@ class Shard:
             return False
         for peer in self.peers:
             peer.mail.pop(past, None)
-        self.took, learned = taken
+        self.used, learned = taken
         for row in learned:
             self._samples.append_learned(*row)
         self.t, self._behind = past + 1, True
@@ -263,7 +263,7 @@ class Shard:
         past = state.t - 1
         links = [peer.take(past) for peer in self.peers]
         if not state.flags and not state.spans and self._samples.complete and back is None:
-            self.took = b""
+            self.used = b""
             # The last row of each message is its newest; here it should be the only one.
             last_rows = [
                 link.u[-8 * peer.receives :] for link, peer in zip(links, self.peers, strict=True) if link is not None
@@ -271,10 +271,7 @@ class Shard:
             inputs = gather([self._u, *last_rows]) if links else self._u
             states = self._states(links)
             if self._asks and states is not None:
-                column = self._view.column
-                self._now = self._now._replace(
-                    x=states[column], u=inputs[column], step=np.full(self.m, past, dtype=np.int64)
-                )
+                self._note(past, states, inputs, ())
             self._samples.take(past, self._x, inputs, state.x, states)
             return
         # The newest row of a link message is that of t - 1, unless the link is late.
@@ -282,19 +279,19 @@ class Shard:
             _SILENCE * peer.receives if link is None else link.u[-8 * peer.receives :]
             for link, peer in zip(links, self.peers, strict=True)
         ]
-        took = bytearray((state.flags or self._up).translate(_TAKEN_OF))
+        used = bytearray((state.flags or self._up).translate(_TAKEN_OF))
         late_rows: list[LateRows] = []
         for c, late, count, _, _ in state.spans:
-            if took[c] & Flag.HEAR:
+            if used[c] & Flag.RECEIVE:
                 last = past - late
                 late_rows.append(self._came(c, links, last - count, min(last + 1, past)))
                 if late:
-                    took[c] -= Flag.HEAR
-        plain = bytes(took)
+                    used[c] -= Flag.RECEIVE
+        plain = bytes(used)
         # A law that does not learn acts alike under every delay: only this count shows which rows arrived when.
         for c, start, stop, *_ in late_rows:
-            took[c] |= min(max(stop - start, 0), MOST_LATE) << LATE
-        self.took = bytes(took)
+            used[c] |= min(max(stop - start, 0), MOST_LATE) << LATE
+        self.used = bytes(used)
         inputs, states = gather([self._u, *last_rows]), self._states(links)
         if self._asks and states is not None:
             self._note(past, states, inputs, late_rows)
@@ -315,21 +312,24 @@ class Shard:
 
         Call it before the sample of `past` is taken: rows of our own nodes are as far back as those in a message.
         """
-        got, column = np.frombuffer(self.took, np.uint8) & Flag.HEAR != 0, self._view.column
+        column = self._view.column
+        got = np.isfinite(states[column] + inputs[column])  # a neighbour without a reading has no input either
+        got &= np.frombuffer(self.used or self._up, np.uint8) & Flag.RECEIVE != 0
         x, u = np.where(got, states[column], self._now.x), np.where(got, inputs[column], self._now.u)
         step = np.where(got, past, self._now.step)
-        for c, _, stop, inputs_then, states_then in late_rows:
+        for c, start, stop, inputs_then, states_then in late_rows:
             if stop - 1 <= step[c]:
                 continue
             if inputs_then is not None and states_then is not None:
-                newest = states_then[-1:], inputs_then[-1:]
+                rows = states_then, inputs_then
             elif (place := column[c]) < self.k:
-                own_x, own_u = self._samples.sent(stop - 1, stop)
-                newest = own_x[:, place], own_u[:, place]
+                own_x, own_u = self._samples.sent(start, stop)
+                rows = own_x[:, place], own_u[:, place]
             else:
                 continue
-            if len(newest[0]):
-                x[c], u[c], step[c] = newest[0][0], newest[1][0], stop - 1
+            known = np.flatnonzero(np.isfinite(rows[0] + rows[1]))
+            if len(known) and (newest := stop - len(rows[0]) + int(known[-1])) > step[c]:
+                x[c], u[c], step[c] = rows[0][known[-1]], rows[1][known[-1]], newest
         self._now = self._now._replace(x=x, u=u, step=step)
 
     def _came(self, c: int, links: Sequence[Link | None], start: int, stop: int) -> LateRows:
@@ -344,13 +344,14 @@ class Shard:
         return LateRows(c, start, start + len(inputs), inputs, states)
 
     def _act(self, t: int, x: Array) -> Array:
+        method = "act"
         try:
             now = [self._now.at(t)] if self._asks else []
-            given = self._law.act(x, *now)
-            u = np.array(given, dtype=float)  # copy: the shard keeps it, and the law may reuse its array
+            u = reals(self._law.act(x, *now))  # a copy: the shard keeps it, and the law may reuse its array
+            method = "report"
             self._report = np.asarray(self._law.report(), dtype=float)
-        except Exception as error:
-            raise self._raised("act", error) from error
+        except (Exception, SystemExit) as error:
+            raise self._raised(method, error) from error
         if u.shape != (self.k,) or not all_finite(u):
             u = self._without_blind(x, u)
         if self._report.shape != (REPORT_ROWS, self.k):
@@ -373,12 +374,15 @@ class Shard:
 
     def _failed(self, method: str, what: str, where: str | None = None) -> LawError:
         nodes = self._view.ids[:8].tolist()
-        said = f"law {self._view.law}: {method}() of node {', '.join(map(str, nodes))} {what}. Correct the law."
+        problem = f"law {self._view.law}: {method}() of node {', '.join(map(str, nodes))} {what}. Correct the law."
         where = line_of(type(self._law), method) if where is None else where
-        return LawError(where + said, method=method, node=nodes[0] if self.k == 1 else None)
+        return LawError(where + problem, method=method, node=nodes[0] if self.k == 1 else None)
 
-    def _raised(self, method: str, error: Exception) -> LawError:
-        return self._failed(method, f"raised {crash.summary(error)}", place_of(error, type(self._law)))
+    def _raised(self, method: str, error: BaseException) -> LawError:
+        law = type(self._law)
+        if isinstance(error, SystemExit) and type(error) is not SystemExit:
+            raise error  # of a signal handler of ours, and not of the law
+        return self._failed(method, f"raised {crash.summary(error)}", place_of(error, law) or line_of(law, method))
 
     # Outgoing messages.
 
@@ -393,35 +397,35 @@ class Shard:
         quiet = self._quiet
         if quiet is not None and quiet.holds:
             if not (state.flags or state.spans):
-                *said, own = self._forms.pack(self.t, quiet.x, quiet.u, quiet.report)
-                return [(peers, one) for (_, peers), one in zip(self.audience, said, strict=True)], own + self.took
-            told = self._told(state)
-            if all(quiet.stores(self.t, first) for _, first, _ in told):
+                *packed, own = self._forms.pack(self.t, quiet.x, quiet.u, quiet.report)
+                return [(peers, one) for (_, peers), one in zip(self.audience, packed, strict=True)], own + self.used
+            due = self._rows_due(state)
+            if all(quiet.stores(self.t, first) for _, first, _ in due):
                 links: list[tuple[Sequence[int], bytes]] = []
-                for p, first, last in told:
+                for p, first, last in due:
                     x, u = quiet.rows(self.t, first, last, p)
                     links.append(([p], pack_link(self.t, first, self.peers[p].sends, x, u)))
-                return links, self._forms.input(self.t, quiet.u, quiet.report) + self.took
+                return links, self._forms.input(self.t, quiet.u, quiet.report) + self.used
         links = [(peers, encode_link(link, self.peers[peers[0]].sends)) for peers, link in self.send(state)]
-        return links, encode_input(self.t, self.u, self.report, self.took)
+        return links, encode_input(self.t, self.u, self.report, self.used)
 
     def send(self, state: State) -> list[tuple[Sequence[int], Link]]:
         """Return the link messages of the step just answered, each with its receiving peers."""
         if not state.flags and not state.spans:
             return self._send_now()
-        return [([p], self._rows(self.peers[p], first, last)) for p, first, last in self._told(state)]
+        return [([p], self._rows(self.peers[p], first, last)) for p, first, last in self._rows_due(state)]
 
-    def _told(self, state: State) -> list[tuple[int, int, int]]:
+    def _rows_due(self, state: State) -> list[tuple[int, int, int]]:
         """Return the peers that receive a link message of the last step, each with the steps of its rows."""
         t, flags = self.t, state.flags or self._up
         if not state.spans:
-            return [(p, t, t) for p, peer in enumerate(self.peers) if any(flags[c] & _TELL for c in peer.incidences)]
+            return [(p, t, t) for p, peer in enumerate(self.peers) if any(flags[c] & _SEND for c in peer.incidences)]
         spans = {c: (t - late - count, t - late) for c, _, _, late, count in state.spans}
-        told = []
+        due = []
         for p, peer in enumerate(self.peers):
-            if steps := [spans.get(c, (t, t)) for c in peer.incidences if flags[c] & _TELL]:
-                told.append((p, min(first for first, _ in steps), max(last for _, last in steps)))
-        return told
+            if steps := [spans.get(c, (t, t)) for c in peer.incidences if flags[c] & _SEND]:
+                due.append((p, min(first for first, _ in steps), max(last for _, last in steps)))
+        return due
 
     def _send_now(self) -> list[tuple[Sequence[int], Link]]:
         """Return messages with the row of this step alone, for every peer."""

@@ -109,7 +109,7 @@ class View:
         return cls._of(_FORM.read(written), in_words=True)
 
     def _document(self, names: Ids) -> dict[str, Any]:
-        """Return the view as a document; `names` stand for our own nodes followed by `outside`."""
+        """Return the view as a document; `names` are those of our own nodes, then of `outside`."""
         degrees, listed = np.bincount(self.row, minlength=self.k), ~np.isnan(self.candidates.T)
         sends, receives = ragged([peer.sends for peer in self.peers]), [peer.receives for peer in self.peers]
         return {

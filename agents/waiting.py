@@ -20,7 +20,7 @@ from hedgerow.wire.message import LATE, MOST_LATE, TAKEN, Flag, Link, Span
 MOST_WAITING = 32
 """the maximum number of samples that wait here; with more, the general path takes over"""
 
-_OPEN, _HEAR = int(Flag.OPEN), int(Flag.HEAR)
+_OPEN, _RECEIVE = int(Flag.OPEN), int(Flag.RECEIVE)
 
 
 class Row(NamedTuple):
@@ -77,15 +77,15 @@ class Waiting:
         """
         if self.most >= MOST_WAITING:
             return None
-        heard = {span.incidence: (span.heard_late, span.heard_back) for span in spans}
+        received = {span.incidence: (span.received_late, span.received_back) for span in spans}
         taken_apart: dict[int, tuple[int, Sequence[float]]] = {}
         found = []
         for c, (bits, missing, (peer, place, _)) in enumerate(zip(flags, self.missing, self._senders, strict=True)):
             if not bits & _OPEN:
                 return None
-            if not bits & _HEAR:
+            if not bits & _RECEIVE:
                 continue
-            late, back = heard.get(c, (0, 0))
+            late, back = received.get(c, (0, 0))
             if late + back != missing:
                 return None
             inputs: Sequence[float] = ()
@@ -108,18 +108,18 @@ class Waiting:
 
         Return the numbers of missing rows afterwards, and the Flag bits of the inputs used.
         """
-        missing, took = [count + 1 for count in self.missing], bytearray([_OPEN]) * len(self.missing)
+        missing, used = [count + 1 for count in self.missing], bytearray([_OPEN]) * len(self.missing)
         for c, late, inputs in arrivals:
             if inputs:
                 column, start = self._senders[c].column, -missing[c]
                 for k, u in enumerate(inputs, start):
                     self.rows[k].u[column] = u
             if late:
-                took[c] = _OPEN | min(missing[c] - late, MOST_LATE) << LATE
+                used[c] = _OPEN | min(missing[c] - late, MOST_LATE) << LATE
             else:
-                took[c] = TAKEN | min(missing[c] - 1, MOST_LATE) << LATE
+                used[c] = TAKEN | min(missing[c] - 1, MOST_LATE) << LATE
             missing[c] = late
-        return missing, bytes(took)
+        return missing, bytes(used)
 
     def samples_with(self, missing: Sequence[int]) -> list[int]:
         """Return the number of samples that wait, by node, if these numbers of rows are missing."""
@@ -137,7 +137,7 @@ class Waiting:
         missing = [0] * len(self.missing)
         for _, _, bits in rows:
             for c, own in enumerate(bits):
-                if own & _HEAR and not missing[c]:
+                if own & _RECEIVE and not missing[c]:
                     continue
                 if own != _OPEN:
                     return False

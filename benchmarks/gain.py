@@ -75,11 +75,11 @@ def main() -> None:
                     began = time.process_time()
                     try:
                         found = bound(plant, premise, method, options.limit)
-                        said = f"gain {found.gain:.5f} margin {found.margin:.1g}"
+                        text = f"gain {found.gain:.5f} margin {found.margin:.1g}"
                     except HedgerowError as error:
-                        said = str(error)
+                        text = str(error)
                     took = time.process_time() - began
-                    print(f"{kind:8} n {n:6} {premise:9} {method:5} {took:7.2f} s  {said}", flush=True)
+                    print(f"{kind:8} n {n:6} {premise:9} {method:5} {took:7.2f} s  {text}", flush=True)
 
 
 if __name__ == "__main__":

@@ -76,11 +76,11 @@ def run(delay_s: float | None, steps: int, rate: float) -> dict[str, Any]:
     """Return the verdict of a run with this delay to its agents; None for no relay."""
     with tempfile.TemporaryDirectory(prefix="hedgerow-") as name, contextlib.ExitStack() as stack:
         folder, port = Path(name), free_port()
-        told = ("paper7", "--steps", str(steps))
-        bundle = (*UP, "bundle", *told, "--router", f"tcp/127.0.0.1:{port}", "--out", str(folder / "lab"))
+        network = ("paper7", "--steps", str(steps))
+        bundle = (*UP, "bundle", *network, "--router", f"tcp/127.0.0.1:{port}", "--out", str(folder / "lab"))
         subprocess.run(bundle, check=True, capture_output=True)
         options = ("--external", "all", "--listen", f"tcp/127.0.0.1:{port}", "--rate", str(rate))
-        command = (*UP, "up", *told, *options, "--viewer", "none", "--no-record", "--json", "--verify")
+        command = (*UP, "up", *network, *options, "--viewer", "none", "--no-record", "--json", "--verify")
         up = stack.enter_context(
             subprocess.Popen(
                 [*command, "--run-dir", str(folder / "run")],
@@ -113,8 +113,8 @@ def main() -> None:
         verdict = run(None if delay is None else delay / 1000, known.steps, known.rate)
         figures = list(verdict["round_trips"].values())
         middle = [statistics.median(one[key] for one in figures) for key in ("median_ms", "p99_ms")]
-        said = "/".join(f"{ms:.3g}" for ms in (*middle, max(one["max_ms"] for one in figures)))
-        print(f"{'no relay' if delay is None else delay!s:<14} {said:<35} {verdict['steps_per_s']:.1f}", flush=True)
+        text = "/".join(f"{ms:.3g}" for ms in (*middle, max(one["max_ms"] for one in figures)))
+        print(f"{'no relay' if delay is None else delay!s:<14} {text:<35} {verdict['steps_per_s']:.1f}", flush=True)
 
 
 if __name__ == "__main__":

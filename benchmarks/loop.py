@@ -62,13 +62,13 @@ def ours(network: str, *options: str, viewer: str = "none", on_say: Say = lambda
         with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
             assert process.stdout is not None
             assert process.stderr is not None
-            said = []
+            read = []
             for line in process.stderr:
-                said.append(line)
+                read.append(line)
                 on_say(line)
             output = process.stdout.read()
         if process.returncode:
-            raise SystemExit(f"{' '.join(command)}: exit code {process.returncode}\n{''.join(said)}{output}")
+            raise SystemExit(f"{' '.join(command)}: exit code {process.returncode}\n{''.join(read)}{output}")
         verdict: dict[str, Any] = json.loads(output)
         return verdict
 

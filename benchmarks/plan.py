@@ -52,7 +52,7 @@ class Border(NamedTuple):
     """the nodes of a part with a neighbour in another part"""
     parts: float
     """the number of its neighbouring parts"""
-    said: float
+    sent: float
     """the nodes in its link messages, counted once for each receiving part"""
 
 
@@ -82,7 +82,7 @@ def step(truth: Truth, view: View) -> Step:
         assert state is not None
         u = shard.answer(state)
         marks.append(time.process_time())
-        world.step(u, shard.report, [shard.took])
+        world.step(u, shard.report, [shard.used])
         marks.append(time.process_time())
         spent += [marks[1] - marks[0] + marks[3] - marks[2], marks[2] - marks[1]]
     return Step(*(spent / (truth.steps - WARM_UP)).tolist())
@@ -97,8 +97,8 @@ def border(graph: Graph, parts: Sequence[np.ndarray]) -> Border:
     across = here != there
     node, to = graph.node[across], there[across]
     pairs = np.unique(here[across] * len(parts) + to)
-    said = np.unique(node * len(parts) + to)
-    return Border(len(np.unique(node)) / len(parts), len(pairs) / len(parts), len(said) / len(parts))
+    sent = np.unique(node * len(parts) + to)
+    return Border(len(np.unique(node)) / len(parts), len(pairs) / len(parts), len(sent) / len(parts))
 
 
 def main() -> None:
@@ -112,8 +112,8 @@ def main() -> None:
     nothing = np.zeros(1)
     header = len(encode_state(0, nothing, b"")) - 8
     # In a quiet step, the edges of the far network do not lengthen a message.
-    told = 8
-    said = len(encode_input(0, nothing, np.zeros((REPORT_ROWS, 1)), b"")) - header
+    state = 8
+    reply = len(encode_input(0, nothing, np.zeros((REPORT_ROWS, 1)), b"")) - header
     seen = telemetry_bytes(1, 0) - header
     columns = []
     for graph, power in GRAPHS.items():
@@ -124,13 +124,13 @@ def main() -> None:
             met = border(topology.graph, partition(topology.graph, machines))
         grown = (far / n) ** power
         # Link messages carry x and u of a node; a divided plant needs only u, once for each part.
-        crossing_bytes = met.said * grown * (16 + 8)
+        crossing_bytes = met.sent * grown * (16 + 8)
         columns.append(
             {
                 f"measured at {n:,} nodes: plant [ns of CPU a node]": f"{cost.plant / n * 1e9:.0f}",
                 "agents [ns of CPU a node]": f"{cost.agents / n * 1e9:.0f}",
                 f"one plant at {far:,}: CPU a step [s]": f"{cost.plant / n * far:.1f}",
-                "its states, inputs and telemetry a step [GB]": f"{far * (told + said + seen) / 1e9:.1f}",
+                "its states, inputs and telemetry a step [GB]": f"{far * (state + reply + seen) / 1e9:.1f}",
                 f"one of {machines} machines: CPU of plant and agents a step [ms]": (
                     f"{(cost.plant + cost.agents) / n * far / machines * 1e3:.0f}"
                 ),

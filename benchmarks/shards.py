@@ -121,9 +121,9 @@ def shards(truth: Truth, views: Sequence[View], folder: Path, share: bool = True
     finally:
         close_shared(path)
         for command, process in zip(commands, processes, strict=True):
-            _, said = process.communicate()  # this closes its lifeline, in case it still runs
+            _, output = process.communicate()  # this closes its lifeline, in case it still runs
             if process.returncode:
-                print(f"{' '.join(command)}: {said.decode()}", file=sys.stderr)
+                print(f"{' '.join(command)}: {output.decode()}", file=sys.stderr)
 
 
 def _observe(

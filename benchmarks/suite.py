@@ -103,8 +103,8 @@ def reference(network: Network, steps: int) -> tuple[Array, Array]:
     topology = resolve(load(network.file).model_copy(update={"steps": steps}))
     everybody = [range(len(network))]
     rows = in_process.run(truth_of(topology, everybody), views_of(topology, everybody))
-    told = [(row.x, row.u) for row in rows if isinstance(row, Telemetry)]
-    return np.array([x for x, _ in told]), np.array([u for _, u in told])
+    pairs = [(row.x, row.u) for row in rows if isinstance(row, Telemetry)]
+    return np.array([x for x, _ in pairs]), np.array([u for _, u in pairs])
 
 
 def adopt_orphans() -> None:

@@ -128,17 +128,17 @@ def words(hint: Any, where: Sequence[Any] = ()) -> str:
         return "mapping from steps to lists of pairs"
     if origin is tuple:
         member = words(inside[0])
-        said = f"list of {member}" + ("" if member.startswith("[") else "s")
+        text = f"list of {member}" + ("" if member.startswith("[") else "s")
     elif isinstance(hint, type) and issubclass(hint, Model):
-        said = "[`{random: …}`](#random-numbers)" if "random" in hint.model_fields else "[disturbance](#disturbances)"
+        text = "[`{random: …}`](#random-numbers)" if "random" in hint.model_fields else "[disturbance](#disturbances)"
     else:
         names = [getattr(one.func, "__name__", "") for one in where if isinstance(one, AfterValidator)]
-        said = next((VALIDATED[name] for name in names if name in VALIDATED), "")
-        said = said or " or ".join(f"`{value}`" for value in inside) or PLAIN[hint]
+        text = next((VALIDATED[name] for name in names if name in VALIDATED), "")
+        text = text or " or ".join(f"`{value}`" for value in inside) or PLAIN[hint]
     around = [
         f"{LIMITS[type(one)][1]} {_power(getattr(one, LIMITS[type(one)][0]))}" for one in where if type(one) in LIMITS
     ]
-    return said + (f" ({', '.join(around)})" if around else "")
+    return text + (f" ({', '.join(around)})" if around else "")
 
 
 def _flat(metadata: Sequence[Any]) -> Iterator[Any]:

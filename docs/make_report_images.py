@@ -77,8 +77,8 @@ def palette() -> Image.Image:
 def numbers(run: Run) -> str:
     """Return the numbers behind a picture, to detect an outdated one."""
     metrics = run.verdict.content["metrics"]
-    said = f"{run.topology.name}: D {metrics['regret']:.6g}, nominal {metrics['regret_nominal']:.6g}"
-    return said + f", gain {metrics['gain']:.6g}, {metrics['nodes_right']} right"
+    text = f"{run.topology.name}: D {metrics['regret']:.6g}, nominal {metrics['regret_nominal']:.6g}"
+    return text + f", gain {metrics['gain']:.6g}, {metrics['nodes_right']} right"
 
 
 def main(images: Path, pictures: Sequence[str]) -> None:

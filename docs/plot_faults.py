@@ -91,7 +91,7 @@ def main(image: Path) -> None:
     """Draw and write the picture."""
     observer, faulty = ran()
     lossless, without = ran("faults=[]")
-    said = f"regret D {observer.regret_sum:.4g} with faults, {lossless.regret_sum:.4g} without"
+    summary = f"regret D {observer.regret_sum:.4g} with faults, {lossless.regret_sum:.4g} without"
     with look():
         figure = Figure(figsize=(7.16, 5.2))
         axes = figure.subplots(3, 1, sharex=True)
@@ -102,8 +102,8 @@ def main(image: Path) -> None:
             axes[0].text(middle, 8.3, name, ha="center", va="bottom", fontsize=10, weight="bold")
             axes[0].text(middle, 7.6, what, ha="center", va="bottom")
         axes[-1].set_xlabel("step $t$")
-        figure.savefig(image, dpi=180, metadata={"Description": said, "Software": None})
-    print(said)
+        figure.savefig(image, dpi=180, metadata={"Description": summary, "Software": None})
+    print(summary)
 
 
 if __name__ == "__main__":

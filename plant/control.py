@@ -145,12 +145,12 @@ class Control:
 
     def _pause(self, _: Request) -> Reply:
         self._plant.clock.pause()
-        self._plant.tell("pause", at=self._held)
+        self._plant.report_event("pause", at=self._held)
         return {"step": self._held}
 
     def _resume(self, _: Request) -> Reply:
         self._plant.clock.resume(self._plant.world.t)
-        self._plant.tell("resume", at=self._plant.world.t)
+        self._plant.report_event("resume", at=self._plant.world.t)
         return {"step": self._plant.world.t}
 
     def _step(self, request: Request) -> Reply:
@@ -160,7 +160,7 @@ class Control:
     def _rate(self, request: Request) -> Reply:
         rate = requests.number(request, "rate", 0, FASTEST)
         self._plant.clock.set_rate(rate, self._plant.world.t)
-        self._plant.tell("rate", at=self._plant.world.t, rate=rate)
+        self._plant.report_event("rate", at=self._plant.world.t, rate=rate)
         return {"step": self._plant.world.t}
 
     def _fault(self, request: Request) -> Reply:
@@ -177,7 +177,7 @@ class Control:
         plant.world.faults.add(shifted)
         plant.world.fault_count += 1
         start = min((one.start for one in shifted), default=start)
-        plant.tell("fault", fault=number, entry=entry, at=start)
+        plant.report_event("fault", fault=number, entry=entry, at=start)
         return {"fault": number + 1, "step": start, "entry": entry}
 
     def _heal(self, request: Request) -> Reply:
@@ -197,7 +197,7 @@ class Control:
             return {"error": f"fault {wanted} has not begun, is over, or is a jump: there is nothing to heal"}
         for number, stop in ended.items():
             plant.world.faults.end(number, stop)
-            plant.tell("heal", fault=number, at=stop)
+            plant.report_event("heal", fault=number, at=stop)
         return {"faults": [number + 1 for number in sorted(ended)], "step": at}
 
     def _died(self, request: Request) -> Reply:
@@ -220,7 +220,7 @@ class Control:
         theirs = {key: _version(request, key) for key in ("hedgerow", "network")}
         why = mismatch(plant.network, {**theirs, "codec": requests.integer(request, "codec", 0, FOREVER)})
         if why is not None:
-            self._tell_refused("the observer" if p is None else plant.shards.all[p].name, why)
+            self._report_refused("the observer" if p is None else plant.shards.all[p].name, why)
             return {"error": why, **introduction(plant.network)}
         if p is None:
             return introduction(plant.network)
@@ -233,13 +233,13 @@ class Control:
         shard.external, shard.claim, shard.claimed_until = True, number, now + CLAIM_S
         return {"life": shard.life + 1, "plant": plant.number}
 
-    def _tell_refused(self, who: str, cause: str) -> None:
+    def _report_refused(self, who: str, cause: str) -> None:
         """Log a refusal and report it to the observer, once per cause: a refused process asks again and again."""
-        told = self._refused.setdefault(who, set())
-        if cause not in told and len(told) < MOST_CAUSES:
-            told.add(cause)
+        reported = self._refused.setdefault(who, set())
+        if cause not in reported and len(reported) < MOST_CAUSES:
+            reported.add(cause)
             LOG.warning("%s is refused: %s", who, cause)
-            self._plant.tell("refused", who=who, cause=cause)
+            self._plant.report_event("refused", who=who, cause=cause)
 
 
 class _TooOftenError(Exception):

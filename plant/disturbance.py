@@ -95,16 +95,11 @@ def _confuse(nodes: Index, candidate: Array, _: int, x: Array | None, a: Array |
     return np.asarray((candidate - a[nodes]) * x[nodes])
 
 
-def white_keys(seed: int | lots.Words, number: int, words: lots.Words) -> lots.Words:
-    """Return the keys of the white noise at one place of the list of nodes with these words; docs/topology.md.
+def noise_keys(kind: str, seed: int | lots.Words, number: int, words: lots.Words) -> lots.Words:
+    """Return the keys of a kind of noise at one place of the list of nodes with these words; docs/topology.md.
 
     `seed` is one, or an array that broadcasts with `words`: (S, 1) gives (S, n).
     """
-    return noise_keys("white", seed, number, words)
-
-
-def noise_keys(kind: str, seed: int | lots.Words, number: int, words: lots.Words) -> lots.Words:
-    """Return the keys of a kind of noise, as `white_keys` does."""
     return lots.keys(seed, f"disturbance.{number}.{kind}", words)
 
 

@@ -88,7 +88,7 @@ class Inputs:
         if self._row is not None:
             return self._row.take(self._at[1:]), self._took
         reports = [*[one.ahat for one in self._parts], *[one.margin for one in self._parts]]
-        return gather(reports).reshape(REPORT_ROWS, -1), [one.took for one in self._parts]
+        return gather(reports).reshape(REPORT_ROWS, -1), [one.used for one in self._parts]
 
 
 def _places(sizes: Sequence[int]) -> Index:

@@ -38,8 +38,8 @@ from hedgerow.wire.codec import (
     decode_seen,
     encode_end,
     encode_event,
+    encode_round_trips,
     encode_telemetry,
-    encode_trips,
     kind_of,
     telemetry_bytes,
 )
@@ -62,12 +62,12 @@ LOG = logging.getLogger("plant")
 START_DEADLINE_S = 60.0
 OBSERVER_DEADLINE_S = 60.0
 END_DEADLINE_S = 5.0
-WORD_BYTES, WORD_BYTES_PER_INCIDENCE = 2**16, 256
+REPORT_BYTES, REPORT_BYTES_PER_INCIDENCE = 2**16, 256
 """The maximum size of the final report of a shard.
 
 It names two keys per peer, and a shard has at most as many peers as incidences.
 """
-WORD_DEADLINE_S = 2.0
+REPORT_DEADLINE_S = 2.0
 """The time that a running shard has for its final report, after END [s]."""
 
 
@@ -124,7 +124,7 @@ class Plant:
             self._send_row = self._share_row
         elif shared:
             LOG.warning("%s: cannot be opened here; telemetry travels in messages", shared)
-        self.shards = Shards(truth, self.world, session, self.tell)
+        self.shards = Shards(truth, self.world, session, self.report_event)
         self._token_allowances = [Allowance(TOKENS_PER_S, TOKENS_AT_ONCE) for _ in self.shards.all]
         self._late_tokens: dict[int, tuple[int, bool]] = {}
         """by shard: the newest change of its tokens above the rate limit, which is processed later"""
@@ -297,15 +297,15 @@ class Plant:
         """Act on the complete inputs of t, start t + 1, and only then read the rest of the messages and report t."""
         self.world.advance(self._inputs.u())
         self._elapsed_s = time.monotonic() - self.clock.began
-        tell = self._stopwatch.end_step()
+        report_times = self._stopwatch.end_step()
         self._prepare()
         # The states of t + 1 are on their way, and the agents compute meanwhile.
         row = self.world.account(*self._inputs.rest())
         if self.running:
             self.world.look_ahead()
         self._send_row(*encode_telemetry(row, self.world.whole))
-        if tell:
-            self._tell_trips()
+        if report_times:
+            self._send_round_trips()
 
     def _share_row(self, *row: Buffer) -> None:
         """Write a row into the shared memory, and send its place; send the row if all places are in use."""
@@ -315,32 +315,32 @@ class Plant:
         else:
             self._outbox.send(*row)
 
-    def tell(self, event: str, **details: Any) -> None:
+    def report_event(self, event: str, **details: Any) -> None:
         """Report an event of this step to the observer."""
         self._outbox.send(encode_event(self.world.t, {"event": event, **details}))
 
-    def _tell_trips(self) -> None:
-        if (trips := self._stopwatch.take_out(self.world.t - 1)) is not None:
-            self._outbox.send(encode_trips(trips))
+    def _send_round_trips(self) -> None:
+        if (times := self._stopwatch.take_out(self.world.t - 1)) is not None:
+            self._outbox.send(encode_round_trips(times))
 
     def _end(self) -> None:
         """Send END, and wait until the observer has all telemetry and the message counts."""
         end = End(self.world.t, self.world.x, self._elapsed_s, self.world.links.forgotten)
         with self.changed:
             self.over = True
-            self._tell_trips()
+            self._send_round_trips()
             self._farewell = encode_end(end._replace(x=np.empty(0)))
             for shard in self.shards.all:
                 shard.state.put(self._farewell)
             self.changed.wait_for(
-                lambda: all(shard.word or not shard.ready for shard in self.shards.all), WORD_DEADLINE_S
+                lambda: all(shard.final_report or not shard.ready for shard in self.shards.all), REPORT_DEADLINE_S
             )
             counted = counts([shard.state for shard in self.shards.all], self._receivers)
-            counted["said"][keys.TELEMETRY] = self._outbox.sent + 1  # this event included
-            self.tell(
-                "heard",
+            counted["sent"][keys.TELEMETRY] = self._outbox.sent + 1  # this event included
+            self.report_event(
+                "counts",
                 plant=counted,
-                shards=[shard.word for shard in self.shards.all],
+                shards=[shard.final_report for shard in self.shards.all],
             )
             self._outbox.send(encode_end(end))
             by = time.monotonic() + END_DEADLINE_S
@@ -369,8 +369,8 @@ class Plant:
                     if not missing:
                         self._go_on()
             elif self.over and kind_of(message) == Kind.EVENT:
-                most = WORD_BYTES + WORD_BYTES_PER_INCIDENCE * shard.incidences
-                shard.word = shard.word or decode_event(message, most)
+                most = REPORT_BYTES + REPORT_BYTES_PER_INCIDENCE * shard.incidences
+                shard.final_report = shard.final_report or decode_event(message, most)
                 shard.state.put(self._farewell)
                 self.changed.notify_all()
             else:
@@ -389,17 +389,19 @@ class Plant:
                 self.changed.notify_all()
 
     def _take_alive(self, sample: zenoh.Sample) -> None:
-        said = re.fullmatch(r"alive/shard-([0-9]{1,9})/([0-9]{1,9})(?:-([0-9]{1,10}))?", str(sample.key_expr))
-        if said is None or int(said[1]) >= len(self.shards.all):
+        match = re.fullmatch(r"alive/shard-([0-9]{1,9})/([0-9]{1,9})(?:-([0-9]{1,10}))?", str(sample.key_expr))
+        if match is None or int(match[1]) >= len(self.shards.all):
             return
         there = sample.kind == zenoh.SampleKind.PUT
-        if said[3] is not None and int(said[3]) != self.number:
+        if match[3] is not None and int(match[3]) != self.number:
             # An agent of an earlier run: it leaves when it sees our token, and until then would answer our states.
             with self.changed:
-                (self._left_behind.add if there else self._left_behind.discard)(f"shard-{said[1]}/{said[2]}-{said[3]}")
+                (self._left_behind.add if there else self._left_behind.discard)(
+                    f"shard-{match[1]}/{match[2]}-{match[3]}"
+                )
                 self.changed.notify_all()
             return
-        p, life = int(said[1]), int(said[2])
+        p, life = int(match[1]), int(match[2])
         with self.changed:
             if p in self._late_tokens or not self._token_allowances[p].take():
                 if life >= self._late_tokens.get(p, (life, there))[0]:

@@ -40,8 +40,8 @@ def read(payload: bytes, graph: Graph) -> Request:
 
 def shortened(what: object) -> str:
     """Return a refused value as one short line."""
-    said = ascii(what) if not isinstance(what, Exception) else ascii(str(what))[1:-1]
-    return said if len(said) <= TEXT else f"{said[:TEXT]}…"
+    shown = ascii(what) if not isinstance(what, Exception) else ascii(str(what))[1:-1]
+    return shown if len(shown) <= TEXT else f"{shown[:TEXT]}…"
 
 
 def integer(request: Request, key: str, low: int, high: int) -> int:

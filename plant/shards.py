@@ -51,8 +51,8 @@ class Shard:
     """True if it has sent a message since then"""
     returning: bool = False
     """True if it was lost and has not acted since its return"""
-    word: dict[str, Any] | None = None
-    """its final report: the messages sent and received, by key"""
+    final_report: dict[str, Any] | None = None
+    """the messages that it sent and received, by key"""
     external: bool = False
     """True if another program restarts the process, and not `up`."""
     claim: int = -1
@@ -79,9 +79,9 @@ class Shard:
 class Shards:
     """All shards of a run, and what the current step waits for."""
 
-    def __init__(self, truth: Truth, world: World, session: zenoh.Session, tell: Callable[..., None]) -> None:
-        """Prepare the shards; `tell(event, **details)` reports to the observer."""
-        self._world, self._tell = world, tell
+    def __init__(self, truth: Truth, world: World, session: zenoh.Session, report: Callable[..., None]) -> None:
+        """Prepare the shards; `report(event, **details)` reports to the observer."""
+        self._world, self._report = world, report
         degree = world.graph.degree
         self.all = [
             Shard(_name(p, truth), nodes.tolist(), int(degree[nodes].sum()), Sender(session, keys.state(p)))
@@ -140,12 +140,12 @@ class Shards:
         world, life = self._world, shard.life
         dies = world.wanted(p, world.t - 1) and shard.died < life and not shard.returning
         if dies:
-            self._tell("kill", shard=p, life=life, restart=world.comes_back(p))
+            self._report("kill", shard=p, life=life, restart=world.comes_back(p))
             self._until.append((shard, lambda: shard.died >= life))
         # A crash may last until the end of the run: do not wait for a step that never happens.
         if world.t + 1 < world.steps and world.wanted(p, world.t + 1):
             if not shard.ready:
-                self._tell("revive", shard=p)
+                self._report("revive", shard=p)
             # The next life may end before the state leaves: then it is lost at t + 1.
             then = life + (dies or life <= shard.died)
             self._until.append((shard, lambda: shard.ready or shard.died >= then))
@@ -165,13 +165,13 @@ class Shards:
         self.missing.discard(p)
         shard.messages.clear()
         world.faults.add([Effect(shard.fault, "crash", tuple(shard.nodes), world.t, FOREVER)])
-        self._tell("lost", shard=p, fault=shard.fault, who=shard.name, cause=why)
+        self._report("lost", shard=p, fault=shard.fault, who=shard.name, cause=why)
 
     def _take_back(self, p: int, shard: Shard, fault: int) -> None:
         """Let a lost shard return: it receives its neighbours' messages from t on, and acts from t + 1 on."""
         at = self._world.t + 1
         self._world.faults.end(fault, at)
-        self._tell("back", shard=p, fault=fault, who=shard.name, at=at)
+        self._report("back", shard=p, fault=fault, who=shard.name, at=at)
         shard.fault, shard.returning = None, True
 
     def call_the_lost(self) -> None:

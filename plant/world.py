@@ -256,10 +256,10 @@ class World:
 
     # The second half: the inputs, and the advance to t + 1.
 
-    def step(self, u: Array, report: Array, took: Sequence[Buffer]) -> Telemetry:
+    def step(self, u: Array, report: Array, used: Sequence[Buffer]) -> Telemetry:
         """Advance from t to t + 1 under u(t), NaN where an input is missing; return the telemetry of t."""
         self.advance(u)
-        return self.account(report, took)
+        return self.account(report, used)
 
     def advance(self, u: Array) -> None:
         """Advance from t to t + 1 under u(t), (n,), in the order of the shards; `account` for t after that."""
@@ -280,7 +280,7 @@ class World:
         self._made = _Made(t, x, u, w, edge_open, deliveries, gone, None if quiet else now)
         self.t += 1
 
-    def account(self, report: Array, took: Sequence[Buffer]) -> Telemetry:
+    def account(self, report: Array, used: Sequence[Buffer]) -> Telemetry:
         """Return the telemetry of the step that `advance` made last, even if the next one has begun.
 
         report (REPORT_ROWS, n) and, by shard, the Flag bits of the used inputs are in the order of the shards.
@@ -288,7 +288,7 @@ class World:
         t, x, u, w, edge_open, deliveries, gone, now = self._made
         if not self._in_order:
             report = report.take(self._place, axis=1)
-        taken, up = self._taken(took), None
+        taken, up = self._taken(used), None
         if now is None and taken is None:
             self.whole = True
             return Telemetry(t, x, u, w, report, self._all_open, self._all_up, self._all_taken)
@@ -332,15 +332,15 @@ class World:
 
         None for all.
         """
-        node, used = self.graph.node, self._all_taken if taken is None else taken
+        node, bits = self.graph.node, self._all_taken if taken is None else taken
         up = None if deliveries is None else deliveries.fresh
         if gone is not None:
             report = np.where(gone, np.nan, report)
-            taken = used = np.where(gone[node], np.uint8(0), used)
+            taken = bits = np.where(gone[node], np.uint8(0), bits)
             up = None if up is None else up & ~gone[node]
         if now.back is not None and now.back.any():
             # Messages from before their return are back-filled, not received in time.
-            taken = np.where(now.back[node], used & np.uint8(~Flag.HEAR & 0xFF), used)
+            taken = np.where(now.back[node], bits & np.uint8(~Flag.RECEIVE & 0xFF), bits)
         return report, taken, None if up is None else up.view(np.uint8)
 
     @cached_property
@@ -348,10 +348,10 @@ class World:
         """Return True if the shards, one after another, hold the nodes in network order."""
         return bool((self.order[1:] > self.order[:-1]).all())
 
-    def _taken(self, took: Sequence[Buffer]) -> Flags | None:
+    def _taken(self, used: Sequence[Buffer]) -> Flags | None:
         """Return the Flag bits of the used inputs in the order of the incidences, (2E,); None if all are set."""
-        if not any(took):
+        if not any(used):
             return None
-        parts = (bits or everything for bits, everything in zip(took, self._taken_bytes, strict=True))
+        parts = (bits or everything for bits, everything in zip(used, self._taken_bytes, strict=True))
         taken = np.frombuffer(join(parts), np.uint8)
         return taken if self._in_order else taken.take(self._incidence_place)

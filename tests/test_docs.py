@@ -38,13 +38,13 @@ from PIL import Image
 from hedgerow.orchestrator.metrics.fault_accounts import Account
 from hedgerow.orchestrator.metrics.observer import Batch
 from hedgerow.orchestrator.runs.writer import to_parquet
-from hedgerow.orchestrator.views.rerun.panels import quantities
+from hedgerow.orchestrator.views.rerun.panels import lines, totals
 from hedgerow.topologies.errors import Code
 from hedgerow.topologies.faults import KINDS
 from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import resolve
 from hedgerow.wire import codec, keys, session
-from hedgerow.wire.message import REPORT_ROWS, End, Flag, Kind, Link, Record, Span, Telemetry, Trips
+from hedgerow.wire.message import REPORT_ROWS, End, Flag, Kind, Link, Record, RoundTripTimes, Span, Telemetry
 from tests.tools import preloaded
 from tests.tools.networks import observe, read, simulate
 
@@ -281,7 +281,7 @@ FLAGS = {
     "link_up": np.array([1, 0, 0, 1], np.uint8),
 }
 X, U, W, REPORT = ARRAYS["x"], ARRAYS["u"], ARRAYS["w"], ARRAYS["report"]
-TOOK = np.array([3, 0, 1, 3, 2], np.uint8)
+USED = np.array([3, 0, 1, 3, 2], np.uint8)
 SPANS = [Span(1, 0, 3, 0, 0), Span(4, 2, 1, 5, 6)]
 ROWS = {"first": np.array(T - 2), "x": np.arange(S * N).reshape(S, N) / 3, "u": np.arange(S * N).reshape(S, N) / 5}
 PAST = {
@@ -299,17 +299,17 @@ MESSAGES: dict[str, tuple[bytes, dict[str, Any]]] = {
         {"first": ROWS["first"], "back": BACK, **PAST},
     ),
     "input": (
-        codec.encode_input(T, U[:K], REPORT[:, :K].copy(), TOOK),
-        {"u": U[:K], "report": REPORT[:, :K], "took": TOOK},
+        codec.encode_input(T, U[:K], REPORT[:, :K].copy(), USED),
+        {"u": U[:K], "report": REPORT[:, :K], "used": USED},
     ),
     "link": (codec.encode_link(Link(T, T - 2, ROWS["x"].tobytes(), ROWS["u"].tobytes()), N), ROWS),
     "telemetry": (
         codec.join(
-            codec.encode_telemetry(Telemetry(T, X, U, W, REPORT, FLAGS["edge_open"], FLAGS["link_up"], TOOK[: 2 * E]))
+            codec.encode_telemetry(Telemetry(T, X, U, W, REPORT, FLAGS["edge_open"], FLAGS["link_up"], USED[: 2 * E]))
         ),
-        {**ARRAYS, **FLAGS, "took": TOOK[: 2 * E]},
+        {**ARRAYS, **FLAGS, "used": USED[: 2 * E]},
     ),
-    "trips": (codec.encode_trips(Trips(T, TRIPS)), {"seconds": TRIPS}),
+    "round_trips": (codec.encode_round_trips(RoundTripTimes(T, TRIPS)), {"seconds": TRIPS}),
     "event": (codec.encode_event(T, EVENT), {"event": TEXT}),
     "end": (
         codec.encode_end(End(T, X, 1.25, 3)),
@@ -448,7 +448,7 @@ def test_every_metric_is_in_the_place_that_theory_md_gives() -> None:
 
     assert all(hasattr(batch, name) for name in named("Batch"))
     assert named("verdict.json") == observer.summary().keys()
-    shown = {quantity.entity for quantity in quantities(topology, observer)}
+    shown = {quantity.entity for quantity in [*lines(topology), *totals(topology, observer)]}
     assert named("Rerun") == shown
     fields = {*Batch.__dataclass_fields__, "cost_regret", "ratio", "gain"}
     assert named("Batch") == fields - {"t", "a", "edge_open", "link_up"}

@@ -131,7 +131,7 @@ def test_the_search_finds_planted_words(text: str) -> None:
 
 def named_functions() -> list[tuple[str, str]]:
     text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
-    return re.findall(r"`(\w+/\w+)\.py` `(\w+\.\w+)`", text)
+    return [(file, name) for name, file in re.findall(r"\[`(\w+\.\w+)`\]\((\w+/\w+)\.py\)", text)]
 
 
 @pytest.mark.parametrize(("file", "name"), sorted(set(named_functions())))

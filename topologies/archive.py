@@ -121,7 +121,7 @@ def reading(path: Path) -> Iterator[None]:
         raise
     # A damaged file can cause almost any error in NumPy and zipfile, AttributeError and tokenize.TokenError among them.
     except Exception as error:
-        said = str(error) or type(error).__name__
+        cause = str(error) or type(error).__name__
         raise UserError(
-            f"{path}: cannot be read as a .npz file: {said}; write it with numpy.savez", code=Code.FILE_FORMAT
+            f"{path}: cannot be read as a .npz file: {cause}; write it with numpy.savez", code=Code.FILE_FORMAT
         ) from None

@@ -1,6 +1,6 @@
 """Documents of settings, arrays and tables: one declaration of the entries serves JSON, TOML and .npz files.
 
-A document is a dictionary. Its form has one kind per entry. An entry whose value is None is left out.
+A document is a dictionary. Its form has one kind per entry. An entry with the value None is left out.
 """
 
 from __future__ import annotations

@@ -62,6 +62,9 @@ class Graph:
         self.edge: Index = np.tile(np.arange(len(edges)), 2)[order]
         """Per incidence: its row in `edges`."""
 
+    def __repr__(self) -> str:
+        return f"<Graph: {self.n} nodes, {len(self.edges)} edges>"
+
     @cached_property
     def degree(self) -> Index:
         """Return d_i, the number of neighbours of each node, (n,)."""

@@ -65,6 +65,9 @@ class Network:
     positions: Array | None = None
     """the place of each node in pictures, (n, 2), NaN if the file gives none; None if no node has one"""
 
+    def __repr__(self) -> str:
+        return f"<Network: {len(self.ids)} nodes, {len(self.graph.edges)} edges>"
+
     def name(self, k: int) -> str:
         """Return the name of node k in pictures: its label, or its id if it has none."""
         return self.labels[k] if self.labels is not None and self.labels[k] else str(self.ids[k])

@@ -270,6 +270,10 @@ class Topology(Model):
     _named: frozenset[str] = PrivateAttr(frozenset())
     """files of samples that may be outside the topology's folder"""
 
+    def __repr__(self) -> str:
+        size = f"{len(self.nodes)} nodes, {len(self.edges)} edges, {self.steps} steps"
+        return f"<Topology {self.name}: {size}, law {self.law}, seed {self.seed}, {len(self.faults)} faults>"
+
     @cached_property
     def origin_of_law(self) -> str:
         """Return the place of the law, as the start of a message: `topo.yaml:7: `; empty if it has none."""

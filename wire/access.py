@@ -32,8 +32,8 @@ class Place(NamedTuple):
 class Rights(NamedTuple):
     """The rights of one process, as keys of the run."""
 
-    says: Sequence[str] = ()
-    hears: Sequence[str] = ()
+    publishes: Sequence[str] = ()
+    subscribes: Sequence[str] = ()
     asks: Sequence[str] = ()
     answers: Sequence[str] = ()
     shows: Sequence[str] = ()
@@ -47,8 +47,8 @@ def rights(places: Sequence[Place]) -> dict[str, Rights]:
     shards = [place.shard for place in places]
     agents = {
         name: Rights(
-            says=[keys.input_(p), *(keys.link(p, q) for q in peers)],
-            hears=[keys.state(p), *(keys.link(q, p) for q in peers)],
+            publishes=[keys.input_(p), *(keys.link(p, q) for q in peers)],
+            subscribes=[keys.state(p), *(keys.link(q, p) for q in peers)],
             asks=[keys.join(p)],
             shows=[keys.alive(keys.shard_name(p), "*")],
             watches=[keys.alive(keys.shard_name(p), "*"), keys.alive(keys.PLANT, "*")],
@@ -56,15 +56,15 @@ def rights(places: Sequence[Place]) -> dict[str, Rights]:
         for name, p, peers, *_ in places
     }
     plant = Rights(
-        says=[*map(keys.state, shards), keys.TELEMETRY],
-        hears=[*map(keys.input_, shards), keys.SEEN],
+        publishes=[*map(keys.state, shards), keys.TELEMETRY],
+        subscribes=[*map(keys.input_, shards), keys.SEEN],
         answers=[*map(keys.control, keys.COMMANDS), keys.join("*")],
         shows=[keys.alive(keys.PLANT, "*"), keys.alive(keys.ROOM, "*")],
         watches=[keys.ALIVE],
     )
     observer = Rights(
-        says=[keys.SEEN],
-        hears=[keys.TELEMETRY],
+        publishes=[keys.SEEN],
+        subscribes=[keys.TELEMETRY],
         asks=[*map(keys.control, ("died", "stop", "status")), keys.join(OBSERVER)],
         shows=[keys.alive(keys.ROOM, "*")],
         watches=[keys.alive(keys.PLANT, "*"), keys.alive(keys.ROOM, "*")],
@@ -75,8 +75,8 @@ def rights(places: Sequence[Place]) -> dict[str, Rights]:
 
 IN, OUT = "ingress", "egress"
 _MESSAGES: Mapping[str, Mapping[str, Sequence[str]]] = {
-    "says": {IN: ["put"], OUT: ["declare_subscriber"]},
-    "hears": {IN: ["declare_subscriber"], OUT: ["put"]},
+    "publishes": {IN: ["put"], OUT: ["declare_subscriber"]},
+    "subscribes": {IN: ["declare_subscriber"], OUT: ["put"]},
     "asks": {IN: ["query"], OUT: ["reply", "declare_queryable"]},
     "answers": {IN: ["declare_queryable", "reply"], OUT: ["query"]},
     "shows": {IN: ["liveliness_token"]},
@@ -108,18 +108,18 @@ def rules(places: Sequence[Place], namespace: str, plant_is_client: bool, reques
     `request_bytes`.
     """
     granted = rights(places)
-    said = [(place, [f"{namespace}/{key}" for key in granted[place.name].says]) for place in places]
+    published = [(place, [f"{namespace}/{key}" for key in granted[place.name].publishes]) for place in places]
     if not plant_is_client:
         del granted[keys.PLANT]
     joins = [f"{namespace}/{keys.join(place.shard)}" for place in places]
     settings: dict[str, Any] = {
         "access_control": access_control(granted, namespace),
         "downsampling": [
-            _often(["put", "delete"], [key for _, some in said for key in some], MOST_PER_S),
+            _often(["put", "delete"], [key for _, some in published for key in some], MOST_PER_S),
             _often(["query"], joins, MOST_JOINS_PER_S),
         ],
         "low_pass_filter": [
-            *(_large(place.name, "put", some, place.largest) for place, some in said),
+            *(_large(place.name, "put", some, place.largest) for place, some in published),
             _large("joins", "query", joins, JOIN_BYTES),
         ],
     }

@@ -28,10 +28,10 @@ from hedgerow.wire.message import (
     Link,
     MessageError,
     Record,
+    RoundTripTimes,
     Span,
     State,
     Telemetry,
-    Trips,
 )
 
 VERSION = 4
@@ -206,9 +206,9 @@ def decode_record(message: bytes, degrees: Sequence[int] | NDArray[np.int64]) ->
     return Record(t, back, first, x, u, edge_open)
 
 
-def encode_input(t: int, u: Buffer, report: Buffer, took: Buffer) -> bytes:
+def encode_input(t: int, u: Buffer, report: Buffer, used: Buffer) -> bytes:
     """Return the bytes of an Input message; `report` is ahat and margin."""
-    return _pack(_INPUT, _count(u), t, u, report, took)
+    return _pack(_INPUT, _count(u), t, u, report, used)
 
 
 def decode_input(message: bytes, k: int, m: int) -> Input:
@@ -216,8 +216,8 @@ def decode_input(message: bytes, k: int, m: int) -> Input:
     size, whole = 8 * k, memoryview(message)
     numbers = size * (1 + REPORT_ROWS)
     t = _open(message, _INPUT, k, numbers if len(message) == _SIZE + numbers else numbers + m)
-    u, ahat, margin, took = _SIZE, _SIZE + size, _SIZE + 2 * size, _SIZE + 3 * size
-    return _new(Input, (t, whole[u:ahat], whole[ahat:margin], whole[margin:took], whole[took:]))
+    u, ahat, margin, used = _SIZE, _SIZE + size, _SIZE + 2 * size, _SIZE + 3 * size
+    return _new(Input, (t, whole[u:ahat], whole[ahat:margin], whole[margin:used], whole[used:]))
 
 
 def link_step(message: bytes, n: int) -> int:
@@ -276,18 +276,18 @@ def decode_telemetry(message: bytes, n: int, e: int) -> Telemetry:
     t = _open(message, _TELEMETRY, n, size if whole else size + 5 * e)
     values = _floats(message, n * rows).reshape(rows, n)
     if whole:
-        edge_open, link_up, took = _whole(e)
+        edge_open, link_up, used = _whole(e)
     else:
         bits = np.frombuffer(message, _U1, 5 * e, _SIZE + size)
-        edge_open, link_up, took = bits[:e], bits[e : 3 * e], bits[3 * e :]
-    return Telemetry(t, values[0], values[1], values[2], values[3:], edge_open, link_up, took)
+        edge_open, link_up, used = bits[:e], bits[e : 3 * e], bits[3 * e :]
+    return Telemetry(t, values[0], values[1], values[2], values[3:], edge_open, link_up, used)
 
 
 @cache
 def _whole(e: int) -> tuple[Flags, Flags, Flags]:
     """Return the flags of a step in which all e edges are open, all links are up and every input was used."""
-    edge_open, link_up, took = (np.broadcast_to(np.uint8(bit), c) for bit, c in ((1, e), (1, 2 * e), (TAKEN, 2 * e)))
-    return edge_open, link_up, took
+    edge_open, link_up, used = (np.broadcast_to(np.uint8(bit), c) for bit, c in ((1, e), (1, 2 * e), (TAKEN, 2 * e)))
+    return edge_open, link_up, used
 
 
 def encode_place(t: int, start: int, length: int) -> bytes:
@@ -304,16 +304,16 @@ def decode_place(message: bytes) -> tuple[int, int]:
     return start, length
 
 
-def encode_trips(trips: Trips) -> bytes:
-    """Return the bytes of a Trips message."""
-    return _pack(Kind.TRIPS, trips.seconds.shape[1], trips.t, trips.seconds)
+def encode_round_trips(round_trips: RoundTripTimes) -> bytes:
+    """Return the bytes of a RoundTripTimes message."""
+    return _pack(Kind.ROUND_TRIPS, round_trips.seconds.shape[1], round_trips.t, round_trips.seconds)
 
 
-def decode_trips(message: bytes, p: int) -> Trips:
-    """Return the Trips of p shards, for one step or more."""
+def decode_round_trips(message: bytes, p: int) -> RoundTripTimes:
+    """Return the RoundTripTimes of p shards, for one step or more."""
     size = max(1, (len(message) - _SIZE) // (8 * p)) * 8 * p
-    t = _open(message, Kind.TRIPS, p, size)
-    return Trips(t, _floats(message, size // 8).reshape(-1, p))
+    t = _open(message, Kind.ROUND_TRIPS, p, size)
+    return RoundTripTimes(t, _floats(message, size // 8).reshape(-1, p))
 
 
 def encode_end(end: End) -> bytes:

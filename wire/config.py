@@ -11,7 +11,7 @@ from hedgerow.topologies import toml
 from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.regular_file import read_regular
 
-FILE = "told.toml"
+FILE = "config.toml"
 """The name of the file in the folder of the process."""
 VARIABLE = "HEDGEROW_CONFIG"
 """The environment variable that holds the text itself, for containers."""

@@ -57,7 +57,7 @@ def room(
     never disturbed.
     """
     ours, shown = keys.alive(keys.ROOM, f"{secrets.randbelow(10**10):010d}"), None
-    there, by, said = f"another plant already runs at {namespace}", time.monotonic() + LEASE_S, False
+    there, by, reported = f"another plant already runs at {namespace}", time.monotonic() + LEASE_S, False
     try:
         while not stopped():
             others = _there(session) - {ours}
@@ -71,9 +71,9 @@ def room(
                 shown = None
             if time.monotonic() > by:
                 raise UserError(f"{there}; end that run, or give another --namespace", code=Code.REFUSED)
-            if shown is None and not said:
+            if shown is None and not reported:
                 say(f"{there}; waiting up to {LEASE_S:g} s for its end")
-                said = True
+                reported = True
             time.sleep(LOOK_AGAIN_S)
         yield
     finally:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hedgerow.wire.message import Array, Flags
 
-ASIDE = 64
+QUEUED_ROWS = 64
 """The maximum number of short rows in the queue."""
 LONG = 4096
 """The length from which a row counts as long.
@@ -35,23 +35,23 @@ class History:
         """the position of `first` in the arrays"""
         self._x, self._u = np.empty((0, states)), np.empty((0, inputs))
         self._bits = np.empty((0, bits), dtype=np.uint8)
-        self._background: deque[tuple[Array | Sequence[float], Array | Sequence[float], Flags]] = deque()
+        self._queue: deque[tuple[Array | Sequence[float], Array | Sequence[float], Flags]] = deque()
         """the last rows, which are not in the arrays yet"""
-        self._patience = min(ASIDE, most) if states + inputs < LONG else most + 1
+        self._queued_rows = min(QUEUED_ROWS, most) if states + inputs < LONG else most + 1
 
     def append(self, x: Array | Sequence[float], u: Array | Sequence[float], bits: Flags) -> None:
         """Append the row of step `next`; store nothing if `most` is 0."""
         if not self.most:
             return
-        self._background.append((x, u, bits))
+        self._queue.append((x, u, bits))
         self.next += 1
         if self.next - self.first > self.most:
-            if len(self._background) == self.next - self.first:
-                self._background.popleft()
+            if len(self._queue) == self.next - self.first:
+                self._queue.popleft()
             else:
                 self._at += 1
             self.first += 1
-        if len(self._background) == self._patience:
+        if len(self._queue) == self._queued_rows:
             self._settle()
 
     def drop_last(self, count: int) -> None:
@@ -61,14 +61,14 @@ class History:
 
     def _settle(self) -> None:
         """Write the queued rows to the arrays."""
-        if not (new := len(self._background)):
+        if not (new := len(self._queue)):
             return
         rows = self.next - self.first - new  # of the rows in the arrays, the oldest may have dropped out
         if self._at + rows + new > len(self._x):
             self._make_room(rows, new)
         end = slice(self._at + rows, self._at + rows + new)
-        self._x[end], self._u[end], self._bits[end] = zip(*self._background, strict=True)
-        self._background.clear()
+        self._x[end], self._u[end], self._bits[end] = zip(*self._queue, strict=True)
+        self._queue.clear()
 
     def _make_room(self, rows: int, new: int) -> None:
         size = min(2 * self.most, max(64, 2 * (rows + new)))
@@ -83,7 +83,7 @@ class History:
         """Restart the history with rows `first` to `after` - 1, which are unknown (NaN, no bits)."""
         self.first = self.next = first
         self._at = 0
-        self._background.clear()
+        self._queue.clear()
         nothing = (np.full(self._x.shape[1], np.nan), np.full(self._u.shape[1], np.nan))
         closed = np.zeros(self._bits.shape[1], dtype=np.uint8)
         for _ in range(first, after):

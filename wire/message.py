@@ -31,28 +31,28 @@ class Kind(IntEnum):
     SEEN = 5
     RECORD = 6
     EVENT = 7
-    TRIPS = 8
+    ROUND_TRIPS = 8
     PLACE = 9
 
 
 class Flag(IntEnum):
     """The flag bits of one incidence in a state message.
 
-    In an input message, `OPEN` and `HEAR` mark the inputs of t - 1 that the node used.
+    In an input message, `OPEN` and `RECEIVE` mark the inputs of t - 1 that the node used.
 
     In an input message, the six bits above these two count the late and back-filled rows that arrived.
     """
 
     OPEN = 1
     """the edge carried flow at t - 1"""
-    HEAR = 2
+    RECEIVE = 2
     """the link from the neighbour delivers at t - 1: its message of that step has arrived or will arrive"""
-    TELL = 4
+    SEND = 4
     """the link to the neighbour is up at t: send it this step's message"""
 
 
-ALL_UP = Flag.OPEN | Flag.HEAR | Flag.TELL
-TAKEN = Flag.OPEN | Flag.HEAR
+ALL_UP = Flag.OPEN | Flag.RECEIVE | Flag.SEND
+TAKEN = Flag.OPEN | Flag.RECEIVE
 LATE, MOST_LATE = 2, 63
 """the lowest bit of the count of late rows; the largest count, which also means any larger number"""
 
@@ -66,15 +66,15 @@ class MessageError(HedgerowError):
 class Span(NamedTuple):
     """The rows that cross the links of one incidence, if they are more than the row of the step.
 
-    The link from the neighbour delivers at t - 1 the row t - 1 - heard_late and heard_back rows before it. The link to
-    the neighbour delivers at t the row t - told_late and told_back rows before it.
+    The link from the neighbour delivers at t - 1 the row t - 1 - received_late and received_back rows before it. The
+    link to the neighbour delivers at t the row t - sent_late and sent_back rows before it.
     """
 
     incidence: int
-    heard_late: int
-    heard_back: int
-    told_late: int
-    told_back: int
+    received_late: int
+    received_back: int
+    sent_late: int
+    sent_back: int
 
 
 class State(NamedTuple):
@@ -117,7 +117,7 @@ class Input(NamedTuple):
     u: Buffer
     ahat: Buffer
     margin: Buffer
-    took: Buffer
+    used: Buffer
 
 
 class Link(NamedTuple):
@@ -135,7 +135,7 @@ class Link(NamedTuple):
 class Telemetry(NamedTuple):
     """Plant to observer, at t: x, u, w (n,), report (REPORT_ROWS, n), edges open (E,), links up (2E,).
 
-    u is NaN where no input arrived, and the report is NaN where the node was absent. `took` (2E,) has the Flag bits of
+    u is NaN where no input arrived, and the report is NaN where the node was absent. `used` (2E,) has the Flag bits of
     the inputs of t - 1 that the nodes report as used.
     """
 
@@ -146,10 +146,10 @@ class Telemetry(NamedTuple):
     report: Array
     edge_open: Flags
     link_up: Flags
-    took: Flags
+    used: Flags
 
 
-class Trips(NamedTuple):
+class RoundTripTimes(NamedTuple):
     """Plant to observer: the answer times of P shards [s], from step t on, (S, P); NaN for no answer."""
 
     t: int

@@ -388,8 +388,8 @@ def counts(senders: Iterable[Sender], receivers: Iterable[Receiver]) -> dict[str
     """Return the message counts of a process by key: sent, received, refused, and on unexpected keys."""
     receivers = list(receivers)
     return {
-        "said": {sender.key: sender.sent for sender in senders},
-        "heard": {receiver.key: receiver.received for receiver in receivers},
+        "sent": {sender.key: sender.sent for sender in senders},
+        "received": {receiver.key: receiver.received for receiver in receivers},
         "refused": {receiver.key: receiver.refused for receiver in receivers if receiver.refused},
         "strange": {key: number for receiver in receivers for key, number in receiver.strange.items()},
     }

@@ -60,9 +60,9 @@ def _fail(error: BaseException) -> NoReturn:
     _end(reached or crash.report(error), Exit.CRASH if reached is None else Exit.UNKNOWN)
 
 
-def _end(said: object, code: int) -> NoReturn:
+def _end(problem: object, code: int) -> NoReturn:
     with contextlib.suppress(OSError, ValueError):
-        echo(f"error: {said}", error=True)
+        echo(f"error: {problem}", error=True)
     sys.exit(code)
 
 

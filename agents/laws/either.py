@@ -18,7 +18,7 @@ import numpy as np
 from hedgerow.agents.law import Array, two_smallest
 from hedgerow.agents.laws.listed import Listed
 from hedgerow.agents.laws.notch import LAGS, notched
-from hedgerow.agents.local import Heard
+from hedgerow.agents.local import Received
 from hedgerow.topologies.graph import Gain
 
 
@@ -55,6 +55,6 @@ class Either(Listed):
             least, second = two_smallest(scores)
             np.subtract(second, least, out=self.margin)
 
-    def learn(self, x: Array, flow: Array, x_next: Array, sample: Heard) -> None:  # type: ignore[override]  # it asks
+    def learn(self, x: Array, flow: Array, x_next: Array, sample: Received) -> None:  # type: ignore[override]  # it asks
         """Learn the sample of step `sample.t`; skip nodes with an unknown flow (NaN)."""
         self._learn(x, flow, x_next, sample.t)

@@ -19,7 +19,7 @@ import numpy as np
 
 from hedgerow.agents.law import Array
 from hedgerow.agents.laws.listed import Listed
-from hedgerow.agents.local import Heard
+from hedgerow.agents.local import Received
 from hedgerow.topologies.graph import Gain, Mask
 
 TINY = 1e-290
@@ -77,6 +77,6 @@ class Notch(Listed):
         """Add one sample; it counts if the two steps before it have complete samples too."""
         notched(memory, candidates, x, y, t)
 
-    def learn(self, x: Array, flow: Array, x_next: Array, sample: Heard) -> None:  # type: ignore[override]  # it asks
+    def learn(self, x: Array, flow: Array, x_next: Array, sample: Received) -> None:  # type: ignore[override]  # it asks
         """Learn the sample of step `sample.t`; skip nodes with an unknown flow (NaN)."""
         self._learn(x, flow, x_next, sample.t)

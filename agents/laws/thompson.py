@@ -18,7 +18,7 @@ import numpy as np
 from hedgerow.agents.law import Array, control
 from hedgerow.agents.laws.listed import Listed
 from hedgerow.agents.laws.posterior import checked, weights
-from hedgerow.agents.local import Heard, Local
+from hedgerow.agents.local import Local, Received
 from hedgerow.topologies.graph import Gain
 
 
@@ -40,7 +40,7 @@ class Thompson(Listed):
             pi[m] += pi[m - 1]
         self._sums = pi
 
-    def act(self, x: Array, now: Heard) -> Array:  # type: ignore[override]  # a law that asks
+    def act(self, x: Array, now: Received) -> Array:  # type: ignore[override]  # a law that asks
         """Return the inputs of equation (6) on the candidates drawn for this step."""
         drawn = self.local.draw(now.t, "thompson") * self._sums[-1]
         place = np.minimum((self._sums <= drawn).sum(axis=0), self._last)

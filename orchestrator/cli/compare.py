@@ -64,5 +64,5 @@ def compare(
     echo(f"{found.folder}: runs.csv, means.csv, tests.csv, compare.md, compare.pdf and compare.png")
     if found.exit_code:
         first = next(row for own in found.rows for row in own if row["verdict"] != "valid")
-        echo(f"{first['verdict']}: seed {first['seed']}, {plan.says(first['setting'])}: {first['reasons']}")
+        echo(f"{first['verdict']}: seed {first['seed']}, {plan.label(first['setting'])}: {first['reasons']}")
     return found.exit_code

@@ -67,9 +67,9 @@ def _unexpected(error: BaseException) -> int:
         return Exit.USER_MISTAKE
     if isinstance(error, Exception) and hasattr(error, "show"):
         with contextlib.suppress(OSError):
-            said = io.StringIO()
-            error.show(file=said)  # a wrong option or argument, with the message of the command line library
-            echo(said.getvalue(), error=True, end="")
+            shown = io.StringIO()
+            error.show(file=shown)  # a wrong option or argument, with the message of the command line library
+            echo(shown.getvalue(), error=True, end="")
         return Exit.USER_MISTAKE
     reached = limit_reached(error)
     if reached is None and isinstance(error, OSError) and error.errno in OF_PATHS and error.filename is not None:

@@ -79,8 +79,8 @@ def audit(
     _, places = _places(file, processes)
     found, granted = channels(places), rights(places)
     if as_json:
-        heard = [{"key": one.key, "from": one.sender, "to": one.receiver} for one in found]
-        echo(json.dumps({"channels": heard, "rights": {name: some._asdict() for name, some in granted.items()}}))
+        listed = [{"key": one.key, "from": one.sender, "to": one.receiver} for one in found]
+        echo(json.dumps({"channels": listed, "rights": {name: some._asdict() for name, some in granted.items()}}))
         return 0
     if as_rights:
         for name, some in granted.items():
@@ -92,13 +92,13 @@ def audit(
     names = [PLANT, *(place.name for place in places)]
     cells = {(one.receiver, one.sender): one.key for one in found}
     if len(names) <= MATRIX_MOST:
-        table = Table("hears", *(f"of {name}" for name in names))
-        for listener in names:
-            table.add_row(listener, *(cells.get((listener, speaker), "") for speaker in names))
+        table = Table("receives", *(f"of {name}" for name in names))
+        for receiver in names:
+            table.add_row(receiver, *(cells.get((receiver, sender), "") for sender in names))
     else:
-        table = Table("process", "hears")
-        for listener in names:
-            table.add_row(listener, ", ".join(cells[pair] for pair in cells if pair[0] == listener))
+        table = Table("process", "receives")
+        for receiver in names:
+            table.add_row(receiver, ", ".join(cells[pair] for pair in cells if pair[0] == receiver))
     # Never cut a key: a narrow terminal wraps the lines instead.
     wide = Console(width=10_000).measure(table).maximum
     Console(width=wide).print(table)

@@ -54,7 +54,7 @@ def to_kubernetes(one: Containers) -> str:
         mounted = _mounted(one, own)
         documents += [
             *_secrets(one, name, own),
-            _config_map(name, config.process, "told.toml", config.to_toml(), originals[config.process]),
+            _config_map(name, config.process, "config.toml", config.to_toml(), originals[config.process]),
             _job(
                 name,
                 config.process,
@@ -68,7 +68,7 @@ def to_kubernetes(one: Containers) -> str:
             ),
         ]
     check = list(PAGE_CHECK)
-    command = one.observer("/told/topology.yaml")
+    command = one.observer("/config/topology.yaml")
     documents += [
         *_secrets(one, name, OBSERVERS),
         _config_map(name, "orchestrator", "topology.yaml", to_yaml(one.topology)),
@@ -252,17 +252,21 @@ def _job(
     container: dict[str, Any] = {
         "name": label(process),
         "image": image,
-        "command": list(command) if observer else [*command, "--config", "/told/told.toml"],
+        "command": list(command) if observer else [*command, "--config", "/config/config.toml"],
         "readinessProbe": {
-            "exec": {"command": list(check) if observer else [*check, "--config", "/told/told.toml"]},
+            "exec": {"command": list(check) if observer else [*check, "--config", "/config/config.toml"]},
             "periodSeconds": 10,
             "timeoutSeconds": 10,
         },
-        "volumeMounts": [{"name": "told", "mountPath": "/told", "readOnly": True}, *key_mounts, *mounts],
+        "volumeMounts": [{"name": "config", "mountPath": "/config", "readOnly": True}, *key_mounts, *mounts],
         "securityContext": SECURITY,
         "resources": _resources(memory),
     }
-    volumes: list[dict[str, Any]] = [{"name": "told", "configMap": {"name": label(process)}}, *key_volumes, *temporary]
+    volumes: list[dict[str, Any]] = [
+        {"name": "config", "configMap": {"name": label(process)}},
+        *key_volumes,
+        *temporary,
+    ]
     if law.files:
         container["env"] = [{"name": "PYTHONPATH", "value": LAW}]
         container["volumeMounts"].append({"name": "law", "mountPath": LAW, "readOnly": True})

@@ -172,8 +172,8 @@ def _up(file: Path, folder: RunFolder, topology: Topology, options: Sequence[str
     file.write_text(to_yaml(topology), encoding="utf-8")
     command = [sys.executable, "-P", "-m", "hedgerow.orchestrator", "up", str(file), "--run-dir", str(folder.path)]
     fixed = ["--viewer", "none", "--lifeline", "--plain"]
-    said = file.with_suffix(".log")
-    with said.open("wb") as log:
+    log_file = file.with_suffix(".log")
+    with log_file.open("wb") as log:
         process = subprocess.Popen(
             [*command, *fixed, *options], stdin=subprocess.PIPE, stdout=log, stderr=log, start_new_session=True
         )
@@ -189,8 +189,8 @@ def _up(file: Path, folder: RunFolder, topology: Topology, options: Sequence[str
             process.wait()
         file.unlink(missing_ok=True)
         with contextlib.suppress(OSError):
-            said.replace(folder.logs / "up.log")
-        said.unlink(missing_ok=True)
+            log_file.replace(folder.logs / "up.log")
+        log_file.unlink(missing_ok=True)
 
 
 def _entry(up: subprocess.Popen[bytes], folder: RunFolder, records: bool) -> registry.Entry:
@@ -295,14 +295,14 @@ def worth_saying(trends: Sequence[Trend]) -> list[Trend]:
     agents.
     """
     of_agents: dict[str, list[Trend]] = {}
-    said = []
+    found = []
     for trend in trends:
         process, _, quantity = trend.what.rpartition(" ")
         if trend.what == "pace" or process in ALONE or not trend.flat:
-            said.append(trend)
+            found.append(trend)
         else:
             of_agents.setdefault(quantity, []).append(trend)
-    return said + [max(some, key=lambda trend: trend.grown) for some in of_agents.values()]
+    return found + [max(some, key=lambda trend: trend.grown) for some in of_agents.values()]
 
 
 def pace_of(samples: Sequence[Sample]) -> tuple[Array, Array]:

@@ -24,7 +24,7 @@ from hedgerow.wire.message import REPORT_ROWS
 Layout = Sequence[Sequence[int] | Index]
 """Per agent process: the positions of its nodes, ascending."""
 
-WORD_BYTES = 1024
+REPORT_BYTES = 1024
 """the maximum size of a channel in a final report, and of the parts of a message beside its numbers [bytes]"""
 HISTORY_BYTES = 2**28
 """The maximum memory for the histories of all processes together, as a rough estimate [bytes]."""
@@ -177,7 +177,7 @@ def _largest(view: View) -> int:
     """
     row = max((len(peer.sends) for peer in view.peers), default=0)
     input_ = 8 * view.k * (1 + REPORT_ROWS) + len(view.row)
-    return WORD_BYTES * (1 + len(view.peers)) + max(16 * row * (view.history + 1), input_)
+    return REPORT_BYTES * (1 + len(view.peers)) + max(16 * row * (view.history + 1), input_)
 
 
 def _without_padding(candidates: Array) -> Array:

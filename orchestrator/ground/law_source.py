@@ -42,8 +42,8 @@ def refresh(law: str) -> None:
             try:
                 importlib.reload(sys.modules[one.module])
             except Exception as error:
-                said = f"{type(error).__name__}: {error}"
-                raise UserError(f"law {name}: cannot be loaded again: {said}. Correct it.", code=Code.LAW) from error
+                cause = f"{type(error).__name__}: {error}"
+                raise UserError(f"law {name}: cannot be loaded again: {cause}. Correct it.", code=Code.LAW) from error
     for one in known:
         _SEEN[str(one.file)] = _stamp(one.file)
 

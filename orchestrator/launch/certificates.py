@@ -159,14 +159,14 @@ def to_carry(
     port = endpoint.rpartition(":")[2]
     # The certificate of the router is beside the file, because the router starts in that folder.
     configuration = base_settings() | router_settings(f"tls/0.0.0.0:{port}", Path(), access_rules)
-    said = f"// zenohd -c {CONFIGURATION}, in this folder\n{json.dumps(nested(configuration), indent=1)}\n"
+    text = f"// zenohd -c {CONFIGURATION}, in this folder\n{json.dumps(nested(configuration), indent=1)}\n"
     try:
         with whole_folder(folder, str(folder), 0o700) as part:
             for name in granted:
                 authority.issue(part / name, name)
                 write_private(part / name / SETTINGS, (json.dumps(settings, indent=1) + "\n").encode())
             authority.issue(part / ROUTER, ROUTER, host=host)
-            write_private(part / ROUTER / CONFIGURATION, said.encode())
+            write_private(part / ROUTER / CONFIGURATION, text.encode())
             write_private(part / ROUTER / ACCESS, json.dumps(access_rules).encode())
             more(part)
     except OSError as error:

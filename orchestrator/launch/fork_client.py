@@ -72,14 +72,14 @@ class ForkClient:
     def _listen(self) -> None:
         assert self._process.stdout is not None
         for line in self._process.stdout:
-            said = json.loads(line)
-            if "error" in said:
-                self.error = said["error"]
+            report = json.loads(line)
+            if "error" in report:
+                self.error = report["error"]
                 continue
             with self._changed:
-                (self.pids if "pid" in said else self.codes)[said["name"]] = said.get("pid", said.get("code"))
+                (self.pids if "pid" in report else self.codes)[report["name"]] = report.get("pid", report.get("code"))
                 self._changed.notify_all()
-            if "code" in said:
+            if "code" in report:
                 self.on_end()
         with self._changed:
             if not self._closing:

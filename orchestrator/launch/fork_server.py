@@ -74,7 +74,7 @@ def main() -> None:
     woken.setblocking(False)
     signal.set_wakeup_fd(woken.fileno())
     signal.signal(signal.SIGCHLD, lambda *_: None)
-    heard, leave = b"", list[str]()
+    unread, leave = b"", list[str]()
     while True:
         ready, _, _ = select.select([0, wakes.fileno()], [], [])
         if wakes.fileno() in ready:
@@ -85,7 +85,7 @@ def main() -> None:
             if not more:
                 _end(names, leave)
                 return
-            *lines, heard = (heard + more).split(b"\n")
+            *lines, unread = (unread + more).split(b"\n")
             for line in lines:
                 request = json.loads(line)
                 if "leave" in request:

@@ -25,8 +25,8 @@ from hedgerow.wire import keys
 from hedgerow.wire.codec import (
     decode_end,
     decode_event,
+    decode_round_trips,
     decode_telemetry,
-    decode_trips,
     encode_seen,
     kind_of,
     telemetry_bytes,
@@ -103,9 +103,9 @@ class Intake:
                             self._refuse(error)
                         else:
                             self._take_event(processes, event)
-                case Kind.TRIPS:
+                case Kind.ROUND_TRIPS:
                     for message in some:
-                        run.take_trips(decode_trips(message, len(self._shards)))
+                        run.take_round_trips(decode_round_trips(message, len(self._shards)))
                 case Kind.END:
                     run.finish(decode_end(next(some), n))
         if not (messages or self._repeated):
@@ -136,11 +136,11 @@ class Intake:
         run, step = self._run, event["step"]
         topology = run.topology
         recorded = {**event, "fault": event["fault"] + 1} if "fault" in event else event  # users count from 1
-        if event["event"] != "heard":  # verdict.json has it
+        if event["event"] != "counts":  # verdict.json has it
             details = {key: value for key, value in recorded.items() if key != "event"}
             self._folder.event(event["event"], **details)
         match event["event"]:
-            case "heard":
+            case "counts":
                 self._ending.audit = audit(
                     places(self._views), event, observed(self._seen, self._receiver, self._inbox)
                 )

@@ -335,11 +335,11 @@ class _Injecting(FaultVerbs[Injected]):
 
 def where(status: Mapping[str, Any]) -> str:
     """Return the progress of a network, and the missing processes, in words."""
-    said = f"step {status['step']} of {status['steps']}"
+    text = f"step {status['step']} of {status['steps']}"
     if status["paused"]:
-        said += ", paused"
+        text += ", paused"
     if status["missing"]:
-        said += f", waiting for {', '.join(status['missing'][:8])}"
+        text += f", waiting for {', '.join(status['missing'][:8])}"
     if status["lost"]:
-        said += f", without {', '.join(status['lost'][:8])}"
-    return said
+        text += f", without {', '.join(status['lost'][:8])}"
+    return text

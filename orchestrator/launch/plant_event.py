@@ -43,7 +43,7 @@ def _fields(shards: int, faults: int) -> Mapping[str, Mapping[str, Check]]:
         return isinstance(value, Sequence) and len(value) == shards
 
     return {
-        "heard": {"plant": is_counted, "shards": is_words},
+        "counts": {"plant": is_counted, "shards": is_words},
         "kill": {"shard": is_shard, "life": _is_count, "restart": lambda value: isinstance(value, bool)},
         "revive": {"shard": is_shard},
         "lost": {"shard": is_shard, "fault": _is_count, "who": _is_text, "cause": _is_text},

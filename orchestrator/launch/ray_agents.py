@@ -145,7 +145,7 @@ class Fleet:
     @contextlib.contextmanager
     def placed(self, known: Sequence[tuple[Config, Credentials | None]], wait_s: float) -> Iterator[None]:
         """Run agents with these configs, and with credentials in a secure network, while the block lasts."""
-        seat = self._ray.remote(RemoteAgent).options(
+        actors = self._ray.remote(RemoteAgent).options(
             num_cpus=self.on.share,
             scheduling_strategy="SPREAD",
             max_restarts=ALWAYS,
@@ -156,7 +156,7 @@ class Fleet:
         over = threading.Event()
         try:
             for config, own in known:
-                actor = seat.remote()
+                actor = actors.remote()
                 agents.append(_Placed(config.process, actor, actor.run.remote(config, SOONER * wait_s, own)))
             watcher = threading.Thread(target=self._watch, args=(agents, over), name="ray", daemon=True)
             watcher.start()

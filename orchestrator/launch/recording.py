@@ -26,7 +26,7 @@ from hedgerow.topologies.resolve import to_yaml
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire import crash
 from hedgerow.wire.limits import limit_reached
-from hedgerow.wire.message import End, Telemetry, Trips
+from hedgerow.wire.message import End, RoundTripTimes, Telemetry
 
 if TYPE_CHECKING:
     from hedgerow.orchestrator.runs.round_trips import RoundTrips
@@ -182,12 +182,12 @@ class Recording:
         if self.ending.replay is not None:
             self.ending.replay.change(topology)
 
-    def take_trips(self, trips: Trips) -> None:
+    def take_round_trips(self, times: RoundTripTimes) -> None:
         """Record the answer times of the processes at some recorded steps; OSError as in `take`."""
         assert self._round_trips is not None, "they come after their steps"
-        self._round_trips.take(trips)
+        self._round_trips.take(times)
         at = time.time()
-        self._show(lambda stream: stream.round_trips(trips, at))
+        self._show(lambda stream: stream.round_trips(times, at))
 
     def finish(self, end: End) -> None:
         """Record the final state."""

@@ -214,9 +214,9 @@ class Processes:
         for name, agent in self._agents.items():
             if shard is not None and agent.shard != shard:
                 continue
-            said = self._last_line(name, lambda line: SLOW_LAW in line and f"step {step}: law " in line)
-            if said:
-                return f"{name}: {said[said.index('law ') :]}"
+            found = self._last_line(name, lambda line: SLOW_LAW in line and f"step {step}: law " in line)
+            if found:
+                return f"{name}: {found[found.index('law ') :]}"
         return ""
 
     def ended(self, name: str) -> bool:

@@ -136,8 +136,8 @@ class Network:
     ) -> None:
         """Read telemetry in batches, until the plant's END or until there is no process to wait for."""
         processes, session = launched.processes, launched.session
-        told = (self._launch.views, self._screen, self._ending, self._wake, launched.shared)
-        intake = Intake(run, self._folder, self._shards, *told)
+        known = (self._launch.views, self._screen, self._ending, self._wake, launched.shared)
+        intake = Intake(run, self._folder, self._shards, *known)
         with contextlib.closing(intake.open(session)):
             while run.observer.end is None:
                 self._wake.wait(self._tick_s(processes))

@@ -26,7 +26,7 @@ from hedgerow.orchestrator.metrics.fault_schedule import Instances, Schedule
 from hedgerow.topologies.graph import Graph, Index, Mask
 from hedgerow.wire.message import TAKEN, Flag, Flags
 
-_OPEN, _HEAR, _TAKEN = np.uint8(Flag.OPEN), np.uint8(Flag.HEAR), np.uint8(TAKEN)
+_OPEN, _RECEIVE, _TAKEN = np.uint8(Flag.OPEN), np.uint8(Flag.RECEIVE), np.uint8(TAKEN)
 
 
 class Observed(NamedTuple):
@@ -39,7 +39,7 @@ class Observed(NamedTuple):
     """True if no report arrived either, (B, n)"""
     edge_open: Mask
     link_up: Mask
-    took: Flags
+    used: Flags
     """Flag bits of the inputs of the step before that were used, (B, 2E)"""
 
     def rows(self, some: slice) -> Observed:
@@ -116,23 +116,23 @@ class Accounts:
         observed = observed if self._held is None else self._held.then(observed)
         self._held = observed.rows(slice(-1, None))
         if len(observed.t) > 1:
-            self._judge(observed.rows(slice(-1)), observed.took[1:], np.diff(observed.t) == 1)
+            self._judge(observed.rows(slice(-1)), observed.used[1:], np.diff(observed.t) == 1)
 
     def finish(self) -> None:
         """Judge the last row, without a report on its used inputs."""
         if self._held is not None:
-            self._judge(self._held, self._held.took, np.zeros(1, dtype=np.bool_))
+            self._judge(self._held, self._held.used, np.zeros(1, dtype=np.bool_))
             self._held = None
 
-    def _judge(self, observed: Observed, took: Flags, followed: Mask) -> None:
+    def _judge(self, observed: Observed, used: Flags, followed: Mask) -> None:
         """Judge P steps by their used inputs, (P, 2E); these are unknown if the next row is lost."""
         links, faults = self.checks["links"], self.checks["faults"]
         first, last = int(observed.t[0]), int(observed.t[-1])
-        if observed.whole and not self._schedule.between(first, last + 2) and (took[followed] == TAKEN).all():
+        if observed.whole and not self._schedule.between(first, last + 2) and (used[followed] == TAKEN).all():
             links.see_exact(followed[followed], observed.t[followed])
             faults.see_exact(np.ones(len(observed.t), dtype=np.bool_), observed.t)
             return
-        judgement = _Judgement(self._graph, self._schedule, self._ends, observed, took, followed)
+        judgement = _Judgement(self._graph, self._schedule, self._ends, observed, used, followed)
         links.see_exact(judgement.agreed()[followed], observed.t[followed])
         faults.see_exact(~judgement.wrong(self._counts), observed.t)
 
@@ -141,22 +141,22 @@ class _Judgement:
     """The judgement of some steps: the scheduled faults, and the used inputs."""
 
     def __init__(
-        self, graph: Graph, schedule: Schedule, ends: Index, observed: Observed, took: Flags, followed: Mask
+        self, graph: Graph, schedule: Schedule, ends: Index, observed: Observed, used: Flags, followed: Mask
     ) -> None:
-        self._graph, self._schedule, self._ends, self._observed, self._took = graph, schedule, ends, observed, took
+        self._graph, self._schedule, self._ends, self._observed, self._took = graph, schedule, ends, observed, used
         self._absent = schedule.absent(observed.t)
         after = schedule.absent(observed.t + 1)
         self._tells = followed[:, None] & ~after[:, graph.node]
         """per incidence: True if its node reports its used inputs, (P, 2E)"""
         self._crosses = ~(self._absent[:, graph.neighbour] | self._absent[:, graph.node])
         """per incidence: True if both the sender and the receiver are present, (P, 2E)"""
-        self._lacks_hear, self._lacks_open = took & _HEAR == 0, took & _OPEN == 0
+        self._lacks_receive, self._lacks_open = used & _RECEIVE == 0, used & _OPEN == 0
 
     def agreed(self) -> Mask:
         """Return True for steps in which all reporting nodes used what the plant reports as open and delivered,
         (P,).
         """
-        expected = self._observed.edge_open[:, self._graph.edge] * _OPEN | self._observed.link_up * _HEAR
+        expected = self._observed.edge_open[:, self._graph.edge] * _OPEN | self._observed.link_up * _RECEIVE
         return ~_any((expected != self._took & _TAKEN) & self._tells)
 
     def wrong(self, counts: Index) -> Mask:
@@ -198,7 +198,7 @@ class _Judgement:
         masked = ~self._crosses[at]
         fired = ~masked & ~self._observed.link_up[at]
         visible = fired & self._tells[at]
-        return Judged(fired, masked, visible, visible & self._lacks_hear[at])
+        return Judged(fired, masked, visible, visible & self._lacks_receive[at])
 
     def _cuts(self, found: Instances) -> Judged:
         fired = ~self._observed.edge_open[found.row, found.target]

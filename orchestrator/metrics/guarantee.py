@@ -47,6 +47,10 @@ class Guarantee:
     learning: Learning | str | None = None
     """the bound that counts what the law (7) learns, or why there is none; None if it was not asked for"""
 
+    def __repr__(self) -> str:
+        bounds = ", ".join(f"{premise} {found.gain:.4g}" for premise, found in self.bounds.items())
+        return f"<Guarantee: gamma* {self.gamma_star:.4g}, bounds: {bounds or 'none'}>"
+
     def to_dict(self) -> dict[str, Any]:
         """Return the guarantee as JSON holds it; the storage p_i of each bound with it."""
         listed: dict[str, Any] = {}

@@ -34,8 +34,8 @@ class Channel:
 
     def entry(self) -> dict[str, Any]:
         """Return the channel as verdict.json holds it."""
-        counts = {"said": self.sent, "heard": self.received, "refused": self.refused}
-        return {"key": self.key, "speaker": self.sender, "listener": self.receiver, **counts}
+        counts = {"sent": self.sent, "received": self.received, "refused": self.refused}
+        return {"key": self.key, "sender": self.sender, "receiver": self.receiver, **counts}
 
     @property
     def wrong(self) -> str:
@@ -90,28 +90,28 @@ class Audit:
 
 
 def audit(places: Sequence[Place], event: Mapping[str, Any], observed: Mapping[str, Any] | None = None) -> Audit:
-    """Return the audit from the counts of the processes, in the plant's event `heard`, and from the observer's counts.
+    """Return the audit from the counts of the processes, in the plant's event `counts`, and from the observer's counts.
 
     A process without a final report has died or hangs, so its counts are unknown. A restarted process knows only the
     counts of its last life.
     """
-    words = {keys.PLANT: event["plant"]}
+    reports = {keys.PLANT: event["plant"]}
     lives = {keys.PLANT: 0}
     if observed is not None:
-        words[OBSERVER], lives[OBSERVER] = observed, 0
-    for place, word in zip(places, event["shards"], strict=True):
-        if is_counted(word) and isinstance(word.get("life"), int):
-            words[place.name], lives[place.name] = word, word["life"]
-    counted, observer = ([_counted(one, words, lives) for one in some] for some in (channels(places), OBSERVED))
-    strange = {name: _shortened(word["strange"]) for name, word in words.items() if word["strange"]}
-    return Audit(counted, strange, [place.name for place in places if place.name not in words], observer)
+        reports[OBSERVER], lives[OBSERVER] = observed, 0
+    for place, report in zip(places, event["shards"], strict=True):
+        if is_counted(report) and isinstance(report.get("life"), int):
+            reports[place.name], lives[place.name] = report, report["life"]
+    counted, observer = ([_counted(one, reports, lives) for one in some] for some in (channels(places), OBSERVED))
+    strange = {name: _shortened(report["strange"]) for name, report in reports.items() if report["strange"]}
+    return Audit(counted, strange, [place.name for place in places if place.name not in reports], observer)
 
 
 def observed(seen: Sender, receiver: Receiver, inbox: Inbox) -> dict[str, Any]:
     """Return the observer's counts at the time of the plant's counts, in the form of an agent's final report."""
     refused = {receiver.key: inbox.refused} if inbox.refused else {}
     received = {receiver.key: inbox.arrived_at_event}
-    return {"said": {seen.key: seen.sent}, "heard": received, "refused": refused, "strange": receiver.strange}
+    return {"sent": {seen.key: seen.sent}, "received": received, "refused": refused, "strange": receiver.strange}
 
 
 STRANGE_KEYS = 16
@@ -131,22 +131,26 @@ def _shortened(strange: Mapping[str, int]) -> dict[str, int]:
     return found
 
 
-def _counted(one: Channel, words: Mapping[str, Any], lives: Mapping[str, int]) -> Channel:
+def _counted(one: Channel, reports: Mapping[str, Any], lives: Mapping[str, int]) -> Channel:
     """Return a channel with the counts of both ends."""
-    received = words.get(one.receiver)
+    received = reports.get(one.receiver)
     return Channel(
         one.key,
         one.sender,
         one.receiver,
-        words[one.sender]["said"].get(one.key) if lives.get(one.sender) == 0 else None,
-        None if received is None else received["heard"].get(one.key),
+        reports[one.sender]["sent"].get(one.key) if lives.get(one.sender) == 0 else None,
+        None if received is None else received["received"].get(one.key),
         None if received is None else received["refused"].get(one.key, 0),
     )
 
 
-def is_counted(word: Any) -> bool:
-    """Return True if `word`, from another process, is a valid final report."""
-    tables = [word.get(name) for name in ("said", "heard", "refused", "strange")] if isinstance(word, dict) else [None]
+def is_counted(report: Any) -> bool:
+    """Return True if `report`, from another process, is a valid final report."""
+    tables = (
+        [report.get(name) for name in ("sent", "received", "refused", "strange")]
+        if isinstance(report, dict)
+        else [None]
+    )
     return all(
         isinstance(table, dict) and all(isinstance(number, int) for number in table.values()) for table in tables
     )

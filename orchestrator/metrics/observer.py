@@ -251,7 +251,7 @@ class Observer:
         slack = self._certificate.take(t, w, x_oracle_next, sums[:, 3], changed)
         missing = ~np.isfinite(u)
         silent = missing & np.isnan(report).all(axis=1) if missing.any() else missing
-        self.fault_accounts.take(Observed(t, missing, silent, edge_open, link_up, _rows(rows, "took")))
+        self.fault_accounts.take(Observed(t, missing, silent, edge_open, link_up, _rows(rows, "used")))
         return Batch(
             t=t, a=a, x=x, u=u, w=w, ahat=ahat, index=index, margin=margin,
             a_ls=a_ls, beta=beta, edge_open=edge_open, link_up=link_up, u_edge=u_edge,

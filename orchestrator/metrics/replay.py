@@ -145,17 +145,17 @@ class Replay:
             u = part.beyond(shard, shard.answer(State(t, x, b"")), row)
             if all_finite(u):
                 return world.pass_by(u, shard.report)
-            return world.follow(u, shard.report, shard.took, part.of_nodes(row.w))
+            return world.follow(u, shard.report, shard.used, part.of_nodes(row.w))
         ((state, record),) = world.states()
         if state is None:
-            nothing, no_report, took = shard.silence
+            nothing, no_report, used = shard.silence
             u, report = gather([nothing]), gather([no_report]).reshape(REPORT_ROWS, -1)
         else:
             if record is not None:
                 shard.recall(record)
             u = part.beyond(shard, shard.answer(state), row)
-            report, took = shard.report, shard.took
-        return world.follow(u, report, took, part.of_nodes(row.w))
+            report, used = shard.report, shard.used
+        return world.follow(u, report, used, part.of_nodes(row.w))
 
     # The differences.
 
@@ -169,26 +169,26 @@ class Replay:
         if not part.whole:
             row = part.of_row(row)
         if not self._receipts:
-            row = row._replace(took=expected.took)
+            row = row._replace(used=expected.used)
         if (
             row.u.tobytes() == expected.u.tobytes()
             and row.report.tobytes() == expected.report.tobytes()
-            and row.took.tobytes() == expected.took.tobytes()
+            and row.used.tobytes() == expected.used.tobytes()
             and row.link_up.tobytes() == expected.link_up.tobytes()
             and row.edge_open.tobytes() == expected.edge_open.tobytes()
         ):
             return
-        took = row.took, expected.took
+        used = row.used, expected.used
         own = part.own
         missing = np.isnan(row.u)
         other = (missing != np.isnan(expected.u)) & own
-        said = ["has an input that a fault takes away", "has no input, and no fault takes it away"]
-        found = [(k, said[int(missing[k])]) for k in np.flatnonzero(other).tolist()]
+        texts = ["has an input that a fault takes away", "has no input, and no fault takes it away"]
+        found = [(k, texts[int(missing[k])]) for k in np.flatnonzero(other).tolist()]
         self._find(PLAN, t, found, part.nodes)
         # Compare first the used inputs of t - 1, and then the actions at t.
-        self._find_flags(LAW, t - 1, ("counted for flow", "counted for none"), *took, Flag.OPEN)
-        self._find_flags(LAW, t - 1, ("was taken in", "was not taken in"), *took, Flag.HEAR)
-        self._find_late(t - 1, *took)
+        self._find_flags(LAW, t - 1, ("counted for flow", "counted for none"), *used, Flag.OPEN)
+        self._find_flags(LAW, t - 1, ("was taken in", "was not taken in"), *used, Flag.RECEIVE)
+        self._find_late(t - 1, *used)
         self._find_edges(t, row.edge_open, expected.edge_open)
         self._find_flags(PLAN, t, ("crosses in its step", "does not"), row.link_up, expected.link_up, 1)
         for name, seen, right in (
@@ -216,12 +216,12 @@ class Replay:
         ]
         self._find(check, t, found, nodes)
 
-    def _find_flags(self, check: str, t: int, said: tuple[str, str], seen: Flags, right: Flags, bit: int) -> None:
-        """Find the incidences with another bit; `said` has the words for a set bit and a clear bit."""
+    def _find_flags(self, check: str, t: int, texts: tuple[str, str], seen: Flags, right: Flags, bit: int) -> None:
+        """Find the incidences with another bit; `texts` has the words for a set bit and a clear bit."""
         part, ids = self._part, self._topology.ids
         found = []
         for c in np.flatnonzero((seen ^ right) & bit).tolist():
-            words = said if seen[c] & bit else said[::-1]
+            words = texts if seen[c] & bit else texts[::-1]
             sender = ids[int(part.nodes[part.graph.neighbour[c]])]
             text = f"the row from node {sender} {words[0]}; by the faults, it {words[1]}"
             found.append((int(part.graph.node[c]), text))
@@ -252,8 +252,8 @@ class Replay:
         if not found or self.finding is not None:
             return
         ids = self._topology.ids
-        named = [(ids[k if nodes is None else int(nodes[k])], said) for k, said in found[:NAMED]]
-        self.finding = Finding(check, t, named[0][0], [f"node {node}: {said}" for node, said in named])
+        named = [(ids[k if nodes is None else int(nodes[k])], text) for k, text in found[:NAMED]]
+        self.finding = Finding(check, t, named[0][0], [f"node {node}: {text}" for node, text in named])
 
 
 class _Shadow(World):
@@ -272,10 +272,10 @@ class _Shadow(World):
         self.t += 1
         return Telemetry(t, x, u, x, report, self._all_open, self._all_up, self._all_taken)
 
-    def follow(self, u: Array, report: Array, took: bytes, w: Array) -> Telemetry:
+    def follow(self, u: Array, report: Array, used: bytes, w: Array) -> Telemetry:
         """Make any step with these inputs and the recorded w."""
         self._next_w = w
-        return self.step(u, report, [took])
+        return self.step(u, report, [used])
 
 
 class _Part:
@@ -311,10 +311,10 @@ class _Part:
     def of_row(self, row: Telemetry) -> Telemetry:
         """Return a row of the network as one of the part."""
         nodes = (self.of_nodes(values) for values in (row.x, row.u, row.w, row.report))
-        links = (bits[self._incidences] for bits in (row.link_up, row.took))
+        links = (bits[self._incidences] for bits in (row.link_up, row.used))
         x, u, w, report = nodes
-        link_up, took = links
-        return Telemetry(row.t, x, u, w, report, row.edge_open[self._edges], link_up, took)
+        link_up, used = links
+        return Telemetry(row.t, x, u, w, report, row.edge_open[self._edges], link_up, used)
 
     def beyond(self, shard: Shard, u: Array, row: Telemetry) -> Array:
         """Return the inputs of the part, with recorded ones for nodes that are only neighbours."""

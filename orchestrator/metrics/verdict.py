@@ -122,6 +122,9 @@ class Verdict:
     error: HedgerowError | None = None
     """the error of the law that ended a run in this process"""
 
+    def __repr__(self) -> str:
+        return f"<Verdict {self.line()}>" if self.content else "<Verdict: none yet>"
+
     @property
     def exit_code(self) -> int:
         """Return the exit code of the command."""
@@ -185,8 +188,8 @@ def gain_text(gain: float, less: float, gamma_star: float, faultless: bool, at_m
         beside.append(f"gamma* {gamma_star:.4g} is the oracle's{'' if faultless else ' without faults'}")
     if not math.isnan(at_most):
         beside.append(f"the law's is at most {rounded_up(at_most, 4)} from x(0) = 0")
-    said = "undefined" if math.isnan(gain) else f"{gain:.4g}"
-    return f"gain {said}" + (f" ({'; '.join(beside)})" if beside else "")
+    shown = "undefined" if math.isnan(gain) else f"{gain:.4g}"
+    return f"gain {shown}" + (f" ({'; '.join(beside)})" if beside else "")
 
 
 def _number(value: float | None, sign: str = "") -> str:

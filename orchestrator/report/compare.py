@@ -17,16 +17,16 @@ def other_network(one: Run, other: Run) -> list[str]:
     comparable.
     """
     weights, of_other = (_weights(run) for run in (one, other))
-    said = []
+    found = []
     if set(one.ids) != set(other.ids):
-        said.append(f"nodes ({len(other.ids)}, not {len(one.ids)})" if len(one.ids) != len(other.ids) else "node ids")
+        found.append(f"nodes ({len(other.ids)}, not {len(one.ids)})" if len(one.ids) != len(other.ids) else "node ids")
     if weights.keys() != of_other.keys():
-        said.append("edges")
+        found.append("edges")
     elif weights != of_other:
-        said.append("weights of edges")
-    if _gains(one) != _gains(other) and not said:
-        said.append(f"b ({span(other.b)}, not {span(one.b)})")
-    return said
+        found.append("weights of edges")
+    if _gains(one) != _gains(other) and not found:
+        found.append(f"b ({span(other.b)}, not {span(one.b)})")
+    return found
 
 
 def _weights(run: Run) -> dict[frozenset[int | str], float]:
@@ -43,21 +43,21 @@ def _gains(run: Run) -> dict[int | str, float]:
 
 def differences(one: Run, other: Run) -> list[str]:
     """Return the other differences between two runs of one network, in words."""
-    said = []
+    found = []
     if one.law != other.law:
-        said.append(f"the law ({other.law}, not {one.law})")
+        found.append(f"the law ({other.law}, not {one.law})")
     for name, words in (("a", "true a"), ("candidates", "candidates"), ("nominal", "nominal a"), ("x0", "x(0)")):
         if _settings(one, name) != _settings(other, name):
-            said.append(words)
+            found.append(words)
     steps = min(one.T, other.T)
     order = [other.ids.index(node) for node in one.ids]
     if not np.array_equal(one.w[:steps], other.w[:steps][:, order], equal_nan=True):
-        said.append("the disturbances")
+        found.append("the disturbances")
     if one.T != other.T:
-        said.append(f"the steps ({other.T}, not {one.T})")
+        found.append(f"the steps ({other.T}, not {one.T})")
     if one.topology.faults != other.topology.faults:
-        said.append("the faults")
-    return said
+        found.append("the faults")
+    return found
 
 
 def _settings(run: Run, name: str) -> dict[Any, Any]:
@@ -66,18 +66,18 @@ def _settings(run: Run, name: str) -> dict[Any, Any]:
 
 def notices(runs: Sequence[Run]) -> tuple[bool, list[str]]:
     """Return True if all runs have one network, and a sentence per run about its difference from the first."""
-    comparable, said = True, []
+    comparable, found = True, []
     for place, run in enumerate(runs[1:], 1):
         name = letter(place)
         if network := other_network(runs[0], run):
             comparable = False
-            said.append(f"{name} is of another network than A: it has other {' and '.join(network)}.")
+            found.append(f"{name} is of another network than A: it has other {' and '.join(network)}.")
         elif differing := differences(runs[0], run):
             own_oracle = {"true a", "x(0)", "the disturbances"} & {*differing}
-            said.append(
+            found.append(
                 f"{name} differs from A in {' and '.join(differing)}."
                 + (" So it has a different oracle: its numbers are relative to that one." if own_oracle else "")
             )
         else:
-            said.append(f"{name} repeats A: the same network, law, x(0), disturbances and faults.")
-    return comparable, said
+            found.append(f"{name} repeats A: the same network, law, x(0), disturbances and faults.")
+    return comparable, found

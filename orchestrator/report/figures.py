@@ -35,14 +35,14 @@ class Kind:
 
     def caption(self, runs: Runs) -> str:
         """Return the caption for some runs, with the reductions that were made."""
-        said = self.shows + self.more(runs)
+        text = self.shows + self.more(runs)
         if self.array and any(as_quantiles(run, getattr(run, self.array)) for run in runs):
-            said += (
+            text += (
                 " Quantiles over all nodes replace the lines, because these would overlap; bins also cover their steps."
             )
         if any(run.T > STEPS for run in runs):
-            said += f" Runs beyond {STEPS} steps are drawn in {BINS} bins of steps, by the extremes of each."
-        return said
+            text += f" Runs beyond {STEPS} steps are drawn in {BINS} bins of steps, by the extremes of each."
+        return text
 
 
 FIGURES = (

@@ -24,11 +24,11 @@ def join(parts: Iterable[object]) -> Markup:
 
 def tag(name: str, /, *inside: object, **attributes: str) -> Markup:
     """Return an element; a trailing underscore of an attribute's name is dropped, other underscores become hyphens."""
-    said = "".join(
+    written = "".join(
         f' {key.rstrip("_").replace("_", "-")}="{html.escape(escape(value, keep=""))}"'
         for key, value in attributes.items()
     )
-    opened = f"<{name}{said}>"
+    opened = f"<{name}{written}>"
     return Markup(opened if name in _VOID else f"{opened}{join(inside)}</{name}>")
 
 

@@ -114,10 +114,10 @@ def _limits(runs: Runs, *names: str) -> tuple[float, float]:
 
 def largest(runs: Runs, name: str) -> str:
     """Return the maximum of an array, with its node and step, in words."""
-    said = []
+    parts = []
     for k, run in enumerate(runs):
         values = getattr(run, name)
         t, i = np.unravel_index(np.nanargmax(values), values.shape)
         where = f"{values[t, i]:.3g}" + (f" (node {run.ids[i]}, step {t})" if values[t, i] else "")
-        said.append(f"{letter(k)} {where}" if len(runs) > 1 else where)
-    return f" Largest: {', '.join(said)}."
+        parts.append(f"{letter(k)} {where}" if len(runs) > 1 else where)
+    return f" Largest: {', '.join(parts)}."

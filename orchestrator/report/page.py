@@ -57,12 +57,12 @@ def _opening(runs: Runs, names: str) -> list[Markup]:
         return [*parts, tag("p", _verdict(runs[0]), f" {_size(runs[0])}"), listed(sentences(runs[0]))]
     for k, run in enumerate(runs):
         parts.append(tag("p", tag("strong", f"{letter(k)}: {run.name}. "), _verdict(run), f" {_size(run)}"))
-    comparable, said = notices(runs)
+    comparable, notes = notices(runs)
     if not comparable:
         warning = "These runs are not comparable: the networks differ, and every number below depends on that. "
-        parts.append(tag("p", tag("strong", warning), " ".join(said), class_="warning"))
+        parts.append(tag("p", tag("strong", warning), " ".join(notes), class_="warning"))
     else:
-        parts.append(listed(said))
+        parts.append(listed(notes))
     return parts
 
 
@@ -74,11 +74,11 @@ def _verdict(run: Run) -> Markup:
 
 def _size(run: Run) -> str:
     topology = run.topology
-    said = f"Network {topology.name}, law {run.law}, {len(run.ids)} nodes, {len(run.edges)} edges, b = {span(run.b)}, "
+    text = f"Network {topology.name}, law {run.law}, {len(run.ids)} nodes, {len(run.edges)} edges, b = {span(run.b)}, "
     if topology.graph.weights is not None:
-        said += f"weights {span(run.weights)}, "
-    said += f"{run.T} of {topology.steps} steps, seed {topology.seed}."
-    return said + (f" The telemetry of {len(run.lost)} steps was lost." if len(run.lost) else "")
+        text += f"weights {span(run.weights)}, "
+    text += f"{run.T} of {topology.steps} steps, seed {topology.seed}."
+    return text + (f" The telemetry of {len(run.lost)} steps was lost." if len(run.lost) else "")
 
 
 def _ends(last: float, truth: float, wrong: bool) -> str:
@@ -235,10 +235,10 @@ def _repeat(runs: Runs) -> list[Markup]:
     for run in runs:
         if run.verdict.content:
             versions = {**run.verdict.content["versions"], "matplotlib (this report)": mpl.__version__}
-            said = ", ".join(f"{package} {version}" for package, version in versions.items())
+            listing = ", ".join(f"{package} {version}" for package, version in versions.items())
             whole = tag("pre", json.dumps(run.verdict.content, indent=2, ensure_ascii=False))
             parts += [
-                tag("p", f"{run.name} was made with {said}."),
+                tag("p", f"{run.name} was made with {listing}."),
                 tag("details", tag("summary", "verdict.json"), whole),
             ]
     return parts

@@ -43,44 +43,46 @@ def number(value: Any) -> str:
 def sentences(run: Run) -> list[str]:
     """Return sentences about the meaning of the numbers of a run."""
     m, n, right = metrics(run), len(run.ids), run.right[run.right >= 0]
-    said = []
+    found = []
     if run.real_estimates:
-        said.append(f"The law estimates real numbers: the mean of |â − a| is {number(m['estimate_error'])} at the end.")
+        found.append(
+            f"The law estimates real numbers: the mean of |â − a| is {number(m['estimate_error'])} at the end."
+        )
     elif np.isfinite(run.ahat).any():
-        said.append(_estimates(int(m["nodes_right"]), n, int(right.max()), run.T))
+        found.append(_estimates(int(m["nodes_right"]), n, int(right.max()), run.T))
     if run.law == "hinf":
-        said.append("The law is the oracle's: there is nothing to regret.")
+        found.append("The law is the oracle's: there is nothing to regret.")
     elif m["regret"] is None:
-        said.append("D is too large for a number: the network diverged under the law.")
+        found.append("D is too large for a number: the network diverged under the law.")
     elif run.law != "nominal":
         nearer = "nearer to the oracle than that" if m["regret"] < m["regret_nominal"] else "no nearer to it than a"
-        said.append(
+        found.append(
             f"D is {m['regret']:.4g}, and {m['regret_nominal']:.4g} under the nominal controller: the law was {nearer}"
             " fixed guess."
         )
     if m["cost_regret"]:
         sign = "more" if m["cost_regret"] > 0 else "less"
-        said.append(f"It cost {abs(m['cost_regret']):.4g} {sign} than the oracle; either sign is possible.")
+        found.append(f"It cost {abs(m['cost_regret']):.4g} {sign} than the oracle; either sign is possible.")
     if m["gain_less_x0"] is not None:
-        said.append(_gain(m["gain_less_x0"], m["gamma_star"], run))
+        found.append(_gain(m["gain_less_x0"], m["gamma_star"], run))
     if len(run.ceiling) and np.isfinite(run.ceiling[-1]):
-        said.append(
+        found.append(
             f"From x(0) = 0, no disturbance makes the gain of a law that acts within the lists larger than"
             f" {rounded_up(float(run.ceiling[-1]), 4)}, under the edge cuts and jumps of this run."
         )
-    return said
+    return found
 
 
 def _gain(less: float, gamma_star: float, run: Run) -> str:
-    said = (
+    text = (
         f"The gain with V(x(0)) subtracted, the maximum cost of x(0) for the oracle, is {less:.4g},"
         f" and γ* = {gamma_star:.4g}."
     )
     if not run.faultless:
-        return f"{said} γ* is the oracle's while all edges are open and no a jumps: here they were not, or one did."
+        return f"{text} γ* is the oracle's while all edges are open and no a jumps: here they were not, or one did."
     if run.law == "hinf":
-        return f"{said} No disturbance makes the oracle's larger than γ*."
-    return f"{said} γ* is the oracle's number; it does not bound the gain of this law."
+        return f"{text} No disturbance makes the oracle's larger than γ*."
+    return f"{text} γ* is the oracle's number; it does not bound the gain of this law."
 
 
 def _estimates(right: int, n: int, most: int, steps: int) -> str:
@@ -94,8 +96,8 @@ def growth(run: Run) -> list[str]:
     steps: list[list[int]] = [[] for _ in run.topology.faults]
     for effect in Schedule(run.topology).effects:
         steps[effect.fault] += [effect.start, effect.stop - 1] if effect.table is None else [*effect.table]
-    said = []
+    shares = []
     for own in steps:
         start, stop = (min(own), min(max(own) + 1, T)) if own else (0, 0)
-        said.append(f"{D[stop] - D[start]:.4g}" if start < stop else "—")
-    return said
+        shares.append(f"{D[stop] - D[start]:.4g}" if start < stop else "—")
+    return shares

@@ -125,5 +125,5 @@ def ceiling(runs: Runs) -> float:
 def beyond(runs: Runs) -> str:
     """Return a sentence about the part of the gain above the axis."""
     tops = [(run, float(np.nanmax(run.gain, initial=0))) for run in runs]
-    said = [f"{top:.3g}" for _, top in tops if top > ceiling(runs)]
-    return f" The gain begins above the axis, at up to {' and '.join(said)}." if said else ""
+    parts = [f"{top:.3g}" for _, top in tops if top > ceiling(runs)]
+    return f" The gain begins above the axis, at up to {' and '.join(parts)}." if parts else ""

@@ -176,12 +176,12 @@ class _Batch:
         """Judge the faults of the stored rows."""
         if not self._rows or self._fault_accounts is None:
             return
-        names = ("u", "edge_open", "link_up", "took")
-        u, edge_open, link_up, took = (np.array([getattr(row, name) for row in self._rows]) for name in names)
+        names = ("u", "edge_open", "link_up", "used")
+        u, edge_open, link_up, used = (np.array([getattr(row, name) for row in self._rows]) for name in names)
         missing = ~np.isfinite(u)
         silent = missing & np.array([np.isnan(row.report).all(axis=0) for row in self._rows])
         t = np.array([row.t for row in self._rows])
-        self._fault_accounts.take(Observed(t, missing, silent, edge_open.astype(bool), link_up.astype(bool), took))
+        self._fault_accounts.take(Observed(t, missing, silent, edge_open.astype(bool), link_up.astype(bool), used))
         self._rows.clear()
 
     def _jump(self, t: int) -> None:

@@ -93,7 +93,7 @@ def _cells(run: Run, name: str, one: Any, other: Any) -> list[str]:
 def lost_messages(run: Run, until: int) -> str:
     """Return a line on the link messages that were lost or late before step `until`."""
     graph, ids = run.topology.graph, run.ids
-    lost = ~run.heard[:until]
+    lost = ~run.received[:until]
     texts = [
         f"{ids[graph.neighbour[c]]}->{ids[graph.node[c]]} at {_ranges(np.flatnonzero(lost[:, c]).tolist())}"
         for c in np.flatnonzero(lost.any(axis=0))

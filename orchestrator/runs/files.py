@@ -81,9 +81,9 @@ def reading(file: Path) -> Iterator[None]:
     except FileNotFoundError:
         raise
     except (OSError, ValueError, LookupError, TypeError, RecursionError, MemoryError, pa.ArrowException) as error:
-        said = str(error).splitlines()[0] if str(error) else type(error).__name__
+        cause = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise UserError(
-            f"{file}: cannot be read: {said}; it is damaged, or no file of a run", code=Code.FILE_FORMAT
+            f"{file}: cannot be read: {cause}; it is damaged, or no file of a run", code=Code.FILE_FORMAT
         ) from None
 
 

@@ -59,23 +59,23 @@ class RunFolder:
             file.write(json.dumps(line) + "\n")
 
 
-def new_folder(folder: Path, said: str, mode: int = 0o777) -> None:
+def new_folder(folder: Path, shown: str, mode: int = 0o777) -> None:
     """Make a folder, or accept an empty one; raise UserError if it is not empty.
 
-    `said` is the name in the user's words.
+    `shown` is the name in the user's words.
     """
     folder.mkdir(mode, parents=True, exist_ok=True)
     if any(folder.iterdir()):
-        raise UserError(f"{said}: holds something already; name a new folder", code=Code.OUTPUT)
+        raise UserError(f"{shown}: holds something already; name a new folder", code=Code.OUTPUT)
 
 
 @contextlib.contextmanager
-def whole_folder(folder: Path, said: str, mode: int = 0o777) -> Iterator[Path]:
+def whole_folder(folder: Path, shown: str, mode: int = 0o777) -> Iterator[Path]:
     """Provide a folder to fill, beside the final one; it becomes the final one if the block succeeds, and is removed
     otherwise.
     """
     made = not folder.exists()
-    new_folder(folder, said, mode)
+    new_folder(folder, shown, mode)
     # Keep an existing folder: the user may be in it, or have mounted it there.
     part = (folder.parent if made else folder) / f".{folder.name}-{os.getpid()}"
     try:

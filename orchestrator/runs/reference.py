@@ -44,23 +44,25 @@ def _steps(world: World, views: Sequence[View], steps: int, law: Law | None) -> 
         messages = world.states()
         inputs: list[Array] = []
         reports: list[Array] = []
-        took: list[bytes] = []
-        said = []
+        used: list[bytes] = []
+        sent = []
         for view, shard, (state, record) in zip(views, shards, messages, strict=True):
             if state is None:
                 nothing, no_report, taken = shard.silence
                 inputs.append(gather([nothing]))
                 reports.append(gather([no_report]).reshape(REPORT_ROWS, -1))
-                took.append(taken)
+                used.append(taken)
             else:
                 if record is not None:
                     shard.recall(record)
+                # As the states of a message: a law that changes its argument would change the plant.
+                state.x.flags.writeable = False
                 inputs.append(shard.answer(state))
                 reports.append(shard.report)
-                took.append(shard.took)
-                said += [(view, peer, link) for peers, link in shard.send(state) for peer in peers]
-        for view, peer, link in said:
+                used.append(shard.used)
+                sent += [(view, peer, link) for peers, link in shard.send(state) for peer in peers]
+        for view, peer, link in sent:
             receiver = view.peers[peer].shard
             shards[receiver].receive(ends[receiver, view.shard], link)
         u = inputs[0] if len(inputs) == 1 else np.concatenate(inputs)
-        yield world.step(u, np.concatenate(reports, axis=1), took)
+        yield world.step(u, np.concatenate(reports, axis=1), used)

@@ -48,13 +48,13 @@ def observe(run: Run) -> tuple[Batch, Observer]:
     steps = run.recorded[run.recorded < run.T]
     # The received messages affect none of these numbers.
     links = 2 * len(run.edges)
-    heard, took = np.ones(links, dtype=np.uint8), np.full(links, TAKEN, dtype=np.uint8)
+    received, used = np.ones(links, dtype=np.uint8), np.full(links, TAKEN, dtype=np.uint8)
     report = np.stack([run.ahat, run.margin], axis=1)
     with np.errstate(over="ignore", invalid="ignore"):  # an overflow shows as an infinite number
         batches = [
             observer.take(
                 [
-                    Telemetry(int(t), run.x[t], run.u[t], run.w[t], report[t], run.edge_open[t], heard, took)
+                    Telemetry(int(t), run.x[t], run.u[t], run.w[t], report[t], run.edge_open[t], received, used)
                     for t in part
                 ]
             )

@@ -17,7 +17,7 @@ from hedgerow.orchestrator.ground.spelling import spelled
 from hedgerow.orchestrator.runs.columns import column, names
 from hedgerow.orchestrator.runs.writer import to_parquet
 from hedgerow.topologies.schema import Topology
-from hedgerow.wire.message import Trips
+from hedgerow.wire.message import RoundTripTimes
 
 TABLE = "round_trips"
 SCHEMA = pa.schema([("step", pa.int64()), ("process", pa.string()), ("round_trip_ms", pa.float64())])
@@ -38,9 +38,9 @@ class RoundTrips:
         self._stream, self._parquet = folder / f"{TABLE}.arrows", folder / f"{TABLE}.parquet"
         self._writer = pa.ipc.new_stream(pa.OSFile(spelled(self._stream), "wb"), SCHEMA)
 
-    def take(self, trips: Trips) -> None:
+    def take(self, round_trips: RoundTripTimes) -> None:
         """Record the answer times of some steps."""
-        ms = np.round(1e3 * trips.seconds, 3)
+        ms = np.round(1e3 * round_trips.seconds, 3)
         steps, p = ms.shape
         there = ~np.isnan(ms)
         process = np.broadcast_to(np.arange(p), ms.shape)[there]
@@ -49,7 +49,7 @@ class RoundTrips:
         self._counts += np.bincount(where, minlength=p * BINS).reshape(p, BINS)
         self._max = np.fmax(self._max, np.fmax.reduce(ms, axis=0))
         columns = [
-            column(np.repeat(np.arange(trips.t, trips.t + steps), p)),
+            column(np.repeat(np.arange(round_trips.t, round_trips.t + steps), p)),
             pa.concat_arrays([self._names] * steps),
             column(ms, ~there),
         ]
@@ -76,11 +76,11 @@ def processes_of(folder: Path, topology: Topology) -> list[str]:
     return process_names(topology) if there else []
 
 
-def trips_in(batch: pa.RecordBatch) -> Trips:
+def trips_in(batch: pa.RecordBatch) -> RoundTripTimes:
     """Return the answer times in a batch of the table."""
     step = batch["step"].to_numpy()
     steps = int(step[-1] - step[0]) + 1
-    return Trips(int(step[0]), batch["round_trip_ms"].to_numpy(zero_copy_only=False).reshape(steps, -1) / 1e3)
+    return RoundTripTimes(int(step[0]), batch["round_trip_ms"].to_numpy(zero_copy_only=False).reshape(steps, -1) / 1e3)
 
 
 def _figures(counts: Any, most: float) -> dict[str, float | int | None]:
@@ -100,8 +100,8 @@ def line(summary: Mapping[str, Mapping[str, Any]]) -> str:
         return ""
     if len(answered) > SHOWN:
         answered = sorted(answered, key=lambda one: -one[1]["p99_ms"])[:SHOWN]
-    said = (
+    parts = (
         f"{name} " + "/".join(f"{figures[key]:.3g}" for key in (*PERCENTILES, "max_ms")) for name, figures in answered
     )
     which = f", the slowest of {len(summary)}" if len(summary) > len(answered) else ""
-    return f"round trips, median/99 %/most [ms]{which}: {', '.join(said)}"
+    return f"round trips, median/99 %/most [ms]{which}: {', '.join(parts)}"

@@ -257,13 +257,13 @@ class Run(RecordedRows):
         return replayed.first_difference(self)
 
     @cached_property
-    def heard(self) -> Mask:
+    def received(self) -> Mask:
         """Return True where the message of a step arrived in that step, by incidence of `topology.graph`, (T, 2E)."""
         self.need_all("the messages by incidence")
-        heard = np.empty((self.T, 2 * len(self.edges)), dtype=np.bool_)
+        received = np.empty((self.T, 2 * len(self.edges)), dtype=np.bool_)
         ends = at_ends(self.topology.graph)
-        heard[:, ends[:, 0]], heard[:, ends[:, 1]] = self.i_hears, self.j_hears
-        return frozen(heard)
+        received[:, ends[:, 0]], received[:, ends[:, 1]] = self.i_hears, self.j_hears
+        return frozen(received)
 
     @cached_property
     def truth(self) -> Array:

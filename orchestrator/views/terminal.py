@@ -133,9 +133,9 @@ class Standing:
             others[shown] = False
             counts = [np.count_nonzero(mask & others) for mask in (wrong, dead, silent)]
             what = zip(counts, ("wrong", "dead", "without input"), strict=True)
-            said = ", ".join(f"{count} {name}" for count, name in what if count) or "none wrong"
+            others_text = ", ".join(f"{count} {name}" for count, name in what if count) or "none wrong"
             most = np.abs(x).max(where=others, initial=0.0)
-            hidden = [Text(f"... {len(rank) - len(shown)} more: |x| <= {most:.4g}, {said}")]
+            hidden = [Text(f"... {len(rank) - len(shown)} more: |x| <= {most:.4g}, {others_text}")]
         else:
             shown = np.argsort(rank, kind="stable")
         names = [escape(self._topology.network.title(k), keep="") for k in shown]
@@ -163,13 +163,13 @@ class Standing:
         edges, links = np.flatnonzero(closed), np.flatnonzero(lost.any(axis=1))
         if not len(edges) and not len(links):
             return ["edges and links down: none"]
-        said = []
+        lines = []
         if len(edges):
-            said.append(_listed("edges down: ", [self._between(e, "-") for e in edges[:NAMES]], len(edges), width))
+            lines.append(_listed("edges down: ", [self._between(e, "-") for e in edges[:NAMES]], len(edges), width))
         if len(links):
             names = [self._link(e, lost[e]) for e in links[:NAMES]]
-            said.append(_listed("links down: ", names, len(links), width))
-        return said
+            lines.append(_listed("links down: ", names, len(links), width))
+        return lines
 
     def _link(self, edge: int, lost: Mask) -> str:
         if lost.all():
@@ -186,10 +186,10 @@ class Standing:
         known = np.isfinite(off)
         real = bool((known & (batch.index[-1] < 0)).any())
         error = float(off[known].mean()) if known.any() else None
-        said = [estimates_text(real, int(batch.right[-1]), len(self._ids), error)]
+        estimates = [estimates_text(real, int(batch.right[-1]), len(self._ids), error)]
         losses = ((self._missing.sum(), "missing inputs"), (self._lost, "lost messages"))
         return [
-            *said,
+            *estimates,
             *(f"{k} {what}" for k, what in losses if k),
             f"regret D {batch.regret_sum[-1]:.4g} (nominal {batch.nominal_regret_sum[-1]:.4g})",
             f"cost regret {batch.cost_regret[-1]:+.4g}",

@@ -59,8 +59,8 @@ def test_j_is_the_sum_of_7_over_the_whole_history(history: History) -> None:
     law = taught(history)
     x, flow, x_next = history.x[:-1], history.flow, history.x[1:]
     for i, models in enumerate(history.candidates):
-        heard = ~np.isnan(flow[:, i])
-        batch = [sum((a * x[heard, i] + B * flow[heard, i] - x_next[heard, i]) ** 2) for a in models]
+        received = ~np.isnan(flow[:, i])
+        batch = [sum((a * x[received, i] + B * flow[received, i] - x_next[received, i]) ** 2) for a in models]
         np.testing.assert_allclose(law.J[: len(models), i], batch, rtol=1e-9, atol=1e-12)
         assert np.isinf(law.J[len(models) :, i]).all(), "what is no candidate never wins"
 

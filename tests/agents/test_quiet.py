@@ -148,7 +148,7 @@ def test_messages_answered_without_numpy_are_those_of_the_general_path(processes
             assert state is not None
             other.answer(state)
             general = [encode_link(link, other.peers[peers[0]].sends) for peers, link in other.send(state)]
-            general.append(encode_input(state.t, other.u, other.report, other.took))
+            general.append(encode_input(state.t, other.u, other.report, other.used))
             answer = one.answer_quietly(encode_state(*state))
             if answer is None:
                 one.answer(state)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from hedgerow.agents import quiet
 from hedgerow.agents.loading import new_law
-from hedgerow.agents.local import Heard
+from hedgerow.agents.local import Received
 from hedgerow.agents.quiet import QuietLaw
 from hedgerow.agents.quiet_laws import _RULES
 from hedgerow.agents.view import Peer, View
@@ -102,18 +102,18 @@ def test_any_numbers_give_the_bits_of_the_law_or_are_left_to_it(
         ours.after(True, x, u, np.zeros((2, 1)))
     asked = {"forgetting": 0, "notch": 1, "either": 1, "thompson": 2}.get(law.partition("(")[0], 0)
 
-    def heard(t: int) -> Heard:
-        return Heard(t, np.ones(1, dtype=bool), np.zeros(1), np.zeros(1), np.full(1, t))
+    def received(t: int) -> Received:
+        return Received(t, np.ones(1, dtype=bool), np.zeros(1), np.zeros(1), np.full(1, t))
 
     for t, (one, now) in enumerate(zip(values[::2], values[1::2], strict=True)):
         answer = ours.step([now], [Link(0, 0, bytes(8), struct.pack("<d", one))], t)
         if answer is None:
             break
         with np.errstate(all="ignore"):
-            more = [heard(t)] if asked == 1 else []
+            more = [received(t)] if asked == 1 else []
             expected.learn(x, np.array([u[0] - one]), np.array([now]), *more)
             x = np.array([now])
-            u = np.asarray(expected.act(x, *([heard(t + 1)] if asked == 2 else [])))
+            u = np.asarray(expected.act(x, *([received(t + 1)] if asked == 2 else [])))
         assert np.array(ours.u).tobytes() == u.tobytes()
         assert np.array(ours.report).tobytes() == np.asarray(expected.report()).tobytes()
     with np.errstate(all="ignore"):  # as in every process of a run

@@ -122,7 +122,7 @@ def test_messages_of_steps_with_gaps_are_those_of_the_general_path(processes: in
             receiver = view.peers[peer].shard
             back = [other.shard for other in views[receiver].peers].index(view.shard)
             for shards in (ours, others):
-                shards[receiver].hear_message(back, link)
+                shards[receiver].receive_message(back, link)
         report = np.concatenate([one.report for one in ours], axis=1)
-        world.step(np.concatenate([one.u for one in ours]), report, [one.took for one in ours])
+        world.step(np.concatenate([one.u for one in ours]), report, [one.used for one in ours])
     assert in_floats > 30 * processes

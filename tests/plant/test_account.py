@@ -30,12 +30,12 @@ class Early(World):
             super().begin()
         self.began = False
 
-    def step(self, u: Array, report: Array, took: Sequence[Any]) -> Telemetry:
+    def step(self, u: Array, report: Array, used: Sequence[Any]) -> Telemetry:
         self.advance(u)
         if self.t < self.steps:
             self.begin()
             self.began = True
-        return self.account(report, took)
+        return self.account(report, used)
 
 
 class Checked(World):

@@ -27,8 +27,8 @@ def answers(draw: st.DrawFn) -> tuple[list[int], list[int], list[bytes]]:
     for k, m in zip(sizes, incidences, strict=True):
         count = (1 + REPORT_ROWS) * k
         values = np.array(draw(st.lists(BITS, min_size=count, max_size=count)), np.uint64).view(float)
-        took = draw(st.sampled_from([b"", bytes(m), None]))
-        messages.append(b"" if took is None else encode_input(T, values[:k], values[k:], took))
+        used = draw(st.sampled_from([b"", bytes(m), None]))
+        messages.append(b"" if used is None else encode_input(T, values[:k], values[k:], used))
     return sizes, incidences, messages
 
 
@@ -42,10 +42,10 @@ def read(
         assert not messages[p] or inputs.take(p, messages[p])
     u = inputs.u()
     inputs.begin(T + 1)
-    report, took = inputs.rest()
+    report, used = inputs.rest()
     assert u.shape == (sum(sizes),)
     assert report.shape == (REPORT_ROWS, sum(sizes))
-    return [u.tobytes(), report.tobytes(), *map(bytes, took if any(took) else ())]
+    return [u.tobytes(), report.tobytes(), *map(bytes, used if any(used) else ())]
 
 
 @given(answers(), st.randoms(use_true_random=False))
@@ -67,9 +67,9 @@ def test_a_silent_shard_has_no_numbers_and_took_nothing_in() -> None:
     inputs.begin(0)
     assert inputs.take(0, encode_input(0, np.ones(1), np.ones((2, 1)), b""))
     np.testing.assert_array_equal(inputs.u(), [1, np.nan])
-    report, took = inputs.rest()
+    report, used = inputs.rest()
     np.testing.assert_array_equal(report, [[1, np.nan], [1, np.nan]])
-    assert [bytes(one) for one in took] == [b"", bytes(3)]
+    assert [bytes(one) for one in used] == [b"", bytes(3)]
 
 
 def test_an_input_of_another_step_is_not_taken() -> None:

@@ -111,11 +111,11 @@ def test_the_world_moves_by_equation_1(topology: Topology) -> None:
     for (i, j), weight in zip(edges, weights_of(topology), strict=True):
         laplacian[[i, j], [i, j]] += weight
         laplacian[[i, j], [j, i]] -= weight
-    report, took = np.zeros((REPORT_ROWS, n)), [b""] * n
+    report, used = np.zeros((REPORT_ROWS, n)), [b""] * n
     for t in range(topology.steps):
         x, u = world.x, np.cos(np.arange(n) + t)
         world.begin()
-        row = world.step(u, report, took)
+        row = world.step(u, report, used)
         expected = truth(topology) * x + topology.network.b * (laplacian @ u) + row.w
         np.testing.assert_allclose(world.x, expected, rtol=1e-12, atol=1e-12)
     assert world.t == topology.steps

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from hedgerow.agents.law import Array, Minimax, control
-from hedgerow.agents.local import Heard
+from hedgerow.agents.local import Received
 
 
 class IntegratesWithoutFlow(Minimax):
@@ -129,7 +129,7 @@ class CannotBegin(Minimax):
 class LearnsForOtherNodes(Minimax):
     """Asks for the sample, and learns in columns that the call is not for."""
 
-    def learn(self, x: Array, flow: Array, x_next: Array, sample: Heard) -> None:  # type: ignore[override]
+    def learn(self, x: Array, flow: Array, x_next: Array, sample: Received) -> None:  # type: ignore[override]
         super().learn(x, flow, x_next)
         self.memory = self.J + np.where(sample.nodes, 0.0, 1.0)
 

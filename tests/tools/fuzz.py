@@ -56,7 +56,7 @@ from hedgerow.topologies.errors import HedgerowError
 from hedgerow.topologies.load import bundled, find, load
 from hedgerow.topologies.resolve import resolve
 from hedgerow.wire import codec
-from hedgerow.wire.message import REPORT_ROWS, End, Link, MessageError, Record, Span, Telemetry, Trips
+from hedgerow.wire.message import REPORT_ROWS, End, Link, MessageError, Record, RoundTripTimes, Span, Telemetry
 from hedgerow.wire.ports import free_port
 from hedgerow.wire.stream import Inbox
 from tests.tools import fuzz_inputs
@@ -335,7 +335,7 @@ class Payloads:
             codec.encode_link(far, k),
             codec.join(codec.encode_telemetry(row)),
             codec.join(codec.encode_telemetry(row, whole=True)),
-            codec.encode_trips(Trips(2, np.ones((3, k)))),
+            codec.encode_round_trips(RoundTripTimes(2, np.ones((3, k)))),
             codec.encode_end(End(9, ones, 1.5)),
             codec.encode_seen(12),
             codec.encode_event(3, {"event": "kill", "shard": 1, "life": 0}),
@@ -348,7 +348,7 @@ class Payloads:
             lambda message: codec.decode_input(message, k, m),
             lambda message: codec.decode_link(message, k),
             lambda message: codec.decode_telemetry(message, n, e),
-            lambda message: codec.decode_trips(message, k),
+            lambda message: codec.decode_round_trips(message, k),
             lambda message: codec.decode_end(message, n),
             lambda message: codec.decode_end(message, 0),
             codec.decode_seen,

@@ -163,7 +163,7 @@ class Toml(Inputs):
         self._texts = [path.read_bytes() for path in sorted((self._scratch / "lab").rglob("*.toml"))]
 
     def make(self, rng: Random) -> Callable[[], object]:
-        file = self._case / "told.toml"
+        file = self._case / "config.toml"
         file.write_bytes(rng.choice(self._texts))
         if rng.random() < 0.1:
             file.write_bytes(large_toml(rng))
@@ -173,7 +173,7 @@ class Toml(Inputs):
 
     @staticmethod
     def _take(file: Path) -> None:
-        found = config.find(file, "told.toml")
+        found = config.find(file, "config.toml")
         is_plant = found.process == keys.PLANT
         standalone.part(found, Truth.from_dict if is_plant else View.from_dict)
         standalone.part(found, lambda known: standalone.token(found.process, known))

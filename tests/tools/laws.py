@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hedgerow.agents.law import Array, control
-from hedgerow.agents.local import Heard, Local
+from hedgerow.agents.local import Local, Received
 
 
 class Curious:
@@ -15,13 +15,13 @@ class Curious:
         self.b, self.weight, self.local = b, weight, local
         self.memory = np.zeros((2, candidates.shape[1]))
 
-    def act(self, x: Array, now: Heard) -> Array:
+    def act(self, x: Array, now: Received) -> Array:
         seen = np.where(np.isnan(now.x), 7.0, now.x) + 0.1 * np.where(np.isnan(now.u), 3.0, now.u) + 0.01 * now.step
         mean = self.local.sums(self.local.weight * seen) / np.maximum(self.local.degree, 1)
         drawn = self.local.draw(now.t)
         return control(self.b, x + 1e-3 * self.weight * (mean + drawn), np.full(len(x), 0.5))
 
-    def learn(self, x: Array, flow: Array, x_next: Array, sample: Heard) -> None:
+    def learn(self, x: Array, flow: Array, x_next: Array, sample: Received) -> None:
         known = np.isfinite(x * flow * x_next) & sample.nodes
         told = self.local.sums(np.nan_to_num(sample.x) + 2 * np.nan_to_num(sample.u) + sample.step)
         self.memory[0] = np.where(known, 0.9 * self.memory[0] + told + sample.t, self.memory[0])

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import functools
+import io
 import itertools
 import json
 import os
@@ -18,6 +21,8 @@ from typing import Any
 
 import psutil
 
+from hedgerow.orchestrator.cli.exit_code import run_to_exit_code
+from hedgerow.orchestrator.cli.main import app
 from hedgerow.orchestrator.launch.live import Live
 from tests.tools import preloaded
 
@@ -37,6 +42,14 @@ def orchestrator(*arguments: str, largest: int = resource.RLIM_INFINITY) -> subp
         check=False,
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (largest, largest)),
     )
+
+
+def run_here(*arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run a command in this process: one that is refused starts no other process."""
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        code = run_to_exit_code(lambda: app([*arguments], standalone_mode=False) or 0)
+    return subprocess.CompletedProcess([*arguments], code, out.getvalue(), err.getvalue())
 
 
 def parquet_bytes(folder: Path) -> tuple[bytes, ...]:
@@ -161,15 +174,19 @@ class Orchestrator:
     def kill_until_it_stays_down(self, name: str) -> None:
         """Kill an agent's process repeatedly, each life after it has reached the router, until no other one follows.
 
-        A plant that is too slow to hear of a life before its death grants another restart.
+        A plant that is too slow to see a life before its death grants another restart.
         """
         for life in itertools.count(1):
             self.wait_for_log(name, "ready: ", life)
             os.kill(self.children[name], signal.SIGKILL)
             self.wait_for_event("died", life)
-            self.wait_until(lambda life=life: self._stays_down() or len(_events("restarted")) == life)
+            self.wait_until(functools.partial(self._is_decided, life))
             if self._stays_down():
                 return
+
+    def _is_decided(self, life: int) -> bool:
+        """Return True once another life has followed this one, or none will."""
+        return self._stays_down() or len(_events("restarted")) == life
 
     def _stays_down(self) -> bool:
         return bool(_events("down")) or self._process.poll() is not None

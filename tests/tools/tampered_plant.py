@@ -170,8 +170,8 @@ class HeldInput(_Changed):
 class EdgeReportedOpen(_Changed):
     """Reports a closed edge as open."""
 
-    def account(self, report: Array, took: Sequence[Any]) -> Telemetry:
-        row = super().account(report, took)
+    def account(self, report: Array, used: Sequence[Any]) -> Telemetry:
+        row = super().account(report, used)
         return row._replace(edge_open=np.ones_like(row.edge_open))
 
 

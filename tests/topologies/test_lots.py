@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from scipy import special, stats
 
 from hedgerow.orchestrator.metrics.fault_schedule import Schedule
-from hedgerow.plant.disturbance import Disturbance, white_keys
+from hedgerow.plant.disturbance import Disturbance, noise_keys
 from hedgerow.plant.faults import ActiveFaults, Faults
 from hedgerow.topologies import lots
 from hedgerow.topologies.faults import effects
@@ -160,7 +160,7 @@ def test_a_fault_elsewhere_changes_no_lot_and_two_at_one_target_are_independent(
 @settings(max_examples=examples(60))
 def test_many_seeds_and_steps_at_once_are_one_by_one(ids: list[int | str], seeds: list[int]) -> None:
     words, steps = lots.words_of(ids), np.array([0, 1, 7, 2**40])
-    keys = white_keys(np.array(seeds, dtype=np.uint64)[:, None], 0, words)
+    keys = noise_keys("white", np.array(seeds, dtype=np.uint64)[:, None], 0, words)
     whole = lots.normals(lots.at(keys[..., None], steps))
     assert whole.shape == (len(seeds), len(ids), len(steps))
     for s, seed in enumerate(seeds):

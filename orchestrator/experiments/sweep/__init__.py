@@ -106,7 +106,7 @@ def _conclude(plan: Plan, folder: SweepFolder, say: Callable[[str], None]) -> Sw
     say(f"{folder.table}, summary.csv, {drawn}")
     first = next(row for own in rows for row in own if row["verdict"] == worst)
     where = (
-        "" if worst == VALID else f" (first seed {first['seed']}, {plan.says(first['setting'])}: {first['reasons']})"
+        "" if worst == VALID else f" (first seed {first['seed']}, {plan.label(first['setting'])}: {first['reasons']})"
     )
     return Swept(EXIT_CODES[worst], f"{worst}{where}: {verdicts[VALID]} of {plan.runs} runs valid")
 

@@ -66,7 +66,7 @@ class Plan:
         """Return the number of runs."""
         return len(self.settings) * len(self.seeds)
 
-    def says(self, setting: int) -> str:
+    def label(self, setting: int) -> str:
         """Return a setting in words."""
         values = self.settings[setting].values
         return ", ".join(f"{key}={value}" for key, value in zip(self.keys, values, strict=True)) or self.name

@@ -83,12 +83,12 @@ def rows_of(plan: Plan, chunk: Chunk, alone: Callable[[int], Row], at_once: Call
             found.append({"setting": chunk.setting, "seed": seed, **row})
         return found
     except TopologyError as error:
-        return Failure(f"seed {seed}, {plan.says(chunk.setting)}: {error.problems[0]}", users=True)
+        return Failure(f"seed {seed}, {plan.label(chunk.setting)}: {error.problems[0]}", users=True)
     except HedgerowError as error:
-        return Failure(f"seed {seed}, {plan.says(chunk.setting)}: {error}", isinstance(error, UserError))
+        return Failure(f"seed {seed}, {plan.label(chunk.setting)}: {error}", isinstance(error, UserError))
     except Exception as error:
         reached = limit_reached(error)
-        where, code = f"seed {seed}, {plan.says(chunk.setting)}", Code.CRASH if reached is None else reached.code
+        where, code = f"seed {seed}, {plan.label(chunk.setting)}", Code.CRASH if reached is None else reached.code
         return Failure(f"{where}: {reached or crash.report(error)}", users=False, code=code)
 
 

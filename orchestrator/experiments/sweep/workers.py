@@ -87,20 +87,20 @@ def over_processes(
                 assert isinstance(connection, Connection)
                 worker = workers[connection]
                 assert worker.chunk is not None, "a worker without a chunk is let go"
-                said: Answer | None
+                received: Answer | None
                 try:
-                    said = connection.recv()
+                    received = connection.recv()
                 except (EOFError, OSError):
                     del workers[connection]
                     worker.close()
-                    said = _died(plan, worker, again)
+                    received = _died(plan, worker, again)
                 else:
                     if todo := task():
                         worker.begin(*todo)
                     else:
                         del workers[connection]
                         worker.close()
-                yield said
+                yield received
     finally:
         for worker in workers.values():
             worker.process.terminate()
@@ -121,7 +121,7 @@ def _died(plan: Plan, worker: _Worker, again: deque[tuple[Chunk, int]]) -> Answe
     code = worker.process.exitcode
     how = f"signal {-code}" if code is not None and code < 0 else f"exit code {code}"
     return Failure(
-        f"{seeds}, {plan.says(chunk.setting)}: the process died {TRIES} times, the last by {how}; "
+        f"{seeds}, {plan.label(chunk.setting)}: the process died {TRIES} times, the last by {how}; "
         "check the free memory, and give fewer --jobs",
         users=False,
     )
@@ -149,8 +149,12 @@ def _end_with_parent() -> None:
     os.kill(os.getpid(), signal.SIGTERM)
 
 
+class _LeaveError(SystemExit):
+    """The end of a worker by a signal; as a subclass, it is not taken for the exit of a law that runs."""
+
+
 def _leave(*_: object) -> None:
-    raise SystemExit(0)
+    raise _LeaveError(0)
 
 
 def _stay(*_: object) -> None:

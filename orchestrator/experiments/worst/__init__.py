@@ -230,9 +230,9 @@ def guarantee_of(topology: Topology, method: Method | None = None) -> Guarantee:
 def at_least(plant: Plant, folder: Path) -> float | None:
     """Return the gain that `worst` found for minimax on a network without faults, by a worst.json; None if none."""
     try:
-        told = read_json((folder / NAME).with_suffix(".json"))
-        if told["network"] == fingerprint(plant) and told["law"] == "minimax" and not told["faulty"]:
-            return float(told["limit"])
+        found = read_json((folder / NAME).with_suffix(".json"))
+        if found["network"] == fingerprint(plant) and found["law"] == "minimax" and not found["faulty"]:
+            return float(found["limit"])
     except (UserError, OSError, ValueError, KeyError, TypeError):
         pass
     return None

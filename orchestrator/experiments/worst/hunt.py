@@ -207,8 +207,8 @@ class Hunt:
         graph, ids = self.scene.graph, self.topology.ids
         cuts = [(graph.edges[e], first) for e, first in breaks.cuts]
         drops = [((graph.neighbour[k], graph.node[k]), first) for k, first in breaks.drops]
-        said = [f"cut {ids[i]}-{ids[j]} from step {first}" for (i, j), first in cuts]
-        return ", ".join(said + [f"drop {ids[i]} to {ids[j]} from step {first}" for (i, j), first in drops])
+        parts = [f"cut {ids[i]}-{ids[j]} from step {first}" for (i, j), first in cuts]
+        return ", ".join(parts + [f"drop {ids[i]} to {ids[j]} from step {first}" for (i, j), first in drops])
 
     def attacks(self) -> Iterator[Attack]:
         """Yield the best disturbances, the largest gain first; each with the gain that its run should reach."""

@@ -9,13 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from hedgerow.agents.loading import new_law
-from hedgerow.agents.local import Heard, asks
+from hedgerow.agents.law_lines import line_of, place_of
+from hedgerow.agents.loading import LawError, new_law
+from hedgerow.agents.local import Received, asks
 from hedgerow.agents.view import View
 from hedgerow.orchestrator.ground.assignment import views_of
 from hedgerow.topologies.graph import Array, Graph, Index, Mask
 from hedgerow.topologies.hinf import smallest_eigenpair
 from hedgerow.topologies.schema import Topology
+from hedgerow.wire import crash
 
 TIE = 1e-7
 """A model must win by this share of its node's sum of x^2 + w^2 over its samples so far: else it may win by rounding,
@@ -177,12 +179,12 @@ def play(scene: Scene, w: Array, breaks: Breaks = NONE, steps: int | None = None
     sound = np.empty((steps, count), dtype=bool)
     energy, seen, fine = np.zeros((count, n)), np.zeros((count, n)), np.ones(count, dtype=bool)
     none = np.full(len(neighbours), np.nan)
-    heard = Heard(0, np.ones(count * n, dtype=bool), none, none, np.full(len(neighbours), -1))
+    received = Received(0, np.ones(count * n, dtype=bool), none, none, np.full(len(neighbours), -1))
     with np.errstate(all="ignore"):
         for t in range(steps):
             now = x[t]
-            u = np.asarray(law.act(now.reshape(-1), *([heard] if act else []))).reshape(count, n)
-            margin = leads[t] = np.asarray(law.report())[1].reshape(count, n)
+            u = np.asarray(_called(scene, law, "act", now.reshape(-1), *([received] if act else []))).reshape(count, n)
+            margin = leads[t] = np.asarray(_called(scene, law, "report"))[1].reshape(count, n)
             tied = (margin < TIE * (energy + seen)) & (seen > 0) & ~single
             if t <= UNSCORED and not minimax:
                 tied &= margin != 0
@@ -195,7 +197,7 @@ def play(scene: Scene, w: Array, breaks: Breaks = NONE, steps: int | None = None
             x[t + 1] = scene.a * now + b * flow + w[:, t]
             if act or learn:
                 own = now.reshape(-1)[neighbours], u.reshape(-1)[neighbours]
-                heard = Heard(t, np.ones(count * n, dtype=bool), *own, np.full(len(neighbours), t))
+                received = Received(t, np.ones(count * n, dtype=bool), *own, np.full(len(neighbours), t))
             known = flow
             lost = [node for node, first, end in deaf if first <= t < end]
             # A node that has learned nothing acts on its first candidate: its scores are equal exactly, which no
@@ -207,8 +209,9 @@ def play(scene: Scene, w: Array, breaks: Breaks = NONE, steps: int | None = None
             if lost:
                 known = flow.copy()
                 known[:, lost] = np.nan
-            law.learn(now.reshape(-1), known.reshape(-1), x[t + 1].reshape(-1), *([heard] if learn else []))
-            heard = heard._replace(t=t + 1)
+            sample = now.reshape(-1), known.reshape(-1), x[t + 1].reshape(-1)
+            _called(scene, law, "learn", *sample, *([received] if learn else []))
+            received = received._replace(t=t + 1)
     return Played(w, x, theta, leads, np.nan_to_num(cost, nan=0.0, posinf=0.0), sound)
 
 
@@ -219,6 +222,18 @@ def _deaf(scene: Scene, breaks: Breaks, steps: int) -> list[tuple[int, int, int]
         (int(scene.graph.node[incidence]), first, cut.get(int(scene.graph.edge[incidence]), steps))
         for incidence, first in breaks.drops
     ]
+
+
+def _called(scene: Scene, law: Any, method: str, *given: Any) -> Any:
+    """Return the result of a method of the law; LawError with its line if the method raises."""
+    try:
+        return getattr(law, method)(*given)
+    except (Exception, SystemExit) as error:
+        if isinstance(error, SystemExit) and type(error) is not SystemExit:
+            raise  # of a signal handler of ours, and not of the law
+        where = place_of(error, type(law)) or line_of(type(law), method)
+        problem = f"{method}() raised {crash.summary(error)}. Correct the law."
+        raise LawError(f"{where}law {scene.view.law}: {problem}", method=method) from error
 
 
 def ascend(scene: Scene, played: Played, lengths: Sequence[int] | Index, breaks: Breaks = NONE) -> Array:

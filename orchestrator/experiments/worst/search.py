@@ -46,8 +46,8 @@ class Island:
         members = rng.standard_normal((size, steps, n))
         # Half of them are one pattern of the nodes with a time course, which is sparse; some of one sign.
         half = size // 2
-        course = rng.standard_normal((half, steps, 1)) * (rng.random((half, steps, 1)) < 0.6)
-        members[:half] = course * rng.standard_normal((half, 1, n)) + 0.01 * members[:half]
+        pattern = rng.standard_normal((half, steps, 1)) * (rng.random((half, steps, 1)) < 0.6)
+        members[:half] = pattern * rng.standard_normal((half, 1, n)) + 0.01 * members[:half]
         members[: half // 2] *= rng.random((half // 2, 1, n)) < 0.5
         members[::3] = np.abs(members[::3])
         if kind.holds:

@@ -24,8 +24,8 @@ LANES = 24
 RUN = -1
 """the number of the lane of the whole run"""
 FINE: Color = (38, 44, 54, 255)
-HEARD, NOT_I, NOT_J, CLOSED = 0, 1, 2, 4
-"""the states of an edge (i, j), as sums of these numbers"""
+NOT_I, NOT_J, CLOSED = 1, 2, 4
+"""the states of an edge (i, j), as sums of these numbers; 0 is no failure"""
 THERE, MISTAKEN, TURNED, NO_INPUT, GONE = range(5)
 """the states of a node; the worst one counts"""
 OF_NODE: Sequence[tuple[str, Color]] = (
@@ -53,11 +53,11 @@ class Lane:
     """A row of the timeline."""
 
     entity: str
-    says: Sequence[tuple[str, Color]]
+    states: Sequence[tuple[str, Color]]
 
     def log_static(self, stream: rr.RecordingStream) -> None:
         """Send the texts and colours of the states."""
-        values, colors = [what for what, _ in self.says], [color for _, color in self.says]
+        values, colors = [what for what, _ in self.states], [color for _, color in self.states]
         stream.log(self.entity, rr.StateConfiguration(values=values, colors=colors), static=True)
 
 
@@ -73,9 +73,9 @@ class Changes:
         """Send the changes."""
         for lane in self.begun:
             lane.log_static(stream)
-        for entity, (t, wall, says) in self.states.items():
+        for entity, (t, wall, texts) in self.states.items():
             index = [rr.TimeColumn("step", sequence=t), rr.TimeColumn("wall", timestamp=wall)]
-            stream.send_columns(entity, index, rr.StateChange.columns(state=says))
+            stream.send_columns(entity, index, rr.StateChange.columns(state=texts))
 
     @property
     def size(self) -> int:
@@ -153,5 +153,5 @@ class Lanes:
                 self.begun[k] = self._lane(k)
                 new.append(self.begun[k])
             rows, lane = changed[:, k].nonzero()[0], self.begun[k]
-            found[lane.entity] = batch.t[rows], wall[rows], [lane.says[code][0] for code in codes[rows, k].tolist()]
+            found[lane.entity] = batch.t[rows], wall[rows], [lane.states[code][0] for code in codes[rows, k].tolist()]
         return Changes(found, new)

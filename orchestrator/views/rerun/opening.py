@@ -179,16 +179,17 @@ def _replay(run: Run, viewer: Viewer, say: Say, go_on: Callable[[], bool]) -> No
     for line in filter(None, map(event_line, run.events)):
         stream.event(*line)
     ends = at_ends(run.topology.graph)
-    took = np.full(ends.size, TAKEN, np.uint8)
-    heard = np.ones((run.T, ends.size), np.uint8)
-    heard[:, ends[:, 0]], heard[:, ends[:, 1]] = run.i_hears, run.j_hears
+    used = np.full(ends.size, TAKEN, np.uint8)
+    received = np.ones((run.T, ends.size), np.uint8)
+    received[:, ends[:, 0]], received[:, ends[:, 1]] = run.i_hears, run.j_hears
     report = np.stack([run.ahat, run.margin], axis=1)
     steps = np.setdiff1d(np.arange(run.T), run.lost)
     for some in np.array_split(steps, -(-len(steps) // READ_STEPS)):
         if not go_on():
             break
         rows = [
-            Telemetry(int(t), run.x[t], run.u[t], run.w[t], report[t], run.edge_open[t], heard[t], took) for t in some
+            Telemetry(int(t), run.x[t], run.u[t], run.w[t], report[t], run.edge_open[t], received[t], used)
+            for t in some
         ]
         stream.log(observer.take(rows))
         stream.wait(go_on)

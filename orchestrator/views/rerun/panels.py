@@ -29,7 +29,7 @@ from hedgerow.orchestrator.views.rerun.fault_timeline import LANE_ENTITIES, LANE
 from hedgerow.orchestrator.views.rerun.network_picture import Legend
 from hedgerow.topologies.graph import Index
 from hedgerow.topologies.schema import Topology
-from hedgerow.wire.message import Trips
+from hedgerow.wire.message import RoundTripTimes
 
 Matrix = NDArray[np.float64]
 
@@ -70,11 +70,6 @@ class Quantity:
         """Return the series, (B, k); infinite values become NaN, because a plot cannot show them."""
         values = np.asarray(self.of(batch), dtype=np.float64).reshape(len(batch.t), -1)
         return np.where(np.isinf(values), np.nan, values)
-
-
-def quantities(topology: Topology, observer: Observer) -> list[Quantity]:
-    """Return the quantities of a batch: one entity each, named like its field of Batch."""
-    return [*lines(topology), *totals(topology, observer)]
 
 
 def lines(topology: Topology) -> list[Quantity]:
@@ -184,7 +179,7 @@ class RoundTripLines:
         colors = [ORANGE, BLUE, GREY] if self._many else hues(len(self.names))
         return rr.SeriesLines(names=self.names, colors=colors, widths=[1.5] * len(self.names))
 
-    def columns(self, latencies: Trips) -> Matrix:
+    def columns(self, latencies: RoundTripTimes) -> Matrix:
         """Return the series [ms], one row per step, NaN without an answer."""
         ms = 1e3 * latencies.seconds
         return _quantiles(np.nan_to_num(ms)) if self._many else ms

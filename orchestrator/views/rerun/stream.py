@@ -21,7 +21,7 @@ from hedgerow.orchestrator.views.rerun.viewer import Viewer
 from hedgerow.topologies.describe import describe, window
 from hedgerow.topologies.errors import Code, HedgerowError
 from hedgerow.topologies.schema import Topology
-from hedgerow.wire.message import Trips
+from hedgerow.wire.message import RoundTripTimes
 
 # Rerun reads this once, on import. Without it, Rerun prints errors to the terminal when a viewer is closed.
 os.environ.setdefault("RUST_LOG", "error,re_grpc_client=off,re_sdk=off")
@@ -298,10 +298,10 @@ class RerunStream:
             if time.monotonic() - self._heatmap_at > HEAT_S:
                 self._send_heatmap(self._heatmap.step)
 
-    def round_trips(self, trips: Trips, at: float) -> None:
+    def round_trips(self, times: RoundTripTimes, at: float) -> None:
         """Show the answer times at some steps, the last of which ended at about `at`."""
-        t = np.arange(trips.t, trips.t + len(trips.seconds))
-        rows = Rows(t, np.full(len(t), at), {ROUND_TRIPS: self._round_trips.columns(trips)})
+        t = np.arange(times.t, times.t + len(times.seconds))
+        rows = Rows(t, np.full(len(t), at), {ROUND_TRIPS: self._round_trips.columns(times)})
         if self._feeder is not None:
             self._feeder.put(rows.write, rows.size)
         if self._file is not None:

@@ -149,9 +149,9 @@ class Trail:
             is_open[:] = _numbers(edges, "open").reshape(-1, e)
             for end, name in enumerate(("i_hears", "j_hears")):
                 link_up[:, self._ends[:, end]] = _numbers(edges, name).reshape(-1, e)
-        took = np.full(2 * e, TAKEN, np.uint8)
+        used = np.full(2 * e, TAKEN, np.uint8)
         return [
-            Telemetry(int(step), x[k], u[k], w[k], report[k], is_open[k], link_up[k], took) for k, step in enumerate(t)
+            Telemetry(int(step), x[k], u[k], w[k], report[k], is_open[k], link_up[k], used) for k, step in enumerate(t)
         ]
 
 
@@ -308,9 +308,9 @@ class _Watch:
         # Do not use the name of the run: two views of it in one viewer would become one recording with all rows twice.
         name = f"{entry.run} watched at {time.strftime('%H:%M:%S')}-{time.monotonic_ns() % 1000:03}"
         processes = processes_of(folder.path, topology)
-        self._trips: ArrowTail | None = None
+        self._round_trips: ArrowTail | None = None
         with contextlib.suppress(FileNotFoundError):  # the run uses no network, or it has just ended
-            self._trips = ArrowTail(folder.path / f"{TABLE}.arrows")
+            self._round_trips = ArrowTail(folder.path / f"{TABLE}.arrows")
         self._stream = PatientStream(topology, self._observer, name, viewer, say, trail.past, processes)
         self._happenings = Happenings(folder.events)
         self._file: tuple[int, int] | None = None
@@ -353,7 +353,7 @@ class _Watch:
                 self._stream.event(*line)
         if rows:
             self._stream.log(self._observer.take(rows))
-        while self._trips is not None and (batch := self._trips.next()) is not None:
+        while self._round_trips is not None and (batch := self._round_trips.next()) is not None:
             self._stream.round_trips(trips_in(batch), time.time())
         if self._trail.end is not None and self._observer.end is None:
             self._observer.finish(self._trail.end)

@@ -16,7 +16,7 @@ from hedgerow.agents.law import Array, Law
 from hedgerow.agents.laws import LAWS, law_of_name
 from hedgerow.agents.laws.exponential import exp
 from hedgerow.agents.loading import new_law
-from hedgerow.agents.local import Heard, asks
+from hedgerow.agents.local import Received, asks
 from hedgerow.agents.view import View
 from hedgerow.orchestrator.ground import laws
 from hedgerow.orchestrator.ground.assignment import layout
@@ -55,17 +55,17 @@ def law(choice: str, models: Sequence[Sequence[float]] = MODELS, ids: Sequence[i
     )
 
 
-def heard(t: int, k: int, nodes: Any = None) -> Heard:
+def received(t: int, k: int, nodes: Any = None) -> Received:
     everybody = np.ones(k, dtype=bool) if nodes is None else np.asarray(nodes)
-    return Heard(t, everybody, np.empty(0), np.empty(0), np.empty(0, dtype=np.int64))
+    return Received(t, everybody, np.empty(0), np.empty(0), np.empty(0, dtype=np.int64))
 
 
 def learn(one: Any, t: int, x: Array, flow: Array, x_next: Array) -> None:
-    one.learn(x, flow, x_next, *([heard(t, len(x))] if asks(one.learn, "sample") else []))
+    one.learn(x, flow, x_next, *([received(t, len(x))] if asks(one.learn, "sample") else []))
 
 
 def act(one: Any, t: int, x: Array) -> Array:
-    given: Array = one.act(x, *([heard(t, len(x))] if asks(one.act, "now") else []))
+    given: Array = one.act(x, *([received(t, len(x))] if asks(one.act, "now") else []))
     return given.copy()
 
 

@@ -219,7 +219,7 @@ def test_a_number_beyond_64_bits_is_the_users_mistake(rule: str) -> None:
         {"event": "kill", "shard": 0},
         {"event": "heal", "fault": 7, "at": 3},
         {"event": "fault", "fault": "1", "entry": {}, "at": 3},
-        {"event": "heard", "plant": 3, "shards": []},
+        {"event": "counts", "plant": 3, "shards": []},
         {"event": ["kill"]},
         {},
     ],

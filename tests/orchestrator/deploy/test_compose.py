@@ -375,7 +375,7 @@ def test_secure_manifests_are_valid_and_each_process_has_its_secret(here: Path) 
         assert [one["mountPath"] for one in mounts] == [f"/keys/{one}" for one in own]
         assert all(one["readOnly"] for one in mounts)
     told = next(one for one in documents if one["kind"] == "ConfigMap" and one["metadata"]["name"] == "agent-3")
-    assert 'credentials = "/keys/agent-3"' in told["data"]["told.toml"]
+    assert 'credentials = "/keys/agent-3"' in told["data"]["config.toml"]
     assert not any(b"PRIVATE KEY" in yaml.dump(one).encode() for one in documents if one["kind"] != "Secret")
 
 

@@ -57,7 +57,7 @@ def test_every_name_of_the_manifests_is_valid_and_unique(name: str, ids: list[st
     for job in (one for one in documents if one["kind"] == "Job"):
         spec = job["spec"]["template"]["spec"]
         assert all(is_label(one["name"]) for one in (*spec["containers"], *spec["volumes"]))
-        told = next(one for one in spec["volumes"] if one["name"] == "told")
+        told = next(one for one in spec["volumes"] if one["name"] == "config")
         assert ("ConfigMap", told["configMap"]["name"]) in {(one["kind"], one["metadata"]["name"]) for one in documents}
 
 

@@ -318,7 +318,7 @@ def test_a_changed_file_is_a_new_sweep(tmp_path: Path) -> None:
 def test_a_foreign_folder_is_not_changed(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").touch()
     with (
-        pytest.raises(UserError, match=r"holds thesis\.tex, and no sweep; name a new folder"),
+        refusal(Code.OUTPUT),
         SweepFolder(of(), tmp_path),
     ):
         pass
@@ -330,7 +330,7 @@ def test_a_damaged_line_is_named(tmp_path: Path, damage: str) -> None:
     with (tmp_path / "out/runs.jsonl").open("a", encoding="utf-8") as file:
         file.write(f"{damage}\n")
     with (
-        pytest.raises(UserError, match=r"runs\.jsonl: line 3 is no run; name a new folder"),
+        refusal(Code.FILE_FORMAT),
         SweepFolder(of(seeds="0:3"), tmp_path / "out"),
     ):
         pass
@@ -348,7 +348,7 @@ def test_a_full_disk_keeps_the_finished_runs_and_the_same_command_continues(here
 
 def test_two_sweeps_do_not_share_a_folder(tmp_path: Path) -> None:
     one, two = SweepFolder(of(), tmp_path / "out"), SweepFolder(of(), tmp_path / "out")
-    with one, pytest.raises(UserError, match="a sweep is writing there"), two:
+    with one, refusal(Code.OUTPUT), two:
         pass
 
 

@@ -223,9 +223,9 @@ def test_a_plant_reports_if_a_life_had_reached_the_router(scene: Scene) -> None:
 
 
 def test_the_audit_counts_the_messages_between_plant_and_observer() -> None:
-    word: dict[str, Any] = {"said": {keys.TELEMETRY: 5}, "heard": {keys.SEEN: 9}, "refused": {}, "strange": {}}
+    word: dict[str, Any] = {"sent": {keys.TELEMETRY: 5}, "received": {keys.SEEN: 9}, "refused": {}, "strange": {}}
     event = {"plant": word, "shards": [None] * len(VIEWS)}
-    observed: dict[str, Any] = {"said": {keys.SEEN: 8}, "heard": {keys.TELEMETRY: 6}, "refused": {}, "strange": {}}
+    observed: dict[str, Any] = {"sent": {keys.SEEN: 8}, "received": {keys.TELEMETRY: 6}, "refused": {}, "strange": {}}
     found = audit(places(VIEWS), event, observed)
     assert {(one.key, one.sender, one.receiver): (one.sent, one.received) for one in found.observer} == {
         (keys.TELEMETRY, "plant", "observer"): (5, 6),
@@ -238,7 +238,7 @@ def test_a_run_counts_every_key(here: Path) -> None:
     assert orchestrator("up", "paper7", "--steps", "600", *QUIET).returncode == 0
     information = json.loads((here / "runs/latest/verdict.json").read_text())["information"]
     assert {one["key"] for one in information["observer"]} == {keys.TELEMETRY, keys.SEEN}
-    assert all(0 < one["heard"] <= one["said"] for one in information["observer"]), information["observer"]
+    assert all(0 < one["received"] <= one["sent"] for one in information["observer"]), information["observer"]
 
 
 def test_a_browser_that_sends_no_head_is_let_go(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -108,30 +108,32 @@ def test_of_all_pairs_of_writer_key_and_reader_exactly_the_allowed_ones_succeed(
     declared = [heard.listen(name, session, [*KEYS, *WILD]) for name, session in sessions.items()]
     declared.append(heard.listen(keys.PLANT, secure.router, KEYS))
     for name, session in sessions.items():
-        for keys_of in ([key for key in [*KEYS, *WILD] if key not in RIGHTS[name].says], RIGHTS[name].says):
+        for keys_of in ([key for key in [*KEYS, *WILD] if key not in RIGHTS[name].publishes], RIGHTS[name].publishes):
             for key in keys_of:
                 session.put(key, name, congestion_control=zenoh.CongestionControl.BLOCK)
             # A message on `**` counts on every key: a message right after it would exceed the rate.
             list(session.get(keys.control("status"), timeout=DEADLINE_S))
         list(session.get(keys.control("status"), timeout=DEADLINE_S))  # an answer, or none: it is behind them
     for name in sessions:
-        heard.wait(keys.PLANT, {(name, key) for key in RIGHTS[name].says})
-    for key in RIGHTS[keys.PLANT].says:
+        heard.wait(keys.PLANT, {(name, key) for key in RIGHTS[name].publishes})
+    for key in RIGHTS[keys.PLANT].publishes:
         secure.router.put(key, keys.PLANT, congestion_control=zenoh.CongestionControl.BLOCK)
     for name in sessions:
-        mine = {(keys.PLANT, key) for key in RIGHTS[keys.PLANT].says if key in RIGHTS[name].hears}
+        mine = {(keys.PLANT, key) for key in RIGHTS[keys.PLANT].publishes if key in RIGHTS[name].subscribes}
         heard.wait(name, mine)
     # The operator may not subscribe to anything.
     list(sessions[OPERATOR].get(keys.control("status"), timeout=DEADLINE_S))
 
     allowed = {
-        reader: {(writer, key) for writer, some in RIGHTS.items() for key in some.says if key in granted.hears}
+        reader: {
+            (writer, key) for writer, some in RIGHTS.items() for key in some.publishes if key in granted.subscribes
+        }
         for reader, granted in RIGHTS.items()
     }
-    allowed[keys.PLANT] = {(name, key) for name in sessions for key in RIGHTS[name].says}
+    allowed[keys.PLANT] = {(name, key) for name in sessions for key in RIGHTS[name].publishes}
     # The plant is the router: it receives every permitted message, and each one has a permitted sender.
     assert heard.what == allowed
-    pairs = [(reader, key) for reader in sessions for key in KEYS if key in RIGHTS[reader].hears]
+    pairs = [(reader, key) for reader in sessions for key in KEYS if key in RIGHTS[reader].subscribes]
     assert len(pairs) == 2 * len(PAPER7.edges) + N + 1
     del declared
 
@@ -251,13 +253,13 @@ def test_an_unknown_name_has_no_rights(secure: Secure, tmp_path: Path) -> None:
             stack.callback(close, sessions[name])
         declared = [heard.listen("plant", router, KEYS), heard.listen("agent-8", sessions["agent-8"], [*KEYS, *WILD])]
         for name, session in sessions.items():
-            for key in sorted(KEYS, key=lambda key: key in RIGHTS["agent-1"].says):
+            for key in sorted(KEYS, key=lambda key: key in RIGHTS["agent-1"].publishes):
                 session.put(key, name, congestion_control=zenoh.CongestionControl.BLOCK)
             list(session.get(keys.control("status"), timeout=1))
-        heard.wait("plant", {("agent-1", key) for key in RIGHTS["agent-1"].says})
+        heard.wait("plant", {("agent-1", key) for key in RIGHTS["agent-1"].publishes})
         for p in range(N):
             router.put(keys.state(p), "plant")
-        assert heard.what["plant"] == {("agent-1", key) for key in RIGHTS["agent-1"].says}
+        assert heard.what["plant"] == {("agent-1", key) for key in RIGHTS["agent-1"].publishes}
         assert heard.what["agent-8"] == set()
         del declared
 
@@ -380,7 +382,7 @@ def test_a_stolen_certificate_gives_only_the_rights_of_its_agent(victim: Callabl
         lambda sample: overheard.append(str(sample.key_expr)),
         allowed_origin=zenoh.Locality.REMOTE,
     )
-    own = {*RIGHTS["agent-1"].says}
+    own = {*RIGHTS["agent-1"].publishes}
     flood = rogue.declare_publisher(keys.link(1, 2), congestion_control=zenoh.CongestionControl.BLOCK)
     for _ in range(FLOOD):
         flood.put(link(0))

@@ -18,7 +18,7 @@ from cryptography import x509
 
 from hedgerow.orchestrator.launch.certificates import LIFE_DAYS, SLACK
 from hedgerow.wire.ports import free_port
-from tests.tools.processes import COMMAND, Orchestrator, gone, orchestrator
+from tests.tools.processes import COMMAND, Orchestrator, gone, orchestrator, run_here
 
 QUIET = ("--viewer", "none", "--no-record")
 ROUTER = """
@@ -62,11 +62,11 @@ def test_every_process_received_exactly_its_messages(here: Path) -> None:
     assert (information["strange"], information["silent"]) == ({}, [])
     channels = information["channels"]
     assert len(channels) == 7 + 7 + 2 * 6
-    assert all(one["heard"] == one["said"] for one in channels if one["listener"] == "plant")
-    assert all(30 <= one["heard"] <= one["said"] <= 31 for one in channels if one["key"].startswith("link/"))
+    assert all(one["received"] == one["sent"] for one in channels if one["receiver"] == "plant")
+    assert all(30 <= one["received"] <= one["sent"] <= 31 for one in channels if one["key"].startswith("link/"))
     shown = json.loads(orchestrator("audit", "paper7", "--json").stdout)["channels"]
     assert [(one["key"], one["from"], one["to"]) for one in shown] == [
-        (one["key"], one["speaker"], one["listener"]) for one in channels
+        (one["key"], one["sender"], one["receiver"]) for one in channels
     ]
 
 
@@ -79,9 +79,9 @@ def test_repeated_messages_pass_a_router_with_a_rate_limit(here: Path) -> None:
         os.kill(network.children["agent-3"], signal.SIGCONT)
         assert network.wait() == 0, network.output
     everything = verdict_of(here / "runs/latest")["information"]["channels"]
-    channels = [one for one in everything if one["speaker"] not in ("plant", "agent-3")]
-    assert all(one["heard"] >= one["said"] - 1 for one in channels), channels
-    assert min(one["said"] for one in channels) >= 200 + 4
+    channels = [one for one in everything if one["sender"] not in ("plant", "agent-3")]
+    assert all(one["received"] >= one["sent"] - 1 for one in channels), channels
+    assert min(one["sent"] for one in channels) >= 200 + 4
 
 
 @pytest.fixture
@@ -198,7 +198,7 @@ def test_the_command_that_uses_keys_can_be_copied(here: Path) -> None:
 def test_an_insecure_combination_is_refused_before_anything_runs(
     here: Path, options: tuple[str, ...], said: str
 ) -> None:
-    done = orchestrator("up", "paper7", *options, *QUIET)
+    done = run_here("up", "paper7", *options, *QUIET)
     assert done.returncode == 2
     assert said in done.stderr
     assert not (here / "runs").exists()

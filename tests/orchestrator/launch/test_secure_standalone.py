@@ -26,7 +26,7 @@ from tests.agents.test_standalone import UP, start, verdict
 from tests.orchestrator.launch.test_rogues import PLACES
 from tests.orchestrator.launch.test_secure import ROUTER
 from tests.tools.machines import Program
-from tests.tools.processes import DEADLINE_S, Orchestrator, orchestrator, parquet_bytes
+from tests.tools.processes import DEADLINE_S, Orchestrator, orchestrator, parquet_bytes, run_here
 
 __all__ = ["start"]
 
@@ -80,7 +80,7 @@ def test_separate_agents_join_with_their_keys_and_change_nothing(here: Path, por
     shutil.copytree("lab/agent-6", "keys-of-6")
     (here / "lab/agent-6/key.pem").unlink()
     told: list[tuple[str, ...]] = [("--config", "lab/agent-3"), ("--config", "lab/agent-5.toml")]
-    told.append(("--config", "lab/agent-6/told.toml", "--credentials", "keys-of-6"))
+    told.append(("--config", "lab/agent-6/config.toml", "--credentials", "keys-of-6"))
     agents = [start("agents", *words) for words in told]
     with up(port, "--external", "3,5,6") as network:
         assert network.wait() == 0, network.output
@@ -234,7 +234,7 @@ def test_impossible_options_are_refused_at_once(here: Path, arguments: tuple[str
     if "old" in arguments:
         to_carry(Path("old"), PLACES, "hedgerow/paper7", "tls/localhost:1", days=-0.001)
     bundle(1)
-    done = orchestrator("up", *arguments, "--external", "3", *UP)
+    done = run_here("up", *arguments, "--external", "3", *UP)
     assert done.returncode == 2, done.stdout + done.stderr
     assert said in done.stderr
     assert not (here / "runs").exists()
@@ -242,7 +242,7 @@ def test_impossible_options_are_refused_at_once(here: Path, arguments: tuple[str
 
 def test_without_keys_no_process_may_join(here: Path, start: Any) -> None:
     bundle(1)
-    told = Path("lab/agent-3/told.toml")
+    told = Path("lab/agent-3/config.toml")
     told.write_text(told.read_text().replace('credentials = "."\n', ""))
     code, said = start("agents", "--config", "lab/agent-3").wait()
     assert code == 2

@@ -79,23 +79,23 @@ class Recount:
     def absent(self, i: int, t: int) -> bool:
         return bool(t >= 0 and self.plain.absent[t, i])
 
-    def says(self, c: int, t: int, flag: Flag) -> bool | None:
+    def label(self, c: int, t: int, flag: Flag) -> bool | None:
         """Return True if the node of an incidence reports that it used this input of step t; None without a report."""
         if t + 1 == len(self.rows) or self.absent(self.graph.node[c], t + 1):
             return None
-        return bool(self.rows[t + 1].took[c] & flag)
+        return bool(self.rows[t + 1].used[c] & flag)
 
     def _drop(self, t: int, c: int) -> list[str]:
         i, j = self.graph.node[c], self.graph.neighbour[c]
         if self.absent(j, t) or self.absent(i, t):
             return ["masked"]
         fired = ["fired"] if not self.rows[t].link_up[c] else []
-        return fired + (["seen"] if self.says(c, t, Flag.HEAR) is False else [])
+        return fired + (["seen"] if self.label(c, t, Flag.RECEIVE) is False else [])
 
     _delay = _drop
 
     def _cut(self, t: int, e: int) -> list[str]:
-        said = {self.says(c, t, Flag.OPEN) for c, edge in enumerate(self.graph.edge) if edge == e} - {None}
+        said = {self.label(c, t, Flag.OPEN) for c, edge in enumerate(self.graph.edge) if edge == e} - {None}
         fired = ["fired"] if not self.rows[t].edge_open[e] else []
         return fired + (["seen"] if said == {False} else [])
 
@@ -108,7 +108,7 @@ class Recount:
         if self.absent(i, t) or i in self.plain.struck("sensor", t):
             return ["masked"]
         edges = set(self.graph.edge[self.graph.node == i])
-        told = {self.says(c, t, Flag.OPEN) for c, e in enumerate(self.graph.edge) if e in edges} - {None}
+        told = {self.label(c, t, Flag.OPEN) for c, e in enumerate(self.graph.edge) if e in edges} - {None}
         fired = ["fired"] if np.isnan(self.rows[t].u[i]) else []
         return fired + (["seen"] if told == {False} else [])
 
@@ -285,8 +285,8 @@ def test_a_wrong_bit_is_noticed(topology: Topology, data: st.DataObject) -> None
     if not telling:
         return
     step, c = data.draw(st.sampled_from(telling))
-    flag = data.draw(st.sampled_from([Flag.OPEN, Flag.HEAR]))
-    bad = verdict(topology, changed(ran, step, "took", c, ran.rows[step].took[c] ^ flag))
+    flag = data.draw(st.sampled_from([Flag.OPEN, Flag.RECEIVE]))
+    bad = verdict(topology, changed(ran, step, "used", c, ran.rows[step].used[c] ^ flag))
     assert bad.verdict == "INVALID"
     assert f"links fails at step {step - 1}" in bad.content["reasons"]
 
@@ -295,7 +295,7 @@ def test_a_drop_that_its_receiver_did_not_notice_is_noticed() -> None:
     topology = with_faults(PAPER, [{"kind": "drop", "from": 2, "to": 4, "steps": [10, 14]}])
     ran, graph = simulate(topology), PAPER.graph
     (c,) = np.flatnonzero((graph.node == 3) & (graph.neighbour == 1))
-    bad = verdict(topology, changed(ran, 13, "took", c, Flag.OPEN | Flag.HEAR))
+    bad = verdict(topology, changed(ran, 13, "used", c, Flag.OPEN | Flag.RECEIVE))
     assert bad.content["reasons"] == ["links fails at step 12", "faults fails at step 12"]
     (entry,) = bad.content["faults"]
     assert (entry["scheduled"], entry["fired"], entry["masked"], entry["seen"]) == (4, 4, 0, 3)

@@ -135,12 +135,12 @@ def one_sided(topology: Topology, ahat: Sequence[Sequence[float]]) -> Trajectory
     a, b, graph = truth(topology), topology.b, topology.graph
     x = np.array([own.x0 for own in topology.nodes.values()], dtype=float)
     rows, on, no_w = [], np.ones(1, np.uint8), np.zeros(2)
-    up, took = np.ones(2, np.uint8), np.full(2, TAKEN, np.uint8)
+    up, used = np.ones(2, np.uint8), np.full(2, TAKEN, np.uint8)
     for t in range(topology.steps):
         report = np.zeros((REPORT_ROWS, 2))
         report[0] = ahat[t % 2]
         u = control(b, x, report[0])
-        rows.append(Telemetry(t, x, u, no_w, report, on, up, took))
+        rows.append(Telemetry(t, x, u, no_w, report, on, up, used))
         x = dynamics(a, b, graph, x, u, no_w, np.ones(1, np.bool_))
         if t >= 2:
             x[1] = a[1] * rows[-1].x[1]

@@ -12,10 +12,11 @@ from hedgerow.orchestrator.report import report
 from hedgerow.orchestrator.report.compare import notices
 from hedgerow.orchestrator.report.reading import METRICS, number
 from hedgerow.orchestrator.runs.run import Run
-from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.errors import Code
 from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import resolve
 from tests.tools.figures import curves, drawn, names, page, ran
+from tests.tools.refusals import refusal
 
 
 def test_two_laws_on_the_same_axes(paper: Run, fixed: Run, folder: Path) -> None:
@@ -68,5 +69,5 @@ def test_differences_are_reported(paper: Run, tmp_path: Path, overrides: Sequenc
 
 
 def test_too_many_runs(paper: Run, tmp_path: Path) -> None:
-    with pytest.raises(UserError, match="8 runs: a report is of 1 to 7"):
+    with refusal(Code.OPTION):
         report([paper] * 8, tmp_path / "out")

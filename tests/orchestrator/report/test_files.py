@@ -17,8 +17,9 @@ from hedgerow.orchestrator.report import report
 from hedgerow.orchestrator.report.figures import FIGURES
 from hedgerow.orchestrator.report.style import save
 from hedgerow.orchestrator.runs.run import Run
-from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.errors import Code
 from tests.tools.figures import DRAWN
+from tests.tools.refusals import refusal
 
 
 def test_every_figure_is_there_as_pdf_and_png(written: dict[str, Path], folder: Path) -> None:
@@ -79,15 +80,15 @@ def test_existing_files_are_replaced_only_on_request(paper: Run, tmp_path: Path)
     """Foreign files are never replaced."""
     out = tmp_path / "deep" / "out"
     report([paper], out, "2")
-    with pytest.raises(UserError, match="already exists; --force replaces it"):
+    with refusal(Code.OUTPUT):
         report([paper], out, "4")
     (out / "report.html").write_text("old", encoding="utf-8")
     report([paper], out, "4", force=True)
     assert "Figure 4" in (out / "report.html").read_text(encoding="utf-8")
     (out / "thesis.tex").touch()
-    with pytest.raises(UserError, match=r"holds thesis\.tex, which is of no report"):
+    with refusal(Code.OUTPUT):
         report([paper], out, "4", force=True)
-    with pytest.raises(UserError, match=r"is a file; --out names a folder"):
+    with refusal(Code.OUTPUT):
         report([paper], out / "thesis.tex", "4", force=True)
 
 
@@ -105,7 +106,7 @@ def test_a_report_is_complete_or_absent(paper: Run, tmp_path: Path, monkeypatch:
         return save(figure, folder, name, title, formats)
 
     monkeypatch.setattr("hedgerow.orchestrator.report.style.save", full)
-    with pytest.raises(UserError, match="No space left on device; --out names another folder"):
+    with refusal(Code.OUTPUT):
         report([paper], out, "cost,gain", force=True)
     assert [path.name for path in tmp_path.rglob("*")] == ["out", "report.html"]
     assert (out / "report.html").read_text(encoding="utf-8") == "old"

@@ -51,7 +51,7 @@ def sweep(folder: Path) -> None:
 
 
 READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
-    "told.toml": ("told.toml", lambda folder: config.find(folder / "told.toml", "")),
+    "config.toml": ("config.toml", lambda folder: config.find(folder / "config.toml", "")),
     "keys": ("ca.pem", Credentials.read),
     "rules of a router": ("access.json", lambda folder: open_router("pair", "tcp/127.0.0.1:1", folder)),
     "settings of keys": ("observer/settings.json", lambda folder: carried(folder, [])),
@@ -95,7 +95,7 @@ def test_a_link_out_of_the_folder_is_refused(name: str, here: Path) -> None:
     "text",
     [b"[" * 100_000, b"{}", b"[]", b"null", b'{"set": 1}', b'{"set": {}, "versions": {}}', b"\xff", b'"\\ud800"'],
 )
-@pytest.mark.parametrize("name", ["sweep.json", "runs.jsonl", "settings of keys", "rules of a router", "told.toml"])
+@pytest.mark.parametrize("name", ["sweep.json", "runs.jsonl", "settings of keys", "rules of a router", "config.toml"])
 def test_other_content_is_refused(name: str, text: bytes, here: Path) -> None:
     file, read = READERS[name]
     path = here / "folder" / file
@@ -136,15 +136,15 @@ def test_a_strange_list_of_running_networks_is_passed_over(here: Path) -> None:
 @pytest.mark.parametrize("text", ["a = " + "[" * 100_000, "a = " + "9" * 10_000, "a = [1\n", "a = 1\na = 2", "a\0 = 1"])
 def test_text_that_is_no_toml_is_refused(text: str) -> None:
     with pytest.raises(UserError) as error:
-        toml.loads(text, "told.toml")
+        toml.loads(text, "config.toml")
     assert error.value.code == Code.FILE_FORMAT
 
 
 def test_toml_and_json_count_their_parsed_size(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(budget.VARIABLE, "1")
     for read in (
-        lambda: toml.loads("a = [" + "[]," * 20_000 + "]", "told.toml"),
-        lambda: toml.loads("".join(f"[k{k}]\na = 1\n" for k in range(5000)), "told.toml"),
+        lambda: toml.loads("a = [" + "[]," * 20_000 + "]", "config.toml"),
+        lambda: toml.loads("".join(f"[k{k}]\na = 1\n" for k in range(5000)), "config.toml"),
         lambda: json_file.loads("x.json", b"[" + b"{}," * 5000 + b"{}]"),
     ):
         with pytest.raises(UserError) as error:

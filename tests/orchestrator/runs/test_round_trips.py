@@ -19,7 +19,7 @@ from hedgerow.orchestrator.runs.round_trips import RoundTrips, line
 from hedgerow.orchestrator.views.rerun.stream import RerunStream
 from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import resolve
-from hedgerow.wire.message import Trips
+from hedgerow.wire.message import RoundTripTimes
 from tests.orchestrator.views.test_rerun_stream import read as read_rrd
 from tests.tools.processes import Orchestrator, orchestrator
 
@@ -40,7 +40,7 @@ def test_the_figures_are_those_of_all_answers(rows: list[tuple[float, float]], a
         third = np.hstack([seconds, np.full((len(rows), 1), NAN)])
         ms = np.round(1e3 * third, 3)
         for first in range(0, len(rows), at_once):
-            trips.take(Trips(5 + first, third[first : first + at_once]))
+            trips.take(RoundTripTimes(5 + first, third[first : first + at_once]))
         trips.close()
         summary = trips.summary()
         table = pl.read_parquet(Path(folder) / "round_trips.parquet")
@@ -74,8 +74,8 @@ def test_the_viewer_has_a_line_a_process_or_the_quantiles_of_many(tmp_path: Path
     names = [f"agent-{k}" for k in range(processes)]
     stream = RerunStream(topology, Observer(topology), "run", tmp_path / "run.rrd", None, processes=names)
     seconds = np.arange(1.0, 1 + 3 * processes).reshape(3, processes)
-    stream.round_trips(Trips(4, seconds[:2]), 0.0)
-    stream.round_trips(Trips(6, seconds[2:]), 1.0)
+    stream.round_trips(RoundTripTimes(4, seconds[:2]), 0.0)
+    stream.round_trips(RoundTripTimes(6, seconds[2:]), 1.0)
     assert stream.close(60.0)
     steps, shown = read_rrd(tmp_path / "run.rrd", "round_trip_ms")
     assert steps == [4, 5, 6]

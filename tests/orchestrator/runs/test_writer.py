@@ -138,7 +138,7 @@ def test_the_recorded_rows_are_read_and_the_sums_cover_all_nodes(thin: tuple[Run
 
 def test_an_array_that_needs_all_rows_explains_how_to_record_them(thin: tuple[Run, Run], tmp_path: Path) -> None:
     _, some = thin
-    for needs_all in (lambda: some.a_ls, lambda: report([some], tmp_path / "report"), lambda: some.heard):
+    for needs_all in (lambda: some.a_ls, lambda: report([some], tmp_path / "report"), lambda: some.received):
         with pytest.raises(UserError) as raised:
             needs_all()
         assert raised.value.code == Code.NOT_RECORDED

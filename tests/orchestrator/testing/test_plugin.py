@@ -173,7 +173,7 @@ def test_missed_messages_and_closed_edges(network: Networks) -> None:
 
 def test_a_network_without_edges_has_nothing_to_miss(network: Networks) -> None:
     run = network("{name: one, b: 0.1, steps: 3, nodes: [1]}").run()
-    assert run.heard.shape == run.edge_open.shape == (3, 0)
+    assert run.received.shape == run.edge_open.shape == (3, 0)
 
 
 def test_an_absent_node_has_no_estimate_and_no_input(network: Networks) -> None:
@@ -294,7 +294,7 @@ def test_both_engines_give_the_same_bits(network: Networks, processes: int | Non
         scenario = scenario.set(f"processes={processes}")
     real, reference = scenario.run(engine="zenoh"), scenario.run()
     assert real == reference
-    assert (real.heard == reference.heard).all()
+    assert (real.received == reference.received).all()
     assert (real.edge_open == reference.edge_open).all()
     assert real.verdict.content["engine"] == "zenoh"
     assert real.verdict.content["processes"] == (processes or 7)
@@ -380,7 +380,7 @@ def test_a_network_is_spoken_to_while_it_runs(network: Networks) -> None:
     assert run.verdict.content["restarts"] == 1
     again = network(run.folder).run(steps=run.steps)
     assert again == run
-    assert (again.heard == run.heard).all()
+    assert (again.received == run.received).all()
 
 
 def test_the_clock_of_a_network_is_the_tests(network: Networks) -> None:

@@ -35,7 +35,7 @@ from hedgerow.orchestrator.runs.folder import create
 from hedgerow.orchestrator.runs.reader import load_run
 from hedgerow.orchestrator.runs.writer import Recorder, to_parquet
 from hedgerow.orchestrator.views.rerun.opening import common_nodes, labels, open_runs
-from hedgerow.orchestrator.views.rerun.panels import quantities
+from hedgerow.orchestrator.views.rerun.panels import lines
 from hedgerow.orchestrator.views.rerun.rrd_file import RrdFile, part_path, parts
 from hedgerow.orchestrator.views.rerun.stream import DRAWN_NODES, Pace, RerunStream
 from hedgerow.orchestrator.views.rerun.viewer import Viewer, executable, start
@@ -549,7 +549,7 @@ def drawn(screenshot: Path) -> list[int]:
     """Return the number of pixels in the colour of each node of paper7: zero on a page without a run."""
     pixels = np.asarray(Image.open(screenshot).convert("RGB")).astype(int)
     topology = resolve(load("paper7"))
-    (x,) = (quantity for quantity in quantities(topology, Observer(topology)) if quantity.entity == "x")
+    (x,) = (quantity for quantity in lines(topology) if quantity.entity == "x")
     return [int((np.abs(pixels - color[:3]).max(axis=2) <= 24).sum()) for color in x.colors]
 
 
@@ -579,7 +579,7 @@ def test_a_page_shows_the_run_while_it_runs(tmp_path: Path) -> None:
                 by = time.monotonic() + 240.0
                 while not condition():
                     assert time.monotonic() < by, drawn(screenshot)
-                    page.wait_for_timeout(200)
+                    page.wait_for_timeout(1000)
 
             page.goto(f"{found[0]}&renderer=webgl")
             assert page.title() == "Rerun Viewer"
