@@ -123,7 +123,7 @@ def _warm_up() -> None:
     shard = Shard(view)
     for t in range(WARM_STEPS):
         if t:
-            shard.hear_message(0, pack_link(t - 1, t - 1, 1, [1.0], [1.0]))
+            shard.receive_message(0, pack_link(t - 1, t - 1, 1, [1.0], [1.0]))
         message = encode_state(t, np.ones(1), b"")
         if shard.answer_quietly(message) is None:
             state = decode_state(message, 1, 1)
