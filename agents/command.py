@@ -14,7 +14,7 @@ from hedgerow.wire import start  # noqa: E402
 def main() -> NoReturn:
     """Run the command `hedgerow-agent`; Ctrl-C during loading ends it without a traceback."""
     start.begin()
-    with start.needs("hedgerow-agent"):
+    with start.whole("hedgerow-agent"):
         from hedgerow.agents.standalone import main as run  # noqa: PLC0415
 
-    run()
+        run()

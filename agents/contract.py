@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from hedgerow.agents.law import Array, Law
 from hedgerow.agents.law_lines import line_of, place_of
-from hedgerow.agents.loading import LawError, arguments
+from hedgerow.agents.loading import LawError, arguments, reals
 from hedgerow.agents.local import Heard, Local, asks
 from hedgerow.topologies.archive import id_array
 from hedgerow.topologies.graph import Gain, Index
@@ -149,21 +149,36 @@ class _Test:
         self._compare(self._new(self._all), self._calls, self._all, "another object of the class", _UNREPEATABLE)
         for nodes in ([0], [1], [4], [0, 2, 3]):
             self._compare(self._new(np.array(nodes)), self._calls, np.array(nodes), "another layout", _MIXES)
+        for nodes in ([1], [2], [3]):
+            if np.isnan(self._trial.candidates[:, nodes]).all(axis=1).any():
+                other = self._new(np.array(nodes), padded=False)
+                self._compare(other, self._calls, np.array(nodes), _SHORTER, _PADDING, remembered=False)
         self._restore(law, blank)
 
     # The law.
 
-    def _new(self, nodes: Index) -> Law:
+    def _new(self, nodes: Index, padded: bool = True) -> Law:
+        """Return a law of some nodes; with `padded`, it has the rows of candidates in which only other nodes have one.
+
+        In a run, a process does not have these rows.
+        """
         trial = self._trial
         b = trial.b if isinstance(trial.b, float) else trial.b[nodes]
-        candidates = np.ascontiguousarray(trial.candidates[:, nodes])
+        listed = trial.candidates[:, nodes]
+        if not padded:
+            listed = listed[~np.isnan(listed).all(axis=1)]
+        listed = np.ascontiguousarray(listed)
+        candidates = listed.copy()
+        self._on_call()
         try:
             more = arguments(self._law, self._parameters)
             if asks(self._law.__init__, "local"):
                 more["local"] = self._local(nodes, b, candidates)
             law: Law = self._law(b, candidates, **more)
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             self._raised("__init__", error)
+        if (node := _differ(candidates, listed, nodes)) is not None:
+            self._broken("__init__", node, "changes its argument candidates", _copy("candidates"))
         return law
 
     def _local(self, nodes: Index, b: Gain, candidates: Array) -> Local:
@@ -188,18 +203,20 @@ class _Test:
         """Return a copy of the memory."""
         try:
             memory: Any = law.memory
-        except Exception as error:
-            self._raised(method, error)
-        if not isinstance(memory, np.ndarray) or memory.dtype.kind not in "biufc" or memory.shape[-1:] != (k,):
-            array = isinstance(memory, np.ndarray)
-            said = f"the shape {memory.shape}" if array else f"the type {type(memory).__name__}"
-            self._broken(
-                method,
-                None,
-                f"memory has {said}",
-                f"Make it an array of numbers with a last axis of the {k} nodes, (…, {k}).",
-            )
-        return memory.copy()
+        except (Exception, SystemExit) as error:
+            self._raised("memory", error)
+        said = ""
+        if not isinstance(memory, np.ndarray):
+            said = f"the type {type(memory).__name__}"
+        elif memory.dtype.kind not in "biufc":
+            said = f"elements of the type {memory.dtype}"
+        elif memory.shape[-1:] != (k,):
+            said = f"the shape {memory.shape}"
+        if said:
+            said = f"has {said}" if method == "memory" else f"leaves a memory that has {said}"
+            cure = f"Make it an array of numbers with a last axis of the {k} nodes, (…, {k})."
+            self._broken(method, None, said, cure)
+        return cast(NDArray[Any], memory.copy())
 
     # The calls.
 
@@ -222,6 +239,7 @@ class _Test:
                 flow[np.unique(self._row[lost])] = np.nan
                 x, x_next = _read(past, t - 1), _read(truth, t)
                 flow[np.isnan(x + x_next)] = np.nan
+                lost |= np.isnan(x[self._other])  # a neighbour without a reading has no state and no input
                 got_x, got_u = (np.where(lost, np.nan, values[self._other]) for values in (x, u))
                 sample = Heard(t - 1, everybody.copy(), got_x, got_u, np.where(lost, -1, t - 1))
                 heard_x, heard_u = np.where(lost, heard_x, got_x), np.where(lost, heard_u, got_u)
@@ -234,6 +252,9 @@ class _Test:
         before = self._memory(law, NODES)
         self._call(law, call)
         after = self._memory(law, NODES, "learn")
+        if (after.shape, after.dtype) != (before.shape, before.dtype):
+            grown = f"{before.dtype} {before.shape} to {after.dtype} {after.shape}"
+            self._broken("learn", None, f"changes the memory from {grown}", _FIXED)
         missing = np.isnan(cast(Array, call.flow))
         if (node := _differ(before[..., missing], after[..., missing], np.flatnonzero(missing))) is not None:
             self._broken(
@@ -273,26 +294,28 @@ class _Test:
         record = [call.heard.at(call.t)] if self._asks[call.method] else []
         try:
             answer = method(*given, *record)
-            u = np.array(answer if call.flow is None else np.zeros(k), dtype=float)
-        except Exception as error:
+            u = np.zeros(k) if call.flow is not None else reals(answer)
+        except (Exception, SystemExit) as error:
             self._raised(call.method, error)
         for name, one, kept in zip(("x", "flow", "x_next"), given, (call.x, call.flow, call.x_next), strict=False):
             if (node := _differ(one, cast(Array, kept), self._all)) is not None:
-                cure = f"Copy it first: {name} = {name}.copy()."
-                self._broken(call.method, node, f"changes its argument {name}", cure)
+                self._broken(call.method, node, f"changes its argument {name}", _copy(name))
         if u.shape != (k,):
             self._broken("act", None, f"returns the shape {u.shape}", f"Return one input per node, ({k},).")
         bad = ~np.isfinite(u) & np.isfinite(call.x)
         if bad.any():
             node = int(np.flatnonzero(bad)[0])
             said = f"returns {u[node]} for the state {call.x[node]:g} at step {call.t}"
-            self._broken("act", node if k == NODES else None, said, "Return a finite input; mind divisions by 0.")
+            more = ", and neighbours without a value (NaN, step -1)" if record else ""
+            self._broken(
+                "act", node if k == NODES else None, said, f"Return a finite input; mind divisions by 0{more}."
+            )
         return u
 
     def _report(self, law: Law, k: int) -> Array:
         try:
-            report = np.array(law.report(), dtype=float)
-        except Exception as error:
+            report = reals(law.report())
+        except (Exception, SystemExit) as error:
             self._raised("report", error)
         if report.shape != (REPORT_ROWS, k):
             cure = f"Return the estimate and the margin of every node, {(REPORT_ROWS, k)}, NaN where there is none."
@@ -301,13 +324,25 @@ class _Test:
 
     # The law compared with itself.
 
-    def _compare(self, law: Law, calls: Sequence[_Call], nodes: Index, what: str, cure: str, begin: int = 0) -> None:
-        """Make calls to a law of some nodes and compare it with the recorded answers after each."""
+    def _compare(
+        self,
+        law: Law,
+        calls: Sequence[_Call],
+        nodes: Index,
+        what: str,
+        cure: str,
+        begin: int = 0,
+        remembered: bool = True,
+    ) -> None:
+        """Make calls to a law of some nodes and compare it with the recorded answers after each.
+
+        Without `remembered`, the memory may have another shape and is not compared.
+        """
         incidences = self._of(nodes)
         for call, after in zip(calls, self._after[begin:], strict=True):
             u = self._call(law, call.of(nodes, incidences))
             memory = self._memory(law, len(nodes), call.method)
-            if (node := _differ(memory, after.memory[..., nodes], nodes)) is not None:
+            if remembered and (node := _differ(memory, after.memory[..., nodes], nodes)) is not None:
                 self._broken(call.method, node, f"learns something else in {what}", cure)
             if after.u is None or after.report is None:
                 continue
@@ -337,7 +372,7 @@ class _Test:
         kept = memory.copy()
         try:
             law.memory = memory
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             self._raised("memory", error)
         if (node := _differ(self._memory(law, NODES), kept, self._all)) is not None:
             cure = "Keep all of the array that is assigned, and return it unchanged."
@@ -352,16 +387,26 @@ class _Test:
         text = f"{where}law {self._name} breaks the contract of laws: {called}{of} {what}. {cure}"
         raise LawError(text, method=method, node=None if node is None else self._trial.ids[node])
 
-    def _raised(self, method: str, error: Exception) -> NoReturn:
+    def _raised(self, method: str, error: BaseException) -> NoReturn:
+        if isinstance(error, SystemExit) and type(error) is not SystemExit:
+            raise error  # of a signal handler of ours, and not of the law
         called = "memory" if method == "memory" else f"{method}()"
         said = f"{called} raised {crash.summary(error)}. Correct that line."
-        raise LawError(f"{place_of(error, self._law)}law {self._name}: {said}", method=method) from error
+        where = place_of(error, self._law) or line_of(self._law, method)
+        raise LawError(f"{where}law {self._name}: {said}", method=method) from error
+
+
+def _copy(name: str) -> str:
+    return f"Copy it first: {name} = {name}.copy()."
 
 
 _UNREPEATABLE = "Let it depend on its arguments and on the memory alone: not on a clock, a counter or random numbers."
 _MIXES = (
     "Let each column depend on its own node alone. Sum over candidates in the same order for one node as for several."
 )
+_SHORTER = "a layout without the longer lists of other nodes"
+_PADDING = "Do not count the rows of candidates: behind the end of a list they are NaN, and other processes lack them."
+_FIXED = "Give the memory its last shape and type in the constructor: old copies of it are assigned again."
 _HIDDEN = "Keep everything that learn() changes in memory, in the column of its node."
 
 

@@ -40,13 +40,14 @@ def line_of(law: type[Any], method: str) -> str:
 def place_of(error: BaseException, law: type[Any]) -> str:
     """Return `file:line: ` of the line in the law that raised an exception, as the start of a message.
 
-    It is the last line in a file of the law. If there is none, it is the last line of all.
+    It is the last line in a file of the law, and of those the last one outside of this project. If there is none, it is
+    the last line of all.
     """
     frames = traceback.extract_tb(error.__traceback__)
-    own = set(files_of(law))
-    found = [frame for frame in frames if frame.filename in own] or [
-        frame for frame in frames if not str(Path(frame.filename).resolve()).startswith(_OURS)
-    ]
+    files = set(files_of(law))
+    own = [frame for frame in frames if frame.filename in files]
+    foreign = [frame for frame in frames if not str(Path(frame.filename).resolve()).startswith(_OURS)]
+    found = [frame for frame in own if frame in foreign] or own or foreign
     return f"{_short(found[-1].filename)}:{found[-1].lineno}: " if found else ""
 
 
@@ -72,6 +73,16 @@ def running(thread: int, law: type[Any]) -> str:
             return f"{_short(frame.f_code.co_filename)}:{frame.f_lineno}"
         frame = frame.f_back
     return ""
+
+
+def call_of(thread: int, law: type[Any]) -> FrameType | None:
+    """Return the frame of the call of a law that a thread makes now, the first of its frames in a file of the law."""
+    frame: FrameType | None = sys._current_frames().get(thread)
+    own, call = set(files_of(law)), None
+    while frame is not None:
+        call = frame if frame.f_code.co_filename in own else call
+        frame = frame.f_back
+    return call
 
 
 def _short(file: str) -> str:

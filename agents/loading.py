@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
+import difflib
 import importlib
 import inspect
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from hedgerow.agents.law import Law
+from hedgerow.agents.law import Array, Law
 from hedgerow.agents.law_lines import line_of, place_in_module, place_of
 from hedgerow.agents.laws import LAWS, law_of_name
 from hedgerow.agents.local import Local, asks
@@ -47,16 +48,33 @@ def law_class(name: str) -> type[Law]:
             law: type[Law] = getattr(importlib.import_module(module), attribute)
         finally:
             sys.dont_write_bytecode = before
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         where = place_in_module(error)
-        cure = "Correct that line." if where else "Give package.module:Class, importable here (docs/laws.md)."
+        cure = "Correct that line." if where else _cure_of_name(module, attribute)
         why = crash.summary(error)
         raise UserError(f"{where}law {name}: cannot be loaded: {why}. {cure}", code=Code.LAW) from error
+    if not isinstance(law, type):
+        kind = type(law).__name__
+        raise UserError(f"law {name}: is no class, but of the type {kind}. Give a class (docs/laws.md).", code=Code.LAW)
     if missing := [method for method in ("act", "learn", "report") if not callable(getattr(law, method, None))]:
         raise UserError(
             f"law {name}: has no {', '.join(missing)}(); a law has act, learn and report (docs/laws.md)", code=Code.LAW
         )
     return law
+
+
+def _cure_of_name(module: str, attribute: str) -> str:
+    """Return the fix of a name that cannot be loaded."""
+    if module.endswith(".py"):
+        return f"Write {module[:-3]}:{attribute}."
+    loaded = sys.modules.get(module)
+    if loaded is None:
+        return "Give package.module:Class, importable here (docs/laws.md)."
+    file = getattr(loaded, "__file__", None)
+    place = f"{module} is {file}" if file else f"{module} is a module of Python"
+    classes = [one for one, value in vars(loaded).items() if isinstance(value, type)]
+    near = difflib.get_close_matches(attribute, classes, 1)
+    return f"{place}. " + (f"Did you mean {near[0]}?" if near else "Name a class of it, or rename your module.")
 
 
 _OURS = ("self", "b", "candidates", "local", "parameters")
@@ -75,17 +93,40 @@ def declared(law: type[Any]) -> dict[str, Any]:
         listed = inspect.signature(source).parameters.values()
     except (TypeError, ValueError):
         return {}
+    made = _factories(law if group is None else group)
     return {
-        one.name: dataclasses.MISSING if one.default is one.empty else one.default
+        one.name: made[one.name]()
+        if one.name in made
+        else dataclasses.MISSING
+        if one.default is one.empty
+        else one.default
         for one in listed
         if one.name not in _OURS and (group is not None or one.kind is one.KEYWORD_ONLY)
     }
+
+
+def _factories(group: Any) -> dict[str, Callable[[], Any]]:
+    """Return the factories of the defaults of a dataclass or a pydantic model, by field."""
+    listed: dict[str, Any]
+    if dataclasses.is_dataclass(group):
+        listed = {one.name: one.default_factory for one in dataclasses.fields(group)}
+    else:  # no import of pydantic here: an agent loads it only if its law does
+        listed = {key: getattr(one, "default_factory", None) for key, one in getattr(group, "model_fields", {}).items()}
+    return {key: made for key, made in listed.items() if made not in (None, dataclasses.MISSING)}
 
 
 def arguments(law: type[Law], parameters: Mapping[str, Any]) -> dict[str, Any]:
     """Return parameters as the keyword arguments of a constructor."""
     group = getattr(law, "Parameters", None)
     return dict(parameters) if group is None else {"parameters": group(**parameters)}
+
+
+def reals(given: object) -> Array:
+    """Return a copy of what a law returned as an array of floats; raise TypeError for complex numbers."""
+    array = np.array(given)
+    if array.dtype.kind == "c":
+        raise TypeError("these are complex numbers, and not real ones")
+    return array.astype(float, copy=False)
 
 
 def new_law(view: View) -> Law:
@@ -98,7 +139,7 @@ def new_law(view: View) -> Law:
             more["local"] = local_of(view, choice.parameters)
         begun = law(view.b, view.candidates, **more)
         shape = np.shape(begun.memory)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         said = f"__init__() raised {crash.summary(error)}. Correct that line."
         raise LawError(f"{place_of(error, law)}law {view.law}: {said}", method="__init__") from error
     if shape[-1:] != (view.k,):

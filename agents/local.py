@@ -79,7 +79,7 @@ class Heard(NamedTuple):
 
     `act(x, now)` at step t gets the newest values that have arrived by then, each with its step. `learn(x, flow,
     x_next, sample)` of the sample of step t gets the values of step t alone, over the edges that carried flow at t. A
-    value that is missing is NaN, and its step is -1.
+    value that is missing is NaN, and its step is -1. A neighbour without a reading has no values of that step.
     """
 
     t: int

@@ -39,7 +39,6 @@ from hedgerow.wire.codec import (
     decode_state,
     encode_event,
     encode_input,
-    encode_link,
     kind_of,
 )
 from hedgerow.wire.credentials import Credentials
@@ -329,13 +328,11 @@ class Agent:
             return
         self._pending = None
         self._answering = _Answering(state.t, threading.get_ident(), time.monotonic())
-        u = shard.answer(state)
+        shard.step(state)
         self._answering = None
-        out = []
-        for peers, link in shard.send(state):
-            message = encode_link(link, shard.peers[peers[0]].sends)
-            out += [(self._links[p], message) for p in peers]
-        out.append((self._input, encode_input(state.t, u, shard.report, shard.took)))
+        links, own = shard.messages(state)
+        out = [(self._links[p], message) for peers, message in links for p in peers]
+        out.append((self._input, own))
         self._sent.append(out)
         if self._unsent or sum(len(message) for _, message in out) > LONG_BYTES:
             self._send_later(functools.partial(_put_all, out))

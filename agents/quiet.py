@@ -1,10 +1,11 @@
-"""The quiet step of a few nodes in Python's floats: equations (6) and (7) without numpy.
+"""The step of a few nodes in Python's floats: equations (6) and (7) without numpy.
 
 A step is quiet if every edge is open, every message of the step before is there, and nothing is learned late. Almost
 every step is. An array of one number costs as much as one of a hundred, so a shard of a few nodes makes its quiet steps
-here: those of the paper's law below, those of the other laws of the project in agents.quiet_laws. Other steps, and
-laws of other classes, use the general path (agents.samples and the law itself); `settle` passes
-everything learned to it. Both ways give the same bits, because they do the same operations in the same order.
+here: those of the paper's law below, those of the other laws of the project in agents.quiet_laws. With the law of the
+paper, it also makes the steps in which messages are dropped or late here (agents.waiting). Other steps, and laws of
+other classes, use the general path (agents.samples and the law itself); `settle` passes everything to it. Both ways
+give the same bits, because they do the same operations in the same order.
 """
 
 from __future__ import annotations
@@ -19,15 +20,17 @@ import numpy as np
 from hedgerow.agents.law import Array, Law, Minimax
 from hedgerow.agents.local import asks
 from hedgerow.agents.quiet_rule import Rule, Sample
+from hedgerow.agents.samples import Samples
 from hedgerow.agents.view import View
+from hedgerow.agents.waiting import MOST_WAITING, Row, Waiting
 from hedgerow.wire.codec import Form, decode_link
-from hedgerow.wire.message import REPORT_ROWS, Kind, Link
+from hedgerow.wire.message import REPORT_ROWS, Flag, Kind, Link, Span
 
-FEW_NODES = 4
+FEW_NODES = 8
 MOST_INCIDENCES = 24
 """with more, numpy is as fast"""
 PATIENCE = 4
-"""quiet steps in a row before floats take over; to change over costs as much as two general steps"""
+"""easy steps in a row before floats take over; to change over costs as much as two general steps"""
 
 
 class _Node(NamedTuple):
@@ -54,6 +57,7 @@ class QuietLaw:
         self._nodes = [_Node(*one) for one in zip(gains, columns, incidences, rules, strict=True)]
         self._law, self._height = law, len(law.memory)
         self._receives = [peer.receives for peer in view.peers]
+        self._sends: list[list[int]] = [peer.sends.tolist() for peer in view.peers]
         self._asks = asks(law.learn, "sample")
         self._rows = [struct.Struct(f"<{peer.receives}d") for peer in view.peers]
         self._J: list[list[float]] = []
@@ -63,12 +67,15 @@ class QuietLaw:
         """states of the last step, (k,)"""
         self.states: Sequence[float] = ()
         """states of the sample learned last: our own, and for a law that asks the peers' behind them"""
-        self.u: Sequence[float] = ()
+        self.u: list[float] = []
         """inputs of the last step, (k,)"""
         self.report: Sequence[float] = ()
         """ahat and then the margins of the last step, (2k,)"""
-        self._quiet = 0
-        """number of quiet steps of the general path in a row"""
+        self.waiting = Waiting(view) if view.history > MOST_WAITING and isinstance(law, Minimax) else None
+        """the samples that wait for rows; None for other laws and short histories, which wait in the general path"""
+        self._nothing = [nan] * (sum(self._receives))
+        self._easy = 0
+        """number of steps of the general path in a row that could have been made here"""
 
     @classmethod
     def of(cls, view: View, law: Law) -> QuietLaw | None:
@@ -90,27 +97,51 @@ class QuietLaw:
                 return None
         return cls(view, law, rules)
 
-    def after(self, was_quiet: bool, x: Array, u: Array, report: Array) -> None:
-        """Count a step that the general path made; after some quiet ones, take over its memory, states and inputs."""
-        self._quiet = self._quiet + 1 if was_quiet else 0
-        if self._quiet < PATIENCE:
+    @property
+    def waits(self) -> bool:
+        """Return True if a sample waits for a row."""
+        return self.waiting is not None and self.waiting.most > 0
+
+    def makes(self, flags: bytes, spans: Sequence[Span]) -> bool:
+        """Return True if the step after a state with these flags and spans can be made here."""
+        if not flags and not spans:
+            return True
+        return self.waiting is not None and all(bits & Flag.OPEN for bits in flags)
+
+    def after(self, was_easy: bool, x: Array, u: Array, report: Array, samples: Samples | None = None) -> None:
+        """Count a step that the general path made; after some easy ones, take over its memory, states and inputs.
+
+        A step is easy if it could be made here. The samples that wait in `samples` come here, too.
+        """
+        self._easy = self._easy + 1 if was_easy else 0
+        if self._easy < PATIENCE or not isfinite(sum(x.tolist()) + sum(u.tolist())):
+            return
+        if samples is not None and not self._takes_over(samples):
             return
         self.x, self.u, self.report = x.tolist(), u.tolist(), report.ravel().tolist()
-        if isfinite(sum(self.x) + sum(self.u)):
-            memory = self._law.memory.T.tolist()
-            self._J = [
-                J[: len(node.candidates)] if node.rule is None else J
-                for J, node in zip(memory, self._nodes, strict=True)
-            ]
-            self.holds = True
+        memory = self._law.memory.T.tolist()
+        self._J = [
+            J[: len(node.candidates)] if node.rule is None else J for J, node in zip(memory, self._nodes, strict=True)
+        ]
+        self.holds = True
+
+    def _takes_over(self, samples: Samples) -> bool:
+        """Take over the samples that wait; return False, with nothing changed, if that is impossible."""
+        if self.waiting is None:
+            return samples.complete
+        learned = None if samples.complete else samples.unlearned
+        if not self.waiting.begin(samples.last(MOST_WAITING), learned):
+            return False
+        samples.forget_last(self.waiting.most)
+        return True
 
     def settle(self) -> None:
-        """Hand everything learned back to the law."""
+        """Hand everything learned back to the law; `waiting` still holds the samples that wait."""
         J = np.full((self._height, len(self._nodes)), np.inf)
         for column, own in zip(J.T, self._J, strict=True):
             column[: len(own)] = own
         self._law.memory = J
-        self._J, self._quiet, self.holds = [], 0, False
+        self._J, self._easy, self.holds = [], 0, False
 
     def step(self, states: Sequence[float], links: Sequence[Link | bytes], past: int) -> Sequence[float] | None:
         """Learn the sample of t - 1, equation (7), and act at t, equation (6), for the states x(t), (k,).
@@ -124,40 +155,84 @@ class QuietLaw:
             rows = link if isinstance(link, bytes) else link.u
             row += numbers.unpack_from(rows, len(rows) - numbers.size)  # the newest inputs come last in both
         costs, inputs, estimates, margins = [], [], [], []
-        for (b, candidates, incidences, rule), J, now, before in zip(
-            self._nodes, self._J, states, self.x, strict=False
-        ):
-            flow = 0.0
-            for i, j, weight in incidences:
-                flow += weight * (row[i] - row[j])
-            moved = now - b * flow
-            if rule is not None:
+        for node, J, now, before in zip(self._nodes, self._J, states, self.x, strict=False):
+            if node.rule is None:
+                learned = _learned(node, J, row, before, now)
+                u, ahat, margin = _acted(node, learned, now)
+            else:
                 try:
-                    learned, u, ahat, margin = rule(J, Sample(past, before, moved, b * now))
+                    moved = now - node.b * _flow(node, row)
+                    learned, u, ahat, margin = node.rule(J, Sample(past, before, moved, node.b * now))
                 except (ArithmeticError, ValueError):  # numpy has inf or NaN there
                     return None
-                if not isfinite(u + sum(learned)):
-                    return None
-                costs.append(learned)
-                inputs.append(u)
-                estimates.append(ahat)
-                margins.append(margin)
-                continue
-            learned = [J_a + (residual := a * before - moved) * residual for J_a, a in zip(J, candidates, strict=False)]
-            ordered = sorted(learned)
-            least = ordered[0]
-            # index() finds the first of equal costs, so a tie goes to the candidate listed first.
-            ahat = candidates[learned.index(least)] if isfinite(sum(learned)) else nan
-            u = b * now / (ahat - 1.0)
-            if not isfinite(u):
+            if not isfinite(u + sum(learned)):
                 return None
             costs.append(learned)
             inputs.append(u)
             estimates.append(ahat)
-            margins.append(ordered[1] - least if len(ordered) > 1 else inf)
+            margins.append(margin)
         self.states = [*self.x, *self._states_of(links)] if self._asks else self.x
+        if self.waiting is not None:
+            self.waiting.rows.append(Row(self.x, row))
         self._J, self.x, self.u, self.report = costs, states, inputs, estimates + margins
         return row
+
+    def step_with_gaps(
+        self,
+        states: Sequence[float],
+        links: Sequence[Link | bytes | None],
+        past: int,
+        flags: bytes,
+        spans: Sequence[Span],
+    ) -> tuple[bytes, list[Row]] | None:
+        """Learn all samples that are complete now, and act, as `step` does, if rows are missing or arrive late.
+
+        `flags` (m,) and `spans` are those of the state message. Return the Flag bits of the inputs used, and the rows
+        in which no sample waits any more. Return None, and change nothing, if the general path has to make the step.
+        """
+        waiting = self.waiting
+        if waiting is None or not isfinite(sum(states)):
+            return None
+        if (arrivals := waiting.arrivals(past, links, flags, spans)) is None:
+            return None
+        rows = waiting.rows
+        rows.append(Row(self.x, [*self.u, *self._nothing]))
+        missing, took = waiting.fill(arrivals)
+        samples = waiting.samples_with(missing)
+        costs, inputs, estimates, margins = [], [], [], []
+        for i, (node, J, now) in enumerate(zip(self._nodes, self._J, states, strict=True)):
+            learned = J
+            for k in range(-1 - waiting.samples[i], -samples[i]):
+                x, row = rows[k]
+                learned = _learned(node, learned, row, x[i], now if k == -1 else rows[k + 1].x[i])
+            u, ahat, margin = _acted(node, learned, now)
+            if not isfinite(u + sum(learned)):
+                rows.pop()
+                return None
+            costs.append(learned)
+            inputs.append(u)
+            estimates.append(ahat)
+            margins.append(margin)
+        most = max(samples)
+        learned_rows = [rows[k] for k in range(-1 - waiting.most, -most)]
+        waiting.missing, waiting.samples, waiting.most = missing, samples, most
+        self._J, self.x, self.u, self.report = costs, states, inputs, estimates + margins
+        return took, learned_rows
+
+    def stores(self, t: int, first: int) -> bool:
+        """Return True if our rows from step `first` to t - 1 are here, and t is the last step."""
+        return first == t or (self.waiting is not None and t - first <= len(self.waiting.rows))
+
+    def rows(self, t: int, first: int, last: int, peer: int) -> tuple[list[float], list[float]]:
+        """Return the states and inputs of steps first to last for a peer, row by row; t is the last step made."""
+        nodes = self._sends[peer]
+        x: list[float] = []
+        u: list[float] = []
+        for step in range(first, last + 1):
+            row_x, row_u = (self.x, self.u) if step == t or self.waiting is None else self.waiting.rows[step - t]
+            x += [row_x[i] for i in nodes]
+            u += [row_u[i] for i in nodes]
+        return x, u
 
     def _states_of(self, links: Sequence[Link | bytes]) -> list[float]:
         """Return the peers' newest states in their messages."""
@@ -166,6 +241,29 @@ class QuietLaw:
             rows = (decode_link(link, count) if isinstance(link, bytes) else link).x
             states += numbers.unpack_from(rows, len(rows) - numbers.size)
         return states
+
+
+def _flow(node: _Node, inputs: Sequence[float]) -> float:
+    """Return the flow of a node, from all inputs of a row."""
+    flow = 0.0
+    for i, j, weight in node.incidences:
+        flow += weight * (inputs[i] - inputs[j])
+    return flow
+
+
+def _learned(node: _Node, J: Sequence[float], inputs: Sequence[float], x: float, x_next: float) -> list[float]:
+    """Return the costs after one more sample, equation (7)."""
+    moved = x_next - node.b * _flow(node, inputs)
+    return [J_a + (residual := a * x - moved) * residual for J_a, a in zip(J, node.candidates, strict=False)]
+
+
+def _acted(node: _Node, J: list[float], x: float) -> tuple[float, float, float]:
+    """Return the input of equation (6), ahat and the margin."""
+    ordered = sorted(J)
+    least = ordered[0]
+    # index() finds the first of equal costs, so a tie goes to the candidate listed first.
+    ahat = node.candidates[J.index(least)]
+    return node.b * x / (ahat - 1.0), ahat, ordered[1] - least if len(ordered) > 1 else inf
 
 
 class QuietForms:
@@ -194,5 +292,9 @@ class QuietForms:
                 messages.append(form.pack(form.code, t, t, *x, *u))
             else:
                 messages.append(form.pack(form.code, t, t, *[x[i] for i in nodes], *[u[i] for i in nodes]))
-        messages.append(self._input.pack(self._input.code, t, *u, *report))
+        messages.append(self.input(t, u, report))
         return messages
+
+    def input(self, t: int, u: Sequence[float], report: Sequence[float]) -> bytes:
+        """Return the input message of step t, without Flag bits."""
+        return self._input.pack(self._input.code, t, *u, *report)

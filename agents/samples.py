@@ -71,6 +71,8 @@ class Samples:
         self._behind: set[int] = set()
         """incidences with a wanted row that has not arrived"""
         self._everybody = np.ones(self.k, dtype=bool)
+        self._learned: Index = np.full(self.k, -1)
+        """by node: no later sample than this step's is in the law's memory; up to date while a sample is incomplete"""
         self._marks: list[_Mark] = []
         """the marks by step, while a sample is incomplete; all are valid for all nodes, except possibly the first mark,
         at the oldest row, which may cover only returned nodes
@@ -105,6 +107,40 @@ class Samples:
         self._history.append(x, u, self._all)
         self._read_at = -1
 
+    @property
+    def unlearned(self) -> list[int]:
+        """Return the number of steps since the last learned sample, by node; call it while a sample waits."""
+        counts: list[int] = (self._history.next - 1 - self._learned).tolist()
+        return counts
+
+    def last(self, most: int) -> list[tuple[list[float], list[float], bytes]]:
+        """Return the last rows, at most `most`, the newest last: states, inputs, and the Flag bits of those used."""
+        history, start, stop = self._history, self._history.next - most, self._history.next
+        x, u = history.x(start, stop).tolist(), history.u(start, stop).tolist()
+        return list(zip(x, u, map(bytes, history.bits(start, stop)), strict=True))
+
+    def forget_last(self, count: int) -> None:
+        """Forget this number of last rows: another owner has them, and all samples that wait."""
+        self._history.drop_last(count)
+        self._marks.clear()
+        self._behind.clear()
+
+    def wait(
+        self, rows: Sequence[tuple[tuple[Sequence[float], Sequence[float]], bytes]], counts: Sequence[int]
+    ) -> None:
+        """Store the rows of steps with samples that wait: states and inputs, and the Flag bits of the inputs used.
+
+        `counts` (k,) are the numbers of samples that wait, by node: its newest ones. The law has learned none of them.
+        """
+        waits = np.array(counts)
+        for (x, u), bits in rows:
+            self._history.append(x, u, np.frombuffer(bits, np.uint8))
+        after = self._history.next
+        for count in sorted(set(counts) - {0}, reverse=True):
+            self._marks.append(_Mark(after - count, self._law.memory.copy(), waits == count))
+        self._learned = after - 1 - waits
+        self._behind = {c for c, bits in enumerate(rows[-1][1]) if bits == _OPEN}
+
     def take_late(
         self,
         t: int,
@@ -123,6 +159,8 @@ class Samples:
         """
         row = states if self.asks and states is not None else x
         bits = np.frombuffer(took, np.uint8)
+        if not self._marks:
+            self._learned.fill(t - 1)
         if self._most:
             if (wants := Flag.OPEN in took) and not (self._marks and self._marks[-1].of.all()):
                 self._mark(t)
@@ -138,7 +176,9 @@ class Samples:
                 self._behind.update(np.flatnonzero(bits == _OPEN).tolist())
         elif back is not None:
             self._forget(back)
-        self._learn(x, self._flow(u, bits), x_next, self._heard(t, self._everybody, row, u, bits))
+        flow = self._flow(u, bits)
+        self._learn(x, flow, x_next, self._heard(t, self._everybody, row, u, bits))
+        self._learned[np.isfinite(flow)] = t
         if not self._behind:
             self._marks.clear()
         elif self._history.next % MARK_EVERY == 0:
@@ -221,41 +261,52 @@ class Samples:
         memory = self._law.memory.copy()
         memory[..., nodes] = self._blank[..., nodes]
         self._law.memory = memory
+        self._learned[nodes] = -1
 
     def _learn_again(self, since: Mapping[int, int], until: int) -> None:
-        """Learn the samples of each node from its step in `since` to `until` again, starting at its last valid mark."""
+        """Learn the samples of each node from its step in `since` to `until`, as if none of them had been learned.
+
+        Usually none has been: a link that was down delivers all its rows at once. Otherwise return to the node's last
+        valid mark first.
+        """
+        onward: dict[int, int] = {}
         from_mark: dict[int, list[int]] = {}
         for node, step in sorted(since.items()):
-            marks = (k for k, mark in enumerate(self._marks) if mark.t <= step and mark.of[node])
-            from_mark.setdefault(max(marks, default=0), []).append(node)
+            if self._starts_here(node, step):
+                onward[node] = step
+            else:
+                marks = (k for k, mark in enumerate(self._marks) if mark.t <= step and mark.of[node])
+                from_mark.setdefault(max(marks, default=0), []).append(node)
         for k, nodes in from_mark.items():
-            self._learn_from(k, until, nodes)
+            start, before, _ = self._marks[k]
+            memory = self._law.memory.copy()
+            memory[..., nodes] = before[..., nodes]
+            self._law.memory = memory
+            self._learn_onward(dict.fromkeys(nodes, start), until)
+        if onward:
+            self._learn_onward(onward, until)
 
-    def _learn_from(self, k: int, until: int, nodes: list[int]) -> None:
-        """Learn the samples from the k-th mark to `until` again, for these nodes."""
-        law, (start, memory, _) = self._law, self._marks[k]
-        later = {mark.t: mark.memory for mark in self._marks[k + 1 :]}
-        if len(nodes) == self.k:
-            law.memory = memory.copy()
-        else:
-            partly = law.memory.copy()
-            partly[..., nodes] = memory[..., nodes]
-            law.memory = partly
+    def _starts_here(self, node: int, step: int) -> bool:
+        """Return True if the law's memory of a node is that before the sample of this step."""
+        return bool(self._learned[node] < step)
+
+    def _learn_onward(self, since: Mapping[int, int], until: int) -> None:
+        """Learn the samples of each node from its step in `since` to `until`; the law's memory is that before them."""
+        law, nodes, first = self._law, np.array(list(since)), np.array(list(since.values()))
+        start = int(first.min())
+        marks = {mark.t: mark.memory for mark in self._marks if mark.t > start}
         x, u, bits = (rows(start, until + 1) for rows in (self._history.x, self._history.u, self._history.bits))
-        chosen = np.zeros(self.k, dtype=bool)
-        chosen[nodes] = True
-        for step in range(until - start + 1):
-            if (mark := later.get(start + step)) is not None:
-                mark[..., nodes] = law.memory[..., nodes]
-            if start + step < until:
-                flow = self._flow(u[step], bits[step])
-                if len(nodes) < self.k:
-                    partly = np.full(self.k, np.nan)
-                    partly[nodes] = flow[nodes]
-                    flow = partly
-                row: Array = x[step]
-                sample = self._heard(start + step, chosen, row, u[step], bits[step])
-                self._learn(row[: self.k], flow, x[step + 1][: self.k], sample)
+        for step in range(start, until + 1):
+            chosen = np.zeros(self.k, dtype=bool)
+            chosen[nodes[first <= step]] = True
+            if (mark := marks.get(step)) is not None:
+                mark[..., chosen] = law.memory[..., chosen]
+            if step < until:
+                row, inputs, flags = (rows[step - start] for rows in (x, u, bits))
+                flow = np.where(chosen, self._flow(inputs, flags), np.nan)
+                sample = self._heard(step, chosen, row, inputs, flags)
+                self._learn(row[: self.k], flow, x[step + 1 - start][: self.k], sample)
+                self._learned[np.isfinite(flow)] = step
 
     def _whole_flow(self, u: Array) -> Array:
         """Return the flow f of one step, (k,), from inputs (width,); no input is missing and all edges are open."""
@@ -295,7 +346,7 @@ class Samples:
         """
         if not self.asks:
             return None
-        got = bits & TAKEN == TAKEN
+        got = (bits & TAKEN == TAKEN) & np.isfinite(states[self._other] + u[self._other])
         x, inputs = (np.where(got, values[self._other], np.nan) for values in (states, u))
         return Heard(t, nodes.copy(), x, inputs, np.where(got, t, -1))
 

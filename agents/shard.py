@@ -8,52 +8,28 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hedgerow.agents.law import Array, Law
 from hedgerow.agents.law_lines import line_of, place_of, running
-from hedgerow.agents.loading import LawError, new_law
+from hedgerow.agents.loading import LawError, new_law, reals
 from hedgerow.agents.local import Heard, asks
+from hedgerow.agents.peer import Peer
 from hedgerow.agents.quiet import QuietForms, QuietLaw
 from hedgerow.agents.samples import LateRows, Samples
 from hedgerow.agents.view import View
 from hedgerow.topologies.graph import all_finite
 from hedgerow.wire import crash
-from hedgerow.wire.codec import decode_link, gather, link_step
+from hedgerow.wire.codec import encode_input, encode_link, gather, link_step, pack_link
 from hedgerow.wire.message import ALL_UP, LATE, MOST_LATE, REPORT_ROWS, TAKEN, Flag, Link, Mask, Record, State
 
 Index = NDArray[np.int64]
 
 _TAKEN_OF = bytes(flags & TAKEN for flags in range(256))
-MAIL = 64
-"""number of link messages kept per peer; a correct peer is never this far ahead"""
 _SILENCE = struct.pack("<d", math.nan)
-
-
-@dataclass(eq=False, slots=True)
-class Peer:
-    """Another shard with neighbours of ours, and its link messages."""
-
-    nodes: Index | None
-    """indices of our nodes in a link message to it; None for all nodes in order"""
-    sends: int
-    """number of these nodes"""
-    receives: int
-    """number of its nodes in a message to us"""
-    start: int
-    """the place of its first input in our own inputs followed by the peers' inputs"""
-    incidences: Sequence[int]
-    """the incidences that lead to it"""
-    mail: dict[int, Link | bytes] = field(default_factory=dict)
-    """link messages by step, as they arrived, for steps not yet used by a sample"""
-
-    def take(self, t: int) -> Link | None:
-        """Return the link message of step t and drop it; None if it has not arrived."""
-        link = self.mail.pop(t, None)
-        return decode_link(link, self.receives) if isinstance(link, bytes) else link
+_TELL = int(Flag.TELL)
 
 
 class Shard:
@@ -125,18 +101,14 @@ class Shard:
 
         If there are too many, drop the one of the latest step.
         """
-        self._keep(self.peers[peer].mail, link.t, link)
+        if link.t >= self.t:
+            self.peers[peer].keep(link.t, link)
 
     def hear_message(self, peer: int, message: bytes) -> None:
         """Keep the bytes of a link message, as `receive` does; raise MessageError if they are malformed."""
         own = self.peers[peer]
-        self._keep(own.mail, link_step(message, own.receives), message)
-
-    def _keep(self, mail: dict[int, Link | bytes], t: int, link: Link | bytes) -> None:
-        if t >= self.t:
-            mail[t] = link
-            if len(mail) > MAIL:
-                del mail[max(mail)]
+        if (t := link_step(message, own.receives)) >= self.t:
+            own.keep(t, message)
 
     def recall(self, record: Record) -> None:
         """Keep the plant's record of nodes that come back at `record.t`."""
@@ -159,10 +131,15 @@ class Shard:
 
     def answer(self, state: State) -> Array:
         """Close the sample of t - 1 and return u(t), (k,), for the state of t; call it once no peer is awaited."""
+        self.step(state)
+        return self.u
+
+    def step(self, state: State) -> None:
+        """Make the step of `answer`, and return nothing: arrays of a step in floats would be made for it."""
         t, x, quiet = state.t, state.x, self._quiet
         if quiet is not None and quiet.holds:
-            if not (state.flags or state.spans) and t == self.t + 1 and self._step_quietly(x.tolist(), quiet):
-                return self.u
+            if t == self.t + 1 and self._step_in_floats(state, quiet):
+                return
             self._settle(quiet)
         record = self._record if self._record is not None and self._record.t == t else None
         try:
@@ -170,14 +147,13 @@ class Shard:
                 self._restore(record)
             if t > 0:
                 self._close(state, record.back if record is not None else None)
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             raise self._raised("learn", error) from error
         self._record = None
         u = self._act(t, x)
         if quiet is not None:
-            was_quiet = not (t == 0 or state.flags or state.spans or record is not None) and self._samples.complete
-            quiet.after(was_quiet, x, u, self._report)
-        return u
+            was_easy = t > 0 and record is None and quiet.makes(state.flags, state.spans)
+            quiet.after(was_easy, x, u, self._report, self._samples)
 
     def answer_quietly(self, message: bytes) -> list[bytes] | None:
         """Return the answer to a state message: one link message per entry of `audience`, and the input message.
@@ -194,7 +170,7 @@ class Shard:
     def _step_quietly(self, x: Sequence[float], quiet: QuietLaw) -> bool:
         """Make the next step without numpy and return True; False, with nothing changed, if the step is not quiet."""
         past = self.t
-        if self._record is not None:
+        if self._record is not None or quiet.waits:
             return False
         links = [peer.mail.get(past) for peer in self.peers]
         if None in links or (inputs := quiet.step(x, links, past)) is None:  # type: ignore[arg-type]  # none is None
@@ -205,10 +181,30 @@ class Shard:
         self.t, self.took, self._behind = past + 1, b"", True
         return True
 
+    def _step_in_floats(self, state: State, quiet: QuietLaw) -> bool:
+        """Make the next step without numpy and return True; False, with nothing changed, if it is not easy."""
+        past, x = self.t, state.x.tolist()
+        if not (state.flags or state.spans or quiet.waits):
+            return self._step_quietly(x, quiet)
+        if self._record is not None:
+            return False
+        links = [peer.mail.get(past) for peer in self.peers]
+        if (taken := quiet.step_with_gaps(x, links, past, state.flags or self._up, state.spans)) is None:
+            return False
+        for peer in self.peers:
+            peer.mail.pop(past, None)
+        self.took, learned = taken
+        for row in learned:
+            self._samples.append_learned(*row)
+        self.t, self._behind = past + 1, True
+        return True
+
     def _settle(self, quiet: QuietLaw) -> None:
-        """Have the law and the arrays hold the newest numbers again."""
+        """Have the law, the samples and the arrays hold the newest numbers again."""
         self._refresh()
         quiet.settle()
+        if (waiting := quiet.waiting) is not None and waiting.most:
+            self._samples.wait(*waiting.hand_over())
 
     def _refresh(self) -> None:
         if self._behind and (quiet := self._quiet) is not None:
@@ -275,10 +271,7 @@ class Shard:
             inputs = gather([self._u, *last_rows]) if links else self._u
             states = self._states(links)
             if self._asks and states is not None:
-                column = self._view.column
-                self._now = self._now._replace(
-                    x=states[column], u=inputs[column], step=np.full(self.m, past, dtype=np.int64)
-                )
+                self._note(past, states, inputs, ())
             self._samples.take(past, self._x, inputs, state.x, states)
             return
         # The newest row of a link message is that of t - 1, unless the link is late.
@@ -319,21 +312,24 @@ class Shard:
 
         Call it before the sample of `past` is taken: rows of our own nodes are as far back as those in a message.
         """
-        got, column = np.frombuffer(self.took, np.uint8) & Flag.HEAR != 0, self._view.column
+        column = self._view.column
+        got = np.isfinite(states[column] + inputs[column])  # a neighbour without a reading has no input either
+        got &= np.frombuffer(self.took or self._up, np.uint8) & Flag.HEAR != 0
         x, u = np.where(got, states[column], self._now.x), np.where(got, inputs[column], self._now.u)
         step = np.where(got, past, self._now.step)
-        for c, _, stop, inputs_then, states_then in late_rows:
+        for c, start, stop, inputs_then, states_then in late_rows:
             if stop - 1 <= step[c]:
                 continue
             if inputs_then is not None and states_then is not None:
-                newest = states_then[-1:], inputs_then[-1:]
+                rows = states_then, inputs_then
             elif (place := column[c]) < self.k:
-                own_x, own_u = self._samples.sent(stop - 1, stop)
-                newest = own_x[:, place], own_u[:, place]
+                own_x, own_u = self._samples.sent(start, stop)
+                rows = own_x[:, place], own_u[:, place]
             else:
                 continue
-            if len(newest[0]):
-                x[c], u[c], step[c] = newest[0][0], newest[1][0], stop - 1
+            known = np.flatnonzero(np.isfinite(rows[0] + rows[1]))
+            if len(known) and (newest := stop - len(rows[0]) + int(known[-1])) > step[c]:
+                x[c], u[c], step[c] = rows[0][known[-1]], rows[1][known[-1]], newest
         self._now = self._now._replace(x=x, u=u, step=step)
 
     def _came(self, c: int, links: Sequence[Link | None], start: int, stop: int) -> LateRows:
@@ -348,13 +344,14 @@ class Shard:
         return LateRows(c, start, start + len(inputs), inputs, states)
 
     def _act(self, t: int, x: Array) -> Array:
+        method = "act"
         try:
             now = [self._now.at(t)] if self._asks else []
-            given = self._law.act(x, *now)
-            u = np.array(given, dtype=float)  # copy: the shard keeps it, and the law may reuse its array
+            u = reals(self._law.act(x, *now))  # a copy: the shard keeps it, and the law may reuse its array
+            method = "report"
             self._report = np.asarray(self._law.report(), dtype=float)
-        except Exception as error:
-            raise self._raised("act", error) from error
+        except (Exception, SystemExit) as error:
+            raise self._raised(method, error) from error
         if u.shape != (self.k,) or not all_finite(u):
             u = self._without_blind(x, u)
         if self._report.shape != (REPORT_ROWS, self.k):
@@ -381,8 +378,11 @@ class Shard:
         where = line_of(type(self._law), method) if where is None else where
         return LawError(where + said, method=method, node=nodes[0] if self.k == 1 else None)
 
-    def _raised(self, method: str, error: Exception) -> LawError:
-        return self._failed(method, f"raised {crash.summary(error)}", place_of(error, type(self._law)))
+    def _raised(self, method: str, error: BaseException) -> LawError:
+        law = type(self._law)
+        if isinstance(error, SystemExit) and type(error) is not SystemExit:
+            raise error  # of a signal handler of ours, and not of the law
+        return self._failed(method, f"raised {crash.summary(error)}", place_of(error, law) or line_of(law, method))
 
     # Outgoing messages.
 
@@ -392,19 +392,40 @@ class Shard:
         nothing = np.full((1 + REPORT_ROWS) * self.k, np.nan).tobytes()
         return nothing[: 8 * self.k], nothing[8 * self.k :], bytes(self.m)
 
+    def messages(self, state: State) -> tuple[list[tuple[Sequence[int], bytes]], bytes]:
+        """Return the link messages of the step just answered, each with its receiving peers, and the input message."""
+        quiet = self._quiet
+        if quiet is not None and quiet.holds:
+            if not (state.flags or state.spans):
+                *said, own = self._forms.pack(self.t, quiet.x, quiet.u, quiet.report)
+                return [(peers, one) for (_, peers), one in zip(self.audience, said, strict=True)], own + self.took
+            told = self._told(state)
+            if all(quiet.stores(self.t, first) for _, first, _ in told):
+                links: list[tuple[Sequence[int], bytes]] = []
+                for p, first, last in told:
+                    x, u = quiet.rows(self.t, first, last, p)
+                    links.append(([p], pack_link(self.t, first, self.peers[p].sends, x, u)))
+                return links, self._forms.input(self.t, quiet.u, quiet.report) + self.took
+        links = [(peers, encode_link(link, self.peers[peers[0]].sends)) for peers, link in self.send(state)]
+        return links, encode_input(self.t, self.u, self.report, self.took)
+
     def send(self, state: State) -> list[tuple[Sequence[int], Link]]:
         """Return the link messages of the step just answered, each with its receiving peers."""
         if not state.flags and not state.spans:
             return self._send_now()
-        flags, first, last = state.flags or self._up, {}, {}
-        for c, _, _, late, count in state.spans:
-            first[c], last[c] = self.t - late - count, self.t - late
-        said: list[tuple[Sequence[int], Link]] = []
+        return [([p], self._rows(self.peers[p], first, last)) for p, first, last in self._told(state)]
+
+    def _told(self, state: State) -> list[tuple[int, int, int]]:
+        """Return the peers that receive a link message of the last step, each with the steps of its rows."""
+        t, flags = self.t, state.flags or self._up
+        if not state.spans:
+            return [(p, t, t) for p, peer in enumerate(self.peers) if any(flags[c] & _TELL for c in peer.incidences)]
+        spans = {c: (t - late - count, t - late) for c, _, _, late, count in state.spans}
+        told = []
         for p, peer in enumerate(self.peers):
-            if told := [c for c in peer.incidences if flags[c] & Flag.TELL]:
-                begin, end = min(first.get(c, self.t) for c in told), max(last.get(c, self.t) for c in told)
-                said.append(([p], self._rows(peer, begin, end)))
-        return said
+            if steps := [spans.get(c, (t, t)) for c in peer.incidences if flags[c] & _TELL]:
+                told.append((p, min(first for first, _ in steps), max(last for _, last in steps)))
+        return told
 
     def _send_now(self) -> list[tuple[Sequence[int], Link]]:
         """Return messages with the row of this step alone, for every peer."""
@@ -422,6 +443,11 @@ class Shard:
     def _rows(self, peer: Peer, first: int, last: int) -> Link:
         """Return a link message with the rows of steps first to last, as far as they are stored."""
         nodes = peer.nodes
+        if (quiet := self._quiet) is not None and quiet.holds:
+            if quiet.stores(self.t, first):
+                rows = quiet.rows(self.t, first, last, self.peers.index(peer))
+                return Link(self.t, first, *(np.array(one).tobytes() for one in rows))
+            self._settle(quiet)  # the history lacks the rows of samples that wait
         x, u = (self.x, self.u) if nodes is None else (self.x[nodes], self.u[nodes])
         if first == last == self.t:
             return Link(self.t, first, x.tobytes(), u.tobytes())

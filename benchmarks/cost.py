@@ -3,11 +3,16 @@
 CPU time changes less than wall time on a machine that others use too, so a change that saves some is seen here first.
 Rounds are interleaved. The table has medians over the rounds, and the ratio to the hand-written Zenoh loop of the same
 round.
+
+`--laws` compares the laws of the project instead: two networks of paper7 run at the same time, one of them under
+the law of the paper. Its table has the CPU time per step of the paper's law as a share of the other law's, over short
+windows.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import os
 import re
@@ -16,12 +21,13 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from benchmarks.peers.cpu import Usage, Used, between, used_by
 from benchmarks.peers.network import BEGAN, COUNT_CPU, Network
 from benchmarks.suite import STEPS, adopt_orphans, end_all, network_of
+from hedgerow.agents.laws import LAWS
 from hedgerow.orchestrator.launch.live import Live
 from hedgerow.orchestrator.runs import registry
 from hedgerow.wire.runtime import runtime_environment
@@ -29,10 +35,12 @@ from hedgerow.wire.runtime import runtime_environment
 BESIDE = "zenoh"
 ENDLESS = "100000000"
 SETTLE_S = 1.0
+WINDOW_S = 2.0
 
 
-def ours(network: Network, steps: int, *options: str) -> tuple[Usage, int]:
-    """Return what `orchestrator up` with these options used in a number of steps, at least `steps`."""
+@contextlib.contextmanager
+def endless(network: Network, *options: str) -> Iterator[tuple[int, Live]]:
+    """Provide the process id and the control of an `orchestrator up` with these options that does not end."""
     with tempfile.TemporaryDirectory(prefix="hedgerow-") as folder:
         command = [sys.executable, "-m", "hedgerow.orchestrator", "up", network.file, "--viewer", "none"]
         command += ["--no-record", "--run-dir", f"{folder}/run", "--steps", ENDLESS, *options]
@@ -42,14 +50,35 @@ def ours(network: Network, steps: int, *options: str) -> tuple[Usage, int]:
             time.sleep(SETTLE_S)
             try:
                 with Live(_run_of(up.pid)) as live:
-                    first, before = live.status()["step"], used_by(up.pid)
-                    while (step := live.status()["step"]) < first + steps:
-                        time.sleep(0.1)
-                    after = used_by(up.pid)
+                    yield up.pid, live
             finally:
                 up.terminate()
                 up.stdout.read()
-        return between(before, after), step - first
+
+
+def ours(network: Network, steps: int, *options: str) -> tuple[Usage, int]:
+    """Return what `orchestrator up` with these options used in a number of steps, at least `steps`."""
+    with endless(network, *options) as (pid, live):
+        first, before = live.status()["step"], used_by(pid)
+        while (step := live.status()["step"]) < first + steps:
+            time.sleep(0.1)
+        return between(before, used_by(pid)), step - first
+
+
+def beside_the_paper(network: Network, law: str, windows: int) -> list[float]:
+    """Return by window the CPU time per step under the paper's law as a share of that under another law.
+
+    Both networks run at the same time, so they have the same load of the machine.
+    """
+    ratios = []
+    with endless(network) as one, endless(network, "--law", law) as other:
+        for _ in range(windows):
+            before = [(used_by(pid), live.status()["step"]) for pid, live in (one, other)]
+            time.sleep(WINDOW_S)
+            after = [(used_by(pid), live.status()["step"]) for pid, live in (one, other)]
+            costs = [total(between(u, v), last - t) for (u, t), (v, last) in zip(before, after, strict=True)]
+            ratios.append(costs[0].cpu_s / costs[1].cpu_s)
+    return ratios
 
 
 def _run_of(pid: int) -> registry.Entry:
@@ -94,10 +123,15 @@ def main() -> None:
     parser.add_argument("--nodes", default="7")
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--threads", action="store_true", help="print every thread of the last round")
+    parser.add_argument("--laws", nargs="?", const=",".join(LAWS), help="the laws to compare with the paper's")
+    parser.add_argument("--windows", type=int, default=5, help="windows of 2 s for each law")
     known = parser.parse_args()
     adopt_orphans()
     with tempfile.TemporaryDirectory(prefix="hedgerow-") as scratch:
-        for nodes in map(int, known.nodes.split(",")):
+        for law in known.laws.split(",") if known.laws else ():
+            ratios = beside_the_paper(network_of(7, Path(scratch)), law, known.windows)
+            print(f"{law:14}  {statistics.median(ratios):.2f} ({min(ratios):.2f} to {max(ratios):.2f})", flush=True)
+        for nodes in map(int, known.nodes.split(",")) if not known.laws else ():
             network, steps = network_of(nodes, Path(scratch)), STEPS.get(nodes, 300)
             _report(network, steps, known.only.split(","), known.rounds, known.threads)
 

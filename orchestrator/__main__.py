@@ -50,8 +50,8 @@ def _code() -> int:
 
     launches = "up" in sys.argv[1:2] and not {"--help", "--detach"} & set(sys.argv)
     try:
-        limits.need_open_files(MIN_OPEN_FILES, "a command")
-        limits.need_memory(MIN_MEMORY_UP if launches else MIN_MEMORY, "`up`" if launches else "a command")
+        limits.need("a command", open_files=MIN_OPEN_FILES, memory=MIN_MEMORY)
+        limits.need("`up`", memory=MIN_MEMORY_UP if launches else 0)
         from hedgerow.orchestrator.launch.fork_client import ForkClient  # noqa: PLC0415
 
         fork_client = ForkClient() if launches else None

@@ -31,6 +31,7 @@ from hedgerow.orchestrator.runs.folder import RunFolder, new_folder, reserve, wi
 from hedgerow.orchestrator.runs.reader import load_run
 from hedgerow.orchestrator.runs.run import Run
 from hedgerow.topologies.errors import Code, HedgerowError, UserError, check_options
+from hedgerow.topologies.law_choice import LawChoice
 from hedgerow.topologies.named import Named, resolved, text_of
 from hedgerow.topologies.paths import user_path
 from hedgerow.topologies.regular_file import read_regular
@@ -246,7 +247,7 @@ def worst(
 
 def compare(
     network: Named,
-    laws: Sequence[str] = ("minimax",),
+    laws: Sequence[str | type[Any] | functools.partial[Any]] = ("minimax",),
     disturbances: Sequence[str | Mapping[str, object]] = ("file",),
     seeds: range = range(50),
     *,
@@ -257,13 +258,14 @@ def compare(
 ) -> Compared:
     """Run every law under every disturbance and seed, hinf and nominal too; return their means, tests and findings.
 
-    `laws` are as in a file: `["minimax", "forgetting(decay=0.98)"]`. A disturbance is `file`, the name of a preset
-    (`sinusoid`, `white`, `ar1`, `constant`, `confuse`, `none`), names joined by `+`, or a mapping as in a file.
+    `laws` are as in a file, or classes, also with parameters: `["minimax", "forgetting(decay=0.98)", MyLaw,
+    partial(MyLaw, p0=10)]`. A disturbance is `file`, the name of a preset (`sinusoid`, `white`, `ar1`, `constant`,
+    `confuse`, `none`), names joined by `+`, or a mapping as in a file.
     `settings` and `overrides` are those of `load`. `out` is the folder of the results, which the same call finds again.
     With `jobs` above 1, processes share the runs; a script then needs `if __name__ == "__main__":`. Raises UserError
     for a mistake.
     """
-    plan = comparison(network, laws, disturbances, seeds, [*settings, *_settings(overrides)])
+    plan = comparison(network, [*map(_law, laws)], disturbances, seeds, [*settings, *_settings(overrides)])
     found = run_comparison(plan, None if out is None else user_path(str(out)), jobs, quiet=True)
     if found is None:
         raise KeyboardInterrupt
@@ -281,6 +283,19 @@ def _plain(value: object) -> object:
     if isinstance(value, functools.partial) and inspect.isclass(value.func) and not value.args:
         return {"class": _plain(value.func), **value.keywords}
     return f"{value.__module__}:{value.__qualname__}" if inspect.isclass(value) else value
+
+
+def _law(law: object) -> str:
+    """Return a law as the text of a LawChoice; UserError if it is neither a text, nor a class, nor a partial of one."""
+    plain = _plain(law)
+    try:
+        if isinstance(plain, dict):
+            return str(LawChoice.of(plain["class"], {key: value for key, value in plain.items() if key != "class"}))
+    except ValueError as error:
+        raise UserError(f"laws: {law!r} {error}. Correct it.", code=Code.OPTION) from None
+    if isinstance(plain, str):
+        return plain
+    raise UserError(f"laws: {law!r} is neither a text nor a class. Give one of both.", code=Code.OPTION)
 
 
 def _text(value: object) -> str:

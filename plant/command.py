@@ -14,7 +14,7 @@ from hedgerow.wire import start  # noqa: E402
 def main() -> NoReturn:
     """Run the command `hedgerow-plant`; Ctrl-C during loading ends it without a traceback."""
     start.begin()
-    with start.needs("hedgerow-plant"):
+    with start.whole("hedgerow-plant"):
         from hedgerow.plant.standalone import main as run  # noqa: PLC0415
 
-    run()
+        run()

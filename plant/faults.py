@@ -14,8 +14,8 @@ from hedgerow.topologies import lots
 from hedgerow.topologies.effects import EDGES, INCIDENCES, NODES, Effect
 from hedgerow.topologies.graph import Graph, Index, Mask
 
-BLOCK = 64
-"""The number of steps of random numbers in one draw."""
+BLOCK, BLOCK_BYTES = 64, 2**24
+"""The maximum number of steps for which faults are computed at once, and of bytes for one kind of target."""
 
 
 class Lots:
@@ -109,7 +109,7 @@ def sizes(graph: Graph) -> dict[str, int]:
     return {INCIDENCES: len(graph.node), EDGES: len(graph.edges), NODES: graph.n}
 
 
-_FIELD = {"drop": "lost", "cut": "cut", "sensor": "blind", "actuator": "mute"}
+_FIELD = {"drop": "lost", "delay": "late", "cut": "cut", "sensor": "blind", "actuator": "mute"}
 
 
 class Faults:
@@ -127,7 +127,10 @@ class Faults:
     def _changed(self) -> None:
         self._from = self._until = 0
         self._active: list[Effect] = []
-        self._lots: dict[int, tuple[int, Mask]] = {}
+        self._dead: list[Effect] = []
+        self._jumps: list[Effect] = []
+        self._first, self._block = 0, list[ActiveFaults | None]()
+        """the faults of some steps from the first one on"""
 
     def add(self, effects: Sequence[Effect]) -> None:
         """Add effects that are valid from now on."""
@@ -146,9 +149,12 @@ class Faults:
         """Return the effects with a window that contains t; search again only at the ends of windows."""
         if not self._from <= t < self._until:
             self._active = [one for one in self.effects if one.start <= t < one.stop]
+            self._dead = [one for one in self._active if one.kind == "crash"]
+            self._jumps = [one for one in self._active if one.kind == "jump"]
             edges = [step for one in self.effects for step in (one.start, one.stop)]
             self._until = min((step for step in edges if step > t), default=2**63)
             self._from = max((step for step in edges if step <= t), default=0)
+            self._block = []
         return self._active
 
     def none_at(self, t: int) -> bool:
@@ -159,44 +165,50 @@ class Faults:
         """Return the faults active at step t, except crashes and jumps; None if there are none."""
         if not self._look(t):
             return None
-        found: dict[str, Mask] = {}
-        late: Index | None = None
-        for effect in self._active:
-            if effect.kind == "delay":
-                struck = self._struck(effect, t)
-                if late is None:
-                    late = np.zeros(len(self._graph.node), dtype=np.int64)
-                late[struck] = np.maximum(late[struck], effect.by)
-            elif (field := _FIELD.get(effect.kind)) is not None and len(struck := self._struck(effect, t)):
-                if field not in found:
-                    found[field] = np.zeros(self._sizes[effect.of], dtype=bool)
-                found[field][struck] = True
-        return ActiveFaults(late=late, **found) if found or late is not None else None
+        if not 0 <= t - self._first < len(self._block):
+            self._first, self._block = t, self._faults_from(t)
+        return self._block[t - self._first]
 
-    def _struck(self, effect: Effect, t: int) -> Index:
+    def _faults_from(self, t: int) -> list[ActiveFaults | None]:
+        """Return the faults at some steps from t on, computed at once, while the same effects are active."""
+        most = max(1, min(BLOCK, BLOCK_BYTES // max(1, *self._sizes.values())))
+        steps = np.arange(t, min(t + most, self._until))
+        found: dict[str, Any] = {}
+        for effect in self._active:
+            if (field := _FIELD.get(effect.kind)) is None:
+                continue
+            rows, targets = self._struck(effect, steps)
+            if not len(rows):
+                continue
+            if field not in found:
+                kind = np.int64 if field == "late" else np.bool_
+                found[field] = np.zeros((len(steps), self._sizes[effect.of]), dtype=kind)
+            by = effect.by if field == "late" else True
+            found[field][rows, targets] = np.maximum(found[field][rows, targets], by)
+        struck = {field: values.any(axis=1).tolist() for field, values in found.items()}
+        return [
+            ActiveFaults(**here) if (here := {field: found[field][k] for field in found if struck[field][k]}) else None
+            for k in range(len(steps))
+        ]
+
+    def _struck(self, effect: Effect, steps: Index) -> tuple[Index, Index]:
+        """Return the strikes of an effect: their places in `steps`, and their targets."""
         if effect.table is not None:
-            return np.array(effect.table.get(t, ()), dtype=np.int64)
-        targets = np.array(effect.targets, dtype=np.int64)
-        if effect.probability >= 1:
-            return targets
-        first, lots = self._lots.get(id(effect), (t + 1, np.empty((0, 0), dtype=bool)))
-        if not first <= t < first + BLOCK:
-            first, lots = t, self._chance.strikes(effect, np.arange(t, t + BLOCK))
-            self._lots[id(effect)] = first, lots
-        return np.asarray(targets[lots[t - first]])
+            pairs = [(k, one) for k, t in enumerate(steps.tolist()) for one in effect.table.get(t, ())]
+            places: Index = np.array(pairs, dtype=np.int64).reshape(-1, 2)
+            return places[:, 0], places[:, 1]
+        rows, columns = np.nonzero(self._chance.strikes(effect, steps))
+        return rows, np.array(effect.targets, dtype=np.int64)[columns]
 
     def absent(self, t: int) -> Mask | None:
         """Return a mask of the nodes that have no running agent at step t, (n,); None if there is none."""
-        if not self._look(t):
-            return None
-        dead = [one.targets for one in self._look(t) if one.kind == "crash"]
-        if not dead:
+        if not self._look(t) or not self._dead:
             return None
         absent = np.zeros(self._graph.n, dtype=bool)
-        for targets in dead:
-            absent[list(targets)] = True
+        for effect in self._dead:
+            absent[list(effect.targets)] = True
         return absent
 
     def jumps(self, t: int) -> list[tuple[int, float]]:
         """Return the nodes with a new true a from step t on, each with its new a."""
-        return [(one.targets[0], one.a) for one in self._look(t) if one.kind == "jump" and one.start == t]
+        return [(one.targets[0], one.a) for one in self._jumps if one.start == t] if self._look(t) else []

@@ -1,7 +1,7 @@
 """The input messages of one step, as arrays of the network.
 
-Almost always every shard sends the shortest form: the header of the step, then u, ahat and margin of its nodes. Such
-messages stay bytes until all are here. One join and one look then give the numbers of every node.
+Almost always every shard sends the header of the step and u, ahat and margin of its nodes. Flag bits follow if messages
+were lost. Such messages stay bytes until all are here. One join and one look then give the numbers of every node.
 """
 
 from __future__ import annotations
@@ -31,8 +31,12 @@ class Inputs:
         self._t, self._heads = -1, [b""] * len(sizes)
         self._messages = [b""] * len(sizes)
         """By shard: the message; empty while there is none."""
-        self._short = 0
-        """number of messages in the shortest form"""
+        self._regular = 0
+        """number of messages with the expected header and length"""
+        self._with_bits = False
+        """True if one of them has Flag bits"""
+        self._took: Sequence[Buffer] = ()
+        """By shard: the Flag bits of the last step; empty if there are none."""
         self._row: Array | None = None
         """all numbers of the last step, headers included; None if its messages were taken apart one by one"""
         self._parts: Sequence[Input] = ()
@@ -42,14 +46,17 @@ class Inputs:
 
     def begin(self, t: int) -> None:
         """Wait for the inputs of step t; a shard without one is silent."""
-        self._t, self._messages, self._short = t, [b""] * len(self._sizes), 0
+        self._t, self._messages, self._regular, self._with_bits = t, [b""] * len(self._sizes), 0, False
         heads = {k: header(Kind.INPUT, k, t) for k in set(self._sizes)}
         self._heads = [heads[k] for k in self._sizes]
 
     def take(self, p: int, message: bytes) -> bool:
         """Keep the message of shard p, once per step; return False if it is of another step. Raises MessageError."""
-        if message.startswith(self._heads[p]) and len(message) == self._lengths[p]:
-            self._short += 1
+        bits = len(message) - self._lengths[p]
+        if (bits in (0, self._incidences[p])) and message.startswith(self._heads[p]):
+            self._regular += 1
+            if bits:
+                self._with_bits = True
         elif decode_input(message, self._sizes[p], self._incidences[p]).t != self._t:
             return False
         self._messages[p] = message
@@ -57,8 +64,13 @@ class Inputs:
 
     def u(self) -> Array:
         """Return the inputs of the step, (n,), in the order of the shards, NaN where a shard is silent."""
-        if self._together and self._short == len(self._messages):
-            self._row = np.frombuffer(b"".join(self._messages))
+        if self._together and self._regular == len(self._messages):
+            messages: Sequence[bytes] = self._messages
+            self._took = ()
+            if self._with_bits:
+                self._took = [message[length:] for message, length in zip(messages, self._lengths, strict=True)]
+                messages = [message[:length] for message, length in zip(messages, self._lengths, strict=True)]
+            self._row = np.frombuffer(b"".join(messages))
             u: Array = self._row.take(self._at[0])
             return u
         self._row = None
@@ -74,13 +86,13 @@ class Inputs:
         Empty flags mean that everything was taken in. `begin` may have been called since.
         """
         if self._row is not None:
-            return self._row.take(self._at[1:]), ()
+            return self._row.take(self._at[1:]), self._took
         reports = [*[one.ahat for one in self._parts], *[one.margin for one in self._parts]]
         return gather(reports).reshape(REPORT_ROWS, -1), [one.took for one in self._parts]
 
 
 def _places(sizes: Sequence[int]) -> Index:
-    """Return the places of u, ahat and margin of every node in short messages, one after the other."""
+    """Return the places of u, ahat and margin of every node in such messages, one after the other."""
     rows: list[list[int]] = [[] for _ in range(1 + REPORT_ROWS)]
     start = 0
     for k in sizes:

@@ -32,12 +32,13 @@ class Deliveries(NamedTuple):
 
 
 class Links:
-    """The first missing row of every link; both ends store at most `history` rows."""
+    """The number of missing rows of every link, always its newest ones; both ends store at most `history` rows."""
 
     def __init__(self, graph: Graph, history: int) -> None:
         self._graph, self._history = graph, history
-        self._lacks: Index = np.full(len(graph.node), -1)
-        """the first missing row, -1 if it is that of the next step"""
+        self._missing: Index = np.zeros(len(graph.node), dtype=np.int64)
+        self._stored = self._missing
+        """of these rows, the number that is still stored"""
         self.complete = True
         """True if no link has missing rows"""
         self.forgotten = 0
@@ -46,31 +47,30 @@ class Links:
         self.whole = Deliveries(np.ones(len(graph.node), dtype=bool), nothing, nothing)
         """The deliveries of a step in which every link delivers the row of that step."""
 
-    def plan(self, t: int, down: Mask, late: Index | None) -> Deliveries:
-        """Return the rows that cross at step t, given the links that are down and the delays of late links."""
+    def plan(self, down: Mask, late: Index | None) -> Deliveries:
+        """Return the rows that cross at this step, given the links that are down and the delays of late links."""
         nothing = self.whole.late
         if not self._history:  # without a history, missing rows stay missing and late rows are dropped
             return Deliveries(~down & (late == 0) if late is not None else ~down, nothing, nothing)
-        late = nothing if late is None else late
-        first = np.where(self._lacks < 0, t, self._lacks)
-        kept = np.maximum(first, t - self._history + 1)
-        some = ~down & (kept <= t - late)
-        back = np.where(some, np.maximum(t - late - kept, 0), 0)
-        return Deliveries(some, np.where(some, late, 0), back)
+        self._stored = np.minimum(self._missing, self._history - 1)
+        if late is None:
+            some = ~down
+            return Deliveries(some, nothing, self._stored * some)
+        some = ~down & (late <= self._stored)
+        return Deliveries(some, late * some, (self._stored - late) * some)
 
-    def commit(self, t: int, deliveries: Deliveries | None) -> None:
-        """Record the deliveries as done; None if every link delivers the row of the step alone."""
+    def commit(self, deliveries: Deliveries | None) -> None:
+        """Record the deliveries of the step as done; None if every link delivers the row of the step alone."""
         if not self._history or (deliveries is None and self.complete):
             return
         deliveries = deliveries or self.whole
-        first = np.where(self._lacks < 0, t, self._lacks)
-        self.forgotten += int(np.maximum(t - self._history + 1 - first, 0)[deliveries.some].sum())
-        after = np.where(deliveries.some, t + 1 - deliveries.late, first)
-        self._lacks = np.where(after > t, -1, after)
-        self.complete = bool((self._lacks < 0).all())
+        if self._missing.max(initial=0) >= self._history:
+            self.forgotten += int((self._missing - self._stored)[deliveries.some].sum())
+        self._missing = np.where(deliveries.some, deliveries.late, self._missing + 1)
+        self.complete = not self._missing.any()
 
-    def forget(self, nodes: Mask) -> None:
-        """Mark every row of these nodes as missing again, because their agents lost their memory."""
+    def forget(self, nodes: Mask, t: int) -> None:
+        """Mark every row of these nodes before step t as missing again, because their agents lost their memory."""
         if self._history:
-            self._lacks[nodes[self._graph.node]] = 0
+            self._missing[nodes[self._graph.node]] = t
             self.complete = False

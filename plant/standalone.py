@@ -17,6 +17,7 @@ from hedgerow.wire import keys
 from hedgerow.wire.child import stopped_by
 from hedgerow.wire.config import Config
 from hedgerow.wire.handshake import room
+from hedgerow.wire.ports import check_listen
 from hedgerow.wire.session import close, open_client, open_router
 
 
@@ -44,6 +45,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         truth = standalone.part(config, Truth.from_dict)
         with contextlib.ExitStack() as stack:
             if known.listen:
+                check_listen(known.listen)
                 session = open_router(known.listen, config.namespace, credentials)
                 stack.callback(close, session)
             else:

@@ -125,6 +125,7 @@ class World:
         first = np.concatenate([[0], stops[:-1]])
         self._local: Index = self._incidence_place - first[self._home]
         """Per incidence: its index within its shard."""
+        self._incidence_order: Index = incidence_order
         e = len(graph.edges)
         self._all_open: Flags = np.ones(e, dtype=np.uint8)
         self._all_up: Flags = np.ones(2 * e, dtype=np.uint8)
@@ -159,10 +160,10 @@ class World:
         if gone is not None:
             if soon is not None:  # a node that returns at t + 1 already receives the messages of t
                 down = down | (gone & soon)[graph.node]
-            links.forget(gone)
+            links.forget(gone, t)
         if active.lost is not None:
             down = down | active.lost
-        deliveries = links.plan(t, down, active.late)
+        deliveries = links.plan(down, active.late)
         read = self.x if active.blind is None else np.where(active.blind, np.nan, self.x)
         sent = read if gone is None else np.where(gone, np.nan, read)
         back = before if before is None or gone is None else before & ~gone
@@ -204,13 +205,14 @@ class World:
         if now.flags is None:
             return [(State(t, x[own], b""), None) for own in self._places]
         messages: list[tuple[State | None, Record | None]] = []
-        spans = self._spans()
+        spans, flags_of_all, stop = self._spans(), now.flags.take(self._incidence_order).tobytes(), 0
         for p, part in enumerate(self._parts):
+            start, stop = stop, stop + len(part.incidences)
             own = x[self._places[p]]
             if not self.present(p):
                 messages.append((None, None))
             else:
-                flags, own_spans = now.flags[part.incidences].tobytes(), spans.get(p, ())
+                flags, own_spans = flags_of_all[start:stop], spans.get(p, ())
                 if flags == self._up_bytes[p] and not own_spans:
                     flags = b""
                 messages.append((State(t, own, flags, own_spans), self._record_of(part)))
@@ -226,10 +228,12 @@ class World:
         """Return, by shard, the spans of the incidences that deliver other rows than that of the step alone."""
         reverse, whole = self.graph.reverse, self.links.whole
         received, sent = self._received or whole, self._now.deliveries or whole
-        numbers = np.stack([received.late, received.back, sent.late[reverse], sent.back[reverse]])
+        numbers = np.array([received.late, received.back, sent.late.take(reverse), sent.back.take(reverse)])
+        found = np.flatnonzero(numbers.any(axis=0))
+        columns = (self._home.take(found), self._local.take(found), *numbers.take(found, axis=1))
         spans: dict[int, list[Span]] = {}
-        for c in np.flatnonzero(numbers.any(axis=0)).tolist():
-            spans.setdefault(self._home[c], []).append(Span(self._local[c], *numbers[:, c].tolist()))
+        for p, *span in zip(*(column.tolist() for column in columns), strict=True):
+            spans.setdefault(p, []).append(Span(*span))
         return spans
 
     def _record_of(self, part: _Part) -> Record | None:
@@ -267,7 +271,7 @@ class World:
         quiet = now.flags is None and gone is None and all_finite(u)
         if not quiet:
             u, edge_open, deliveries = self._what_acts(u, gone)
-        self.links.commit(t, deliveries)
+        self.links.commit(deliveries)
         w = self._w() if self._next_w is None else self._next_w
         self._next_w = None
         self.x = dynamics(self.a, self.b, graph, x, u, w, None if edge_open is None else edge_open.view(np.bool_))
@@ -300,6 +304,8 @@ class World:
         now, graph = self._now, self.graph
         edge_open: Flags | None = None
         deliveries = now.deliveries
+        if now.cut is None and now.mute is None and gone is None and all_finite(u):
+            return u, edge_open, deliveries
         missing = ~np.isfinite(u)
         if now.mute is not None:
             missing |= now.mute

@@ -50,4 +50,4 @@ def test_a_network_in_the_background_ends_with_the_pytest_that_started_it(here: 
     finally:
         os.killpg(process.pid, signal.SIGKILL)
         process.wait()
-    wait_until(lambda: not marked(mark), within_s=30)
+    wait_until(lambda: not marked(mark))

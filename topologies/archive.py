@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import zipfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -13,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hedgerow.topologies import budget
-from hedgerow.topologies.errors import Code, HedgerowError, UserError
+from hedgerow.topologies.errors import Code, FileRefusedError, HedgerowError, UserError
 from hedgerow.topologies.regular_file import open_regular
 
 NodeId = int | str
@@ -44,36 +46,57 @@ def write(path: Path, settings: Mapping[str, Any], arrays: Mapping[str, NDArray[
         np.savez(file, **{_SETTINGS: text, **plain})  # type: ignore[arg-type]
 
 
-def read(path: Path, growth: Mapping[str, int] | None = None) -> tuple[dict[str, Any], Arrays]:
+@dataclass(frozen=True)
+class Head:
+    """The shape, the type and the uncompressed size of an array in a file [bytes]."""
+
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+    size: int
+
+
+def read(path: Path, memory: Callable[[Mapping[str, Head]], int] | None = None) -> tuple[dict[str, Any], Arrays]:
     """Return the settings and the arrays that `write` wrote.
 
-    growth: the memory per byte of an array, by name, if its reader needs more than the array. Raise UserError for a
-    file that is not valid, or that takes more memory than allowed.
+    memory: returns the memory that the reader of these arrays needs [bytes], or raises ValueError for arrays that it
+    refuses; by default, the size of the arrays. It is called before any array is unpacked. Raise UserError for a file
+    that is not valid, or that takes more memory than allowed.
     """
     with reading(path), open_regular(path) as opened:
-        sizes = _sizes(opened)
-        growth = {_SETTINGS: 20, **(growth or {})}
-        budget.require(path, sum(size * growth.get(name, 1) for name, size in sizes.items()))
+        heads = _heads(opened)
+        settings_size = heads.pop(_SETTINGS).size if _SETTINGS in heads else 0
+        need = sum(head.size for head in heads.values()) if memory is None else memory(heads)
+        budget.require(path, need + 20 * settings_size)
         opened.seek(0)
         with np.load(opened, allow_pickle=False) as file:
-            arrays: Arrays = {name: _array(path, file, name, sizes.get(name, 0)) for name in file.files}
+            arrays: Arrays = {name: _array(path, file, name) for name in file.files}
         settings: dict[str, Any] = json.loads(arrays.pop(_SETTINGS, np.array([], dtype=np.uint8)).tobytes() or "{}")
         return settings, arrays | {name: id_array(ids) for name, ids in settings.pop(_MIXED, {}).items()}
 
 
-def _sizes(file: BinaryIO) -> dict[str, int]:
-    """Return the uncompressed size of every array [bytes], by the directory of the archive."""
-    sizes: dict[str, int] = {}
+def _heads(file: BinaryIO) -> dict[str, Head]:
+    """Return the head of every array, by the directory of the archive and the first bytes of each member."""
+    heads: dict[str, Head] = {}
     with zipfile.ZipFile(file) as archive:
-        for member in archive.infolist():
-            name = member.filename.removesuffix(".npy")
-            if name in sizes:
+        for info in archive.infolist():
+            name = info.filename.removesuffix(".npy")
+            if name in heads:
                 raise ValueError(f"it has two arrays `{name[:40]}`")
-            sizes[name] = member.file_size
-    return sizes
+            with archive.open(info) as member:
+                version = np.lib.format.read_magic(member)
+                read_head = np.lib.format.read_array_header_1_0 if version == (1, 0) else None
+                read_head = np.lib.format.read_array_header_2_0 if version == (2, 0) else read_head
+                if read_head is None:
+                    raise ValueError(f"`{name[:40]}` has the format {version} of arrays")
+                shape, _, dtype = read_head(member)
+            # A small file can declare any number of elements of size 0, and a list of them can fill the memory.
+            if max(math.prod(shape) * dtype.itemsize, *shape, 0) > info.file_size:
+                raise ValueError(f"`{name[:40]}` has the shape {shape} in {info.file_size} bytes")
+            heads[name] = Head(shape, dtype, info.file_size)
+    return heads
 
 
-def _array(path: Path, file: Any, name: str, size: int) -> NDArray[Any]:
+def _array(path: Path, file: Any, name: str) -> NDArray[Any]:
     try:
         array: NDArray[Any] = file[name]
     except ValueError as error:
@@ -86,9 +109,6 @@ def _array(path: Path, file: Any, name: str, size: int) -> NDArray[Any]:
         ) from None
     if not isinstance(array, np.ndarray):
         raise ValueError(f"`{name[:40]}` is no array")
-    # A small file can declare any number of elements of size 0, and a list of them can fill the memory.
-    if max(array.shape, default=0) > size:
-        raise ValueError(f"`{name[:40]}` has the shape {array.shape} in {size} bytes")
     return array
 
 
@@ -97,7 +117,7 @@ def reading(path: Path) -> Iterator[None]:
     """Raise UserError for any error that a damaged file causes inside the block."""
     try:
         yield
-    except HedgerowError:
+    except (HedgerowError, FileRefusedError):
         raise
     # A damaged file can cause almost any error in NumPy and zipfile, AttributeError and tokenize.TokenError among them.
     except Exception as error:

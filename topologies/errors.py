@@ -9,6 +9,8 @@ from enum import IntEnum, StrEnum
 from functools import cached_property
 from typing import ClassVar
 
+from hedgerow.topologies.escape import escape
+
 
 class Exit(IntEnum):
     """The exit codes of every command."""
@@ -67,6 +69,10 @@ class HedgerowError(Exception):
     def __init__(self, *args: object, code: Code | None = None) -> None:
         super().__init__(*(bounded(one) if isinstance(one, str) else one for one in args))
         self.code = code or self.default_code
+
+    def __str__(self) -> str:
+        """Return the text, escaped: Python and pytest print it to a terminal as it is."""
+        return escape(super().__str__())
 
 
 MOST_CHARACTERS = 12_000

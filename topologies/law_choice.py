@@ -63,7 +63,7 @@ class LawChoice:
                 if not all(word.arg for word in call.keywords):
                     raise ValueError
                 for word in call.keywords:
-                    parameters[str(word.arg)] = ast.literal_eval(word.value)
+                    parameters[str(word.arg)] = _literal(word.value)
             except (SyntaxError, ValueError, TypeError, RecursionError, MemoryError):
                 raise ValueError("has parameters that are not written as name(key=value, key=value)") from None
         return cls.of(name.strip(), parameters)
@@ -86,6 +86,16 @@ class LawChoice:
         if not self.parameters:
             return self.name
         return f"{self.name}({', '.join(f'{key}={value!r}' for key, value in sorted(self.parameters.items()))})"
+
+
+_WORDS = {"true": True, "false": False, "null": None}
+
+
+def _literal(value: ast.expr) -> Any:
+    """Return the value of a literal, of Python or as YAML writes it; raise ValueError for another expression."""
+    if isinstance(value, ast.Name) and value.id in _WORDS:
+        return _WORDS[value.id]
+    return ast.literal_eval(value)
 
 
 def is_listed(text: str) -> bool:

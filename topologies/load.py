@@ -146,13 +146,14 @@ def _read(source: Source, name: str, folder: FilePath, overrides: Sequence[str])
         topology = topology.naming(source.named)
     if topology is not None and topology.table is not None:
         try:
-            topology = _with_table(topology, topology.table, folder)
+            topology = topology.with_table(table.read(topology.table, folder, topology.table_nodes))
         except ValueError as error:
             refused = FileRefusedError.of(error)
             source.problems.append(source.problem(("table",), refused.what, refused.cure, refused.code))
             topology = None
     if topology is not None:
         source.problems.extend(broken_rules(topology, source, folder))
+        topology = _in_columns(topology) if not len(source.problems) else topology
         topology.with_origin_of_law(_origin_of_law(source))
     return source.problems if topology is None or len(source.problems) else topology
 
@@ -165,11 +166,12 @@ def _refuse_many_faults(source: Source) -> None:
         raise TopologyError(source.name, [problem])
 
 
-def _with_table(topology: Topology, file: str, folder: FilePath) -> Topology:
-    """Return the topology with the content of its table; a complete table leaves nothing to draw."""
-    found = table.read(file, folder, topology.table_nodes)
-    whole = found.network(topology.b) if not topology.nodes and topology.disturbance is None else None
-    topology = topology.with_table(found)
+def _in_columns(topology: Topology) -> Topology:
+    """Return a valid topology resolved to its table, if that is complete and nothing in the file changes it."""
+    b = topology.b if topology.defaults.b is None else topology.defaults.b
+    if topology.given is None or topology.nodes or topology.disturbance is not None or not isinstance(b, float):
+        return topology
+    whole = topology.given.network(b)
     if whole is None:
         return topology
     return topology.model_copy(update={"nodes": Nodes(whole), "edges": Edges(whole)}).of_network(whole)
@@ -212,6 +214,7 @@ def _override(source: Source, override: str) -> None:
     if isinstance(value, str) and steps_of(where)[-1].text == "file":
         value = _named(value, source.named)
     rest = steps_of(where)
+    by_rule = any(source.value.get(key) is not None for key in ("graph", "generator", "table"))
     if len(rest) > 1 and rest[0].text == "law":
         _law_as_mapping(source)
     keys: list[Any] = []
@@ -223,7 +226,8 @@ def _override(source: Source, override: str) -> None:
         if isinstance(at, list) and isinstance(key, int) and -len(at) <= key < len(at):
             keys[depth] = key % len(at)
             at[key] = value if last else copy.deepcopy(at[key])
-        elif isinstance(at, dict) and (last or key in at or keys[:depth] != ["nodes"]):
+        # A rule or a table has nodes that the file does not list; a later check refuses an id that they do not have.
+        elif isinstance(at, dict) and (last or key in at or keys[:depth] != ["nodes"] or by_rule):
             at[key] = value if last else copy.deepcopy(at.get(key) or {})
         else:
             raise UserError(f"--set {override}: there is no {'.'.join(map(str, keys[: depth + 1]))} in {source.name}")

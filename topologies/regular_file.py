@@ -9,6 +9,7 @@ from pathlib import Path
 
 from hedgerow.topologies import budget
 from hedgerow.topologies.errors import Code, UserError
+from hedgerow.topologies.escape import escape
 
 
 def check_regular(path: Path, inside: Path | None = None) -> os.stat_result:
@@ -66,7 +67,7 @@ _KINDS = (
 
 
 def last_text(path: Path, most: int = 2**16) -> str:
-    """Return the last `most` bytes of a regular file as text for display; OSError passes."""
+    """Return the last `most` bytes of a regular file as escaped text; OSError passes."""
     with open_regular(path) as file:
         file.seek(max(os.fstat(file.fileno()).st_size - most, 0))
-        return file.read(most).decode(errors="replace")
+        return escape(file.read(most).decode(errors="replace"))

@@ -49,16 +49,41 @@ def _sources(topology: Topology, source: Source) -> Iterator[Problem]:
         yield source.problem((key,), what, "keep one of the two")
     if topology.table_nodes is not None and "table" not in source.value:
         yield source.problem(("table_nodes",), "is about a `table:`, which is missing", "remove it, or add the table")
-    if topology.given is not None:
-        for what, cure in broken(topology.given, largest_gains(topology), topology.steps):
+    if topology.given is not None and len(written) == 1:
+        defaults = topology.defaults
+        a = defaults.a if isinstance(defaults.a, float) else None
+        candidates = defaults.candidates if isinstance(defaults.candidates, tuple) else None
+        for what, cure in broken(topology.given, largest_gains(topology), topology.steps, a, candidates):
             yield source.problem(("table",), what, cure)
         if topology.disturbance is not None and topology.given.disturbance:
             what = "conflicts with the disturbances of `table:`, which it replaces"
             yield source.problem(("disturbance",), what, "remove one of the two")
+    yield from _without_effect(topology, source)
     for node in topology.nodes if isinstance(topology.ids, range) and written[:1] != ["edges"] else ():
         if not topology.has(node):
             what, cure = f"{node!r} is none of its nodes", f"they are 0 to {len(topology.ids) - 1}"
             yield source.problem(("nodes", node), what, cure)
+
+
+def _without_effect(topology: Topology, source: Source) -> Iterator[Problem]:
+    """Find the defaults of the command line that no node uses: in a resolved file, each node has its own value."""
+    paths: list[Path] = [("defaults", key) for key in topology.defaults.model_fields_set]
+    for path in [*paths, ("b",)]:
+        key = str(path[-1])
+        if not source.mark(path).origin or getattr(topology if path == ("b",) else topology.defaults, key) is None:
+            continue
+        by = ""
+        if path == ("b",) and topology.defaults.b is not None:
+            by = "`defaults:` give the gain"
+        elif topology.given is not None and getattr(topology.given, key) is not None:
+            by = "the table has a value for each node"
+        elif len(topology.nodes) == len(topology.ids) and all(
+            getattr(own, key) is not None for own in topology.nodes.values()
+        ):
+            by = "each node has its own value"
+        if by:
+            node = topology.ids[0]
+            yield source.problem(path, f"has no effect: {by}", f"write nodes.{node}.{key} for one node")
 
 
 def _edges(topology: Topology, source: Source) -> Iterator[Problem]:
@@ -107,6 +132,13 @@ class _Named:
     id: int | str
     topology: Topology
     source: Source
+
+    def in_table(self, *keys: str) -> bool:
+        """Return True if all of these values come from the table, whose rules are checked in columns."""
+        own, table = self.topology.nodes.get(self.id), self.topology.given
+        return table is not None and all(
+            getattr(table, key) is not None and getattr(own, key, None) is None for key in keys
+        )
 
     def problem(self, key: str, what: str, cure: str, *inside: int) -> Problem:
         own = getattr(self.topology.nodes.get(self.id), key, None) is not None
@@ -171,7 +203,7 @@ def _condition_3(node: _Named, b: float, degree: float) -> Iterator[Problem]:
         values.append(("a", settings.a, ()))
     why = f"({interval[0]:.6g}, {interval[1]:.6g}), the interval of condition (3) for b = {b:g} and degree {degree:.6g}"
     for key, value, inside in values:
-        if isinstance(value, float) and not satisfies_condition(value, b, degree):
+        if isinstance(value, float) and not satisfies_condition(value, b, degree) and not node.in_table(key):
             yield node.problem(key, f"{value!r} is outside {why}", "choose a value inside it", *inside)
 
 
@@ -181,6 +213,7 @@ def _truth(node: _Named) -> Iterator[Problem]:
         isinstance(settings.candidates, tuple)
         and isinstance(settings.a, float)
         and settings.a not in settings.candidates
+        and not node.in_table("a", "candidates")
     ):
         shown = ", ".join(f"{value:g}" for value in settings.candidates[:12])
         what = f"the truth {settings.a!r} is not among the candidates [{shown}]"
@@ -250,7 +283,7 @@ def _processes(topology: Topology, source: Source) -> Iterator[Problem]:
         what = f"{topology.processes} are too many for {n} nodes"
         yield source.problem(("processes",), what, f"give at most {n}")
     elif topology.layout is not None and (wrong := _no_layout(topology.layout, n, topology.process_count)):
-        yield source.problem(("layout",), wrong, "remove `layout:`, which a partition of the graph replaces")
+        yield source.problem(("layout",), wrong, "write `layout: null`, and a partition of the graph replaces it")
 
 
 def _no_layout(layout: Sequence[int], n: int, processes: int) -> str:

@@ -397,7 +397,9 @@ class Topology(Model):
 
     def with_table(self, table: Table) -> Self:
         """Return a copy with the content of the file of `table:`."""
-        copy = self.model_copy(update={"table": self.table, "layout": self.layout or table.layout})
+        # `layout: null` replaces the layout in the table: with another number of processes it would not fit.
+        layout = self.layout if "layout" in self.model_fields_set else table.layout
+        copy = self.model_copy(update={"table": self.table, "layout": layout})
         copy._table = table
         return copy
 
@@ -415,8 +417,12 @@ class Topology(Model):
         return copy
 
     def settings(self, node: int | str) -> Node:
-        """Return the settings of `node` in the file: its own, then the defaults, then the built-in ones."""
-        return self.behind(self.nodes.get(node, Node()))
+        """Return the settings of `node`: its own, then the numbers of the table, the defaults and the built-in ones."""
+        own = self.nodes.get(node, Node())
+        if self._table is not None and self.has(node):
+            numbers = self._table.numbers(self.position(node))
+            own = own.model_copy(update={key: value for key, value in numbers.items() if getattr(own, key) is None})
+        return self.behind(own)
 
     def behind(self, own: Node) -> Node:
         """Return these settings, with gaps filled by the defaults."""

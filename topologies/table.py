@@ -21,7 +21,7 @@ Columns in the table hold for every node that `nodes:` does not change; missing 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -29,7 +29,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from hedgerow.topologies import archive
+from hedgerow.topologies import archive, budget
 from hedgerow.topologies.errors import Code, FileRefusedError, UserError
 from hedgerow.topologies.graph import LARGEST, Array, Gain, Graph, Index
 from hedgerow.topologies.hinf import condition_holds
@@ -41,8 +41,19 @@ NAME = "network.npz"
 NodesBy = Literal["positions", "ids"]
 _NUMBERS = ("a", "x0", "nominal")
 """columns that a complete table must have"""
+_PER_NODE = ("ids", *_NUMBERS, "b", "candidates", "labels", "positions")
+"""columns that give the number of nodes"""
+_COLUMNS = {"edges", "weights", "layout", "parts", *_PER_NODE}
+BYTES_PER_NODE = 100
+"""the memory of a node and its numbers, as for a rule"""
 _GROWTH = {"edges": 12, "ids": 8, "weights": 4, "labels": 2}
 """the memory per byte of an array: a graph lists every edge from both ends, and ids become Python objects"""
+_GROWTH_WITHOUT_N = 2
+"""the memory per byte of the other columns, if none of them gives the number of nodes"""
+_GROWTH_OF_ROWS = 5
+"""the memory per byte of lists beyond a usual length, and of samples"""
+_USUAL_BYTES = 64
+"""the size of the candidates of a node that `BYTES_PER_NODE` includes"""
 _GROUP = re.compile(r"w ([0-9]{1,3}) (\w+) (\w+)")
 
 
@@ -90,6 +101,17 @@ class Table:
             positions=self.positions,
         )
 
+    def numbers(self, k: int) -> dict[str, float | tuple[float, ...]]:
+        """Return the numbers of the node at position k, by their keys in a file; without those that are missing."""
+        columns = {"a": self.a, "x0": self.x0, "nominal": self.nominal, "b": self.b}
+        found: dict[str, float | tuple[float, ...]] = {
+            key: float(column[k]) for key, column in columns.items() if column is not None
+        }
+        if self.candidates is not None:
+            listed = self.candidates[:, k]
+            found["candidates"] = tuple(listed[~np.isnan(listed)].tolist())
+        return found
+
 
 def write(network: Network, path: Path, layout: Sequence[int] | None = None) -> None:
     """Write a complete network, which `read` reads back to the same bits.
@@ -119,7 +141,9 @@ def read(file: str, folder: Path, named_by: NodesBy | None = None) -> Table:
     """Return the table in a file; raise ValueError if it is invalid, FileRefusedError if it has two readings."""
     path = beside(folder, file)
     try:
-        _, arrays = archive.read(path, _GROWTH)
+        _, arrays = archive.read(path, _memory)
+    except FileRefusedError as error:
+        raise FileRefusedError(f"{file}: {error.what}", error.cure, error.code) from None
     except UserError as error:
         raise FileRefusedError(str(error), code=error.code) from None
     try:
@@ -127,6 +151,33 @@ def read(file: str, folder: Path, named_by: NodesBy | None = None) -> Table:
     except (ValueError, LookupError, TypeError, AttributeError, ArithmeticError, MemoryError) as error:
         refused = FileRefusedError.of(error if isinstance(error, ValueError) else ValueError(str(error)))
         raise FileRefusedError(f"{file}: {refused.what}", refused.cure, refused.code) from None
+
+
+def _memory(heads: Mapping[str, archive.Head]) -> int:
+    """Return the memory of a table [bytes]; raise FileRefusedError for an array that no table has."""
+    for name in heads:
+        if name not in _COLUMNS and _column(name) is None:
+            raise FileRefusedError(f"has a column `{name}`", "docs/topology.md lists the columns")
+    n = next((heads[name].shape[0] for name in _PER_NODE if name in heads and heads[name].shape), 0)
+    for name in (*_PER_NODE, "layout", "parts"):
+        if n and name in heads and heads[name].shape[:1] != (n,):
+            raise FileRefusedError(f"`{name}` has the shape {heads[name].shape}", f"write {n} rows, one per node")
+    sizes = {name: head.size for name, head in heads.items()}
+    rows = max(0, sizes.get("candidates", 0) - _USUAL_BYTES * n)
+    rows += sum(size for name, size in sizes.items() if name.endswith(" values"))
+    return (
+        BYTES_PER_NODE * n
+        + _GROWTH_OF_ROWS * rows
+        + sum(size * _GROWTH.get(name, 0 if n else _GROWTH_WITHOUT_N) for name, size in sizes.items())
+    )
+
+
+def _column(name: str) -> tuple[int, str, str] | None:
+    """Return place, kind and parameter of a column of disturbances; None for another name."""
+    match = _GROUP.fullmatch(name)
+    if match is None or match[2] not in PARAMETERS or match[3] not in ("nodes", *PARAMETERS[match[2]]):
+        return None
+    return int(match[1]), match[2], match[3]
 
 
 def _table(arrays: archive.Arrays, named_by: NodesBy | None) -> Table:
@@ -171,13 +222,16 @@ def _table(arrays: archive.Arrays, named_by: NodesBy | None) -> Table:
 def _size(arrays: archive.Arrays) -> int:
     if "edges" not in arrays:
         raise ValueError("has no `edges`, pairs of nodes of the shape (E, 2)")
-    for name in ("ids", *_NUMBERS, "b", "candidates", "labels", "positions"):
+    for name in _PER_NODE:
         if name in arrays and arrays[name].ndim:
             return len(arrays[name])
     edges = arrays["edges"]
     if edges.dtype.kind not in "iu" or not edges.size:
         raise ValueError("does not give the number of nodes; add `ids`")
-    return int(edges.max()) + 1
+    n = int(edges.max()) + 1
+    if why := budget.excess(n * BYTES_PER_NODE):
+        raise FileRefusedError(f"`edges` names the node {n - 1}, so there are {n}: {why}", code=Code.FILE_TOO_LARGE)
+    return n
 
 
 def _ids(found: NDArray[Any] | None, n: int) -> Sequence[int | str]:
@@ -310,10 +364,9 @@ def _candidates(found: NDArray[Any], n: int) -> Array:
 def _groups(arrays: archive.Arrays, n: int) -> Iterator[Group]:
     found: dict[tuple[int, str], dict[str, NDArray[Any]]] = {}
     for name, array in arrays.items():
-        match = _GROUP.fullmatch(name)
-        if match is None or (kind := match[2]) not in PARAMETERS or match[3] not in ("nodes", *PARAMETERS[kind]):
-            raise ValueError(f"has a column `{name}`, which is unknown; docs/topology.md lists the columns")
-        found.setdefault((int(match[1]), kind), {})[match[3]] = array
+        if (column := _column(name)) is not None:
+            number, kind, key = column
+            found.setdefault((number, kind), {})[key] = array
     for (number, kind), columns in sorted(found.items(), key=lambda item: item[0]):
         name = f"w {number} {kind}"
         nodes = columns.pop("nodes", np.arange(n))
@@ -331,10 +384,13 @@ def _value(name: str, key: str, found: NDArray[Any], k: int) -> NDArray[Any]:
     return _floats(f"{name} {key}", found, (k, *found.shape[1:2]) if key == "values" else (k,))
 
 
-def broken(table: Table, b: Gain, steps: int) -> Iterator[tuple[str, str]]:
+def broken(
+    table: Table, b: Gain, steps: int, a: float | None = None, candidates: Sequence[float] | None = None
+) -> Iterator[tuple[str, str]]:
     """Yield each rule that a table breaks, condition (3) or another one, as the problem and the fix.
 
-    `b` is the gain in the file; or (n,), the largest of each node, if `nodes:` give some their own.
+    `b` is the gain in the file; or (n,), the largest of each node, if `nodes:` give some their own. `a` and
+    `candidates` are those in `defaults:`, if they are numbers.
     """
     degree = Graph(len(table.ids), table.edges, table.weights).weighted_degree
     for name in ("a", "nominal", "candidates"):
@@ -343,8 +399,12 @@ def broken(table: Table, b: Gain, steps: int) -> Iterator[tuple[str, str]]:
             k = int((~np.atleast_2d(good)).any(axis=0).argmax())
             where = f"node {table.ids[k]}, of degree {degree[k]:.6g}"
             yield f"`{name}` breaks condition (3) at {where}", "choose values inside its interval, or a smaller b"
-    if table.a is not None and table.candidates is not None:
-        among = (table.candidates == table.a).any(axis=0)
+    truth: Any = a if table.a is None else table.a
+    listed: Any = table.candidates
+    if listed is None and candidates is not None:
+        listed = np.array(candidates, dtype=np.float64)[:, None]
+    if truth is not None and listed is not None and (table.a is not None or table.candidates is not None):
+        among = np.broadcast_to((listed == truth).any(axis=0), len(table.ids))
         if not among.all():
             yield f"the truth of node {table.ids[int((~among).argmax())]} is not among its candidates", "add it to them"
     for group in table.disturbance or ():

@@ -229,6 +229,18 @@ def link_step(message: bytes, n: int) -> int:
     return decode_link(message, n).t
 
 
+def link_inputs(message: bytes) -> tuple[int, tuple[float, ...]]:
+    """Return the first step of a Link message that `link_step` accepted, and all inputs in it, row by row."""
+    count = (len(message) - _LINK_HEADER.size) // 16
+    (first,) = _STEP.unpack_from(message, _SIZE)
+    return first, struct.unpack_from(f"<{count}d", message, len(message) - 8 * count)
+
+
+def pack_link(t: int, first: int, n: int, x: Sequence[float], u: Sequence[float]) -> bytes:
+    """Return the bytes of a Link message of n nodes, from the numbers of all its rows."""
+    return struct.pack(f"{_SHORT_LINK.format}{2 * len(x)}d", _LINK_CODE | n << 32, t, first, *x, *u)
+
+
 def encode_link(link: Link, n: int) -> bytes:
     """Return the bytes of a Link message of n nodes."""
     t, first, x, u = link

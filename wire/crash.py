@@ -6,7 +6,10 @@ import contextlib
 import os
 import tempfile
 import traceback
+from collections.abc import Iterator
 from pathlib import Path
+
+from hedgerow.topologies.errors import Code, HedgerowError
 
 
 def summary(error: BaseException) -> str:
@@ -24,6 +27,21 @@ def record(error: BaseException, log: Path | None = None) -> str:
     """Write the traceback to `log`, or to a new file if that fails; return where it is."""
     file = _written("".join(traceback.format_exception(error)), log)
     return f"the traceback is in {file}" if file is not None else f"no file can be written; it was at {_place(error)}"
+
+
+@contextlib.contextmanager
+def reported() -> Iterator[None]:
+    """Raise HedgerowError (Code.CRASH) with one line for an unexpected exception in the block; see `report`."""
+    try:
+        yield
+    except HedgerowError:
+        raise
+    except Exception as error:
+        from hedgerow.wire.limits import limit_reached  # noqa: PLC0415
+
+        if (reached := limit_reached(error)) is not None:
+            raise reached from error
+        raise HedgerowError(report(error), code=Code.CRASH) from None
 
 
 def _written(text: str, log: Path | None) -> Path | None:

@@ -54,6 +54,11 @@ class History:
         if len(self._background) == self._patience:
             self._settle()
 
+    def drop_last(self, count: int) -> None:
+        """Drop the last `count` rows, at most all."""
+        self._settle()
+        self.next -= count
+
     def _settle(self) -> None:
         """Write the queued rows to the arrays."""
         if not (new := len(self._background)):

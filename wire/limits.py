@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import re
 import resource
@@ -97,24 +96,14 @@ def causes(error: BaseException) -> Iterator[BaseException]:
         one = one.__cause__ or one.__context__
 
 
-def need_open_files(count: int, who: str) -> None:
-    """Raise HedgerowError if `who` needs more open files than a process may have."""
-    with contextlib.suppress(OSError):
-        soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+def need(who: str, *, open_files: int = 0, memory: int = 0) -> None:
+    """Raise HedgerowError if `who` needs more open files, or bytes of address space, than a process may have."""
+    for limit, count in ((_FILES, open_files), (_MEMORY, memory)):
+        soft = resource.getrlimit(limit.number)[0]
         if soft != resource.RLIM_INFINITY and count > soft:
+            unit = "MB of address space" if limit is _MEMORY else limit.what
+            per = 10**6 if limit is _MEMORY else 1
             raise HedgerowError(
-                f"{who} needs about {count} open files, and a process may have {soft}."
-                " Raise the limit with `ulimit -n`, or use fewer --processes.",
+                f"{who} needs about {count // per} {unit}, and a process may have {soft // per}. {limit.cure}",
                 code=Code.LIMIT,
             )
-
-
-def need_memory(size: int, who: str) -> None:
-    """Raise HedgerowError if `who` needs more bytes of address space than a process may have."""
-    soft, _ = resource.getrlimit(_MEMORY.number)
-    if soft != resource.RLIM_INFINITY and size > soft:
-        raise HedgerowError(
-            f"{who} needs about {size // 10**6} MB of address space, and a process may have {soft // 10**6} MB."
-            " Raise the limit with `ulimit -v`.",
-            code=Code.LIMIT,
-        )

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import socket
 
-from hedgerow.topologies.errors import Code, HedgerowError
+from hedgerow.topologies.errors import Code, HedgerowError, UserError
 from hedgerow.wire.limits import limit_reached
 
 LOOPBACK = "127.0.0.1"
@@ -31,3 +32,34 @@ def free_port(host: str = LOOPBACK) -> int:
             f"{': `ip link set lo up`' if host == LOOPBACK else ''}.",
             code=Code.WIRE,
         ) from None
+
+
+_TAKEN = {
+    errno.EADDRINUSE: "the port is in use. End the program that has it, or choose another port.",
+    errno.EADDRNOTAVAIL: "the address is not one of this machine. Write 0.0.0.0 for all of its addresses.",
+    errno.EACCES: "the port needs more rights. Choose one from 1024.",
+}
+
+
+def check_listen(endpoint: str, option: str = "--listen") -> None:
+    """Raise UserError for a TCP or TLS endpoint on which no program of this user can listen now.
+
+    Zenoh would report it after the processes of a run have started.
+    """
+    transport, _, address = endpoint.partition("#")[0].partition("?")[0].partition("/")
+    host, _, port = address.rpartition(":")
+    if transport not in ("tcp", "tls") or not (port.isascii() and port.isdecimal()):
+        return
+    host = host.removeprefix("[").removesuffix("]")
+    try:
+        family, _, _, _, where = socket.getaddrinfo(host or None, int(port), type=socket.SOCK_STREAM)[0]
+        with socket.create_server(where[:2], family=family):
+            pass
+    except socket.gaierror as error:
+        what = f"the host has no address: {error.strerror}. Write the address of an interface, or 0.0.0.0."
+        raise UserError(f"{option} {endpoint}: {what}", code=Code.OPTION) from None
+    except OSError as error:
+        if error.errno in _TAKEN:
+            raise UserError(f"{option} {endpoint}: {_TAKEN[error.errno]}", code=Code.OPTION) from None
+    except (OverflowError, ValueError):  # the check of endpoints names it
+        return

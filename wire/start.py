@@ -14,9 +14,10 @@ import sys
 import threading
 from collections.abc import Iterable, Iterator
 from types import FrameType
-from typing import Any
+from typing import Any, NoReturn
 
-from hedgerow.topologies.escape import EscapedStream
+from hedgerow.topologies.errors import Exit
+from hedgerow.topologies.escape import EscapedStream, echo
 from hedgerow.wire import first
 
 INTERRUPTED = 128 + signal.SIGINT
@@ -36,17 +37,33 @@ def begin() -> None:
 
 
 @contextlib.contextmanager
-def needs(command: str) -> Iterator[None]:
-    """Exit with 2 and one line if a package that `command` needs cannot be imported in the block."""
+def whole(command: str) -> Iterator[None]:
+    """Exit with one line if the block raises: 2 if `command` lacks a package, 3 at a limit, 70 for a defect of ours."""
     try:
         yield
     except ModuleNotFoundError as error:
         if error.name not in ("numpy", "zenoh"):
-            raise
-        from hedgerow.topologies.escape import echo  # noqa: PLC0415
+            _fail(error)
+        _end(f"{command} needs {error.name}. Install it with: pip install numpy eclipse-zenoh", Exit.USER_MISTAKE)
+    except KeyboardInterrupt:
+        sys.exit(INTERRUPTED)
+    except SystemExit:
+        raise
+    except BaseException as error:  # a panic of a Rust library is not an Exception
+        _fail(error)
 
-        echo(f"error: {command} needs {error.name}. Install it with: pip install numpy eclipse-zenoh", error=True)
-        sys.exit(2)
+
+def _fail(error: BaseException) -> NoReturn:
+    from hedgerow.wire import crash, limits  # noqa: PLC0415
+
+    reached = limits.limit_reached(error)
+    _end(reached or crash.report(error), Exit.CRASH if reached is None else Exit.UNKNOWN)
+
+
+def _end(said: object, code: int) -> NoReturn:
+    with contextlib.suppress(OSError, ValueError):
+        echo(f"error: {said}", error=True)
+    sys.exit(code)
 
 
 def open_streams() -> None:

@@ -5,14 +5,17 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import inspect
+import json
+import sys
 import threading
 import time
+import types
 import typing
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import numpy as np
-from pydantic import ConfigDict, TypeAdapter, ValidationError, create_model
+from pydantic import ConfigDict, PydanticUserError, TypeAdapter, ValidationError, create_model
 
 from hedgerow.agents.contract import Trial, check_law
 from hedgerow.agents.law import Law
@@ -58,6 +61,8 @@ def with_defaults(law: type[Any], parameters: Mapping[str, Any], where: str) -> 
         if key not in known:
             near = difflib.get_close_matches(key, known, 1)
             cure = f"Did you mean {near[0]}?" if near else f"Its parameters are {', '.join(known) or 'none'}."
+            if _is_positional(law, key):
+                cure = f"Its constructor takes {key} by position. Write a * before it: (self, b, candidates, *, {key})."
             raise UserError(f"{where}: has no parameter {key}. {cure}", code=Code.LAW)
     for key, default in known.items():
         if default is dataclasses.MISSING and key not in parameters:
@@ -66,6 +71,15 @@ def with_defaults(law: type[Any], parameters: Mapping[str, Any], where: str) -> 
     given = {**defaults, **parameters}
     _check_types(law, given, where)
     return given
+
+
+def _is_positional(law: type[Any], key: str) -> bool:
+    """Return True if the constructor of a law has an argument that would be a parameter after a *."""
+    try:
+        one = inspect.signature(law.__init__).parameters.get(key)
+    except (TypeError, ValueError):
+        return False
+    return one is not None and one.kind is one.POSITIONAL_OR_KEYWORD and key not in ("self", "b", "candidates", "local")
 
 
 _KEPT: dict[tuple[type[Law], str, bytes], None] = {}
@@ -135,17 +149,48 @@ def _within_deadline(law: type[Law], name: str, test: Callable[[Callable[[], Non
 
 
 def _check_types(law: type[Any], given: Mapping[str, Any], where: str) -> None:
-    """Raise UserError for a value that the declaration of the class does not allow."""
+    """Raise UserError for a value that the declaration of the class does not allow.
+
+    The law receives a value as it was written, so the check is strict: the text "0.5" is no number. JSON stands for
+    tuples by lists, and for a member of an Enum by its value.
+    """
     group = getattr(law, "Parameters", None)
     try:
+        written = json.dumps(given)
+    except (TypeError, ValueError):  # a default of another type, which the caller refuses
+        return
+    try:
         if group is not None:
-            TypeAdapter(group).validate_python(dict(given))
+            TypeAdapter(group).validate_json(written, strict=True)
             return
-        hints = typing.get_type_hints(law.__init__) if inspect.isfunction(law.__init__) else {}
-        fields: dict[str, Any] = {key: (hints.get(key, Any), ...) for key in given}
-        create_model("Parameters", __config__=ConfigDict(arbitrary_types_allowed=True), **fields)(**given)
+        fields: dict[str, Any] = {key: (hint, ...) for key, hint in _hints(law, given).items()}
+        model = create_model("Parameters", __config__=ConfigDict(arbitrary_types_allowed=True), **fields)
+        model.model_validate_json(written, strict=True)
+    except PydanticUserError as error:
+        said = f"its parameters cannot be checked: {error.message.splitlines()[0]}. Correct their types."
+        raise UserError(f"{where}: {said}", code=Code.LAW) from error
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         key = ".".join(map(str, first["loc"])) or "parameters"
         said = first["msg"][:1].lower() + first["msg"][1:]
         raise UserError(f"{where}: the parameter {key}: {said}. Correct it.", code=Code.LAW) from None
+
+
+def _hints(law: type[Any], keys: Iterable[str]) -> dict[str, Any]:
+    """Return the type of every parameter, `Any` where its annotation has none or cannot be evaluated.
+
+    With `from __future__ import annotations`, an annotation is a text. Its names may exist under TYPE_CHECKING alone.
+    """
+    init = law.__init__
+    listed = inspect.signature(init).parameters if inspect.isfunction(init) else {}
+    names = {**vars(sys.modules.get(law.__module__, typing)), **getattr(init, "__globals__", {})}
+    found = {}
+    for key in keys:
+        hint = listed[key].annotation if key in listed else Any
+        if isinstance(hint, str):
+            try:
+                hint = typing.get_type_hints(types.SimpleNamespace(__annotations__={key: hint}), names)[key]
+            except Exception:
+                hint = Any
+        found[key] = Any if hint is inspect.Parameter.empty else hint
+    return found

@@ -16,7 +16,7 @@ from hedgerow.topologies.errors import UserError
 from hedgerow.topologies.escape import command
 from hedgerow.wire.access import OBSERVER, ROUTER, Place
 from hedgerow.wire.keys import PLANT, chunk
-from hedgerow.wire.ports import free_port
+from hedgerow.wire.ports import check_listen, free_port
 from hedgerow.wire.session import check_endpoint, check_namespace
 from hedgerow.wire.sockets import check_socket, locator, socket_folder, socket_in
 
@@ -103,6 +103,7 @@ def check(
             check_endpoint(endpoint, option)
     if listen is not None:
         check_socket(listen, "--listen")
+        check_listen(listen)
     if namespace is not None:
         check_namespace(namespace)
     if keys is not None and not secure:

@@ -29,7 +29,7 @@ from hedgerow.wire import keys
 from hedgerow.wire.codec import telemetry_bytes
 from hedgerow.wire.credentials import Credentials
 from hedgerow.wire.handshake import room
-from hedgerow.wire.limits import need_open_files
+from hedgerow.wire.limits import need
 from hedgerow.wire.runtime import LONG_BYTES
 from hedgerow.wire.session import CONNECT_TIMEOUT_S, RefusedError, WireError, close, open_client
 from hedgerow.wire.shared_rows import SharedRows, create
@@ -109,7 +109,7 @@ class Launch:
         stack.callback(self._fork_client.clear)
         processes = Processes(self._fork_client, self._folder, connection)
         if connection.listens:  # without this, agents that the router cannot accept would be restarted for a minute
-            need_open_files(len(self.views) + ROUTER_FILES, f"a plant with {len(self.views)} agent processes")
+            need(f"a plant with {len(self.views)} agent processes", open_files=len(self.views) + ROUTER_FILES)
         external, meeting, fleet = self._options.external, None, None
         shared: SharedRows | None = None
         # Start no process if there is no router.

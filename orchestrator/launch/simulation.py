@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import time
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from hedgerow.agents.loading import LawError
-from hedgerow.orchestrator.ground.assignment import Layout, layout, truth_of, views_of
+from hedgerow.agents.loading import LawError, law_class
+from hedgerow.orchestrator.ground.assignment import Layout, law_of, layout, truth_of, views_of
 from hedgerow.orchestrator.ground.law_source import FOLDER, differs, kept_law
 from hedgerow.orchestrator.ground.laws import checked
 from hedgerow.orchestrator.ground.signals import Interrupts
+from hedgerow.orchestrator.launch.law_watch import LawWatch
 from hedgerow.orchestrator.launch.recording import Recording, Watching
 from hedgerow.orchestrator.metrics.verdict import Ending, Verdict
 from hedgerow.orchestrator.runs import reference
 from hedgerow.orchestrator.runs.folder import RunFolder, create
 from hedgerow.orchestrator.views.screen import Quiet, Screen
 from hedgerow.topologies.errors import HedgerowError
+from hedgerow.topologies.law_choice import LawChoice
 from hedgerow.topologies.named import Named, resolved, text_of
 from hedgerow.topologies.paths import user_path
 from hedgerow.topologies.schema import Topology
@@ -71,7 +74,10 @@ def simulate_into(
     run.tell_faults()
     began = time.monotonic()
     telemetry = reference.run(truth_of(topology, shards), views_of(topology, shards))
-    with Interrupts() as interrupts:
+    watch: contextlib.AbstractContextManager[Any] = contextlib.nullcontext()
+    if ":" in (law := law_of(topology)):
+        watch = LawWatch(law_class(LawChoice.parse(law).name), law, screen.say)
+    with Interrupts() as interrupts, watch:
         try:
             for rows in _batches(telemetry, run.rows_at_once):
                 if steps := [row for row in rows if isinstance(row, Telemetry)]:

@@ -23,6 +23,7 @@ from hedgerow.orchestrator.launch.recording import Recording
 from hedgerow.orchestrator.launch.supervisor import Processes, cause
 from hedgerow.orchestrator.metrics.verdict import Ending, Verdict
 from hedgerow.orchestrator.runs.folder import RunFolder
+from hedgerow.orchestrator.runs.log_files import escape_logs
 from hedgerow.orchestrator.views.rerun.viewer import Viewer
 from hedgerow.orchestrator.views.screen import Screen
 from hedgerow.topologies.errors import Exit
@@ -103,6 +104,7 @@ class Network:
             if self._options.verify and not self._ending.stopped:
                 self._ending.comparison = compare(run)
             verdict = run.close()
+            escape_logs(self._folder.logs)
             run.warn(self._screen)
             from hedgerow.orchestrator.runs.round_trips import line  # noqa: PLC0415  # pyarrow delays the first step
 
@@ -166,6 +168,8 @@ class Network:
                 missed = processes.failing if self._ending.first_step_s is None else []
                 if interrupts.count or processes.dead() or missed:
                     self._ask_to_stop(session, interrupts.name or (cause(missed) if missed else ""))
+        if self._ending.stopped == interrupts.name and run.observer.end.t == self._topology.steps:
+            self._ending.stopped = ""  # the signal was too late: the plant had made all steps already
 
     def _tick_s(self, processes: Processes) -> float:
         due = processes.next_due

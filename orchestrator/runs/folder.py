@@ -105,8 +105,8 @@ def create(topology: Topology, directory: Path | None) -> RunFolder:
         else:
             folder = _new_in(Path("runs"), topology.name)
             made = True
+        _claim(folder)
         try:
-            folder.logs.mkdir()
             folder.processes.mkdir()
             if (source := source_of(topology.law)).files:
                 source.write(folder.law)
@@ -127,6 +127,14 @@ def create(topology: Topology, directory: Path | None) -> RunFolder:
             code=Code.OUTPUT,
         ) from None
     return folder
+
+
+def _claim(folder: RunFolder) -> None:
+    """Make the first entry of a run folder; raise UserError if another run has made it, and leave that run's files."""
+    try:
+        folder.logs.mkdir()
+    except FileExistsError:
+        raise UserError(f"--run-dir {folder.path}: another run has it. Name a new folder.", code=Code.OUTPUT) from None
 
 
 def reserve(name: str) -> RunFolder:

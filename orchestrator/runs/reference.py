@@ -55,6 +55,8 @@ def _steps(world: World, views: Sequence[View], steps: int, law: Law | None) -> 
             else:
                 if record is not None:
                     shard.recall(record)
+                # As the states of a message: a law that changes its argument would change the plant.
+                state.x.flags.writeable = False
                 inputs.append(shard.answer(state))
                 reports.append(shard.report)
                 took.append(shard.took)

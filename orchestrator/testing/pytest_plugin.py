@@ -26,18 +26,20 @@ def network(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
     from hedgerow.orchestrator.launch import live, running  # noqa: PLC0415
     from hedgerow.orchestrator.runs import run  # noqa: PLC0415
     from hedgerow.orchestrator.testing import Networks, scenario  # noqa: PLC0415
+    from hedgerow.wire import crash  # noqa: PLC0415
 
-    for ours in (live, run, running, scenario):
-        vars(ours)["__tracebackhide__"] = _is_the_users
+    for ours in (live, run, running, scenario, crash):
+        vars(ours)["__tracebackhide__"] = _is_one_line
     results = request.config.stash[_RESULTS]
     return Networks(tmp_path_factory.mktemp, results.append)
 
 
-def _is_the_users(mistake: pytest.ExceptionInfo[BaseException]) -> bool:
-    """Return True for a mistake in a test: pytest then shows the line of the test alone."""
-    from hedgerow.topologies.errors import UserError  # noqa: PLC0415
+def _is_one_line(mistake: pytest.ExceptionInfo[BaseException]) -> bool:
+    """Return True if pytest must show the line of the test alone: for a mistake in a test, and a defect of ours."""
+    from hedgerow.topologies.errors import Code, HedgerowError, UserError  # noqa: PLC0415
 
-    return isinstance(mistake.value, UserError)
+    error = mistake.value
+    return isinstance(error, UserError) or (isinstance(error, HedgerowError) and error.code == Code.CRASH)
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -56,11 +58,25 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestR
     """Add the runs of a failed test to its report: their problems, and their folders."""
     report = yield
     if report.failed and (results := item.config.stash[_RESULTS]):
-        report.sections.append(("networks", "\n".join(run.describe() for run in results[-_SHOWN:])))
+        report.sections.append(("networks", "\n".join(_described(run) for run in results[-_SHOWN:])))
     return report
 
 
 _SHOWN = 4
+
+
+def _described(run: Run) -> str:
+    """Return the description of a run; a defect of ours must not end the session of pytest."""
+    try:
+        return run.describe()
+    except Exception as error:
+        return _defect(error)
+
+
+def _defect(error: Exception) -> str:
+    from hedgerow.wire import crash  # noqa: PLC0415
+
+    return crash.report(error)
 
 
 def pytest_assertrepr_compare(left: object, right: object, op: str) -> list[str] | None:
@@ -69,4 +85,7 @@ def pytest_assertrepr_compare(left: object, right: object, op: str) -> list[str]
         return None
     from hedgerow.orchestrator.testing.explanation import explain  # noqa: PLC0415
 
-    return explain(left, right)
+    try:
+        return explain(left, right)
+    except Exception as error:
+        return [f"{type(left).__name__} == {type(right).__name__}", _defect(error)]

@@ -27,6 +27,7 @@ from hedgerow.topologies.named import Named, text_of
 from hedgerow.topologies.record import Record
 from hedgerow.topologies.resolve import resolve
 from hedgerow.topologies.schema import Topology
+from hedgerow.wire import crash
 from hedgerow.wire.message import End, Telemetry
 
 RUN_DEADLINE_S = 120.0
@@ -57,9 +58,10 @@ class Scenario(FaultVerbs["Scenario"]):
     @cached_property
     def topology(self) -> Topology:
         """Return the resolved network, with all rows recorded."""
-        read = parse(self.text, self.name, self.folder, self.settings)
-        drawn = resolve(read.model_copy(update={"record": Record(nodes="all")}), self.folder)
-        return laws.checked(resolve(drawn.model_copy(update={"faults": (*drawn.faults, *self.faults)})))
+        with crash.reported():
+            read = parse(self.text, self.name, self.folder, self.settings)
+            drawn = resolve(read.model_copy(update={"record": Record(nodes="all")}), self.folder)
+            return laws.checked(resolve(drawn.model_copy(update={"faults": (*drawn.faults, *self.faults)})))
 
     def set(self, *settings: str) -> Scenario:
         """Return a copy with values of the file replaced: `path=value`, as for `--set` on the command line."""
@@ -88,9 +90,11 @@ class Scenario(FaultVerbs["Scenario"]):
         folder = self.new_folder(scenario.topology.name)
         match engine:
             case "in-process":
-                result = _run_here(scenario.topology, folder)
+                with crash.reported():
+                    result = _run_here(scenario.topology, folder)
             case "zenoh":
-                result = run_to_the_end(scenario.topology, folder, *_OPTIONS, deadline_s=deadline_s, listed=False)
+                with crash.reported():
+                    result = run_to_the_end(scenario.topology, folder, *_OPTIONS, deadline_s=deadline_s, listed=False)
             case _:
                 raise UserError(f"engine={engine!r}: is neither 'in-process' nor 'zenoh'", code=Code.OPTION)
         self.on_result(result)

@@ -18,6 +18,7 @@ from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import resolve, to_yaml
 from hedgerow.topologies.schema import Topology
 from tests.test_faults import faulty, harsh
+from tests.tools.examples import examples
 from tests.tools.networks import partitions, read, simulate
 from tests.tools.processes import orchestrator
 
@@ -26,7 +27,7 @@ PAPER7 = Path(__file__).parents[2] / "topologies" / "paper7.yaml"
 
 
 @given(topology=faulty(), history=st.sampled_from([0, 1, 2, 5, 100_000]), data=st.data())
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 def test_a_law_that_asks_for_everything_is_the_same_in_every_layout(
     topology: Topology, history: int, data: st.DataObject
 ) -> None:

@@ -21,6 +21,7 @@ from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import resolve
 from tests.tools import broken_laws
 from tests.tools.broken_laws import BROKEN, IntegratesWithoutFlow, Raises
+from tests.tools.examples import examples
 from tests.tools.laws import Curious
 
 
@@ -39,7 +40,7 @@ def test_a_broken_law_is_refused_with_its_line_and_method(law: type[Any]) -> Non
 
 
 @given(st.integers(1, 12), st.integers(1, 9), st.booleans(), st.data())
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=examples(30), deadline=None)
 def test_the_trial_of_any_network_passes_the_law_of_the_paper(
     n: int, most: int, unequal: bool, data: st.DataObject
 ) -> None:

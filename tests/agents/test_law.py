@@ -19,6 +19,7 @@ from hedgerow.plant.truth import Truth
 from hedgerow.topologies.errors import UserError
 from hedgerow.topologies.network import padded
 from hedgerow.topologies.schema import Topology
+from tests.tools.examples import examples
 from tests.tools.networks import floats, gathered, listed, networks, partitions, read, simulate
 
 B = 0.1
@@ -166,7 +167,7 @@ def test_the_fixed_laws_are_minimax_with_one_candidate(law: str, topology: Topol
 
 
 @given(networks(most=7, steps=15), st.data())
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 def test_every_layout_over_processes_gives_the_same_bits(topology: Topology, data: st.DataObject) -> None:
     """One shard of all nodes, one a node, any partition between: telemetry is equal."""
     n = len(topology.ids)
@@ -176,7 +177,7 @@ def test_every_layout_over_processes_gives_the_same_bits(topology: Topology, dat
 
 
 @given(networks(), st.data())
-@settings(max_examples=40)
+@settings(max_examples=examples(40))
 def test_an_agent_receives_only_its_nodes_and_neighbours(topology: Topology, data: st.DataObject) -> None:
     """Its view contains no truth, no x(0), no disturbance, and no edge of other nodes."""
     shards = data.draw(partitions(len(topology.ids)))
@@ -205,7 +206,7 @@ def test_an_agent_receives_only_its_nodes_and_neighbours(topology: Topology, dat
 
 
 @given(topology=networks(), data=st.data())
-@settings(max_examples=30)
+@settings(max_examples=examples(30))
 def test_the_data_of_a_process_survive_its_file(
     topology: Topology, data: st.DataObject, tmp_path_factory: pytest.TempPathFactory
 ) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -26,7 +27,8 @@ from hedgerow.topologies.schema import Topology
 from hedgerow.wire.codec import encode_input, encode_link, encode_state
 from hedgerow.wire.message import Link
 from tests.test_faults import faulty, harsh
-from tests.tools.networks import partitions, simulate
+from tests.tools.examples import examples
+from tests.tools.networks import partitions, read, simulate
 
 
 @contextmanager
@@ -52,7 +54,7 @@ def check_same_bits(topology: Topology, shards: Layout, steps: int) -> None:
 
 
 @given(topology=faulty(steps=20), history=st.sampled_from([1, 2, 5, 100_000]), steps=st.integers(1, 4), data=st.data())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 def test_quiet_steps_give_the_bits_of_the_general_path_under_faults(
     topology: Topology, history: int, steps: int, data: st.DataObject
 ) -> None:
@@ -125,7 +127,9 @@ def test_any_numbers_give_the_bits_of_the_law_or_are_passed_to_it(
 @pytest.mark.parametrize("law", ["tests.tools.laws:Curious", "minimax"])
 def test_only_the_law_of_the_paper_and_few_nodes_are_quiet(law: str) -> None:
     topology = resolve(load("paper7", [f"law={law}"]))
-    views = [views_of(topology, layout(topology, processes)) for processes in (7, 1)]
+    nodes = {"nodes": list(range(9)), "defaults": {"a": 0.4, "candidates": [0.4, 0.6]}}
+    many = read(json.dumps({"name": "nine", "b": 0.1, "steps": 5, "law": law, "edges": [[0, 1], [7, 8]]} | nodes))
+    views = [views_of(one, layout(one, processes)) for one, processes in ((topology, 7), (many, 1))]
     alone, together = (Shard(each[0])._quiet is not None for each in views)
     assert (alone, together) == (law == "minimax", False)
 

@@ -24,6 +24,7 @@ from hedgerow.topologies.schema import Topology
 from hedgerow.wire.message import Link
 from tests.agents.test_quiet import check_same_bits, general_path
 from tests.test_faults import faulty, harsh
+from tests.tools.examples import examples
 from tests.tools.networks import partitions, simulate
 
 LAWS = (
@@ -38,7 +39,7 @@ def test_every_law_with_a_rule_is_tried() -> None:
 
 
 @given(topology=faulty(steps=20), law=st.sampled_from(LAWS), steps=st.integers(1, 4), data=st.data())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 def test_quiet_steps_give_the_bits_of_the_general_path_under_faults(
     topology: Topology, law: str, steps: int, data: st.DataObject
 ) -> None:
@@ -75,7 +76,7 @@ def test_the_quiet_law_makes_almost_every_step_of_a_run_without_faults(law: str)
     values=st.lists(st.floats(width=64), min_size=18, max_size=18),
     models=st.lists(st.sampled_from([0.2, 0.5, 0.7, 0.9]), min_size=1, max_size=4),
 )
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=examples(200), deadline=None)
 def test_any_numbers_give_the_bits_of_the_law_or_are_left_to_it(
     law: str, values: list[float], models: list[float]
 ) -> None:

@@ -16,6 +16,7 @@ from hedgerow.topologies.schema import Topology
 from hedgerow.wire.codec import encode_quiet_states, encode_state
 from hedgerow.wire.message import Record, State, Telemetry
 from tests.test_faults import faulty
+from tests.tools.examples import examples
 from tests.tools.networks import partitions, simulate
 
 
@@ -50,7 +51,7 @@ class Checked(World):
 
 
 @given(topology=faulty(), history=st.sampled_from([1, 5, 100_000]), data=st.data())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 def test_neither_the_order_nor_the_short_way_changes_a_bit(
     topology: Topology, history: int, data: st.DataObject
 ) -> None:

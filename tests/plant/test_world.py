@@ -21,6 +21,7 @@ from hedgerow.topologies.network import groups_of, padded
 from hedgerow.topologies.resolve import truth
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire.message import REPORT_ROWS
+from tests.tools.examples import examples
 from tests.tools.networks import disturbances, networks, observe, read, simulate
 
 SEED = 2**63 - 1
@@ -51,7 +52,7 @@ def test_each_kind_follows_its_formula() -> None:
 
 
 @given(st.lists(disturbances(12), min_size=1, max_size=5), st.integers(0, 2**63 - 1))
-@settings(max_examples=50)
+@settings(max_examples=examples(50))
 def test_a_list_is_the_sum_of_its_members(written: list[Any], seed: int) -> None:
     """Each member at its place gives the same values as with only `none` around it."""
     nodes: list[list[dict[str, Any]]] = [
@@ -101,7 +102,7 @@ def test_white_noise_has_the_standard_deviation_asked_for() -> None:
 
 
 @given(networks())
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 def test_the_world_moves_by_equation_1(topology: Topology) -> None:
     """Against matrices: x(t+1) = A x + diag(b) L u + w with the weighted Laplacian L."""
     world = World(truth_of(topology, layout(topology, None)))
@@ -121,7 +122,7 @@ def test_the_world_moves_by_equation_1(topology: Topology) -> None:
 
 
 @given(networks(), st.data())
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 def test_the_flows_of_all_nodes_sum_to_zero(topology: Topology, data: st.DataObject) -> None:
     """A cut edge is closed at both ends: the flows of all nodes always sum to zero, for any weights."""
     edges = len(topology.edges)
@@ -138,7 +139,7 @@ def test_the_flows_of_all_nodes_sum_to_zero(topology: Topology, data: st.DataObj
 
 
 @given(networks(), st.data())
-@settings(max_examples=80)
+@settings(max_examples=examples(80))
 def test_stability_never_depends_on_the_estimates(topology: Topology, data: st.DataObject) -> None:
     """|x(t+1)| <= rho |x(t)| + |w(t)| in the norm sum |x_i| / b_i, ANY estimates from the lists, ANY cuts, rho < 1."""
     b = topology.network.b
@@ -182,7 +183,7 @@ def test_rho_is_attained() -> None:
 
 
 @given(networks(steps=12))
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 def test_the_oracles_certificate_holds_at_every_step(topology: Topology) -> None:
     """sum (|x*|^2 + |u*_e|^2) <= sum w'Q^-1 w + V(x(0)) - V(x*(t+1)), for any x(0) and any w."""
     observer, batch = observe(topology, simulate(topology))
@@ -191,7 +192,7 @@ def test_the_oracles_certificate_holds_at_every_step(topology: Topology) -> None
 
 
 @given(networks(steps=12, law="hinf"))
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 def test_the_optimal_controller_keeps_its_gain(topology: Topology) -> None:
     """With the truth known, cost - V(x(0)) is at most gamma*^2 times the energy of w."""
     observer, batch = observe(topology, simulate(topology))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import json
 import os
@@ -19,6 +20,7 @@ from typing import Any
 import psutil
 
 from hedgerow.orchestrator.launch.live import Live
+from tests.tools import preloaded
 
 COMMAND = (sys.executable, "-P", "-m", "hedgerow.orchestrator")
 DEADLINE_S = 60.0
@@ -26,6 +28,8 @@ DEADLINE_S = 60.0
 
 def orchestrator(*arguments: str, largest: int = resource.RLIM_INFINITY) -> subprocess.CompletedProcess[str]:
     """Run the command to its end; no file of it, or of its processes, grows past `largest` bytes: the disk is full."""
+    if preloaded.suits():
+        return preloaded.SESSION.run(arguments, DEADLINE_S * 3, largest=largest)
     return subprocess.run(
         [*COMMAND, *arguments],
         capture_output=True,
@@ -41,7 +45,7 @@ def parquet_bytes(folder: Path) -> tuple[bytes, ...]:
     return tuple((folder / f"{name}.parquet").read_bytes() for name in ("telemetry", "edges", "summary"))
 
 
-def gone(processes: Mapping[str, int], within_s: float = 20.0) -> bool:
+def gone(processes: Mapping[str, int], within_s: float = DEADLINE_S) -> bool:
     """Return True if all these processes end within the time; a zombie has ended."""
     deadline = time.monotonic() + within_s
     pause = threading.Event()
@@ -64,13 +68,20 @@ class Orchestrator:
 
     def __init__(self, *arguments: str, inside: Sequence[str] = ()) -> None:
         """`inside` is a command that runs other commands elsewhere."""
-        self._process = subprocess.Popen(
-            [*inside, *COMMAND, *arguments],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            start_new_session=True,
-        )
+        self._process: subprocess.Popen[str] | preloaded.Process
+        if inside or not preloaded.suits():
+            self._process = subprocess.Popen(
+                [*inside, *COMMAND, *arguments],
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                text=True,
+                start_new_session=True,
+            )
+        else:
+            reads, writes = os.pipe()
+            stdout = open(reads, encoding="utf-8")  # noqa: SIM115 (the end of the block closes it)
+            self._process = preloaded.SESSION.start(arguments, (0, writes, writes), new_session=True, stdout=stdout)
+            os.close(writes)
         self._said = ""
         self._changed = threading.Condition()
         self._ended = False
@@ -157,9 +168,13 @@ class Orchestrator:
             self.wait_for_log(name, "ready: ", life)
             os.kill(self.children[name], signal.SIGKILL)
             self.wait_for_event("died", life)
-            self.wait_until(lambda life=life: self._stays_down() or len(_events("restarted")) == life)
+            self.wait_until(functools.partial(self._is_decided, life))
             if self._stays_down():
                 return
+
+    def _is_decided(self, life: int) -> bool:
+        """Return True once another life has followed this one, or none will."""
+        return self._stays_down() or len(_events("restarted")) == life
 
     def _stays_down(self) -> bool:
         return bool(_events("down")) or self._process.poll() is not None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -91,6 +91,7 @@ class ZeroForMissing(Shard):
 
     def __init__(self, view: View) -> None:
         super().__init__(view)
+        self._quiet = None  # floats would make the steps with gaps
         samples = self._samples
 
         def flow(u: Array, bits: Flags) -> Array:
@@ -106,6 +107,7 @@ class HeldForMissing(Shard):
 
     def __init__(self, view: View) -> None:
         super().__init__(view)
+        self._quiet = None
         samples, last = self._samples, np.zeros(1 + sum(peer.receives for peer in self.peers))
 
         def flow(u: Array, bits: Flags) -> Array:
@@ -119,6 +121,10 @@ class HeldForMissing(Shard):
 class NoBackfill(Shard):
     """Throws away rows that come late."""
 
+    def __init__(self, view: View) -> None:
+        super().__init__(view)
+        self._quiet = None
+
     def _came(self, c: int, links: Sequence[Link | None], start: int, stop: int) -> LateRows:
         return super()._came(c, links, start, stop)._replace(stop=start, inputs=np.empty(0))
 
@@ -128,17 +134,16 @@ class BackfillReversed(Shard):
 
     def __init__(self, view: View) -> None:
         super().__init__(view)
+        self._quiet = None
         samples = self._samples
 
-        def learn_from(k: int, until: int, nodes: list[int]) -> None:
-            start, memory, _ = samples._marks[k]
-            samples._law.memory = memory.copy()
-            history = samples._history
+        def learn_onward(since: Mapping[int, int], until: int) -> None:
+            start, history = min(since.values()), samples._history
             x, u, bits = (rows(start, until + 1) for rows in (history.x, history.u, history.bits))
             for step in reversed(range(until - start)):
                 samples._learn(x[step], samples._flow(u[step], bits[step]), x[step + 1])
 
-        samples._learn_from = learn_from  # type: ignore[method-assign]
+        samples._learn_onward = learn_onward  # type: ignore[method-assign]
 
 
 class KeepsMemory(Shard):

@@ -11,7 +11,7 @@ import pytest
 
 from hedgerow.agents.view import View
 from hedgerow.plant.truth import Truth
-from hedgerow.topologies import archive, budget
+from hedgerow.topologies import archive, budget, table
 from hedgerow.topologies.errors import Code, TopologyError, UserError
 from hedgerow.topologies.load import load, parse
 from hedgerow.topologies.samples import columns
@@ -206,3 +206,41 @@ def test_a_fifo_is_no_archive(read: Callable[[Path], object], tmp_path: Path) ->
     with pytest.raises(UserError) as error:
         read(tmp_path / "a.npz")
     assert error.value.code == Code.FILE_NOT_REGULAR
+
+
+HUGE = 10_000_000
+SHAPES: dict[str, tuple[int, ...]] = {
+    **dict.fromkeys(("a", "x0", "nominal", "b", "layout", "parts", "strange", "w 0 constant value"), (HUGE,)),
+    "candidates": (2, HUGE),
+    "positions": (HUGE, 2),
+    "w 0 samples values": (2, HUGE),
+    "edges": (HUGE, 2),
+}
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_a_column_of_any_name_is_refused_by_its_head(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """80 MB of zeros would become some 200 MB to 1 GB."""
+    monkeypatch.setenv(budget.VARIABLE, "150")
+    zeros(tmp_path / "a.npz", **{"edges": (1, 2), name: SHAPES[name]})
+    with monkeypatch.context() as unread:
+        unread.setattr(archive, "_array", lambda *_: pytest.fail("an array is unpacked"))
+        refused("{name: n, b: 0.1, steps: 3, table: a.npz}", tmp_path)
+
+
+def test_two_edges_that_imply_very_many_nodes_are_refused(tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", edges=[[0, 10**10]])
+    assert refused("{name: n, b: 0.1, steps: 3, table: a.npz}", tmp_path).code == Code.FILE_TOO_LARGE
+
+
+def test_a_table_of_a_million_nodes_is_allowed(tmp_path: Path) -> None:
+    n = 10**6
+    heads = {
+        "edges": archive.Head((4 * n, 2), np.dtype("i8"), 64 * n),
+        "candidates": archive.Head((n, 5), np.dtype("f8"), 40 * n),
+        **{name: archive.Head((n,), np.dtype("f8"), 8 * n) for name in ("a", "x0", "nominal", "parts")},
+        **{f"w 0 sinusoid {key}": archive.Head((n,), np.dtype("f8"), 8 * n) for key in ("amplitude", "omega", "phase")},
+    }
+    assert budget.excess(table._memory(heads)) == ""

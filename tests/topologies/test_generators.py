@@ -26,6 +26,7 @@ from hedgerow.topologies.load import load
 from hedgerow.topologies.network import Network
 from hedgerow.topologies.partition import _levelled, cut, partition
 from hedgerow.topologies.schema import Topology
+from tests.tools.examples import examples
 from tests.tools.networks import read, simulate
 
 RULE: TypeAdapter[Generator] = TypeAdapter(GraphRule)
@@ -76,7 +77,7 @@ def test_those_that_leave_nothing_to_chance() -> None:
 
 
 @given(st.sampled_from([*GENERATORS]), st.integers(5, 80), st.integers(0, 99), st.sampled_from([None, 4, 9]))
-@settings(deadline=None, max_examples=150)
+@settings(deadline=None, max_examples=examples(150))
 def test_every_rule_makes_a_graph_within_its_bounds(kind: str, nodes: int, seed: int, most: int | None) -> None:
     """Nodes 0 .. n-1, no loop, no edge twice, ascending; and the same again from the same seed."""
     if most is not None and kind == "star":
@@ -152,7 +153,7 @@ def test_a_rule_that_is_none_is_refused(graph: str, said: str) -> None:
 
 
 @given(st.sampled_from([*GENERATORS]), st.integers(0, 9))
-@settings(deadline=None, max_examples=30)
+@settings(deadline=None, max_examples=examples(30))
 def test_a_generated_network_is_the_one_that_is_written_out(kind: str, seed: int) -> None:
     """Every random number, and the overrides of single nodes."""
     own = "{3: {x0: -7, disturbance: none}, 1: {a: 0.6}, 5: {candidates: [0.5, 0.6], a: 0.6}}"
@@ -298,7 +299,7 @@ def test_a_table_is_beside_its_file(tmp_path: Path, file: str) -> None:
 
 
 @given(st.sampled_from([*GENERATORS]), st.integers(2, 9))
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=examples(40))
 def test_a_partition_is_one_and_cuts_no_more_than_the_order_of_the_file(kind: str, processes: int) -> None:
     n = 200
     graph = Graph(n, rule(kind, n).edges(3))
@@ -373,7 +374,7 @@ def test_a_random_regular_graph_is_cut_at_few_edges() -> None:
 
 
 @given(st.lists(st.integers(0, 4), min_size=30, max_size=60))
-@settings(deadline=None, max_examples=30)
+@settings(deadline=None, max_examples=examples(30))
 def test_parts_of_any_sizes_are_made_equal(home: list[int]) -> None:
     graph = Graph(len(home), rule("random_tree", len(home)).edges(1))
     found = np.bincount(_levelled(graph, np.array(home), 5), minlength=5)

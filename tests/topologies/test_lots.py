@@ -27,6 +27,7 @@ from hedgerow.topologies.load import load
 from hedgerow.topologies.network import Group
 from hedgerow.topologies.resolve import resolve
 from hedgerow.topologies.schema import Topology
+from tests.tools.examples import examples
 
 IDS = st.one_of(st.integers(-(2**63), 2**63 - 1), st.from_regex(r"[A-Za-z_][A-Za-z0-9_.-]{0,20}", fullmatch=True))
 SEEDS = st.integers(0, 2**63 - 1)
@@ -94,7 +95,7 @@ def by_chance(ids: list[int | str]) -> list[dict[str, Any]]:
 
 
 @given(st.lists(IDS, min_size=2, max_size=8, unique_by=str), SEEDS, st.randoms(use_true_random=False))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 def test_the_order_of_nodes_changes_no_lot(ids: list[int | str], seed: int, order: random.Random) -> None:
     edges, faults = tree(ids), by_chance(ids)
     mixed = list(ids)
@@ -108,7 +109,7 @@ def test_the_order_of_nodes_changes_no_lot(ids: list[int | str], seed: int, orde
 
 
 @given(st.lists(IDS, min_size=3, max_size=8, unique_by=str), SEEDS, st.data())
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 def test_an_added_node_changes_no_other_lot(ids: list[int | str], seed: int, data: st.DataObject) -> None:
     """The new node changes the interval of condition (3) of its one neighbour; all other nodes keep everything."""
     *old, new = ids
@@ -156,7 +157,7 @@ def test_a_fault_elsewhere_changes_no_lot_and_two_at_one_target_are_independent(
 
 
 @given(st.lists(IDS, min_size=1, max_size=6, unique_by=str), st.lists(SEEDS, min_size=1, max_size=5))
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 def test_many_seeds_and_steps_at_once_are_one_by_one(ids: list[int | str], seeds: list[int]) -> None:
     words, steps = lots.words_of(ids), np.array([0, 1, 7, 2**40])
     keys = white_keys(np.array(seeds, dtype=np.uint64)[:, None], 0, words)
@@ -170,7 +171,7 @@ def test_many_seeds_and_steps_at_once_are_one_by_one(ids: list[int | str], seeds
 
 
 @given(st.lists(st.integers(0, 400), min_size=1, max_size=30), st.sampled_from([1, 3, 700]))
-@settings(max_examples=30)
+@settings(max_examples=examples(30))
 def test_white_noise_is_the_same_whichever_steps_were_asked_for_before(asked: list[int], n: int) -> None:
     group = Group(0, "white", np.arange(n), {"std": np.linspace(0.5, 2, n)})
     source = Disturbance([group], range(n), 5)

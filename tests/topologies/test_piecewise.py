@@ -19,6 +19,7 @@ from hedgerow.topologies.load import bundled, content, find, parse
 from hedgerow.topologies.piecewise import LENGTHS, errors, is_length, trace
 from hedgerow.topologies.schema import Topology
 from hedgerow.topologies.source import read_source
+from tests.tools.examples import examples
 
 FULL: dict[str, Any] = {
     "name": "full",
@@ -67,7 +68,7 @@ def paths(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
     return [path] * bool(path) + [inside for k in keys for inside in paths(value[k], (*path, k))]
 
 
-@settings(max_examples=40)
+@settings(max_examples=examples(40))
 @given(
     st.lists(st.tuples(st.sampled_from(paths(FULL)), ODD, st.booleans()), max_size=6),
     st.sampled_from([2, 3, 5, 8, 20]),

@@ -17,6 +17,7 @@ from hedgerow.topologies.hinf import satisfies_condition
 from hedgerow.topologies.load import bundled, load, parse
 from hedgerow.topologies.resolve import resolve, to_yaml, truth
 from hedgerow.topologies.schema import LAWS, Topology
+from tests.tools.examples import examples
 from tests.tools.networks import floats, networks, observe, read, simulate
 
 CHANCE = """\
@@ -42,7 +43,7 @@ def again(topology: Topology) -> Topology:
 
 
 @given(networks())
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 def test_a_resolved_network_is_final(topology: Topology) -> None:
     """A second resolution changes nothing, and its file gives the same bits."""
     assert resolve(topology) == topology
@@ -71,7 +72,7 @@ def test_every_number_survives_the_file(x0: float, std: float) -> None:
 
 
 @given(floats(0.005, 0.2), st.integers(1, 50), st.integers(0, 2**63 - 1), st.booleans())
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 def test_drawn_candidates_satisfy_condition_3_and_contain_the_truth(
     b: float, m: int, seed: int, given_truth: bool
 ) -> None:
@@ -138,7 +139,7 @@ def test_a_node_added_at_the_end_changes_no_other_nodes() -> None:
 
 
 @given(networks(most=5), floats(0.1, 9))
-@settings(max_examples=50)
+@settings(max_examples=examples(50))
 def test_the_worst_case_has_the_energy_asked_for(topology: Topology, energy: float) -> None:
     """It becomes one constant a node, with |w|^2 = energy, along Q's smallest eigenvector."""
     worst = resolve(Topology.model_validate(topology.model_dump() | {"disturbance": {"energy": energy}}))

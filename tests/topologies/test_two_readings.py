@@ -18,6 +18,7 @@ from hedgerow.topologies.header import split
 from hedgerow.topologies.load import load, parse
 from hedgerow.topologies.resolve import resolve, to_yaml
 from hedgerow.topologies.schema import Topology
+from tests.tools.examples import examples
 
 HEAD = "name: n\nb: 0.1\nsteps: 3\n"
 DATA = "0.5,0.25,0.125\n" * 3
@@ -144,7 +145,7 @@ CELLS = st.one_of(st.integers(-2, 6).map(str), st.sampled_from(["a", "b", "", "t
     st.lists(st.sampled_from(["1", "2", "3", "a", "b", "007"]), min_size=1, max_size=4, unique=True),
     st.integers(1, 5).flatmap(lambda k: st.lists(st.lists(CELLS, min_size=k, max_size=k), min_size=1, max_size=4)),
 )
-@settings(max_examples=300)
+@settings(max_examples=examples(300))
 def test_a_file_is_read_in_one_way_or_refused(names: list[str], rows: list[list[str]]) -> None:
     """For any reading, the other option gives another result or is impossible, never the same silently."""
     ids, table = [node_id(name) for name in names], list(enumerate(rows, 1))
@@ -202,7 +203,7 @@ def test_quoted_ids_stay_text_unless_they_are_spelled_as_a_number_is() -> None:
 
 
 @given(st.lists(st.integers(-(10**30), 10**30), min_size=2, max_size=5, unique=True))
-@settings(max_examples=30)
+@settings(max_examples=examples(30))
 def test_ids_are_any_integers_in_yaml_and_json(ids: list[int]) -> None:
     """Keys in JSON are text, and references can be numbers: both name the same node, of any size."""
     listed = f"{HEAD}nodes: {ids}\nedges: [[{ids[0]}, '{ids[1]}']]\n"

@@ -27,6 +27,7 @@ from hedgerow.wire.message import (
     Telemetry,
     Trips,
 )
+from tests.tools.examples import examples
 
 BITS = st.integers(0, 2**64 - 1)
 """Any eight bytes are a float: NaNs with payloads, -0.0, infinities and subnormals among them."""
@@ -253,7 +254,7 @@ def header(kind: int, n: int) -> bytes:
     st.integers(0, 3),
     st.integers(0, 3),
 )
-@settings(max_examples=300)
+@settings(max_examples=examples(300))
 def test_no_bytes_do_more_than_be_refused(raw: bytes, n: int, e: int) -> None:
     """Random bytes are the message that was expected, to its last byte, or a MessageError."""
     k = max(1, n)

@@ -19,7 +19,7 @@ start.begin()
 
 def stderr_of(text: str, first: Callable[[], object] | None = None) -> bytes:
     done = subprocess.run(
-        [sys.executable, "-P", "-c", BEGIN + text], stderr=subprocess.PIPE, check=True, preexec_fn=first, timeout=20
+        [sys.executable, "-P", "-c", BEGIN + text], stderr=subprocess.PIPE, check=True, preexec_fn=first, timeout=60
     )
     return done.stderr
 
@@ -59,7 +59,7 @@ def test_the_last_words_before_an_abort_arrive() -> None:
         os.close(write)
         with open(read, "rb") as said:
             assert said.read().count(b"owned") == 1
-        assert aborted.wait(20) == -signal.SIGABRT
+        assert aborted.wait(60) == -signal.SIGABRT
 
 
 def test_nothing_waits_for_a_relay_of_a_killed_process() -> None:
@@ -71,4 +71,4 @@ def test_nothing_waits_for_a_relay_of_a_killed_process() -> None:
         assert killed.stdout is not None
         killed.stdout.readline()
         killed.kill()
-        assert killed.communicate(timeout=20) == (b"", b"")
+        assert killed.communicate(timeout=60) == (b"", b"")

@@ -65,7 +65,9 @@ def _row(topology: Topology) -> Row:
     metrics = content["metrics"]
     row: Row = {name: metrics.get(name) for name in ("regret", "cost_regret", "gain")}
     estimates: dict[str, Any] = {"share_right": None, "error": None, "switches": None}
-    if final is not None:
+    if ending.stopped:  # sums over fewer steps would look better than those of a whole run
+        row = dict.fromkeys(row)
+    elif final is not None:
         estimates |= judged(final.ahat[-1], final.a[-1], topology.network.candidates)
         estimates["switches"] = changed / observer.graph.n
     return {**row, **estimates, "verdict": content["verdict"], "reasons": "; ".join(content["reasons"])}

@@ -6,6 +6,8 @@ import itertools
 import math
 from collections.abc import Sequence
 
+import numpy as np
+
 from hedgerow.orchestrator.experiments.compare.runs import METRICS
 from hedgerow.orchestrator.experiments.compare.statistics import HIGHER_IS_BETTER, LEVEL, ORACLE, Cell, Paired
 
@@ -67,10 +69,10 @@ def conclusions(cells: Sequence[Cell], tests: Sequence[Paired]) -> str:
 
 
 def findings(cells: Sequence[Cell], tests: Sequence[Paired], disturbance: str) -> list[str]:
-    """Return a sentence per metric: the best law, the laws that it beats, and the others.
+    """Return a sentence per metric: the first law, the laws that it beats, and the others.
 
-    A law beats another one if the corrected test is significant. The best law has the best mean among the laws that no
-    other law beats.
+    A law beats another one if the corrected test is significant. The first law has the best mean among the laws that no
+    other law beats. It is called best only if it beats all others, except those with its values in every run.
     """
     found = []
     for metric in METRICS:
@@ -93,16 +95,27 @@ def findings(cells: Sequence[Cell], tests: Sequence[Paired], disturbance: str) -
         sign = 1.0 if metric in HIGHER_IS_BETTER else -1.0
         best = max(own, key=lambda cell: (cell.law not in losers, sign * cell.mean))
         under = [cell.law for cell in own if (best.law, cell.law) in beaten]
-        level = [cell.law for cell in own if cell.law != best.law and cell.law not in under]
-        sentence = f"{TITLES[metric]}: {best.law} is best ({number(best)})"
-        if not under:
-            sentence = f"{TITLES[metric]}: no law is distinguishably best; {best.law} has {number(best)}"
-        else:
-            sentence += f", better than {_listed(under)}"
-            if level:
-                sentence += f"; not distinguishable from {_listed(level)}"
-        found.append(sentence)
+        others = [cell for cell in own if cell.law != best.law and cell.law not in under]
+        same = [cell.law for cell in others if np.array_equal(cell.values, best.values, equal_nan=True)]
+        level = [cell.law for cell in others if cell.law not in same]
+        found.append(f"{TITLES[metric]}: {_sentence(best, under, same, level)}")
     return found
+
+
+def _sentence(best: Cell, under: Sequence[str], same: Sequence[str], level: Sequence[str]) -> str:
+    """Return the finding of one metric: the laws that the first law beats, equals, and is not distinguishable from."""
+    if not under and not level:
+        return f"all laws are equal ({number(best)})" if same else f"{best.law} alone has a value ({number(best)})"
+    if not under:
+        return f"no law is distinguishably best; {best.law} has {number(best)}"
+    sentence = (
+        f"{best.law} {'has the best mean' if level else 'is best'} ({number(best)}), better than {_listed(under)}"
+    )
+    if same:
+        sentence += f"; equal to {_listed(same)}"
+    if level:
+        sentence += f"; not distinguishable from {_listed(level)}"
+    return sentence
 
 
 def method(seeds: int, count: int) -> str:

@@ -149,8 +149,12 @@ def _end_with_parent() -> None:
     os.kill(os.getpid(), signal.SIGTERM)
 
 
+class _LeaveError(SystemExit):
+    """The end of a worker by a signal; as a subclass, it is not taken for the exit of a law that runs."""
+
+
 def _leave(*_: object) -> None:
-    raise SystemExit(0)
+    raise _LeaveError(0)
 
 
 def _stay(*_: object) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -23,12 +24,12 @@ from hedgerow.topologies.load import parse
 from hedgerow.topologies.resolve import resolve, to_yaml
 from hedgerow.topologies.schema import Topology
 
-KINDS = (Kind(1, True), Kind(6, False), Kind(4, True), Kind(8, False), Kind(12, False), Kind(20, False))
+KINDS = (Kind(1, True), Kind(4, True), Kind(6, False), Kind(8, False), Kind(12, False), Kind(20, False))
 """The disturbances that are tried, in this order."""
 SIZE, SMALLEST, ROWS = 48, 8, 20_000
 """The number of members of a population; its minimum; and the nodes of all members together in large networks."""
-SLICE_S = 0.25
-"""An island evolves for so long at a time."""
+SLICE_S, SLICE = 0.25, 5
+"""An island evolves for so long at a time, and for so many generations: one of each kind of trial."""
 STALE = 120
 """The number of generations without a better gain after which a new island replaces an old one."""
 STEPS, LEAST_STEPS, FEW = 10_000, 4_000, 100
@@ -115,7 +116,7 @@ class Hunt:
             # One generation is always made: the constant that is worst for the oracle is in it.
             if best > 0 and (time.monotonic() >= until or quit_now()):
                 break
-            self._evolve(island, NONE, min(until, time.monotonic() + SLICE_S))
+            self._evolve(island, NONE, until, quit_now)
             if self.best_score() > best * (1 + 1e-4):
                 best = self.best_score()
                 say(f"gain {best**0.5:.4f}")
@@ -139,9 +140,10 @@ class Hunt:
                 scored = [float(island.score.max(initial=0.0)) for island in islands]
                 yield int(np.argmax(scored))
 
-    def _evolve(self, number: int, breaks: Breaks, until: float) -> None:
-        island = self.state.islands[number]
-        while True:
+    def _evolve(self, number: int, breaks: Breaks, until: float, quit_now: Quit) -> None:
+        """Improve one population for a turn, which a slow machine may not cut short before `until`."""
+        island, turn = self.state.islands[number], time.monotonic() + SLICE_S
+        for generation in itertools.count(1):
             before = float(island.score.max(initial=0.0))
             island.evolve(self.scene, self.rng)
             grown = float(island.score.max()) > before * (1 + 1e-6)
@@ -151,7 +153,8 @@ class Hunt:
                 self.state.islands[number] = Island.new(self.scene, island.kind, self.size, self.rng, breaks)
                 self.state.stale[number] = 0
                 return
-            if time.monotonic() >= until:
+            now = time.monotonic()
+            if now >= until or (now >= turn and generation >= SLICE) or quit_now():
                 return
 
     def _crown(self, island: Island) -> None:
@@ -225,9 +228,10 @@ class Hunt:
 
     def _limits(self, played: Played) -> Array:
         """Return the settled gains of some runs that hold their last value; 0 of those that have not settled."""
-        settled = np.ptp(played.theta[-(len(played.theta) // 2) :], axis=0).max(axis=1) < SETTLED
         energy = np.square(played.w[:, -1]).sum(axis=1)
-        return np.where(settled & played.sound[-1], np.sqrt(played.cost[-1] / energy), 0.0)
+        settled = played.settled(len(played.theta) // 2, SETTLED) & (energy > 0)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.where(settled, np.sqrt(played.cost[-1] / energy), 0.0)
 
     def proved(self) -> tuple[Attack, Topology]:
         """Return the best attack with a run that repeats its gain, and the topology of that run."""

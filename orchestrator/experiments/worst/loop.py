@@ -9,16 +9,21 @@ from typing import Any
 
 import numpy as np
 
-from hedgerow.agents.loading import new_law
+from hedgerow.agents.law_lines import line_of, place_of
+from hedgerow.agents.loading import LawError, new_law
 from hedgerow.agents.local import Heard, asks
 from hedgerow.agents.view import View
 from hedgerow.orchestrator.ground.assignment import views_of
 from hedgerow.topologies.graph import Array, Graph, Index, Mask
 from hedgerow.topologies.hinf import smallest_eigenpair
 from hedgerow.topologies.schema import Topology
+from hedgerow.wire import crash
 
 TIE = 1e-7
-"""A model must win by this share of its node's sum of x^2 + w^2 so far: else it may win by rounding, and not again."""
+"""A model must win by this share of its node's sum of x^2 + w^2 over its samples so far: else it may win by rounding,
+and not again."""
+LEAD = 1e-12
+"""Relative change of the lead of a model that is rounding."""
 UNSCORED = 3
 """Up to this step a law that needs several samples, as notch does, has no scores, which is no tie."""
 DENSE = 400
@@ -128,6 +133,8 @@ class Played:
     """(T + 1, B, n)"""
     theta: Array
     """z / x = 1/(1 - ahat) where the law acts by (6), (T, B, n)"""
+    margin: Array
+    """by which the best model of a node leads, (T, B, n)"""
     cost: Array
     """of each step, (T, B)"""
     sound: Mask
@@ -140,6 +147,16 @@ class Played:
             gain = np.where(self.sound & (energy > 0), cost / energy, 0.0)
         best = gain.argmax(axis=0)
         return gain[best, np.arange(gain.shape[1])], best + 1
+
+    def settled(self, rows: int, change: float) -> Mask:
+        """Return True where no estimate changes in the last rows, and none is about to, (B,).
+
+        A lead that a large disturbance has won shrinks step by step under the next ones, and then the estimate changes.
+        """
+        theta, margin = self.theta[-rows:], self.margin[-rows:]
+        rests = np.ptp(theta, axis=0).max(axis=1) < change
+        shrinks = (margin[-1] < margin[0] * (1 - LEAD)).any(axis=1)  # False for a law without one, which is NaN
+        return np.asarray(rests & ~shrinks & self.sound[-1])
 
 
 def play(scene: Scene, w: Array, breaks: Breaks = NONE, steps: int | None = None) -> Played:
@@ -154,16 +171,11 @@ def play(scene: Scene, w: Array, breaks: Breaks = NONE, steps: int | None = None
     act, learn = asks(law.act, "now"), asks(law.learn, "sample")
     single = (~np.isnan(scene.view.candidates)).sum(axis=0) < 2
     minimax = scene.view.law == "minimax"
-    never = steps
-    cut = dict(sorted(breaks.cuts, reverse=True))
-    deaf = [
-        (int(scene.graph.node[incidence]), first, cut.get(int(scene.graph.edge[incidence]), never))
-        for incidence, first in breaks.drops
-    ]
-    """node, first step, and the step from which the edge is cut: nothing can be dropped then"""
+    deaf = _deaf(scene, breaks, steps)
     over = scene.over(breaks, steps)
     x = np.zeros((steps + 1, count, n))
     theta, cost = np.full((steps, count, n), 2.0), np.empty((steps, count))
+    leads = np.empty((steps, count, n))
     sound = np.empty((steps, count), dtype=bool)
     energy, seen, fine = np.zeros((count, n)), np.zeros((count, n)), np.ones(count, dtype=bool)
     none = np.full(len(neighbours), np.nan)
@@ -171,8 +183,8 @@ def play(scene: Scene, w: Array, breaks: Breaks = NONE, steps: int | None = None
     with np.errstate(all="ignore"):
         for t in range(steps):
             now = x[t]
-            u = np.asarray(law.act(now.reshape(-1), *([heard] if act else []))).reshape(count, n)
-            margin = np.asarray(law.report())[1].reshape(count, n)
+            u = np.asarray(_called(scene, law, "act", now.reshape(-1), *([heard] if act else []))).reshape(count, n)
+            margin = leads[t] = np.asarray(_called(scene, law, "report"))[1].reshape(count, n)
             tied = (margin < TIE * (energy + seen)) & (seen > 0) & ~single
             if t <= UNSCORED and not minimax:
                 tied &= margin != 0
@@ -183,18 +195,45 @@ def play(scene: Scene, w: Array, breaks: Breaks = NONE, steps: int | None = None
             acts = now != 0
             theta[t][acts] = (-u / b)[acts] / now[acts]
             x[t + 1] = scene.a * now + b * flow + w[:, t]
-            energy += np.square(w[:, t])
-            seen += now * now
             if act or learn:
                 own = now.reshape(-1)[neighbours], u.reshape(-1)[neighbours]
                 heard = Heard(t, np.ones(count * n, dtype=bool), *own, np.full(len(neighbours), t))
             known = flow
-            if lost := [node for node, first, end in deaf if first <= t < end]:
+            lost = [node for node, first, end in deaf if first <= t < end]
+            # A node that has learned nothing acts on its first candidate: its scores are equal exactly, which no
+            # rounding breaks.
+            learns = np.ones(n, dtype=bool)
+            learns[lost] = False
+            energy += np.square(w[:, t]) * learns
+            seen += now * now * learns
+            if lost:
                 known = flow.copy()
                 known[:, lost] = np.nan
-            law.learn(now.reshape(-1), known.reshape(-1), x[t + 1].reshape(-1), *([heard] if learn else []))
+            sample = now.reshape(-1), known.reshape(-1), x[t + 1].reshape(-1)
+            _called(scene, law, "learn", *sample, *([heard] if learn else []))
             heard = heard._replace(t=t + 1)
-    return Played(w, x, theta, np.nan_to_num(cost, nan=0.0, posinf=0.0), sound)
+    return Played(w, x, theta, leads, np.nan_to_num(cost, nan=0.0, posinf=0.0), sound)
+
+
+def _deaf(scene: Scene, breaks: Breaks, steps: int) -> list[tuple[int, int, int]]:
+    """Return the node of each drop, its first step, and the step from which its edge is cut: then nothing is lost."""
+    cut = dict(sorted(breaks.cuts, reverse=True))
+    return [
+        (int(scene.graph.node[incidence]), first, cut.get(int(scene.graph.edge[incidence]), steps))
+        for incidence, first in breaks.drops
+    ]
+
+
+def _called(scene: Scene, law: Any, method: str, *given: Any) -> Any:
+    """Return the result of a method of the law; LawError with its line if the method raises."""
+    try:
+        return getattr(law, method)(*given)
+    except (Exception, SystemExit) as error:
+        if isinstance(error, SystemExit) and type(error) is not SystemExit:
+            raise  # of a signal handler of ours, and not of the law
+        where = place_of(error, type(law)) or line_of(type(law), method)
+        said = f"{method}() raised {crash.summary(error)}. Correct the law."
+        raise LawError(f"{where}law {scene.view.law}: {said}", method=method) from error
 
 
 def ascend(scene: Scene, played: Played, lengths: Sequence[int] | Index, breaks: Breaks = NONE) -> Array:

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hedgerow.orchestrator.experiments.worst.loop import NONE, Breaks, Scene, ascend, play
+from hedgerow.orchestrator.experiments.worst.rest import LEAD, resting, steered
 from hedgerow.topologies.graph import Array
 
 SETTLING = 150
@@ -50,6 +51,8 @@ class Island:
         members[: half // 2] *= rng.random((half // 2, 1, n)) < 0.5
         members[::3] = np.abs(members[::3])
         if kind.holds:
+            known = seeds(scene, kind, size // 3, rng) if not len(breaks) else members[:0]
+            members[1 : 1 + len(known)] = known
             members[0] = scene.worst_of_oracle
         return cls(kind.holds, members, breaks)
 
@@ -81,9 +84,7 @@ class Island:
             return gains, steps.astype(float), played
         played = play(scene, members, self.breaks, SETTLING)
         energy = np.square(members[:, -1]).sum(axis=1)
-        third = played.theta[-SETTLING // 3 :]
-        spread = (third.max(axis=0) - third.min(axis=0)).max(axis=1)
-        settled = played.sound[-1] & (spread < 1e-6) & (energy > 0)
+        settled = played.settled(SETTLING // 3, 1e-6) & (energy > 0)
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.where(settled, played.cost[-1] / energy, 0.0), np.full(len(members), float(SETTLING)), played
 
@@ -141,3 +142,12 @@ class Island:
         trials = self.members.copy()
         trials[:, -1] = np.where(np.isfinite(last), last, self.members[:, -1])
         return trials
+
+
+def seeds(scene: Scene, kind: Kind, count: int, rng: np.random.Generator) -> Array:
+    """Return up to `count` disturbances whose last value has a large settled gain, (K, T, n); a run must confirm it."""
+    if kind.length <= LEAD:
+        found = resting(scene, count, rng, steered=False).w[:, None]
+        return np.asarray(np.repeat(found, kind.length, axis=1))
+    found = steered(scene, resting(scene, count, rng, steered=True), rng)
+    return np.concatenate([found, np.repeat(found[:, -1:], kind.length - found.shape[1], axis=1)], axis=1)

@@ -127,6 +127,12 @@ def test_latest_is_replaced_only_if_it_is_a_link(here: Path, kind: str) -> None:
     assert not latest.is_symlink()
 
 
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run that is exported, and never changed."""
+    return hg.simulate(PAIR, run_dir=tmp_path_factory.mktemp("exported") / "run").folder
+
+
 LONG = "x" * 300
 PATHS = (LONG, f"{LONG}/x", "pair.yaml/x", "/proc/x", "/dev/null/x", "~nobody-here/x", "caf\udce9", "a\nb", "#", "?x=1")
 
@@ -149,11 +155,11 @@ PATHS = (LONG, f"{LONG}/x", "pair.yaml/x", "/proc/x", "/dev/null/x", "~nobody-he
     ids=" ".join,
 )
 def test_any_path_gets_an_answer_in_words(
-    pair: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], path: str
+    pair: Path, exported: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], path: str
 ) -> None:
     (pair / "edges.csv").write_text("source,target\n1,2\n2,3\n")
     if words[0] == "export":
-        hg.simulate(PAIR, run_dir="done")
+        (pair / "done").symlink_to(exported)
     assert run(*words, path) in (Exit.VALID, Exit.USER_MISTAKE)
     assert "defect" not in capsys.readouterr().err
 

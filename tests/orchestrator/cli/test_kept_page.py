@@ -19,7 +19,7 @@ def test_a_page_stays_until_ctrl_c_if_up_is_asked_to_keep_it(tmp_path: Path, mon
         up.wait_for("valid: 30 of 30 steps")
         up.wait_for("stays until Ctrl-C")
         link = re.findall(r"http://\S+", up.output)[-1]
-        with urllib.request.urlopen(link, timeout=10) as page:
+        with urllib.request.urlopen(link, timeout=60) as page:
             assert page.status == 200
         up.send(signal.SIGINT)
         assert up.wait() == 0

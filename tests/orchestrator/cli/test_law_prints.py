@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from tests.orchestrator.cli.test_foreign_text import HOSTILE, assert_harmless
-from tests.orchestrator.cli.test_shells import run
+from tests.tools.processes import orchestrator
 
 LAW = f"""
 import os, sys, threading, warnings
@@ -36,28 +36,30 @@ def file(here: Path) -> str:
 
 
 def test_what_a_law_prints_acts_on_no_terminal(file: str) -> None:
-    done = run("simulate", file, "--no-record")
+    done = orchestrator("simulate", file, "--no-record")
     assert done.returncode == 0, done.stderr
-    assert b"told" in done.stdout
-    assert_harmless(done.stdout.decode(), done.stderr.decode())
+    assert "told" in done.stdout
+    assert_harmless(done.stdout, done.stderr)
 
 
-@pytest.mark.parametrize("words", [("simulate", "pair.yaml", "--no-record"), ("worst", "pair.yaml", "--budget", "1s")])
+@pytest.mark.parametrize(
+    "words", [("simulate", "pair.yaml", "--no-record"), ("worst", "pair.yaml", "--budget", "0.2s", "--steps", "100")]
+)
 def test_the_json_of_a_command_is_its_only_output(file: str, words: tuple[str, ...]) -> None:
     assert words[1] == file
-    done = run(*words, "--json")
+    done = orchestrator(*words, "--json")
     assert done.returncode == 0, done.stderr
     assert isinstance(json.loads(done.stdout), dict)
-    assert b"told" in done.stderr
-    assert_harmless(done.stderr.decode())
+    assert "told" in done.stderr
+    assert_harmless(done.stderr)
 
 
 def test_the_log_of_an_agent_acts_on_no_terminal(file: str, here: Path) -> None:
     # What C code writes to an agent's log stays as it is.
     (here / "loud.py").write_text(LAW.replace("os.write", "print"), encoding="utf-8")
-    done = run("up", file, "--viewer", "none", "--no-record", "--json")
+    done = orchestrator("up", file, "--viewer", "none", "--no-record", "--json")
     assert done.returncode == 0, done.stderr
     assert isinstance(json.loads(done.stdout), dict)
     log = (here / "runs/latest/logs/agent-p.log").read_text(encoding="utf-8")
     assert log.count("told") >= 12
-    assert_harmless(log, done.stderr.decode())
+    assert_harmless(log, done.stderr)

@@ -16,13 +16,14 @@ from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import resolve
 from hedgerow.wire.session import check_namespace
+from tests.tools.examples import examples
 
 TOPOLOGY = resolve(load("paper7"), Path())
 SHARDS = layout(TOPOLOGY, 7)
 PIECES = ["a", "ü", ": ", "\n", "\x1b", *"/ ;&|'`({},~!-$#", '"', "\\"]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(st.lists(st.sampled_from(PIECES), min_size=1).map("".join))
 def test_a_namespace_is_one_word_of_the_observers_command(namespace: str) -> None:
     try:

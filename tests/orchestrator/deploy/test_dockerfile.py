@@ -150,4 +150,4 @@ def test_its_steps_make_an_agent_of_numpy_and_zenoh_and_no_more(
         ) as network,
     ):
         assert network.wait() == 0, network.output
-        assert agent.wait(30) == 0
+        assert agent.wait(60) == 0

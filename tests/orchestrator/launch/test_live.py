@@ -172,7 +172,7 @@ def told(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, Any]:
     return answer
 
 
-def listed(capsys: pytest.CaptureFixture[str], key: str, wanted: list[Any], within_s: float = 10.0) -> list[Any]:
+def listed(capsys: pytest.CaptureFixture[str], key: str, wanted: list[Any], within_s: float = 60.0) -> list[Any]:
     """One thing of every fault in the list, once it is as wanted: the file is written a moment after the answer."""
     until = time.monotonic() + within_s
     pause = threading.Event()

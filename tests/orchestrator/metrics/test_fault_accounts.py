@@ -31,6 +31,7 @@ from hedgerow.topologies.load import load, parse
 from hedgerow.topologies.resolve import resolve, truth
 from hedgerow.topologies.schema import Node, Topology
 from hedgerow.wire.message import Flag
+from tests.tools.examples import examples
 from tests.tools.networks import Trajectory, networks, observe, read, simulate
 from tests.tools.schedules import Plain, schedules, with_faults
 
@@ -133,7 +134,7 @@ def cannot_strike(topology: Topology, ran: Trajectory) -> set[int]:
     return {one.fault + 1 for one in effects} - {fault + 1 for fault in able}
 
 
-@settings(max_examples=150)
+@settings(max_examples=examples(150))
 @given(faulty())
 def test_every_failure_is_accounted_for(topology: Topology) -> None:
     """For any network and schedule, the run is valid unless a fault is beyond its end, and the counts agree."""
@@ -151,7 +152,7 @@ def test_every_failure_is_accounted_for(topology: Topology) -> None:
     json.dumps(judged.content, allow_nan=False)
 
 
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 @given(faulty(), st.data())
 def test_how_telemetry_was_bundled_is_not_seen(topology: Topology, data: st.DataObject) -> None:
     ran = simulate(topology)
@@ -166,7 +167,7 @@ def test_how_telemetry_was_bundled_is_not_seen(topology: Topology, data: st.Data
     assert judge(topology, parts, ending).content == judge(topology, whole, ending).content
 
 
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 @given(faulty(), st.data())
 def test_faults_that_come_while_it_runs_are_accounted_for_alike(topology: Topology, data: st.DataObject) -> None:
     """The last faults of the list become known only when the first of them is about to begin."""
@@ -272,7 +273,7 @@ def test_an_input_that_is_missing_alone_is_noticed() -> None:
     assert ", 1 missing input, " in bad.line()
 
 
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 @given(faulty(), st.data())
 def test_a_wrong_bit_is_noticed(topology: Topology, data: st.DataObject) -> None:
     """The bit is at any step and reporting node: it claims a message that was not delivered, or hides one; likewise for
@@ -378,7 +379,7 @@ def jumping(draw: st.DrawFn) -> Topology:
     return with_faults(topology, draw(st.permutations([*jumps, *draw(schedules(topology, most=2))])))
 
 
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 @given(jumping())
 def test_truth_twins_and_least_squares_go_by_the_a_that_holds(topology: Topology) -> None:
     ran, graph, b = simulate(topology), topology.graph, topology.network.b

@@ -35,6 +35,7 @@ from hedgerow.topologies.errors import UserError
 from hedgerow.topologies.graph import Array
 from hedgerow.topologies.schema import Topology
 from tests.orchestrator.metrics.test_gain_bound import UNEQUAL
+from tests.tools.examples import examples
 from tests.tools.networks import Trajectory, networks, read, simulate
 from tests.tools.schedules import schedules, with_faults
 
@@ -257,7 +258,7 @@ def test_every_fault_kind_was_drawn() -> None:
     seen: set[str] = set()
     topology = read(TEXT)
 
-    @settings(max_examples=60, deadline=None, database=None, derandomize=True)
+    @settings(max_examples=examples(60), deadline=None, database=None, derandomize=True)
     @given(schedules(topology))
     def look(faults: list[dict[str, Any]]) -> None:
         seen.update(fault["kind"] for fault in faults)

@@ -20,6 +20,7 @@ from hedgerow.orchestrator.metrics.gain_uniform import Edges, Nodes, least
 from hedgerow.orchestrator.metrics.guarantee import guarantee, plant_of
 from hedgerow.orchestrator.metrics.semidefinite import NoBoundError
 from tests.orchestrator.metrics.test_gain_bound import TABLE, UNEQUAL, _oracle, plants
+from tests.tools.examples import examples
 
 CLOSED = (Premise.EDGES, Premise.JUMPS)
 
@@ -57,7 +58,7 @@ def test_it_is_never_below_the_program_with_one_matrix(plant: Plant, premise: Pr
         assert found >= bound(plant, premise, Method.WHOLE).gain * (1 - 1e-3)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(
     st.floats(0.05, 0.9), st.floats(0.0, 0.3), st.floats(0.0, 0.9), st.floats(1.01, 30.0), st.floats(1.001, 1e4),
     st.booleans(),
@@ -82,7 +83,7 @@ def test_eta_is_the_least_of_a_node(
     assert found.by_nu[0] == pytest.approx(slope, rel=2e-2, abs=1e-3 * abs(found.eta[0]))
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(plants(), st.integers(0, 2**32 - 1), st.floats(0.9, 1.1), st.booleans())
 def test_edges_are_proved_if_and_only_if_the_eigenvalue_leaves_room(
     plant: Plant, seed: int, share: float, factored: bool

@@ -18,6 +18,7 @@ from hedgerow.topologies.effects import FOREVER
 from hedgerow.topologies.faults import effects
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire.message import Telemetry
+from tests.tools.examples import examples
 from tests.tools.networks import Trajectory, networks, partitions, read, simulate
 from tests.tools.schedules import schedules, with_faults
 
@@ -43,7 +44,7 @@ def assert_agrees(replayed: Replay, ran: Trajectory) -> None:
     assert (replayed.doubt, replayed.steps) == ("", len(ran.rows))
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 @given(faulty(), st.data())
 def test_a_run_that_equals_its_file_agrees_with_its_replay(topology: Topology, data: st.DataObject) -> None:
     """Any network, any faults, any layout over processes, and with any number of replayed nodes."""
@@ -55,7 +56,7 @@ def test_a_run_that_equals_its_file_agrees_with_its_replay(topology: Topology, d
     assert_agrees(part, ran)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(faulty(), st.data())
 def test_faults_that_come_while_it_runs_are_replayed_alike(topology: Topology, data: st.DataObject) -> None:
     """The last faults of the list become known only when the first of them is about to begin."""
@@ -70,7 +71,7 @@ def test_faults_that_come_while_it_runs_are_replayed_alike(topology: Topology, d
     assert_agrees(live, ran)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=examples(100), deadline=None)
 @given(faulty(), st.data())
 def test_any_one_number_that_is_an_ulp_off_is_found(topology: Topology, data: st.DataObject) -> None:
     """The change is in w, u, ahat or margin; the step and the node are named."""

@@ -23,6 +23,7 @@ from hedgerow.topologies.load import bundled, load
 from hedgerow.topologies.resolve import resolve, truth
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire.message import REPORT_ROWS, TAKEN, End, Telemetry
+from tests.tools.examples import examples
 from tests.tools.networks import Trajectory, listed, networks, observe, read, simulate
 
 PAPER = resolve(load("paper7"))
@@ -171,7 +172,7 @@ def test_a_users_law_has_no_claims_of_the_paper() -> None:
 
 
 @given(st.sets(st.integers(0, 29), min_size=1, max_size=28), st.integers(1, 30))
-@settings(max_examples=50)
+@settings(max_examples=examples(50))
 def test_lost_telemetry_makes_the_verdict_unknown(lost: set[int], size: int) -> None:
     """For any lost rows and any batches, the run is not blamed: the verdict is unknown."""
     rows = [row for row in GOOD.rows if row.t not in lost]
@@ -274,7 +275,7 @@ BUNDLED = {name: (topology := resolve(load(name)), simulate(topology)) for name 
 
 
 @given(st.data())
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 def test_batches_of_any_size_give_the_same_numbers(data: st.DataObject) -> None:
     """How telemetry was bundled on its way is not seen in D, R, the costs or anything recorded."""
     topology, ran = BUNDLED[data.draw(st.sampled_from(sorted(BUNDLED)))]
@@ -291,7 +292,7 @@ def test_batches_of_any_size_give_the_same_numbers(data: st.DataObject) -> None:
 
 
 @given(networks())
-@settings(max_examples=40)
+@settings(max_examples=examples(40))
 def test_the_metrics_are_their_formulas(topology: Topology) -> None:
     """D, R, gain and beta, from the states of the run and of its twin under the hinf law."""
     ran = simulate(topology)

@@ -13,6 +13,7 @@ from hedgerow.orchestrator.experiments.sweep.runs import answer
 from hedgerow.orchestrator.runs import batch
 from hedgerow.topologies.named import resolved
 from hedgerow.topologies.schema import Topology
+from tests.tools.examples import examples
 from tests.tools.networks import networks
 
 LINE5 = "nodes={a: {x0: 2}, b: {candidates: [0.4, 0.6], a: 0.4}, c: {disturbance: {kind: white, std: 0.4}}, d: {}}"
@@ -42,7 +43,7 @@ def test_a_batch_gives_the_rows_of_single_runs(sets: list[str]) -> None:
 
 
 @given(topology=networks(most=5, steps=8), count=st.integers(2, 5))
-@settings(max_examples=40)
+@settings(max_examples=examples(40))
 def test_any_network_gives_the_same_rows(topology: Topology, count: int) -> None:
     if batch.why_not(topology):
         return

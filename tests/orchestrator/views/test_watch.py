@@ -88,7 +88,7 @@ class Saver:
 
         until(still)
         self.process.send_signal(signal.SIGINT)
-        self.process.wait(20)
+        self.process.wait(60)
 
     def stores(self) -> dict[str, Path]:
         """Return its received recordings by name, one file each."""
@@ -323,7 +323,7 @@ def test_a_viewer_of_another_version_is_reported_with_a_fix(monkeypatch: pytest.
         stream = RerunStream(topology, observer, "story", None, stranger, warn=said.append)
         stream.log(observer.take(run.rows))
         until(lambda: said == [expected])
-        assert stream.close(5.0)
+        assert stream.close(60.0)
         until(lambda: last_step(viewer.url) == 29)
         ran("run")
         open_runs(["run"], viewer.url, said.append)
@@ -568,7 +568,7 @@ def test_a_page_shows_the_run_while_it_runs(tmp_path: Path) -> None:
             playwright = stack.enter_context(api.sync_playwright())
             browser = playwright.chromium.launch(executable_path=str(CHROMIUM), args=FLAGS.split())
             stack.callback(browser.close)
-            page = browser.new_page(viewport={"width": 1280, "height": 720})
+            page = browser.new_page(viewport={"width": 960, "height": 600})
             screenshot = tmp_path / "page.png"
 
             def look() -> Seen:
