@@ -40,7 +40,7 @@ REFUSED: dict[str, Callable[[], Any]] = {
     "two columns of one name": lambda: hg.from_edges(pd.DataFrame([[1, 2, 3]], columns=["from", "to", "to"])),
     "no pairs": lambda: hg.from_edges([(1, 2, 3, 4)]),
     "NaN in a matrix": lambda: hg.from_adjacency(np.where(A == 0, np.nan, A)),
-    "no graph": lambda: hg.from_networkx([1, 2]),  # type: ignore[arg-type]
+    "no graph": lambda: hg.from_networkx([1, 2]),
     "a missing weight": lambda: hg.from_edges(pd.DataFrame({**ENDS, "weight": [1, np.nan]})),
 }
 OPTIONS: list[dict[str, Any]] = [

@@ -245,8 +245,8 @@ def of_pairs(
         raise refuse(source, "its columns differ in length", "Give every column a value per edge")
     for k, pair in enumerate(zip(tails, heads, strict=True)):
         if any(_missing(end) is None for end in pair):
-            place = edge_names[k] if edge_names is not None else f"{source}: row {k + 1}"
-            raise refuse(place, "has no two ends of an edge", "Remove the row, or name both ends")
+            at = edge_names[k] if edge_names is not None else f"{source}: row {k + 1}"
+            raise refuse(at, "has no two ends of an edge", "Remove the row, or name both ends")
     ends = [(position(i), position(j)) for i, j in zip(tails, heads, strict=True)]
     edges = np.array(ends, dtype=np.int64).reshape(-1, 2)
     names = list(place)
