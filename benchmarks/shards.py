@@ -198,7 +198,7 @@ def measure(nodes: int, processes: int, rounds: int) -> dict[str, float]:
 def measure_cuts(nodes: int, processes: int, rounds: int) -> dict[str, float]:
     """Return one row of the table of `--cuts`: shards by the orders of nodes, and by METIS."""
     with tempfile.TemporaryDirectory(prefix="hedgerow-") as scratch:
-        network = network_of("random_regular", nodes, _steps(nodes), Path(scratch))
+        network = network_of("random_regular", nodes, WARM_UP + 4 * (_steps(nodes) - WARM_UP), Path(scratch))
         graph, edges = network.graph, len(network.edges)
         before, after = min(by_orders(graph, processes), key=partial(cut, graph)), partition(graph, processes)
         return {

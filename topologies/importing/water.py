@@ -75,10 +75,17 @@ def _simulated(model: wntr.network.WaterNetworkModel) -> Any:
     import wntr  # noqa: PLC0415
 
     try:
-        return wntr.sim.WNTRSimulator(model).run_sim()
+        results = wntr.sim.WNTRSimulator(model).run_sim()
+        if len(results.link["flowrate"]):
+            return results
+        # wntr does not converge, and reports this as a warning and no rows. EPANET may find the state.
     except NotImplementedError:  # Darcy-Weisbach head losses, and general-purpose valves
-        with tempfile.TemporaryDirectory(prefix="hedgerow-") as folder:
-            return wntr.sim.EpanetSimulator(model).run_sim(file_prefix=f"{folder}/start")
+        pass
+    with tempfile.TemporaryDirectory(prefix="hedgerow-") as folder:
+        results = wntr.sim.EpanetSimulator(model).run_sim(file_prefix=f"{folder}/start")
+    if not len(results.link["flowrate"]):
+        raise ValueError("the hydraulic state does not converge")
+    return results
 
 
 def _demand(model: wntr.network.WaterNetworkModel) -> tuple[Array, Any]:
