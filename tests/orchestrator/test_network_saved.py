@@ -15,7 +15,7 @@ from tests.tools.importing import edges_of
 
 
 def odd() -> hg.Network:
-    """Return a network whose ids are texts that YAML could take for something else."""
+    """Return a network with ids that are texts that YAML could take for something else."""
     rng = np.random.default_rng(3)
     graph = nx.random_geometric_graph(24, 0.4, seed=2)
     for i, j in graph.edges:

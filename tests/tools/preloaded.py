@@ -2,7 +2,7 @@
 
 Loading them takes most of a short command's time. A server loads them once for a session of tests, and forks one
 process per command. Such a process has its own streams, folder, environment and limits, like a process that a shell
-started. Tests of the start itself, of signals while modules load, and of the installed program start Python anew.
+started. Tests of the start itself, of signals while modules load, and of the installed program start a new Python.
 """
 
 from __future__ import annotations
@@ -213,7 +213,7 @@ def suits() -> bool:
 
 
 def ordered(address: str, what: dict[str, Any], streams: Sequence[int]) -> tuple[socket.socket, int]:
-    """Order a process of the server; return the connection that tells its exit code, and its id."""
+    """Order a process of the server; return the connection for its exit code, and its id."""
     environment = dict(os.environ)
     text = json.dumps(what | {"folder": os.getcwd(), "environment": environment}).encode()
     connection = socket.socket(socket.AF_UNIX)

@@ -70,7 +70,7 @@ def _pajek(data: bytes) -> Any:
 
 
 def _upwards(graph: Any) -> Any:
-    """Return a graph of a tool whose y points down, with y upwards."""
+    """Return a graph with y upwards, from a tool with y downwards."""
     for _, own in graph.nodes(data=True):
         if "y" in own and (place := _pair(0, own["y"])) is not None:
             own["y"] = 0.0 - place[1]  # of 0, this makes no -0

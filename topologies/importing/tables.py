@@ -20,7 +20,7 @@ from hedgerow.topologies.regular_file import read_regular
 GROWTH = 25
 """the memory per byte of a file: every cell is a text first"""
 MOST_COLUMNS = 4
-"""a square of up to so many columns without names of rows is a matrix only if it is symmetric"""
+"""the maximum number of columns of a square without names of rows that is a matrix only if it is symmetric"""
 COMMENTS = ("#", "%", "//")
 FROM = ("source", "from", "src", "node1", "start", "from_node", "node_from", "tail")
 TO = ("target", "to", "dst", "node2", "end", "to_node", "node_to", "head")

@@ -29,7 +29,7 @@ KINDS = (Kind(1, True), Kind(4, True), Kind(6, False), Kind(8, False), Kind(12, 
 SIZE, SMALLEST, ROWS = 48, 8, 20_000
 """The number of members of a population; its minimum; and the nodes of all members together in large networks."""
 SLICE_S, SLICE = 0.25, 5
-"""An island evolves for so long at a time, and for so many generations: one of each kind of trial."""
+"""The time slice of an island, and the number of its generations: one of each kind of trial."""
 STALE = 120
 """The number of generations without a better gain after which a new island replaces an old one."""
 STEPS, LEAST_STEPS, FEW = 10_000, 4_000, 100

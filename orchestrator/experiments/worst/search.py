@@ -145,7 +145,7 @@ class Island:
 
 
 def seeds(scene: Scene, kind: Kind, count: int, rng: np.random.Generator) -> Array:
-    """Return up to `count` disturbances whose last value has a large settled gain, (K, T, n); a run must confirm it."""
+    """Return up to `count` disturbances with a large settled gain of the last value, (K, T, n), for a run to confirm."""
     if kind.length <= LEAD:
         found = resting(scene, count, rng, steered=False).w[:, None]
         return np.asarray(np.repeat(found, kind.length, axis=1))
