@@ -145,7 +145,7 @@ class Island:
 
 
 def seeds(scene: Scene, kind: Kind, count: int, rng: np.random.Generator) -> Array:
-    """Return up to `count` disturbances with a large settled gain of the last value, (K, T, n), for a run to confirm."""
+    """Return up to `count` disturbances with a large settled gain of the last value, (K, T, n); a run confirms it."""
     if kind.length <= LEAD:
         found = resting(scene, count, rng, steered=False).w[:, None]
         return np.asarray(np.repeat(found, kind.length, axis=1))
