@@ -53,13 +53,13 @@ def law_class(name: str) -> type[Law]:
         cure = "Correct that line." if where else _cure_of_name(module, attribute)
         why = crash.summary(error)
         raise UserError(f"{where}law {name}: cannot be loaded: {why}. {cure}", code=Code.LAW) from error
-    if not isinstance(law, type):
-        kind = type(law).__name__
-        raise UserError(f"law {name}: is no class, but of the type {kind}. Give a class (docs/laws.md).", code=Code.LAW)
     if missing := [method for method in ("act", "learn", "report") if not callable(getattr(law, method, None))]:
         raise UserError(
             f"law {name}: has no {', '.join(missing)}(); a law has act, learn and report (docs/laws.md)", code=Code.LAW
         )
+    if not isinstance(law, type):
+        kind = type(law).__name__
+        raise UserError(f"law {name}: is no class, but of the type {kind}. Give a class (docs/laws.md).", code=Code.LAW)
     return law
 
 

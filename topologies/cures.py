@@ -24,6 +24,8 @@ def cure_of_number(value: Any, whole: bool = False) -> str:
             return f"write a single number, without brackets, such as {example}"
         case None:
             cure = f"write a number, such as {example}, or remove the key"
+        case float() if abs(value) > 2**63:
+            cure = "choose a smaller one"
         case float():
             cure = f"write {round(value)}" if math.isfinite(value) and value.is_integer() else "write a whole number"
         case str() if _DECIMAL_COMMA.fullmatch(value):

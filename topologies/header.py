@@ -67,7 +67,8 @@ def _check_cells(file: str, rows: Sequence[Row], first: list[str]) -> None:
     """Raise FileRefusedError if the cells of a file are not separated by single commas."""
     line = rows[0][0]
     for sign, name in _SEPARATORS.items():
-        if any(sign in cell for cell in first):
+        # Several cells are separated by commas already, and a name may have a space in it.
+        if any(sign in cell for cell in first) and (len(first) == 1 or sign != " "):
             if first[0].startswith("#"):
                 break
             raise FileRefusedError(

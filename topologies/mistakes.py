@@ -67,6 +67,8 @@ def _problem(source: Source, details: ErrorDetails) -> Problem:
     if kind == "budget":
         return source.problem(path, details["msg"], code=Code.FILE_TOO_LARGE)
     shown = as_written(at, source.written(path))
+    if "[key]" in details["loc"][-2:] and path:
+        shown = as_written(path[-1], source.mark(path).key)
     if kind == "missing":
         of_pair = f"{shown} has too few members", "a pair has two"
         return source.problem(
@@ -105,7 +107,7 @@ def _problem(source: Source, details: ErrorDetails) -> Problem:
         "string_type": ("is not text", cure_of_text(at, source.written(path))),
         "too_short": ("has too few members", f"at least {context.get('min_length')} are needed"),
         "too_long": ("has too many members", f"at most {context.get('max_length')} are allowed"),
-        "tuple_type": ("is not a list", "write [ … ]"),
+        "tuple_type": ("is not a list", _cure_of_list(path)),
         "dict_type": ("is not a mapping", "write key: value"),
         "model_type": ("is not a mapping", "write {key: value}"),
     }.get(kind, (details["msg"][0].lower() + details["msg"][1:], ""))
@@ -119,6 +121,18 @@ _ABOUT_VALUE = frozenset(
         *("tuple_type", "dict_type", "model_type", "bool_type", "window"),
     )
 )
+
+
+def _cure_of_list(path: Path) -> str:
+    """Return the fix for a value that should be a list."""
+    match path:
+        case ("edges",):
+            return "write pairs of node ids: [[1, 2], [2, 3]]"
+        case ("edges", _):
+            return "write a pair of node ids, such as [1, 2]"
+        case (*_, "steps"):
+            return "write [from, to): the first step, and the one after the last"
+    return "write [ … ]"
 
 
 def _random(value: Any) -> bool:

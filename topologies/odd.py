@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from decimal import Decimal
 from typing import Any
 
 from hedgerow.topologies.errors import Code, Problem
@@ -20,7 +21,7 @@ def odd_numbers(source: Source) -> Iterator[Problem]:
         if not _at(source, path):
             continue
         if _names_node(path):
-            value = path[1] if path[0] == "nodes" else _value(source.value, path)
+            value = _number(text)
             yield source.problem(
                 path,
                 f"{text} can be the whole number {value} or a name",
@@ -36,6 +37,15 @@ def odd_numbers(source: Source) -> Iterator[Problem]:
                 f"write {value}" + (f', or "{text}" in quotes for text' if path[-1] == "name" else ""),
                 Code.FILE_AMBIGUOUS,
             )
+
+
+def _number(text: str) -> int:
+    """Return the whole number that a reader of YAML may take a text for."""
+    digits = text.replace("_", "")
+    sign, plain = ("-", digits[1:]) if digits[:1] == "-" else ("", digits.removeprefix("+"))
+    if plain[:2].lower() in ("0x", "0o", "0b"):
+        return int(sign + plain, 0)
+    return int(Decimal(sign + plain))
 
 
 def no_id(node: Any, text: str | None, shown: str) -> tuple[str, str, Code]:

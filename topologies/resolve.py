@@ -32,7 +32,7 @@ from hedgerow.topologies.record import SAMPLED, WHOLE
 from hedgerow.topologies.rules import broken_faults
 from hedgerow.topologies.samples import columns
 from hedgerow.topologies.schema import PER_NODE, Defaults, Drawn, Node, Topology
-from hedgerow.topologies.source import FLOAT
+from hedgerow.topologies.source import FLOAT, OTHER_WHOLE
 from hedgerow.topologies.table import Table
 
 
@@ -391,4 +391,5 @@ def _line(dumper: yaml.CSafeDumper, line: Line) -> yaml.Node:
 Dumper.add_representer(float, _float)
 Dumper.add_representer(Line, _line)
 # YAML 1.1 reads `1e5` and `08` as text and writes them without quotes; our reader takes them as numbers.
+Dumper.add_implicit_resolver("tag:yaml.org,2002:int", OTHER_WHOLE, list("-+0123456789"))
 Dumper.add_implicit_resolver("tag:yaml.org,2002:float", FLOAT, list("-+.0123456789"))

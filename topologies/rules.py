@@ -134,7 +134,7 @@ class _Named:
     source: Source
 
     def in_table(self, *keys: str) -> bool:
-        """Return True if all of these values come from the table: its rules are checked by column."""
+        """Return True if all of these values come from the table, and `broken` checks it in columns."""
         own, table = self.topology.nodes.get(self.id), self.topology.given
         return table is not None and all(
             getattr(table, key) is not None and getattr(own, key, None) is None for key in keys

@@ -73,7 +73,10 @@ def columns(
             rows = [(reader.line_num, row) for row in reader if row]
     except UserError as error:
         raise FileRefusedError(str(error), code=error.code) from None
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+    except UnicodeDecodeError as error:
+        what = f"{file}: byte {error.start} is not UTF-8 text"
+        raise FileRefusedError(what, "save the file as CSV in UTF-8") from None
+    except (OSError, csv.Error) as error:
         raise ValueError(f"{file}: cannot be read: {error}") from None
     if not rows:
         raise ValueError(f"{file}: is empty")

@@ -30,6 +30,8 @@ _WHOLE_POWER = re.compile(r"[-+]?[0-9]{1,18}[eE]\+?(?:[0-9]|1[0-8])\Z")
 """a whole number with an exponent, such as 1e3"""
 _DEEPER = re.compile(r"nest|depth|recursion", re.IGNORECASE)
 """words in the error of a parser that bounds the depth itself"""
+OTHER_WHOLE = re.compile(r"[-+]?(0[xX][0-9a-fA-F_]+|0o[0-7_]+|0b[01_]+|[0-9][0-9_]*_[0-9_]*)\Z")
+"""whole numbers for some readers of YAML, and text for others"""
 FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?\Z")
 _WORDS: dict[str, Any] = {
     **dict.fromkeys(("", "~", "null", "Null", "NULL")),
@@ -116,6 +118,8 @@ def read_source(name: str, text: bytes) -> Source:
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else 0
         column = error.problem_mark.column + 1 if error.problem_mark else 0
+        if (begins := error.context_mark) is not None and "simple key" in (error.context or ""):
+            line, column = begins.line + 1, begins.column + 1  # the problem is found on a later line
         what = " ".join(part for part in (error.context, error.problem) if part)
         # A parser may have another limit of the depth, a little earlier or later than ours: the mistake is the same.
         if _DEEPER.search(error.problem or "") or _DEEPER.search(error.context or ""):
@@ -206,7 +210,7 @@ class _Builder:
                     return
                 value = _scalar(text)
                 # The texts of a large file take memory: store only those that Python would show differently.
-                differs = not isinstance(value, str) and repr(value) != text
+                differs = repr(value) != text if not isinstance(value, str) else OTHER_WHOLE.match(text)
                 self._place(value, 1, Mark(line, column, text if differs else None), event.anchor, plain=True)
             case yaml.MappingStartEvent() | yaml.SequenceStartEvent():
                 self._open({} if isinstance(event, yaml.MappingStartEvent) else [], event.anchor, Mark(line, column))
@@ -271,7 +275,7 @@ class _Builder:
             self._take_key(top, value, mark, plain)
 
     def _note_odd(self, path: Path, value: Any, mark: Mark) -> None:
-        if mark.text is not None and type(value) is int:
+        if mark.text is not None and (type(value) is int or (type(value) is str and OTHER_WHOLE.match(value))):
             self.source.odd[path] = mark.text
 
     def _take_key(self, top: _Open, key: Any, mark: Mark, plain: bool) -> None:

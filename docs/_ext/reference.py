@@ -14,6 +14,7 @@ from sphinx.application import Sphinx
 
 PAGE = "commands.md"
 _CODE = re.compile(r"(?<![`:\w])`([^`\n]+)`(?![`\w])")
+_OPTION = re.compile(r"(?<![`\w-])--[a-z][a-z-]*(?![`\w])")
 _SPECIAL = re.compile(r"(?<!\w)([|*])(?=\S)|(?<=\w)_(?=\W|$)")
 
 
@@ -42,7 +43,7 @@ def _section(path: str, command: Any) -> list[str]:
         "",
         f"```text\n{path} {usage}\n```",
         "",
-        command.help or "",
+        _coded(command.help or ""),
         "",
     ]
     rows = [_row(parameter) for parameter in command.params if not getattr(parameter, "hidden", False)]
@@ -50,17 +51,29 @@ def _section(path: str, command: Any) -> list[str]:
     return [*lines, *(["| Option | Description |", "|---|---|", *rows, ""] if rows else [])]
 
 
+PIPE = r"\|"
+"""a pipe within a cell of a table"""
+
+
+def _coded(text: str) -> str:
+    """Return a help text with its options as code: otherwise the two hyphens become a dash."""
+    return _OPTION.sub(r"`\g<0>`", text)
+
+
 def _row(parameter: Any) -> str:
-    names = ", ".join(f"`{name}`" for name in (*parameter.opts, *parameter.secondary_opts))
-    if names == "`--help`":
+    spelled = [*parameter.opts, *parameter.secondary_opts]
+    if "--help" in spelled:
         return ""
     if parameter.param_type_name == "argument":
-        names = f"`{(parameter.metavar or parameter.name).upper()}`"
-    described = " ".join((getattr(parameter, "help", None) or "").split()).replace("|", "\\|")
+        spelled = [(parameter.metavar or parameter.name).upper()]
+    elif not parameter.is_flag:
+        spelled[-1] += f" {parameter.metavar or spelled[0].strip('-').upper()}"
+    names = ", ".join(f"`{name}`" for name in spelled)
+    described = _coded(" ".join((getattr(parameter, "help", None) or "").split()))
     default = parameter.default if not callable(parameter.default) else None
-    if default not in (None, False, (), [], "") and "default" not in described:
-        described += f" Default: `{default}`."
-    return f"| {names} | {described} |"
+    if default not in (None, False, (), [], "") and "default" not in described and "[" not in described:
+        described += f" [`{spelled[0] if default is True else default}`]"
+    return f"| {names.replace('|', PIPE)} | {described.replace('|', PIPE)} |"
 
 
 def write(_: Sphinx) -> None:

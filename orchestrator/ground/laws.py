@@ -151,8 +151,8 @@ def _within_deadline(law: type[Law], name: str, test: Callable[[Callable[[], Non
 def _check_types(law: type[Any], given: Mapping[str, Any], where: str) -> None:
     """Raise UserError for a value that the declaration of the class does not allow.
 
-    The law receives a value as it was written, so the check is strict: the text "0.5" is no number. JSON writes
-    tuples as lists, and a member of an Enum as its value.
+    The law receives a value as it was written, so the check is strict: the text "0.5" is no number. In
+    JSON, a tuple is a list, and a member of an Enum is its value.
     """
     group = getattr(law, "Parameters", None)
     try:

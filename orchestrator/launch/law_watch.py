@@ -18,7 +18,7 @@ LOOK_EVERY_S = 1.0
 class LawWatch:
     """A thread that reports one call of a law on the thread of its maker that takes longer than `SLOW_S`.
 
-    In a run of several processes, the deadline of the plant ends such a run. In one process nothing else can end it.
+    In a run of several processes, the deadline of the plant ends such a run. In one process there is no such deadline.
     """
 
     def __init__(self, law: type[Any], name: str, say: Callable[[str], None]) -> None:

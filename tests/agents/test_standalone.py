@@ -31,7 +31,7 @@ from hedgerow.wire import keys
 from hedgerow.wire.config import Config
 from hedgerow.wire.handshake import room
 from hedgerow.wire.session import direct, open_client, open_router
-from tests.tools.processes import DEADLINE_S, Orchestrator, gone, orchestrator, parquet_bytes
+from tests.tools.processes import DEADLINE_S, Orchestrator, gone, orchestrator, parquet_bytes, run_here
 
 UP = ("--viewer", "none", "--no-record", "--verify")
 
@@ -448,7 +448,7 @@ def test_a_bundle_uses_one_port_for_operator_and_agents(here: Path, form: tuple[
     ],
 )
 def test_an_invalid_endpoint_is_refused_at_once(here: Path, arguments: tuple[str, ...], option: str) -> None:
-    done = orchestrator(*arguments)
+    done = run_here(*arguments)
     assert done.returncode == 2
     assert done.stderr == f"error: {option}: is no endpoint; write tcp/HOST:PORT, or tls/HOST:PORT\n"
     assert [*here.glob("[!.]*")] == []
@@ -456,7 +456,7 @@ def test_an_invalid_endpoint_is_refused_at_once(here: Path, arguments: tuple[str
 
 def test_a_certificate_names_no_address_in_brackets(here: Path) -> None:
     """Zenoh would try for ever."""
-    done = orchestrator("keys", "paper7", "--out", "lab", "--router", "tls/[::1]:7447")
+    done = run_here("keys", "paper7", "--out", "lab", "--router", "tls/[::1]:7447")
     assert done.returncode == 2
     assert "tls/[::1]:7447: Zenoh takes no IPv6 address for the name in a certificate; write a name\n" in done.stderr
     assert [*here.glob("[!.]*")] == []
@@ -472,7 +472,7 @@ def test_a_certificate_names_no_address_in_brackets(here: Path) -> None:
     ],
 )
 def test_a_port_is_from_1_to_65535(here: Path, words: str) -> None:
-    done = orchestrator(*words.split())
+    done = run_here(*words.split())
     assert done.returncode == 2
     assert done.stderr == f"error: {' '.join(words.split()[-2:])}: write a port from 1 to 65535 after the host\n"
     assert [*here.glob("[!.]*")] == []
@@ -481,7 +481,7 @@ def test_a_port_is_from_1_to_65535(here: Path, words: str) -> None:
 @pytest.mark.parametrize("namespace", ["", "a//b", "a/**", "a#b"])
 @pytest.mark.parametrize("command", ["up", "bundle --out lab", "compose"])
 def test_a_namespace_is_a_key_without_wildcards(here: Path, command: str, namespace: str) -> None:
-    done = orchestrator(*command.split(), "paper7", "--namespace", namespace)
+    done = run_here(*command.split(), "paper7", "--namespace", namespace)
     assert done.returncode == 2
     assert done.stderr.startswith(f"error: --namespace {namespace}: is no key of Zenoh's; ")
     assert [*here.glob("[!.]*")] == []
@@ -503,7 +503,7 @@ def test_seconds_and_rates_are_numbers_that_can_be_waited_for(
     here: Path, start: Any, module: str, option: str, number: str
 ) -> None:
     if module in ("up", "compose"):
-        done = orchestrator(module, "paper7", option, number)
+        done = run_here(module, "paper7", option, number)
         code, said = done.returncode, done.stderr
     else:
         code, said = start(module, option, number).wait()
@@ -528,7 +528,7 @@ def test_a_missing_process_is_named(here: Path, endpoint: str) -> None:
     ],
 )
 def test_impossible_options_are_refused_at_once(here: Path, arguments: tuple[str, ...], said: str) -> None:
-    done = orchestrator("up", "paper7", *arguments)
+    done = run_here("up", "paper7", *arguments)
     assert done.returncode == 2
     assert said in done.stderr
 

@@ -376,10 +376,10 @@ def test_a_link_is_drawn_as_broken_only_while_it_is(
     options = [f"--set=faults={json.dumps(faults)}", "--rate=50", "--steps=100000", "--no-record"]
     with Orchestrator("up", "paper7", "--viewer", watched.url, *options) as up:
         up.wait_for("running")
-        until(broken)
+        until(broken, every_s=0.5)  # a picture costs more than the network
         with Live() as live:
             assert live.heal().numbers == (1, 2)
-        until(whole)
+        until(whole, every_s=0.5)
         state = ViewerClient.connect(watched.url).get_state()
         assert {"Now", "Events", "Inputs u", "Regret D"} <= {view.name for view in state.views}
         assert not [view.reports for view in state.views if view.reports]

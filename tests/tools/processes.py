@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
+import io
 import itertools
 import json
 import os
@@ -19,6 +21,8 @@ from typing import Any
 
 import psutil
 
+from hedgerow.orchestrator.cli.exit_code import run_to_exit_code
+from hedgerow.orchestrator.cli.main import app
 from hedgerow.orchestrator.launch.live import Live
 from tests.tools import preloaded
 
@@ -38,6 +42,14 @@ def orchestrator(*arguments: str, largest: int = resource.RLIM_INFINITY) -> subp
         check=False,
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (largest, largest)),
     )
+
+
+def run_here(*arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run a command in this process: one that is refused starts no other process."""
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        code = run_to_exit_code(lambda: app([*arguments], standalone_mode=False) or 0)
+    return subprocess.CompletedProcess([*arguments], code, out.getvalue(), err.getvalue())
 
 
 def parquet_bytes(folder: Path) -> tuple[bytes, ...]:

@@ -26,7 +26,7 @@ import pytest
 from hedgerow.orchestrator.launch.ray_agents import MOST_PER_CPU, share_of
 from hedgerow.topologies.errors import UserError
 from tests.tools.machines import Machines, Program, machines
-from tests.tools.processes import Orchestrator, gone, orchestrator, parquet_bytes
+from tests.tools.processes import Orchestrator, gone, orchestrator, parquet_bytes, run_here
 
 HAVE_RAY = importlib.util.find_spec("ray") is not None
 needs_ray = pytest.mark.skipif(not HAVE_RAY, reason="Ray is not installed: pip install 'hedgerow[ray]'")
@@ -248,7 +248,7 @@ def test_a_cluster_that_is_not_there_is_a_mistake_in_words(environment: None) ->
     ],
 )
 def test_an_invalid_cluster_is_refused_at_once(here: Path, arguments: tuple[str, ...], said: str) -> None:
-    done = orchestrator("up", "paper7", *arguments)
+    done = run_here("up", "paper7", *arguments)
     assert done.returncode == 2
     assert done.stderr == f"{said}\n"
 

@@ -18,7 +18,7 @@ from cryptography import x509
 
 from hedgerow.orchestrator.launch.certificates import LIFE_DAYS, SLACK
 from hedgerow.wire.ports import free_port
-from tests.tools.processes import COMMAND, Orchestrator, gone, orchestrator
+from tests.tools.processes import COMMAND, Orchestrator, gone, orchestrator, run_here
 
 QUIET = ("--viewer", "none", "--no-record")
 ROUTER = """
@@ -198,7 +198,7 @@ def test_the_command_that_uses_keys_can_be_copied(here: Path) -> None:
 def test_an_insecure_combination_is_refused_before_anything_runs(
     here: Path, options: tuple[str, ...], said: str
 ) -> None:
-    done = orchestrator("up", "paper7", *options, *QUIET)
+    done = run_here("up", "paper7", *options, *QUIET)
     assert done.returncode == 2
     assert said in done.stderr
     assert not (here / "runs").exists()

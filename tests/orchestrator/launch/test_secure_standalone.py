@@ -26,7 +26,7 @@ from tests.agents.test_standalone import UP, start, verdict
 from tests.orchestrator.launch.test_rogues import PLACES
 from tests.orchestrator.launch.test_secure import ROUTER
 from tests.tools.machines import Program
-from tests.tools.processes import DEADLINE_S, Orchestrator, orchestrator, parquet_bytes
+from tests.tools.processes import DEADLINE_S, Orchestrator, orchestrator, parquet_bytes, run_here
 
 __all__ = ["start"]
 
@@ -234,7 +234,7 @@ def test_impossible_options_are_refused_at_once(here: Path, arguments: tuple[str
     if "old" in arguments:
         to_carry(Path("old"), PLACES, "hedgerow/paper7", "tls/localhost:1", days=-0.001)
     bundle(1)
-    done = orchestrator("up", *arguments, "--external", "3", *UP)
+    done = run_here("up", *arguments, "--external", "3", *UP)
     assert done.returncode == 2, done.stdout + done.stderr
     assert said in done.stderr
     assert not (here / "runs").exists()

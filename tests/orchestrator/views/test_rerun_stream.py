@@ -87,11 +87,11 @@ def read(path: Path, entity: str) -> tuple[list[int], Array]:
     return [int(steps[k]) for k in order], np.array([values[k] for k in order], dtype=float)
 
 
-def until(condition: Callable[[], object], deadline_s: float = 60.0) -> None:
+def until(condition: Callable[[], object], deadline_s: float = 60.0, every_s: float = 0.02) -> None:
     by, tick = time.monotonic() + deadline_s, threading.Event()
     while not condition():
         assert time.monotonic() < by, "the deadline passed"
-        tick.wait(0.02)
+        tick.wait(every_s)
 
 
 @pytest.fixture

@@ -579,7 +579,7 @@ def test_a_page_shows_the_run_while_it_runs(tmp_path: Path) -> None:
                 by = time.monotonic() + 240.0
                 while not condition():
                     assert time.monotonic() < by, drawn(screenshot)
-                    page.wait_for_timeout(200)
+                    page.wait_for_timeout(1000)
 
             page.goto(f"{found[0]}&renderer=webgl")
             assert page.title() == "Rerun Viewer"

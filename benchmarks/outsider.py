@@ -1,0 +1,119 @@
+"""The cost of the replay of a run, and the effect of floods by a process that is connected to an open run.
+
+python -m benchmarks.outsider --rounds 5 --steps 5000
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import zenoh
+
+from hedgerow.wire import keys
+from hedgerow.wire.session import close, open_client
+
+UP = ("up", "paper7", "--viewer", "none", "--no-record")
+WITHOUT_REPLAY = """
+import functools
+from hedgerow.orchestrator.launch import up
+up.Recording = functools.partial(up.Recording, replayed=False)
+from hedgerow.orchestrator.__main__ import main
+main()
+"""
+FLOOD_S = 5.0
+RATE = 50
+
+
+def verdict(folder: Path) -> dict[str, Any]:
+    content: dict[str, Any] = json.loads((folder / "verdict.json").read_text(encoding="utf-8"))
+    return content
+
+
+def speed(steps: int, replayed: bool) -> float:
+    """Return the steps per second of one run of paper7."""
+    start = ("-m", "hedgerow.orchestrator") if replayed else ("-c", WITHOUT_REPLAY)
+    with tempfile.TemporaryDirectory() as folder:
+        run = Path(folder) / "run"
+        command = [sys.executable, "-P", *start, *UP, "--steps", str(steps), "--run-dir", str(run)]
+        subprocess.run(command, check=True, capture_output=True)
+        return float(verdict(run)["steps_per_s"])
+
+
+def replay(rounds: int, steps: int) -> dict[str, float]:
+    """Return the speed with the replay as a ratio to that without it: the median of rounds, the least and the most."""
+    ratios = [speed(steps, replayed=True) / speed(steps, replayed=False) for _ in range(rounds)]
+    return {"ratio": statistics.median(ratios), "least": min(ratios), "most": max(ratios)}
+
+
+def commands(session: zenoh.Session, until: float, count: dict[str, int]) -> None:
+    """Ask for the status as fast as answers come, 200 at a time."""
+    _ask(session, keys.control("status"), {}, until, count)
+
+
+def joins(session: zenoh.Session, until: float, count: dict[str, int]) -> None:
+    """Ask for the place of agent 1 as fast as answers come, 200 at a time."""
+    asked = {"process": "agent-1", "number": 1, "codec": 1, "hedgerow": "0", "network": "0"}
+    _ask(session, keys.join(0), asked, until, count)
+
+
+def _ask(session: zenoh.Session, key: str, asked: dict[str, Any], until: float, count: dict[str, int]) -> None:
+    while time.monotonic() < until:
+        for waiting in [session.get(key, payload=json.dumps(asked), timeout=2.0) for _ in range(200)]:
+            for reply in waiting:
+                answer = json.loads(reply.ok.payload.to_bytes()) if reply.ok is not None else {}
+                count["refused" if "too often" in str(answer.get("error")) else "answered"] += 1
+
+
+def flood(attack: Callable[[zenoh.Session, float, dict[str, int]], None] | None) -> dict[str, float]:
+    """Attack a run of paper7 at 50 steps/s for five seconds; return the rates of the attack and of the run."""
+    with tempfile.TemporaryDirectory() as folder:
+        run, steps = Path(folder) / "run", int(RATE * (FLOOD_S + 2))
+        options = ("--steps", str(steps), "--rate", str(RATE), "--run-dir", str(run))
+        with subprocess.Popen(
+            [sys.executable, "-P", "-m", "hedgerow.orchestrator", *UP, *options], stdout=subprocess.DEVNULL
+        ) as up:
+            events: list[dict[str, Any]] = []
+            while not any(event["event"] == "first_step" for event in events):
+                time.sleep(0.05)
+                told = run / "events.jsonl"
+                events = [json.loads(line) for line in told.read_text().splitlines()] if told.exists() else []
+            start = next(event for event in events if event["event"] == "start")
+            session = open_client(start["endpoint"], start["namespace"], None, 5.0)
+            count = {"answered": 0, "refused": 0}
+            if attack is not None:
+                attack(session, time.monotonic() + FLOOD_S, count)
+            up.wait()
+            close(session)
+        found = verdict(run)
+    return {
+        "sent per s": sum(count.values()) / FLOOD_S,
+        "refused per s": count["refused"] / FLOOD_S,
+        "steps per s": found["steps_per_s"],
+        "missing inputs": found["missing_inputs"],
+    }
+
+
+def main() -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--steps", type=int, default=5000)
+    parser.add_argument("--only", choices=("replay", "floods"))
+    known = parser.parse_args()
+    if known.only != "floods":
+        print(json.dumps({"replay": replay(known.rounds, known.steps)}), flush=True)
+    for attack in (None, commands, joins) if known.only != "replay" else ():
+        print(json.dumps({getattr(attack, "__name__", "nothing"): flood(attack)}), flush=True)
+
+
+if __name__ == "__main__":
+    main()
