@@ -345,8 +345,8 @@ def _put_all(messages: Sequence[tuple[Sender, bytes]]) -> None:
         sender.put(message)
 
 
-def main(arguments: Sequence[str] | None = None) -> NoReturn:
-    """`python -m hedgerow.agents VIEW --namespace RUN --connect ENDPOINT`: run one shard until the plant sends END."""
+def options() -> argparse.ArgumentParser:
+    """Return the parser of the arguments; the program that forks agents parses them, because that takes memory."""
     parser = argparse.ArgumentParser(prog="python -m hedgerow.agents", description=main.__doc__)
     parser.add_argument("view", type=user_path, help="the local view, a .npz file")
     parser.add_argument("--namespace", required=True, help="the Zenoh namespace of the run")
@@ -354,7 +354,11 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     parser.add_argument("--life", type=int, default=0, help="how often this shard was started before")
     parser.add_argument("--credentials", type=user_path, help="the folder with its certificate")
     parser.add_argument("--law-path", type=user_path, help="a folder to import the law from, before all others")
-    known = parser.parse_args(arguments)
+    return parser
+
+
+def run(known: argparse.Namespace) -> NoReturn:
+    """Run one shard with these arguments."""
 
     def body() -> None:
         if known.law_path is not None:
@@ -363,3 +367,8 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         Agent(view, known.namespace, known.connect, Begin(lambda _: Joined(known.life)), known.credentials).live()
 
     run_child(body)
+
+
+def main(arguments: Sequence[str] | None = None) -> NoReturn:
+    """`python -m hedgerow.agents VIEW --namespace RUN --connect ENDPOINT`: run one shard until the plant sends END."""
+    run(options().parse_args(arguments))

@@ -1,8 +1,8 @@
 """`python -m benchmarks.cost`: CPU time and context switches of a step, by thread, of our loop and of others.
 
 CPU time changes less than wall time on a machine that others use too, so a change that saves some is seen here first.
-Rounds are interleaved. The table has medians over the rounds, and the ratio to the hand-written Zenoh loop of the same
-round.
+Rounds are interleaved. The table has medians over the rounds, and the ratio of speeds to another loop of the same
+round. `drops` is our loop with 30 % of the link messages lost, in paper7.
 
 `--laws` compares the laws of the project instead: two networks of paper7 run at the same time, one of them under
 the law of the paper. Its table has the CPU time per step of the paper's law as a share of the other law's, over short
@@ -24,6 +24,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
+from benchmarks.loop import DROPS
 from benchmarks.peers.cpu import Usage, Used, between, used_by
 from benchmarks.peers.network import BEGAN, COUNT_CPU, Network
 from benchmarks.suite import STEPS, adopt_orphans, end_all, network_of
@@ -32,7 +33,7 @@ from hedgerow.orchestrator.launch.live import Live
 from hedgerow.orchestrator.runs import registry
 from hedgerow.wire.runtime import runtime_environment
 
-BESIDE = "zenoh"
+DROPPING = "drops"
 ENDLESS = "100000000"
 SETTLE_S = 1.0
 WINDOW_S = 2.0
@@ -120,8 +121,10 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=main.__doc__)
     parser.add_argument("--only", default="pyzmq,zenoh,ours")
+    parser.add_argument("--beside", default="zenoh", help="the loop to compare with [%(default)s]")
     parser.add_argument("--nodes", default="7")
     parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--steps", type=int, help="steps of a run; without it, as many as take some seconds")
     parser.add_argument("--threads", action="store_true", help="print every thread of the last round")
     parser.add_argument("--laws", nargs="?", const=",".join(LAWS), help="the laws to compare with the paper's")
     parser.add_argument("--windows", type=int, default=5, help="windows of 2 s for each law")
@@ -132,21 +135,27 @@ def main() -> None:
             ratios = beside_the_paper(network_of(7, Path(scratch)), law, known.windows)
             print(f"{law:14}  {statistics.median(ratios):.2f} ({min(ratios):.2f} to {max(ratios):.2f})", flush=True)
         for nodes in map(int, known.nodes.split(",")) if not known.laws else ():
-            network, steps = network_of(nodes, Path(scratch)), STEPS.get(nodes, 300)
-            _report(network, steps, known.only.split(","), known.rounds, known.threads)
+            network, steps = network_of(nodes, Path(scratch)), known.steps or STEPS.get(nodes, 300)
+            _report(network, steps, known.only.split(","), known)
 
 
-def _report(network: Network, steps: int, peers: Sequence[str], rounds: int, threads: bool) -> None:
+def _cost(peer: str, network: Network, steps: int) -> tuple[Usage, int]:
+    if peer == DROPPING:
+        return ours(network, steps, "--set", f"faults={json.dumps(DROPS)}")
+    return ours(network, steps) if peer == "ours" else by_hand(peer, network, steps)
+
+
+def _report(network: Network, steps: int, peers: Sequence[str], known: argparse.Namespace) -> None:
     done: dict[str, list[Used]] = {peer: [] for peer in peers}
-    for _ in range(rounds):
+    for _ in range(known.rounds):
         for peer in peers:
-            used, made = ours(network, steps) if peer == "ours" else by_hand(peer, network, steps)
+            used, made = _cost(peer, network, steps)
             done[peer].append(total(used, made))
-            if threads:
+            if known.threads:
                 _print_threads(peer, by_role(used, made))
     for peer, rows in done.items():
         cpu, waits = (statistics.median(row[column] for row in rows) for column in (0, 1))
-        ratios = [other.cpu_s / row.cpu_s for row, other in zip(rows, done.get(BESIDE, rows), strict=True)]
+        ratios = [other.cpu_s / row.cpu_s for row, other in zip(rows, done.get(known.beside, rows), strict=True)]
         spread = f"{min(ratios):.2f} to {max(ratios):.2f}"
         print(
             f"{len(network)} nodes {peer:10} {cpu:8.0f} us {waits:6.0f} waits"

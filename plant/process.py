@@ -428,8 +428,8 @@ class Plant:
         self.changed.notify_all()
 
 
-def main(arguments: Sequence[str] | None = None) -> NoReturn:
-    """`python -m hedgerow.plant TRUTH --namespace RUN --listen ENDPOINT`: run the world to its last step."""
+def options() -> argparse.ArgumentParser:
+    """Return the parser of the arguments."""
     parser = argparse.ArgumentParser(prog="python -m hedgerow.plant", description=main.__doc__)
     parser.add_argument("truth", type=user_path, help="the true network, a .npz file")
     parser.add_argument("--namespace", required=True, help="the Zenoh namespace of the run")
@@ -444,7 +444,11 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     parser.add_argument("--network", default="", help="the fingerprint that each joining process must have")
     parser.add_argument("--credentials", type=user_path, help="the folder with its certificate")
     parser.add_argument("--shared", default="", help="memory that it shares with the observer")
-    known = parser.parse_args(arguments)
+    return parser
+
+
+def run(known: argparse.Namespace) -> NoReturn:
+    """Run the plant with these arguments."""
 
     def body() -> None:
         # Open the router first: the other processes wait for it.
@@ -461,3 +465,8 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
             plant.close()
 
     run_child(body)
+
+
+def main(arguments: Sequence[str] | None = None) -> NoReturn:
+    """`python -m hedgerow.plant TRUTH --namespace RUN --listen ENDPOINT`: run the world to its last step."""
+    run(options().parse_args(arguments))

@@ -11,7 +11,9 @@ one. Its first argument is the descriptor of the lifeline that its children hold
 
 from __future__ import annotations
 
+import argparse
 import contextlib
+import functools
 import gc
 import json
 import os
@@ -21,24 +23,40 @@ import socket
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NamedTuple, NoReturn
+
+import numpy as np
 
 import hedgerow.agents.laws.minimax  # most agents need it, and a fork shares it
 import hedgerow.agents.process
 import hedgerow.plant.process
+from hedgerow.agents.shard import Shard
+from hedgerow.agents.view import Peer, View
 from hedgerow.topologies.errors import Exit
+from hedgerow.topologies.graph import Index
 from hedgerow.wire import crash, start
 from hedgerow.wire.child import ERROR_PREFIX
+from hedgerow.wire.codec import decode_state, encode_state, pack_link
 from hedgerow.wire.limits import limit_reached
 from hedgerow.wire.runtime import share_the_cores
 from hedgerow.wire.session import remove_trace
 
-PROGRAMS: dict[str, Callable[[Sequence[str]], NoReturn]] = {
-    "agents": hedgerow.agents.process.main,
-    "plant": hedgerow.plant.process.main,
+
+class Program(NamedTuple):
+    """A program of a run."""
+
+    options: argparse.ArgumentParser
+    run: Callable[[argparse.Namespace], NoReturn]
+
+
+PROGRAMS = {
+    "agents": Program(hedgerow.agents.process.options(), hedgerow.agents.process.run),
+    "plant": Program(hedgerow.plant.process.options(), hedgerow.plant.process.run),
 }
 
 
+WARM_STEPS = 8
+"""steps of an agent before the first fork: the general path makes the first ones, floats the last ones"""
 IGNORE_SIGINT = "--ignore-sigint"
 """An argument: the processes of the run ignore SIGINT, as the command did at its start."""
 
@@ -47,6 +65,7 @@ def main() -> None:
     """Fork on demand until standard input ends."""
     # Release the standard error of our parent: the loaded modules have no more messages.
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+    _warm_up()
     gc.freeze()  # freeze the loaded objects: the collector would touch, and so copy, shared pages
     lifeline = int(sys.argv[1])
     names: dict[int, str] = {}
@@ -72,15 +91,44 @@ def main() -> None:
                 if "leave" in request:
                     leave = request["leave"]
                     continue
+                program = PROGRAMS[request["module"]]
+                # Here, not in each child: it would copy a megabyte of the memory that it shares with us.
+                known = program.options.parse_args(request["arguments"])
                 try:
                     pid = os.fork()
                 except OSError as error:
                     _fail(request, error)
                     continue
                 if pid == 0:
-                    _become(request, lifeline)
+                    _become(request, lifeline, functools.partial(program.run, known))
                 names[pid] = request["name"]
                 _say(name=request["name"], pid=pid)
+
+
+def _warm_up() -> None:
+    """Make some steps of an agent: what numpy and Python set up on first use is then shared by all forks."""
+    one: Index = np.zeros(1, dtype=np.int64)
+    view = View(
+        shard=0,
+        b=0.1,
+        law="minimax",
+        ids=one,
+        candidates=np.array([[0.4], [0.6]]),
+        row=one,
+        column=one + 1,
+        peers=[Peer(1, one, 1)],
+        outside=one + 1,
+        history=100,
+    )
+    shard = Shard(view)
+    for t in range(WARM_STEPS):
+        if t:
+            shard.receive_message(0, pack_link(t - 1, t - 1, 1, [1.0], [1.0]))
+        message = encode_state(t, np.ones(1), b"")
+        if shard.answer_quietly(message) is None:
+            state = decode_state(message, 1, 1)
+            shard.step(state)
+            shard.messages(state)
 
 
 def _fail(request: dict[str, Any], error: OSError) -> None:
@@ -113,7 +161,7 @@ def _say(**what: Any) -> None:
         os.write(1, json.dumps(what).encode() + b"\n")
 
 
-def _become(request: dict[str, Any], lifeline: int) -> NoReturn:
+def _become(request: dict[str, Any], lifeline: int, run: Callable[[], NoReturn]) -> NoReturn:
     """Set up the child: a new session, a log, the lifeline as standard input; then run the program and exit."""
     signal.set_wakeup_fd(-1)
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # the fork server handles it
@@ -127,7 +175,7 @@ def _become(request: dict[str, Any], lifeline: int) -> NoReturn:
     os.closerange(3, 256)
     with contextlib.suppress(OSError):  # with /proc, `ps` and `top` show this name
         Path("/proc/self/comm").write_text(request["name"], encoding="utf-8")
-    PROGRAMS[request["module"]](request["arguments"])
+    run()
 
 
 def whole() -> NoReturn:

@@ -77,6 +77,8 @@ class GainCertificate:
         self.known: Guarantee | None = None
         """the bounds, once they are solved; another thread may assign them"""
         self._waiting: list[_Rows] = []
+        self._late: list[tuple[Index, Array, Array]] = []
+        """the claims at steps that waited"""
         self._bytes = 0
         self._next = 0
         self.left_out = 0
@@ -93,15 +95,19 @@ class GainCertificate:
         premises = self._premises(t, x, u, is_open, a)
         rows = _Rows(t, after, sums[:, 0], sums[:, 1], premises)
         known = self.known
-        ceiling, slack = np.full(len(t), np.nan), np.full(len(t), np.nan)
         if known is None:
             if any(premises.values()):
                 self._wait(rows)
-            return ceiling, slack
+            return np.full(len(t), np.nan), np.full(len(t), np.nan)
         self._catch_up(known)
+        return self._claim(known, rows)
+
+    def _claim(self, known: Guarantee, rows: _Rows) -> tuple[Array, Array]:
+        """Return the claimed bound on the gain at each of some steps, and its slack, (B,)."""
+        ceiling, slack = np.full(len(rows.t), np.nan), np.full(len(rows.t), np.nan)
         # The strongest premise last: where it holds, its bound is the least.
         for premise in reversed(Premise):
-            if (bound := known.bounds.get(premise)) is not None and (count := premises[premise]):
+            if (bound := known.bounds.get(premise)) is not None and (count := rows.covered[premise]):
                 slack[:count] = self._check(premise, bound, rows)
                 ceiling[:count] = bound.gain
         return ceiling, slack
@@ -158,9 +164,16 @@ class GainCertificate:
     def _catch_up(self, known: Guarantee) -> None:
         waiting, self._waiting = self._waiting, []
         for rows in waiting:
-            for premise, bound in known.bounds.items():
-                if rows.covered[premise]:
-                    self._check(premise, bound, rows)
+            self._late.append((rows.t, *self._claim(known, rows)))
+
+    def late_claims(self) -> tuple[Index, Array, Array]:
+        """Return the steps that came before the bounds, the claimed bound at each, and its slack, (K,) each."""
+        steps, ceiling, slack = (
+            (np.concatenate(parts) for parts in zip(*self._late, strict=True))
+            if self._late
+            else (np.empty(0, dtype=np.int64), np.empty(0), np.empty(0))
+        )
+        return steps, ceiling, slack
 
     def _check(self, premise: Premise, bound: Bound, rows: _Rows) -> Array:
         """Return the slack at the rows that the premise covers."""

@@ -137,6 +137,16 @@ FIGURES = (
         more=totals.beyond,
     ),
     Kind(
+        key="slack",
+        file="slack",
+        title="Slack of the certificate",
+        shows="g Σ |w|² + Σ p x(0)² − Σ p x(t+1)² − Σ cost: the part of the certificate that is left at each step,"
+        " with the g and p of the bound that is claimed then. It is never negative in a valid run"
+        " (docs/guarantee.md).",
+        draw=totals.slack,
+        has=totals.has_slack,
+    ),
+    Kind(
         key="faults",
         file="faults",
         title="Faults",

@@ -14,6 +14,7 @@ from matplotlib.lines import Line2D
 from hedgerow.orchestrator.ground.colours import BLACK, BLUE, GREY, ORANGE, RED
 from hedgerow.orchestrator.report.curves import Entries, called, extremes, law, legend, stairs, steps_axis, thin
 from hedgerow.orchestrator.report.style import colour, sheet
+from hedgerow.orchestrator.runs.guaranteed import is_recorded
 from hedgerow.orchestrator.runs.run import Run
 from hedgerow.topologies.graph import Array
 
@@ -106,6 +107,27 @@ def gain(runs: Runs) -> Figure:
     figure, axis = _one(runs, "gain [1]", [*GAINS[:-1], CEILING, GAINS[-1]] if _bounded(runs) else GAINS)
     axis.set_ylim(0, ceiling(runs))
     return figure
+
+
+def has_slack(runs: Runs) -> bool:
+    """Return True if a run has a step with a certificate of the law, and its slack."""
+    return any(np.isfinite(slack).any() for run in _bounded(runs) if (slack := _slack(run)) is not None)
+
+
+def slack(runs: Runs) -> Figure:
+    """Draw the slack of the certificate of the law."""
+    known = [run for run in runs if _slack(run) is not None]
+    figure, axis = _one(known, "slack [units of $x^2$]", [Series("", lambda run: run.ceiling_slack, BLUE)])
+    axis.axhline(0, color=GREY, lw=0.5, zorder=1)
+    low, high = extremes(0.0, *(run.ceiling_slack for run in known))
+    room = 0.06 * (high - low) or 1.0
+    axis.set_ylim(low - room, high + room)
+    return figure
+
+
+def _slack(run: Run) -> Array | None:
+    """Return the slack of a run; None of an older run with a part of its rows."""
+    return run.ceiling_slack if run.whole or is_recorded(run) else None
 
 
 def _bounded(runs: Runs) -> list[Run]:

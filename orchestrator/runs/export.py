@@ -18,6 +18,7 @@ from pyarrow.csv import CSVWriter
 
 from hedgerow.orchestrator.ground.spelling import spelled
 from hedgerow.orchestrator.metrics.verdict import Verdict
+from hedgerow.orchestrator.runs import guaranteed
 from hedgerow.orchestrator.runs.run import Run
 from hedgerow.orchestrator.runs.table import Table
 from hedgerow.orchestrator.runs.writer import ROW_GROUP
@@ -33,7 +34,7 @@ NAMES = (
     *("u_edge", "edge_open", "i_hears", "j_hears"),
 )
 """The arrays of a .npz and a .mat, each the attribute of Run with that name."""
-OF_ALL = ("a_ls", "beta", "identifiable", "ceiling_slack")
+OF_ALL = ("a_ls", "beta", "identifiable")
 """Those that take all rows to know."""
 TOTALS = (
     *("regret_sum", "nominal_regret_sum", "right", "cost", "cost_oracle", "cost_regret", "energy_sum"),
@@ -70,6 +71,8 @@ def arrays(run: Run) -> dict[str, NDArray[Any]]:
     omits.
     """
     there = NAMES if run.whole else [name for name in NAMES if name not in OF_ALL]
+    if not run.whole and not guaranteed.is_recorded(run):
+        there = [name for name in there if name != "ceiling_slack"]
     if "summary" not in run.tables and not run.whole:
         there = [name for name in there if name not in TOTALS]
     return {name: _array(getattr(run, name)) for name in there}

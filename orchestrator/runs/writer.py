@@ -10,9 +10,10 @@ from __future__ import annotations
 import functools
 import os
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
@@ -25,12 +26,16 @@ from hedgerow.orchestrator.metrics.observer import Batch, Observer
 from hedgerow.orchestrator.runs.columns import column, names
 from hedgerow.orchestrator.runs.selection import selection
 from hedgerow.topologies.archive import id_array
-from hedgerow.topologies.graph import Index
+from hedgerow.topologies.graph import Array, Index
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire.message import End
 
+if TYPE_CHECKING:
+    from hedgerow.orchestrator.metrics.gain_certificate import GainCertificate
+
 ROW_GROUP = 2**16
 STEPS_AT_ONCE = 64
+Change = Callable[[pa.Table], pa.Table]
 
 
 def _id_type(topology: Topology) -> pa.DataType:
@@ -68,17 +73,21 @@ class _Table:
             os.truncate(self.stream, whole)
             raise
 
-    def close(self) -> None:
+    def close(self, change: Change | None = None) -> None:
+        """Turn the stream into the Parquet file; `change` may replace columns of its parts."""
         if not self.stream.exists():
             return
         if not self._full:  # otherwise the end of the stream would follow a gap
             self._writer.close()
-        to_parquet(self.stream, self.parquet)
+        to_parquet(self.stream, self.parquet, change)
         self.stream.unlink()
 
 
-def to_parquet(stream: Path, parquet: Path) -> None:
-    """Turn an Arrow stream, complete or not, into a Parquet file, which is written completely or not at all."""
+def to_parquet(stream: Path, parquet: Path, change: Change | None = None) -> None:
+    """Turn an Arrow stream, complete or not, into a Parquet file, which is written completely or not at all.
+
+    `change` may replace columns of each part.
+    """
     part = parquet.with_suffix(".parquet.part")
     try:
         with (
@@ -87,7 +96,7 @@ def to_parquet(stream: Path, parquet: Path) -> None:
             pq.ParquetWriter(spelled(part), reader.schema) as writer,
         ):
             for table in _row_groups(reader):
-                writer.write_table(table, row_group_size=ROW_GROUP)
+                writer.write_table(table if change is None else change(table), row_group_size=ROW_GROUP)
         part.rename(parquet)
     finally:
         part.unlink(missing_ok=True)
@@ -121,11 +130,14 @@ def whole_batches(reader: Any) -> Iterator[pa.RecordBatch]:
             return
 
 
+CLAIMS = ("ceiling", "ceiling_slack")
+"""The columns of the certificate of the law: null without a claim."""
 SUMMARY = {
     "step": "int64",
     **dict.fromkeys(("x_sum", "x_max", "u_sum", "u_max", "regret_max"), "double"),
     **dict.fromkeys(("regret_sum", "nominal_regret_sum"), "double"),
     **dict.fromkeys(("cost", "cost_oracle", "cost_sum", "cost_oracle_sum", "energy_sum"), "double"),
+    **dict.fromkeys(CLAIMS, "double"),
     **dict.fromkeys(("right", "missing", "edges_cut", "messages_lost", "checksum"), "int64"),
 }
 """The columns of summary.parquet."""
@@ -145,6 +157,7 @@ def summary(batch: Batch) -> dict[str, NDArray[Any]]:
         "regret_max": batch.regret.max(axis=1),
         **{name: getattr(batch, name) for name in ("regret_sum", "nominal_regret_sum", "cost", "cost_oracle")},
         **{name: getattr(batch, name) for name in ("cost_sum", "cost_oracle_sum", "energy_sum", "right")},
+        **{name: getattr(batch, name) for name in CLAIMS},
         "missing": missing.sum(axis=1),
         "edges_cut": batch.edge_open.shape[1] - np.count_nonzero(batch.edge_open, axis=1),
         "messages_lost": batch.link_up.shape[1] - np.count_nonzero(batch.link_up, axis=1),
@@ -213,7 +226,9 @@ class Recorder:
     def write(self, batch: Batch) -> None:
         """Append the rows of one batch."""
         if self._summary is not None:
-            self._summary.append({name: column(values) for name, values in summary(batch).items()})
+            values = summary(batch)
+            nulls = {name: np.isnan(values[name]) for name in CLAIMS}
+            self._summary.append({name: column(one, nulls.get(name)) for name, one in values.items()})
         rows = self._selection.rows(batch.t)
         t, n, e = batch.t[rows], len(self._nodes), len(self._e)
 
@@ -283,9 +298,24 @@ class Recorder:
             nulls = {field.name: pa.nulls(1, field.type) for field in self._summary.schema}
             self._summary.append(nulls | {name: column(value) for name, value in known.items()})
 
-    def close(self) -> None:
-        """Turn the streams into Parquet files."""
+    def close(self, certificate: GainCertificate | None = None) -> None:
+        """Turn the streams into Parquet files, with the claims of a certificate at steps that came before its bounds.
+
+        So the file does not depend on the time that the bounds took.
+        """
         self._telemetry.close()
         self._edge_inputs.close()
         if self._summary is not None:
-            self._summary.close()
+            self._summary.close(None if certificate is None else partial(_with_claims, certificate.late_claims()))
+
+
+def _with_claims(claims: tuple[Index, Array, Array], table: pa.Table) -> pa.Table:
+    """Return a part of the summary with the claims (steps, bounds, slacks) at some steps."""
+    steps, *values = claims
+    own = table["step"].to_numpy()
+    here = np.isin(own, steps)
+    for name, late in zip(CLAIMS, values, strict=True) if here.any() else ():
+        known = table[name].to_numpy().copy()
+        known[here] = late[np.searchsorted(steps, own[here])]
+        table = table.set_column(table.schema.get_field_index(name), name, column(known, np.isnan(known)))
+    return table

@@ -33,10 +33,10 @@ from hedgerow.orchestrator.runs.reader import load_run
 from hedgerow.orchestrator.views.screen import Quiet
 from hedgerow.topologies.errors import UserError
 from hedgerow.topologies.graph import Array
+from hedgerow.topologies.hinf import smallest_eigenpair
 from hedgerow.topologies.schema import Topology
-from tests.orchestrator.metrics.test_gain_bound import UNEQUAL
 from tests.tools.examples import examples
-from tests.tools.networks import Trajectory, networks, read, simulate
+from tests.tools.networks import VECTORS, Trajectory, from_vector, networks, read, simulate
 from tests.tools.schedules import schedules, with_faults
 
 EXAMPLES = int(os.environ.get("GAIN_EXAMPLES", "25"))
@@ -172,13 +172,12 @@ def constant_run(plant: Plant, reported: Array, steps: int, scale: float) -> Wor
 
 
 def test_a_plant_with_one_per_cent_more_w_than_reported_violates_it() -> None:
-    """The worst constant disturbance of the oracle leaves no slack."""
-    plant = UNEQUAL
-    incidence = np.array([[1.0, 0.0], [-1.0, 1.0], [0.0, -1.0]]) * plant.root_weights
-    B = plant.b[:, None] * incidence
-    w = np.linalg.eigh(np.diag((1 - plant.a) ** 2) + B @ B.T)[1][:, 0]
-    assert constant_run(plant, w, 2000, 1.0).excess <= 0
-    assert constant_run(plant, w, 2000, 1.01).excess > 0
+    """In this network, the worst constant disturbance of the oracle leaves no slack."""
+    (path,) = (path for path in VECTORS if path.stem == "w1_path3")
+    network = from_vector(path)[0].network
+    w = smallest_eigenpair(network.a, network.b, network.graph)[1]
+    assert constant_run(plant_of(network), w, 2000, 1.0).excess <= 0
+    assert constant_run(plant_of(network), w, 2000, 1.01).excess > 0
 
 
 def folder_run(topology: Topology, folder: Path) -> dict[str, Any]:

@@ -94,6 +94,13 @@ def test_totals_are_the_runs(paper: Run) -> None:
     assert f"above the axis, at up to {paper.gain[0]:.3g}" in KINDS["gain"].caption([paper])
 
 
+def test_the_slack_of_the_certificate_is_drawn_with_its_zero(paper: Run) -> None:
+    (axis,) = drawn("slack", paper).axes
+    np.testing.assert_array_equal(curves(axis), [paper.ceiling_slack])
+    low, high = axis.get_ylim()
+    assert low < 0 < paper.ceiling_slack.max() < high
+
+
 def test_the_timeline_equals_the_recording(faulty: Run) -> None:
     """2-3 is dropped, 3-4 is cut, 3 crashes: its edges carry nothing then, and its messages are lost."""
     figure = drawn("faults", faulty)

@@ -21,7 +21,7 @@ from tests.tools.figures import ROOT
 @pytest.mark.parametrize(
     ("figures", "said"),
     [
-        ("9", "there is no figure 9; choose of 1, 2, 3, 4, 5, paper, estimates, regret, cost, gain, faults"),
+        ("9", "there is no figure 9; choose of 1, 2, 3, 4, 5, paper, estimates, regret, cost, gain, slack, faults"),
         ("2,", "there is no figure without a name; choose of 1"),
         ("faults", "there is nothing to show of faults in paper; leave it out"),
     ],
