@@ -396,7 +396,7 @@ def test_the_commands_and_events_are_those_of_the_code() -> None:
     commands = set(re.findall(r'"(\w+)": self\._\w+,', control))
     # A process that joins has a separate key.
     assert commands == {row["command"] for row in table("wire.md", "Commands")} == {*keys.COMMANDS, "join"}
-    events = set(re.findall(r'\._?tell\(\s*"(\w+)"', control + process + shards))
+    events = set(re.findall(r'\.(?:_report|report_event)\(\s*"(\w+)"', control + process + shards))
     assert events == {row["event"] for row in table("wire.md", "event", 1)}
 
 

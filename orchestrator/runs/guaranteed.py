@@ -41,7 +41,7 @@ def slack(run: Run, premise: str) -> Array:
 def ceiling_slack(run: Run) -> Array:
     """Return the slack of the bound in `ceiling` at each step, NaN without one, (T,)."""
     if is_recorded(run):
-        return run.summed("ceiling_slack", run.T)
+        return run._summed("ceiling_slack", run.T)
     found = np.full(run.T, np.nan)
     # The strongest premise last: where it holds, its bound is the least.
     for premise in reversed(Premise):

@@ -32,5 +32,5 @@ def recomputed(name: str) -> cached_property[Array]:
 def total(name: str) -> cached_property[Array]:
     """Return a property that recomputes a total, (T,), or reads it from the summary if not all rows were kept."""
     return cached_property(
-        lambda run: run._by_step(getattr(run._observed[0], name)) if run.whole else run.summed(name, run.T)
+        lambda run: run._by_step(getattr(run._observed[0], name)) if run.whole else run._summed(name, run.T)
     )

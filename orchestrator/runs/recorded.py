@@ -135,7 +135,7 @@ class RecordedRows:
             raise UserError(f"{self.folder}: has no summary, by `record:` of its topology.yaml", code=Code.NOT_RECORDED)
         return self.tables["summary"]
 
-    def summed(self, name: str, rows: int) -> Array:
+    def _summed(self, name: str, rows: int) -> Array:
         """Return a column of the summary, (rows,)."""
         return spread(self._summary.column(name, 1)[:, 0].astype(np.float64), self._summary.steps(1), rows, np.nan)
 

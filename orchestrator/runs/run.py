@@ -191,13 +191,13 @@ class Run(RecordedRows):
         """Return the number of right estimates, (T,)."""
         if self.whole:
             return self._by_step(self._observed[0].right)
-        return frozen(np.nan_to_num(self.summed("right", self.T), nan=-1.0).astype(np.int64))
+        return frozen(np.nan_to_num(self._summed("right", self.T), nan=-1.0).astype(np.int64))
 
     @cached_property
     def regret_sum(self) -> Array:
         """Return the regret D(t), the cumulative sum of r_i^2 including the final state, (T + 1,)."""
         if not self.whole:
-            return self.summed("regret_sum", self.T + 1)
+            return self._summed("regret_sum", self.T + 1)
         batch, observer = self._observed
         return frozen(np.append(self._by_step(batch.regret_sum), observer.regret_sum))
 
@@ -205,7 +205,7 @@ class Run(RecordedRows):
     def nominal_regret_sum(self) -> Array:
         """Return the regret D(t) of the nominal twin, (T + 1,)."""
         if not self.whole:
-            return self.summed("nominal_regret_sum", self.T + 1)
+            return self._summed("nominal_regret_sum", self.T + 1)
         batch, observer = self._observed
         return frozen(np.append(self._by_step(batch.nominal_regret_sum), observer.nominal_regret_sum))
 

@@ -312,10 +312,11 @@ class Recorder:
 def _with_claims(claims: tuple[Index, Array, Array], table: pa.Table) -> pa.Table:
     """Return a part of the summary with the claims (steps, bounds, slacks) at some steps."""
     steps, *values = claims
-    own = table["step"].to_numpy()
+    # `to_numpy` of a column in chunks would load pandas.
+    own = np.array(table["step"].to_pylist())
     here = np.isin(own, steps)
     for name, late in zip(CLAIMS, values, strict=True) if here.any() else ():
-        known = table[name].to_numpy().copy()
+        known = np.array(table[name].to_pylist(), dtype=np.float64)
         known[here] = late[np.searchsorted(steps, own[here])]
         table = table.set_column(table.schema.get_field_index(name), name, column(known, np.isnan(known)))
     return table

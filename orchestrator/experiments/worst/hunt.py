@@ -85,6 +85,8 @@ class State:
     """by kind and faults: the best disturbance so far with its score and its steps"""
     seconds: float = 0.0
     stale: list[int] = field(default_factory=list)
+    turns: int = 0
+    """of islands; a search that is continued in short pieces gives each its turn"""
 
 
 class Hunt:
@@ -139,10 +141,10 @@ class Hunt:
             islands += [Island.new(self.scene, kind, self.size, self.rng) for kind in KINDS]
             self.state.stale = [0] * len(islands)
         while True:
-            for number in range(len(islands)):
-                yield number
-                scored = [float(island.score.max(initial=0.0)) for island in islands]
-                yield int(np.argmax(scored))
+            each, is_best = divmod(self.state.turns, 2)
+            self.state.turns += 1
+            scored = [float(island.score.max(initial=0.0)) for island in islands]
+            yield int(np.argmax(scored)) if is_best else each % len(islands)
 
     def _evolve(self, number: int, breaks: Breaks, until: float, quit_now: Quit) -> None:
         """Improve one population for a turn, which a slow machine may not cut short before `until`."""
@@ -305,6 +307,7 @@ class Hunt:
             "champions": listed,
             "islands": [[*island.kind, island.generation] for island in self.state.islands],
             "stale": self.state.stale,
+            "turns": self.state.turns,
             "seconds": self.state.seconds,
             "rng": self.rng.bit_generator.state,
         }
@@ -345,6 +348,7 @@ class Hunt:
                 raise ValueError("it has other arrays")
             state.islands.append(Island(bool(holds), members, NONE, score, taken, int(generation)))
         state.stale, state.seconds = [int(one) for one in head["stale"]], float(head["seconds"])
+        state.turns = int(head["turns"])
         if len(state.stale) != len(state.islands) or not 0 <= state.seconds < np.inf:
             raise ValueError("it has other numbers")
         return state

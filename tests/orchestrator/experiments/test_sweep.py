@@ -163,7 +163,7 @@ def test_a_law_that_fails_makes_its_runs_unknown_and_no_others(here: Path) -> No
 # Interruption, kill and continuation.
 
 LINE401 = str(Path(__file__).parents[2] / "tools" / "line401.yaml")
-LONG = ("sweep", LINE401, "--seeds", "0:16", "--set", "law=minimax,hinf")
+LONG = ("sweep", LINE401, "--seeds", "0:24", "--set", "law=minimax,hinf")
 
 
 @pytest.fixture(scope="module")
@@ -183,7 +183,7 @@ def test_a_stopped_and_killed_sweep_continues_to_the_same_bytes(here: Path, undi
         assert sweeping.wait() == 3, sweeping.output
         assert gone(below)
     there = lines(out)
-    assert f"stopped: Ctrl-C: {there} of 32 runs are done; the same command continues" in sweeping.output
+    assert f"stopped: Ctrl-C: {there} of 48 runs are done; the same command continues" in sweeping.output
     assert "Traceback" not in sweeping.output
     assert not (out / "sweep.parquet").exists()
     with Orchestrator(*command) as sweeping:

@@ -177,7 +177,7 @@ def test_a_law_that_asks_runs_in_the_search_as_in_the_engine(law: str) -> None:
 @pytest.mark.parametrize(
     ("topology", "least"),
     [
-        (EAGER, 7.0),
+        (EAGER, 8.4),
         (hg.load("paper7"), 3.36),
         (vector("v1_path2"), 5.63),
         (vector("v2_tree7"), 5.66),
