@@ -6,8 +6,11 @@ so both are read again at every build. Nothing is fetched: the build works witho
 
 from __future__ import annotations
 
+import re
 import sys
 from pathlib import Path
+
+from sphinx.application import Sphinx
 
 sys.path.insert(0, str(Path(__file__).parent / "_ext"))
 
@@ -58,3 +61,12 @@ html_theme_options = {
 }
 copybutton_prompt_text = "$ "
 copybutton_only_copy_prompt_lines = True
+
+
+def setup(app: Sphinx) -> None:
+    """Name the file where CONTRIBUTING.md links to code: the site holds pages, and no sources."""
+    app.connect("include-read", _name_sources)
+
+
+def _name_sources(_app: Sphinx, _path: Path, _page: str, content: list[str]) -> None:
+    content[0] = re.sub(r"\[(`[^`\]]+`)\]\((\w+/[\w/]+\.py)\)", r"\1 in `\2`", content[0])
