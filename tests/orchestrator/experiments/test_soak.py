@@ -87,16 +87,16 @@ def test_faults_continue_during_the_whole_run() -> None:
 
 
 @pytest.mark.slow
-def test_a_minute_is_flat_and_leaves_a_table_and_a_picture(here: Path) -> None:
+def test_half_a_minute_is_flat_and_leaves_a_table_and_a_picture(here: Path) -> None:
     """The speed of a busy machine proves nothing."""
-    done = orchestrator("soak", "paper7", "--minutes", "1", "--rate", "50", "--processes", "3", "--run-dir", "soak")
+    done = orchestrator("soak", "paper7", "--minutes", "0.5", "--rate", "50", "--processes", "3", "--run-dir", "soak")
     last = done.stdout.splitlines()[-1]
     assert (done.returncode, last[:6]) == (0, "flat: ") or last.startswith("not flat: pace:"), done.stdout + done.stderr
     assert re.search(r"\b[1-9][0-9]* restarts", last), "an agent was killed, and came back"
     with (here / "soak/soak.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert {row["process"] for row in rows} == {"up", "fork server", "plant", "shard-0", "shard-1", "shard-2"}
-    assert max(int(row["step"]) for row in rows) > 1500
+    assert max(int(row["step"]) for row in rows) > 700
     assert (here / "soak/soak.png").stat().st_size > 10_000
     assert [path.name for path in here.iterdir() if path.name.startswith(".")] == []
 
