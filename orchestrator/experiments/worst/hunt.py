@@ -51,6 +51,8 @@ SCALES = np.array([1.0, 0.3, 0.1, 0.03, 0.01, 0.003, 0.001, 0.0])
 """Factors of the impulses before a value that stays."""
 TRIED = 600
 """Steps of the runs that choose the size of the impulses."""
+RANKS = (1, 2, 4, 8, 16, 32, 64)
+"""Places of the members of a population that are tried beside its best, in the order of their gains."""
 SETTLED = 1e-6
 """Change of 1/(1 - ahat) in the second half of a run that has settled."""
 
@@ -216,11 +218,23 @@ class Hunt:
         parts = [f"cut {ids[i]}-{ids[j]} from step {first}" for (i, j), first in cuts]
         return ", ".join(parts + [f"drop {ids[i]} to {ids[j]} from step {first}" for (i, j), first in drops])
 
-    def attacks(self) -> Iterator[Attack]:
-        """Yield the best disturbances, the largest gain first; each with the gain that its run should reach."""
-        for (kind, breaks), (w, score, steps) in sorted(self.state.champions.items(), key=lambda one: -one[1][1]):
+    def attacks(self) -> Iterator[tuple[float, Attack]]:
+        """Yield the best disturbances, each behind its gain in the search, the largest first.
+
+        An attack has the gain that its run should reach. It is smaller if an estimate changes after the search's runs.
+        """
+        found = [(score, kind, breaks, w, steps) for (kind, breaks), (w, score, steps) in self.state.champions.items()]
+        # The best of a population may live on a tie, or settle late. Others of it do not.
+        for island in self.state.islands:
+            ranks = np.argsort(-island.score, kind="stable")[[k for k in RANKS if k < len(island.score)]].tolist()
+            found += [
+                (float(island.score[k]), island.kind, island.breaks, island.members[k], int(island.steps[k]))
+                for k in ranks
+                if island.score[k] > 0
+            ]
+        for score, kind, breaks, w, steps in sorted(found, key=lambda one: -one[0]):
             if not kind.holds:
-                yield Attack(w[:steps], False, breaks, score**0.5, score**0.5, steps)
+                yield score**0.5, Attack(w[:steps], False, breaks, score**0.5, score**0.5, steps)
                 continue
             # As the file has it: a constant, and impulses, of which small ones may do as well as large ones.
             scales = SCALES if kind.length > 1 else np.ones(1)
@@ -230,7 +244,7 @@ class Hunt:
             played = play(self.scene, tried[least][None], breaks, self.steps)
             if (limit := self._limits(played)[0]) > 0:
                 gain = float(np.sqrt(played.cost.sum() / np.square(played.w).sum()))
-                yield Attack(tried[least], True, breaks, gain, float(limit), self.steps)
+                yield score**0.5, Attack(tried[least], True, breaks, gain, float(limit), self.steps)
 
     def _limits(self, played: Played) -> Array:
         """Return the settled gains of some runs that hold their last value; 0 of those that have not settled."""
@@ -241,7 +255,12 @@ class Hunt:
 
     def proved(self) -> tuple[Attack, Topology]:
         """Return the best attack with a run that repeats its gain, and the topology of that run."""
-        for attack in self.attacks():
+        best: tuple[Attack, Topology] | None = None
+        for sought, attack in self.attacks():
+            if best is not None and sought <= best[0].limit * (1 + SETTLED):
+                break
+            if best is not None and attack.limit <= best[0].limit:
+                continue
             is_steady, within = self.steady(attack)
             if not is_steady:
                 continue
@@ -249,8 +268,10 @@ class Hunt:
             content = run_here(topology)
             gain = content["metrics"].get("gain")
             if content["verdict"] == "valid" and gain is not None and abs(gain - attack.gain) <= SAME * attack.gain:
-                return replace(attack, gain=gain, within=within), topology
-        raise HedgerowError(f"{self.topology.name}: no disturbance was found. Give a larger --budget.")
+                best = replace(attack, gain=gain, within=within), topology
+        if best is None:
+            raise HedgerowError(f"{self.topology.name}: no disturbance was found. Give a larger --budget.")
+        return best
 
     def steady(self, attack: Attack) -> tuple[bool, bool]:
         """Return two properties of an attack, of any law.
