@@ -57,7 +57,7 @@ def learning(plant: Plant, candidates: Array, time_limit_s: float = 600.0) -> Le
     lists = [np.unique(column[~np.isnan(column)]) for column in candidates.T]
     count = math.prod(len(one) for one in lists)
     if count > MOST_MODELS:
-        raise NoBoundError(f"the lists have {count} joint models, and the bound takes {MOST_MODELS}")
+        raise NoBoundError(f"the lists have {count} joint models, and the bound takes at most {MOST_MODELS}")
     models = np.array(list(itertools.product(*lists)))
     if not (models == plant.a).all(axis=1).any():
         raise NoBoundError("the true a of a node is not in its list")
