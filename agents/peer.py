@@ -5,13 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-import numpy as np
-from numpy.typing import NDArray
-
+from hedgerow.topologies.graph import Index
 from hedgerow.wire.codec import decode_link
 from hedgerow.wire.message import Link
-
-Index = NDArray[np.int64]
 
 MAIL = 64
 """number of link messages kept per peer; a correct peer is never this far ahead"""

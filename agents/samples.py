@@ -15,16 +15,13 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hedgerow.agents.law import Array, Law
 from hedgerow.agents.local import Received, asks
 from hedgerow.topologies.fast import kernels_for, unequal_kernels_for
-from hedgerow.topologies.graph import all_finite, starts
+from hedgerow.topologies.graph import Index, all_finite, starts
 from hedgerow.wire.history import History
 from hedgerow.wire.message import TAKEN, Flag, Flags, Mask, Record
-
-Index = NDArray[np.int64]
 
 _OPEN, _RECEIVE = np.uint8(Flag.OPEN), np.uint8(Flag.RECEIVE)
 MARK_EVERY = 64

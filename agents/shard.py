@@ -10,7 +10,6 @@ import struct
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hedgerow.agents.law import Array, Law
 from hedgerow.agents.law_lines import line_of, place_of, running
@@ -20,12 +19,10 @@ from hedgerow.agents.peer import Peer
 from hedgerow.agents.quiet import QuietForms, QuietLaw
 from hedgerow.agents.samples import LateRows, Samples
 from hedgerow.agents.view import View
-from hedgerow.topologies.graph import all_finite
+from hedgerow.topologies.graph import Index, all_finite
 from hedgerow.wire import crash
 from hedgerow.wire.codec import encode_input, encode_link, gather, link_step, pack_link
 from hedgerow.wire.message import ALL_UP, LATE, MOST_LATE, REPORT_ROWS, TAKEN, Flag, Link, Mask, Record, State
-
-Index = NDArray[np.int64]
 
 _TAKEN_OF = bytes(flags & TAKEN for flags in range(256))
 _SILENCE = struct.pack("<d", math.nan)

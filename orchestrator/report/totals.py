@@ -83,9 +83,14 @@ def _nominal_sum(run: Run) -> Array:
 
 def cost(runs: Runs) -> Figure:
     """Draw R, with its sign."""
-    figure, axis = _one(runs, "$R(t)$ [units of $x^2$]", [Series("", lambda run: run.cost_regret, BLUE)])
+    return _signed(runs, "$R(t)$ [units of $x^2$]", lambda run: run.cost_regret)
+
+
+def _signed(runs: Runs, label: str, values: Callable[[Run], Array]) -> Figure:
+    """Draw one value of each run over time, with the line of zero."""
+    figure, axis = _one(runs, label, [Series("", values, BLUE)])
     axis.axhline(0, color=GREY, lw=0.5, zorder=1)
-    low, high = extremes(0.0, *(run.cost_regret for run in runs))
+    low, high = extremes(0.0, *map(values, runs))
     room = 0.06 * (high - low) or 1.0
     axis.set_ylim(low - room, high + room)
     return figure
@@ -117,12 +122,7 @@ def has_slack(runs: Runs) -> bool:
 def slack(runs: Runs) -> Figure:
     """Draw the slack of the certificate of the law."""
     known = [run for run in runs if _slack(run) is not None]
-    figure, axis = _one(known, "slack [units of $x^2$]", [Series("", lambda run: run.ceiling_slack, BLUE)])
-    axis.axhline(0, color=GREY, lw=0.5, zorder=1)
-    low, high = extremes(0.0, *(run.ceiling_slack for run in known))
-    room = 0.06 * (high - low) or 1.0
-    axis.set_ylim(low - room, high + room)
-    return figure
+    return _signed(known, "slack [units of $x^2$]", lambda run: run.ceiling_slack)
 
 
 def _slack(run: Run) -> Array | None:
