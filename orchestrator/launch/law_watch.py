@@ -11,7 +11,7 @@ from typing import Any
 from hedgerow.agents.law_lines import call_of, running
 
 SLOW_S = 8.0
-"""the time of one call of a law after which it is reported; the same as for an agent"""
+"""the time of one call of a law after which it is reported"""
 LOOK_EVERY_S = 1.0
 
 
