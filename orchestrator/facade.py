@@ -150,7 +150,8 @@ def sweep(
     `network` is that of `load`; give the file rather than a Topology if each seed is to draw its own numbers. Each
     setting is `path=values`, as for `--set` on the command line: `"nodes.2.x0=1,2"`. Each keyword is a top-level key
     with a value or a list of values: `law=["minimax", "nominal"]`. `seeds` is a range with stride 1. Runs in `out` are
-    not repeated; the default is a folder in sweeps/. `jobs` is the number of runs at a time. Raises UserError for a
+    not repeated; the default is a folder in sweeps/. `jobs` is the number of processes, by default one per core. If a
+    law is defined in the script or notebook itself, this process makes all runs. Raises UserError for a
     mistake, and HedgerowError if the sweep was interrupted.
     """
     import pyarrow.parquet as pq  # noqa: PLC0415 (Arrow takes a while to load)
@@ -262,8 +263,8 @@ def compare(
     partial(MyLaw, p0=10)]`. A disturbance is `file`, the name of a preset (`sinusoid`, `white`, `ar1`, `constant`,
     `confuse`, `none`), names joined by `+`, or a mapping as in a file.
     `settings` and `overrides` are those of `load`. `out` is the folder of the results, which the same call finds again.
-    With `jobs` above 1, processes share the runs; a script then needs `if __name__ == "__main__":`. Raises UserError
-    for a mistake.
+    With `jobs` above 1, processes share the runs, unless a law is defined in the script or notebook itself. Raises
+    UserError for a mistake.
     """
     plan = comparison(network, [*map(_law, laws)], disturbances, seeds, [*settings, *_settings(overrides)])
     found = run_comparison(plan, None if out is None else user_path(str(out)), jobs, quiet=True)

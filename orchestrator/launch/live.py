@@ -176,6 +176,9 @@ class Live:
     ) -> None:
         self.close()
 
+    def __repr__(self) -> str:
+        return f"<Live {self.entry.run}, in {self.entry.folder}>"
+
     def close(self) -> None:
         """Close the session; the network continues."""
         if self._session is not None:
