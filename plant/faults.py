@@ -158,8 +158,8 @@ class Faults:
         return self._active
 
     def none_at(self, t: int) -> bool:
-        """Return True if no effect is active at step t."""
-        return not self._look(t)
+        """Return True if no effect is active at steps t and t + 1."""
+        return not self._look(t) and (t + 1 < self._until or not self._look(t + 1))
 
     def at(self, t: int) -> ActiveFaults | None:
         """Return the faults active at step t, except crashes and jumps; None if there are none."""

@@ -147,7 +147,7 @@ class World:
         t, faults, links, graph = self.t, self.faults, self.links, self.graph
         before = self._now.absent
         active, gone, soon = None, None, None
-        if not (faults.none_at(t) and faults.none_at(t + 1)):
+        if not faults.none_at(t):
             for node, a in faults.jumps(t):
                 self.a[node] = a
             active, gone, soon = faults.at(t), faults.absent(t), faults.absent(t + 1)
