@@ -18,8 +18,8 @@ Gain = float | Array
 
 FEW = 32
 """up to this many numbers, a sum without numpy is faster"""
-MANY = 8192
-"""Up to this many numbers, a sum of squares is the fastest sum. For more than 10,000, OpenBLAS may start threads."""
+MANY = 10_000
+"""Up to this many numbers, a sum of squares is the fastest sum. For more of them, OpenBLAS may start threads."""
 LARGEST = 1e100
 """the largest number in a file: sums of squares up to it do not overflow"""
 
