@@ -98,7 +98,9 @@ class SweepFolder:
                 f"--out {self.path}: sweep.json does not belong to a sweep; name a new folder", code=Code.FILE_FORMAT
             )
         if other := _difference(there, wanted):
-            raise UserError(f"--out {self.path}: holds a sweep with other settings: {other}; name another folder", code=Code.OUTPUT)
+            raise UserError(
+                f"--out {self.path}: holds a sweep with other settings: {other}; name another folder", code=Code.OUTPUT
+            )
 
     def _read(self) -> None:
         """Read the finished runs; remove an incomplete last line."""
