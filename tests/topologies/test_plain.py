@@ -18,8 +18,12 @@ PAIR: dict[str, Any] = {"name": "pair", "b": 0.1, "steps": 6, "nodes": ["p", "q"
 
 
 class Half(hg.Minimax):
+    def __init__(self, b: Any, candidates: Any, p: int = 2) -> None:
+        super().__init__(b, candidates)
+        self.p = p
+
     def act(self, x: Any) -> Any:
-        return super().act(x) / 2
+        return super().act(x) / self.p
 
 
 @pytest.mark.parametrize(
