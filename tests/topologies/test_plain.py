@@ -18,7 +18,7 @@ PAIR: dict[str, Any] = {"name": "pair", "b": 0.1, "steps": 6, "nodes": ["p", "q"
 
 
 class Half(hg.Minimax):
-    def __init__(self, b: Any, candidates: Any, p: int = 2) -> None:
+    def __init__(self, b: Any, candidates: Any, p: Any = 2) -> None:
         super().__init__(b, candidates)
         self.p = p
 
