@@ -228,7 +228,9 @@ def guarantee_of(topology: Topology, method: Method | None = None) -> Guarantee:
         counted = learning(plant, network.candidates)
     except HedgerowError as error:
         counted = str(error)
-    return replace(guarantee(plant, network.gamma_star, method), learning=counted)
+    found = guarantee(plant, network.gamma_star, method)
+    missing = {"learning": counted} if isinstance(counted, str) else {}
+    return replace(found, learning=counted, not_computed={**found.not_computed, **missing})
 
 
 def at_least(plant: Plant, folder: Path) -> float | None:
