@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import logging
 import os
 import signal
@@ -52,6 +53,17 @@ def escape_warnings() -> None:
         logging.lastResort.setFormatter(Line("%(message)s"))
 
 
+@functools.cache
+def open_log() -> None:
+    """Write the log of this process to standard error; a second call changes nothing.
+
+    The fork server opens the log of all its children, which then need not copy the memory that this writes to.
+    """
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(Line())
+    logging.basicConfig(handlers=[handler], level=logging.INFO)
+
+
 def run_child(body: Callable[[], None]) -> NoReturn:
     """Run `body` as the whole of this process, as `run_alone` does, until its parent ends.
 
@@ -95,9 +107,7 @@ def run_alone(body: Callable[[], None], logged: bool = False) -> NoReturn:
 
 def _run(body: Callable[[], None], logged: bool, ends: Collection[signal.Signals]) -> int:
     """Run `body` with a log, and return the exit code."""
-    handler = logging.StreamHandler(sys.stderr)
-    handler.setFormatter(Line())
-    logging.basicConfig(handlers=[handler], level=logging.INFO)
+    open_log()
     code = Exit.VALID
     try:
         if ends:

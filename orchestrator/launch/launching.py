@@ -122,9 +122,7 @@ class Launch:
             truth = truth_of(self._topology, self._shards)
             shared, path = self._shared(stack)
             processes.start_plant(truth, self._options.rate, self._options.deadline_s, external, path)
-        for view in self.views:
-            if external is None or view.shard not in external:
-                processes.start_agent(view)
+        processes.start_agents(view for view in self.views if external is None or view.shard not in external)
         session = session or self._connect(processes, interrupts, stack)
         pids = processes.wait_until_started()
         if external is not None:
