@@ -23,6 +23,8 @@ USER_ERROR = Exit.USER_MISTAKE
 """The exit code after a mistake of the user. A restart would not help."""
 ERROR_PREFIX = "error: "
 """The last line of the log of a failed process starts with this."""
+SLOW_LAW = "has been running for"
+"""The log of an agent has this in its lines about a slow law; the operator searches for them."""
 LINE, TIME = "%(asctime)s.%(msecs)03d %(name)s: %(message)s", "%H:%M:%S"
 """The format of a line of a log."""
 

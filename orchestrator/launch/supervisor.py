@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from hedgerow.agents.process import SLOW_LAW
 from hedgerow.agents.view import View
 from hedgerow.orchestrator.ground.assignment import process_name
 from hedgerow.orchestrator.ground.law_source import kept_path
@@ -22,7 +21,7 @@ from hedgerow.plant.truth import Truth
 from hedgerow.topologies.errors import Exit
 from hedgerow.topologies.regular_file import last_text
 from hedgerow.wire import keys
-from hedgerow.wire.child import ERROR_PREFIX, USER_ERROR
+from hedgerow.wire.child import ERROR_PREFIX, SLOW_LAW, USER_ERROR
 
 SMALL = 64
 """the most nodes of a shard with its local view in a JSON file"""

@@ -5,7 +5,9 @@ from __future__ import annotations
 import subprocess
 import sys
 
-SLOW = ("clarabel", "matplotlib", "numba", "pandas", "psutil", "pyarrow", "rerun", "scipy", "ssl", "unittest")
+SLOW = ("clarabel", "matplotlib", "numba", "pandas", "psutil", "pyarrow", "rerun", "rich", "scipy", "ssl", "unittest")
+OBSERVER = ("hedgerow.orchestrator.launch.recording", "hedgerow.orchestrator.metrics.observer", "hedgerow.agents.shard")
+"""modules that load while the processes start"""
 PROGRAM = """
 import sys
 import hedgerow.orchestrator.cli.main
@@ -15,6 +17,6 @@ print(*sorted(sys.modules))
 """
 
 
-def test_up_imports_no_slow_library_before_the_first_step() -> None:
+def test_up_imports_no_slow_library_and_no_observer_before_the_processes_start() -> None:
     done = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, text=True, check=True)
-    assert not set(SLOW) & set(done.stdout.split())
+    assert not {*SLOW, *OBSERVER} & set(done.stdout.split())
