@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import copy
 import functools
 import json
 import os
@@ -108,7 +109,20 @@ def run_command(began: float, fork_client: ForkClient | None) -> int:
     _BEGAN, _FORK_CLIENT = began, fork_client
     let_numbers_overflow()
     escape_warnings()
-    return run_to_exit_code(lambda: app(standalone_mode=False) or 0)
+    needed = _without_other_commands(app, *sys.argv[1:2])
+    return run_to_exit_code(lambda: needed(standalone_mode=False) or 0)
+
+
+def _without_other_commands(whole: typer.Typer, word: str = "") -> typer.Typer:
+    """Return the command line with the command `word` alone; all of it if no command has this name.
+
+    Typer takes longer to build all commands than `up` takes to load numpy.
+    """
+    named = [one for one in whole.registered_commands if one.callback and word == (one.name or one.callback.__name__)]
+    part = copy.copy(whole)
+    if named:
+        part.registered_commands, part.registered_groups = named, []
+    return part
 
 
 @app.command(rich_help_panel=RUN)
