@@ -54,6 +54,10 @@ class Found:
     seconds: float
     """of search, those before an interruption included"""
 
+    def __repr__(self) -> str:
+        above = "" if self.ceiling is None else f", at most {self.ceiling:.4g}"
+        return f"<Found {self.topology.name}: gain {self.gain:.4g}{above}, law {self.law}, {self.seconds:.1f} s>"
+
     @property
     def gain(self) -> float:
         """Return the gain of a run of `topology`, sqrt(sum cost / sum |w|^2)."""
