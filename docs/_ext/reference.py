@@ -27,8 +27,8 @@ def commands() -> str:
 
     lines = ["# Commands", "", "Each command prints its part of this page with `--help`.", ""]
     panel = ""
-    commands = typer.main.get_command(app).commands.items()
-    for name, command in sorted(commands, key=lambda one: PANELS.index(one[1].rich_help_panel)):
+    group: Any = typer.main.get_command(app)
+    for name, command in sorted(group.commands.items(), key=lambda one: PANELS.index(one[1].rich_help_panel)):
         if command.rich_help_panel != panel:
             panel = command.rich_help_panel
             lines += [f"## {panel}", ""]
