@@ -96,8 +96,9 @@ def test_a_loop_of_links_and_a_broken_link_are_reported(here: Path) -> None:
 def test_a_damaged_file_of_a_run_folder_is_named(name: str, here: Path) -> None:
     assert orchestrator("simulate", "paper7", "--no-record", "--run-dir", "run").returncode == 0
     (here / "run" / name).write_bytes(b"{]\n\xff\n")
-    with pytest.raises(UserError, match=name):
+    with pytest.raises(UserError) as refused:
         load_run("run")
+    assert name in str(refused.value)
     done = orchestrator("export", "run", "--to", "npz")
     assert done.returncode == 2
     assert name in done.stderr

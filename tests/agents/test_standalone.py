@@ -26,12 +26,13 @@ import zenoh
 from hedgerow.agents.plant_watch import PlantWatch
 from hedgerow.agents.process import Joined
 from hedgerow.agents.standalone import PlaceRequest
-from hedgerow.topologies.errors import HedgerowError, UserError
+from hedgerow.topologies.errors import Code, HedgerowError
 from hedgerow.wire import keys
 from hedgerow.wire.config import Config
 from hedgerow.wire.handshake import room
 from hedgerow.wire.session import direct, open_client, open_router
 from tests.tools.processes import DEADLINE_S, Orchestrator, gone, orchestrator, parquet_bytes, run_here
+from tests.tools.refusals import refusal
 
 UP = ("--viewer", "none", "--no-record", "--verify")
 
@@ -309,7 +310,7 @@ def test_a_plant_that_stays_has_its_place_to_itself(here: Path, endpoint: str, m
     with open_router(endpoint), open_client(endpoint, "here") as one, open_client(endpoint, "here") as other:
         token = one.liveliness().declare_token(keys.alive(keys.PLANT, 7))
         with (
-            pytest.raises(UserError, match="another plant already runs at here; end that run, or give another --name"),
+            refusal(Code.REFUSED),
             room(other, "here", list[str]().append),
         ):
             raise AssertionError("the block was entered")

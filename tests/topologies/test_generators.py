@@ -294,7 +294,7 @@ def test_a_table_is_beside_its_file(tmp_path: Path, file: str) -> None:
     folder = tmp_path / "folder"
     folder.mkdir()
     (folder / "link.npz").symlink_to("../t.npz")
-    with pytest.raises(TopologyError, match="lies outside the topology's own folder"):
+    with pytest.raises(TopologyError):
         read(f"{HEAD}table: {file}\n", folder=folder)
 
 

@@ -29,11 +29,12 @@ import yaml
 from hedgerow.orchestrator.deploy.containers import containers, provide_keys
 from hedgerow.orchestrator.ground.assignment import layout, places, views_of
 from hedgerow.orchestrator.launch.certificates import to_carry
-from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.errors import Code
 from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import resolve
 from tests.tools.machines import ROOT, ROUTER, SECURE_ROUTER, Machines, Program, machines, scripts
 from tests.tools.processes import DEADLINE_S, orchestrator, parquet_bytes
+from tests.tools.refusals import refusal
 
 FILE = ROOT / "docker-compose.yml"
 
@@ -394,5 +395,5 @@ def test_rules_too_large_for_a_secret_are_refused(here: Path, monkeypatch: pytes
     shards = layout(topology, None)
     provide_keys(Path("keys"), places(views_of(topology, shards)), "here", 1)
     monkeypatch.setattr("hedgerow.orchestrator.deploy.containers.MOST_SECRET_BYTES", 10_000)
-    with pytest.raises(UserError, match=r"the router's rules are \d+ bytes, a secret holds at most 10000: use fewer"):
+    with refusal(Code.TOPOLOGY, "paper7"):
         containers(topology, shards, "here", 10, 100_000, Path("keys"))

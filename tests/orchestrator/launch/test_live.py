@@ -42,17 +42,9 @@ def test_two_nodes_are_named_as_a_person_names_them(text: str, meant: tuple[Any,
     assert pair(text, read(LINE)) == meant
 
 
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("2-9", "2-9: 9 is no node; the nodes are 1, 2, 3, a-b, c"),
-        ("2,9", "2,9: 9 is no node"),
-        ("a-x-c", "a-x-c: names no two nodes, as 2-4 does; the nodes are"),
-        ("12", "12: names no two nodes"),
-    ],
-)
-def test_an_unknown_name_is_reported(text: str, said: str) -> None:
-    with pytest.raises(UserError, match=said):
+@pytest.mark.parametrize("text", ["2-9", "2,9", "a-x-c", "12"])
+def test_an_unknown_name_is_reported(text: str) -> None:
+    with refusal(Code.OPTION, text):
         pair(text, read(LINE))
 
 
@@ -261,9 +253,9 @@ def test_a_command_reports_its_effect_or_its_refusal(
         say(capsys, "fault", "drop", "2-5")
     with refusal(Code.FAULT):
         say(capsys, "fault", "jump", "4", "--to", "0.4")
-    with pytest.raises(UserError, match=run) as unknown:
+    with refusal(Code.NETWORK_MISSING) as unknown:
         say(capsys, "fault", "list", "--run", "nobody")
-    assert unknown.value.code == Code.NETWORK_MISSING
+    assert run in str(unknown.value), "it lists the runs that exist"
     say(capsys, "fault", "cut", "2-4", "--after", "100000")
     say(capsys, "fault", "actuator", "3")
     assert listed(capsys, "when", now := ["over", "to come", "now"]) == now
@@ -296,7 +288,7 @@ def test_the_clock_is_held_and_let_go(running: Orchestrator, here: Path, capsys:
 
 def test_commands_without_a_running_network(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for command in ("pause", "resume", "step", "heal", "rate 5", "fault list", "fault drop 1-2"):
-        with pytest.raises(UserError, match="no network is running"):
+        with refusal(Code.NETWORK_MISSING):
             say(capsys, *command.split())
 
 

@@ -42,7 +42,7 @@ from hedgerow.orchestrator.views.rerun.viewer import Viewer, executable, start
 from hedgerow.orchestrator.views.rerun.viewer_version import compare
 from hedgerow.orchestrator.views.rerun.watch import ArrowTail, Trail
 from hedgerow.orchestrator.views.screen import Quiet
-from hedgerow.topologies.errors import HedgerowError, UserError
+from hedgerow.topologies.errors import Code
 from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import resolve
 from hedgerow.wire.ports import free_port
@@ -50,6 +50,7 @@ from tests.agents.test_view import Seen
 from tests.orchestrator.views.test_rerun_stream import begin_headless, draws, kill, last_step, until
 from tests.tools.networks import simulate
 from tests.tools.processes import Orchestrator, orchestrator
+from tests.tools.refusals import refusal
 
 pytestmark = pytest.mark.filterwarnings("ignore:RRD file has no footer")  # its writer was ended
 
@@ -452,7 +453,7 @@ def test_a_deleted_part_causes_no_error(tmp_path: Path) -> None:
 
 
 def test_a_part_that_cannot_be_written_is_named(tmp_path: Path) -> None:
-    with pytest.raises(HedgerowError, match=r"missing/run\.rrd: is not complete"):
+    with refusal(Code.UNKNOWN, str(tmp_path / "missing/run.rrd")):
         RrdFile(tmp_path / "missing" / "run.rrd", streams)
 
 
@@ -518,7 +519,7 @@ def test_runs_without_a_node_in_common_are_refused() -> None:
     ran("one")
     Path("other.yaml").write_text("{name: other, b: 0.1, steps: 5, nodes: [north, south], edges: [[north, south]]}")
     ran("other", "other.yaml")
-    with pytest.raises(UserError, match=r"no node in common.*one has 1, 2, 3, 4, …, other has north, south"):
+    with refusal(Code.OPTION):
         common_nodes([load_run("one"), load_run("other")])
     assert labels([load_run("one"), load_run("other")]) == ["one", "other"]
     refused = orchestrator("open", "one", "other", "--viewer", "rerun+http://127.0.0.1:1/proxy")
@@ -532,8 +533,10 @@ def test_a_viewer_that_is_not_there_is_named_with_its_cure() -> None:
     assert "there is no display" in nobody.stderr
     assert f"copy {folder / 'run.rrd'}" in nobody.stderr
     port = free_port()
-    with pytest.raises(HedgerowError, match=rf"no viewer listens there; start a viewer .* `rerun --port {port}"):
-        Viewer(f"rerun+http://127.0.0.1:{port}/proxy").wait_until_it_listens(0.1)
+    url = f"rerun+http://127.0.0.1:{port}/proxy"
+    with refusal(Code.UNKNOWN, url) as refused:
+        Viewer(url).wait_until_it_listens(0.1)
+    assert f"`rerun --port {port}" in str(refused.value), "the fix is a command"
 
 
 # ---- the page
