@@ -144,7 +144,7 @@ def test_a_secure_file_is_valid_and_its_services_have_their_own_keys(here: Path,
     assert again.stdout == Path("secure.yml").read_text(), "the same keys, used again"
     other = orchestrator("compose", "ring6", "--secure")
     assert other.returncode == 2
-    assert "made for another network" in other.stderr
+    assert other.stderr.startswith("error: --keys ")
 
 
 def test_the_keys_lie_beside_the_file_that_names_them(here: Path) -> None:
@@ -307,7 +307,7 @@ def test_the_file_makes_a_valid_run_equal_to_the_local_one(engine: Engine, here:
         until(lambda name=name: engine.is_healthy(name), f"{name}: {engine.said(name)}")  # type: ignore[misc]
     engine.start("orchestrator")
     until(lambda: "stays until Ctrl-C" in engine.said("orchestrator"), engine.said("orchestrator"))
-    assert "watch it at http://localhost:9090" in engine.said("orchestrator")
+    assert "http://localhost:9090" in engine.said("orchestrator")
     assert engine.is_healthy("orchestrator")
 
     def ask(target: str) -> str:  # from another machine
@@ -350,7 +350,7 @@ def test_secure_manifests_are_valid_and_each_process_has_its_secret(here: Path) 
     words = ("compose", "paper7", "--secure", "--format", "kubernetes")
     printed = orchestrator(*words)
     assert printed.returncode == 2
-    assert "the manifests hold all keys; --out FILE" in printed.stderr
+    assert "--out FILE" in printed.stderr
     done = orchestrator(*words, "--out", "network.yaml")
     assert done.returncode == 0, done.stderr
     assert (here / "network.yaml").stat().st_mode & 0o777 == 0o600
@@ -387,7 +387,8 @@ def test_a_config_too_large_for_an_environment_is_refused(here: Path) -> None:
     )
     done = orchestrator("compose", "big.yaml", "--processes", "2")
     assert done.returncode == 2
-    assert "a container accepts at most 100000: use more --processes, or `orchestrator bundle`" in done.stderr
+    assert done.stderr.startswith("error: big: ")
+    assert "--processes" in done.stderr
 
 
 def test_rules_too_large_for_a_secret_are_refused(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:

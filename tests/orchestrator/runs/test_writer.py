@@ -192,18 +192,18 @@ def test_of_a_large_network_a_sample_has_rows(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("override", "said"),
+    ("override", "place"),
     [
-        ("record={nodes: [1, 99]}", "record: nodes: 1: 99 is no node; the nodes are 1, 2, 3, 4, 5, 6, 7"),
-        ("record={nodes: some}", "is neither `all`, nor how many, nor a list of node ids"),
-        ("record={evry: 2}", "unknown key `evry`; did you mean `every`?"),
-        ("record.every=0", "0 is below 1"),
+        ("record={nodes: [1, 99]}", "record: nodes: 1"),
+        ("record={nodes: some}", "record: nodes"),
+        ("record={evry: 2}", "record"),
+        ("record.every=0", "record: every"),
     ],
 )
-def test_mistakes_are_refused(override: str, said: str) -> None:
+def test_mistakes_are_refused(override: str, place: str) -> None:
     with pytest.raises(TopologyError) as refused:
         load("paper7", [override])
-    assert said in str(refused.value)
+    assert [problem.place for problem in refused.value.problems] == [place]
 
 
 @pytest.mark.parametrize("kind", ["ring", "grid", "scale_free"])
