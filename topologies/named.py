@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from hedgerow.topologies.load import content, find, parse
+from hedgerow.topologies.plain import plain
 from hedgerow.topologies.resolve import resolve, to_yaml
 from hedgerow.topologies.schema import Topology
 
@@ -25,7 +26,7 @@ def text_of(network: Named) -> tuple[bytes, str, Path]:
         return to_yaml(network).encode(), network.name, Path()
     if isinstance(network, Mapping):
         # A network of hg.Network has a folder if its table or samples lie in files.
-        return json.dumps(dict(network)).encode(), "network", getattr(network, "folder", None) or Path()
+        return json.dumps(plain(network)).encode(), "network", getattr(network, "folder", None) or Path()
     if isinstance(network, str) and ("\n" in network or network.lstrip().startswith("{")):
         return network.encode(), "network", Path()
     path = find(str(network))

@@ -274,6 +274,8 @@ class Topology(Model):
         size = f"{len(self.nodes)} nodes, {len(self.edges)} edges, {self.steps} steps"
         return f"<Topology {self.name}: {size}, law {self.law}, seed {self.seed}, {len(self.faults)} faults>"
 
+    __str__ = __repr__  # pydantic's text has every node
+
     @cached_property
     def origin_of_law(self) -> str:
         """Return the place of the law, as the start of a message: `topo.yaml:7: `; empty if it has none."""

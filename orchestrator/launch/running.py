@@ -157,6 +157,10 @@ class Running(Live):
         self._frozen: set[int] = set()
         self._finished: Run | None = None
 
+    def __repr__(self) -> str:
+        how = "ended" if self._finished is not None else "running" if hasattr(self, "entry") else "not started"
+        return f"<Running {self.topology.name}: {len(self.topology.nodes)} nodes, {how}>"
+
     def __enter__(self) -> Running:
         self._up = UpProcess(self.topology, self._folder, *self._options, listed=self._listed)
         try:

@@ -272,7 +272,7 @@ class Run(RecordedRows):
 
     def estimates_at(self, t: int) -> Estimates:
         """Return the estimate of every node at step t, from the samples of earlier steps, as a dict by node."""
-        if not 0 <= t < self.T:
+        if not isinstance(t, int | np.integer) or not 0 <= t < self.T:
             raise UserError(f"estimates_at({t}): the run has steps 0 to {self.T - 1}", code=Code.OPTION)
         return Estimates(self, t)
 

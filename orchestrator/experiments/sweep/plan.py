@@ -66,6 +66,11 @@ class Plan:
         """Return the number of runs."""
         return len(self.settings) * len(self.seeds)
 
+    @property
+    def law_in_script(self) -> bool:
+        """Return True if a law is defined in the script or notebook that runs, so that only this process has it."""
+        return any(str(setting.topology.law).startswith("__main__:") for setting in self.settings)
+
     def label(self, setting: int) -> str:
         """Return a setting in words."""
         values = self.settings[setting].values
