@@ -29,7 +29,7 @@ from hedgerow.orchestrator.metrics.observer import Batch, Observer
 from hedgerow.orchestrator.views import palette
 from hedgerow.orchestrator.views.layout import positions
 from hedgerow.orchestrator.views.palette import packed, state_colors
-from hedgerow.orchestrator.views.rerun.fault_timeline import LANES, MISTAKEN, OF_NODE, Lanes, of_edge
+from hedgerow.orchestrator.views.rerun.fault_timeline import LANES, MISTAKEN, OF_NODE, FaultTimeline, of_edge
 from hedgerow.orchestrator.views.rerun.heatmap import COLUMNS, HeatMap
 from hedgerow.orchestrator.views.rerun.network_picture import Picture, decaying_peak
 from hedgerow.orchestrator.views.rerun.panels import DOWN, LARGE
@@ -198,7 +198,7 @@ def test_a_lane_of_a_node_shows_death_silence_and_wrong_models() -> None:
         ],
     )
     _, batch = observe(topology, simulate(topology))
-    codes = Lanes(topology, models=True).codes(batch)[:, len(topology.edges) :]
+    codes = FaultTimeline(topology, models=True).codes(batch)[:, len(topology.edges) :]
     said = [[OF_NODE[code][0] for code in row] for row in codes]
     assert [t for t, row in enumerate(said) if row[3] == "dead"] == [10, 11, 12]
     assert [t for t, row in enumerate(said) if row[0] == "no input"] == [15, 16]
