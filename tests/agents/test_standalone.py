@@ -48,8 +48,8 @@ class Started:
 
     def wait(self) -> tuple[int, str]:
         """Its exit code and its log, once it has ended."""
-        _, said = self.process.communicate(timeout=DEADLINE_S)
-        return self.process.returncode, said
+        _, printed = self.process.communicate(timeout=DEADLINE_S)
+        return self.process.returncode, printed
 
     def wait_for(self, text: str) -> None:
         """Read its log until this text."""
@@ -158,10 +158,10 @@ def test_another_release_and_another_network_are_refused_at_both_ends(here: Path
     )
     with Orchestrator("up", "paper7", "--external", "3", "--listen", endpoint, "--wait", "30", *UP) as network:
         network.wait_for("waiting for agent-3")
-        code, said = start("agents", "--config", "lab/agent-3.toml").wait()
+        code, printed = start("agents", "--config", "lab/agent-3.toml").wait()
         assert code == 2
-        assert "agent-3: network " in said
-        assert "`orchestrator bundle`" in said, "the fix is a command"
+        assert "agent-3: network " in printed
+        assert "`orchestrator bundle`" in printed, "the fix is a command"
         done = subprocess.run(
             [sys.executable, "-P", "-c", old, "--config", "lab/agent-3.toml"],
             capture_output=True,
@@ -259,8 +259,8 @@ def test_a_new_plant_ignores_agents_of_the_run_before(here: Path, endpoint: str,
             others = [start(*plant), start(*agent)]
             assert network.wait() == 0, network.output
             assert [other.wait()[0] for other in others] == [0, 0]
-        code, said = left_behind.wait()
-    assert code == 3, said
+        code, printed = left_behind.wait()
+    assert code == 3, printed
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)], ids=["int", "term"])
@@ -310,15 +310,15 @@ def test_a_plant_that_stays_has_its_place_to_itself(here: Path, endpoint: str, m
             room(other, "here", list[str]().append),
         ):
             raise AssertionError("the block was entered")
-        told: list[str] = []
+        messages: list[str] = []
         monkeypatch.setattr("hedgerow.wire.handshake.LEASE_S", DEADLINE_S)
 
         def say(text: str) -> None:
-            told.append(text)
-            token.undeclare()  # type: ignore[no-untyped-call]
+            messages.append(text)
+            token.undeclare()
 
         with room(other, "here", say):
-            assert told == ["another plant already runs at here; waiting up to 60 s for its end"]
+            assert messages == ["another plant already runs at here; waiting up to 60 s for its end"]
 
 
 def test_of_simultaneous_plants_one_starts_and_the_next_follows(endpoint: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -431,9 +431,9 @@ def test_an_agent_leaves_for_another_plant_only_once_its_own_is_gone(
 @pytest.mark.parametrize(("form", "protocol"), [((), "tcp"), (("--secure",), "tls")], ids=["open", "secure"])
 def test_a_bundle_uses_one_port_for_operator_and_agents(here: Path, form: tuple[str, ...], protocol: str) -> None:
     bundle(f"{protocol}/localhost:8123", *form)
-    said = Path("lab/README.md").read_text()
-    assert said.count(f"--listen {protocol}/0.0.0.0:8123") == 2
-    assert "7447" not in said
+    printed = Path("lab/README.md").read_text()
+    assert printed.count(f"--listen {protocol}/0.0.0.0:8123") == 2
+    assert "7447" not in printed
 
 
 @pytest.mark.parametrize(
@@ -501,11 +501,11 @@ def test_seconds_and_rates_are_numbers_that_can_be_waited_for(
 ) -> None:
     if module in ("up", "compose"):
         done = run_here(module, "paper7", option, number)
-        code, said = done.returncode, done.stderr
+        code, printed = done.returncode, done.stderr
     else:
-        code, said = start(module, option, number).wait()
+        code, printed = start(module, option, number).wait()
     least = "from 0" if option == "--rate" else "above 0"
-    assert (code, said) == (2, f"error: {option} {number}: give a number {least}, and at most 1e+09\n")
+    assert (code, printed) == (2, f"error: {option} {number}: give a number {least}, and at most 1e+09\n")
     assert [*here.glob("[!.]*")] == []
 
 

@@ -110,19 +110,19 @@ def test_a_mistake_of_the_file_stays_one_beside_an_option() -> None:
 
 
 def test_a_named_option_is_reported_by_its_name() -> None:
-    told = orchestrator("check", "paper7", "--steps", "0")
-    assert told.returncode == 2
-    assert told.stderr.startswith("--steps 0: steps: 0 ")
+    refusal_of = orchestrator("check", "paper7", "--steps", "0")
+    assert refusal_of.returncode == 2
+    assert refusal_of.stderr.startswith("--steps 0: steps: 0 ")
 
 
 @pytest.mark.parametrize(
     ("word", "meant"), [("help", "--help"), ("run", "'up'"), ("list", "'ps'"), ("statsu", "status")]
 )
 def test_a_word_that_is_no_command_leads_to_the_one_that_was_meant(word: str, meant: str) -> None:
-    told = orchestrator(word)
-    assert told.returncode == 2
-    assert meant in told.stderr
-    assert "heal" not in told.stderr
+    refusal_of = orchestrator(word)
+    assert refusal_of.returncode == 2
+    assert meant in refusal_of.stderr
+    assert "heal" not in refusal_of.stderr
 
 
 # Many mistakes.

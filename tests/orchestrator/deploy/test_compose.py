@@ -119,10 +119,10 @@ def test_one_port_is_published_and_every_service_has_a_health_check(services: di
 def test_no_agent_receives_the_data_of_another(services: dict[str, Any]) -> None:
     truth = yaml.safe_load(services["orchestrator"]["environment"]["HEDGEROW_TOPOLOGY"])["nodes"]
     for node in truth:
-        told = services[f"agent-{node}"]["environment"]["HEDGEROW_CONFIG"]
+        config = services[f"agent-{node}"]["environment"]["HEDGEROW_CONFIG"]
         for other in truth:
-            assert (other == node) == all(str(one) in told for one in truth[other]["candidates"])
-        assert "disturbance" not in told
+            assert (other == node) == all(str(one) in config for one in truth[other]["candidates"])
+        assert "disturbance" not in config
 
 
 def test_a_secure_file_is_valid_and_its_services_have_their_own_keys(here: Path, secure: dict[str, Any]) -> None:
@@ -265,7 +265,7 @@ class Engine:
         words = [*self.lab.on(name), *service["healthcheck"]["test"][1:]]
         return subprocess.run(words, env=environment, capture_output=True, check=False).returncode == 0
 
-    def said(self, name: str) -> str:
+    def output_of(self, name: str) -> str:
         return self.programs[name].log.read_text()
 
     def end(self) -> None:
@@ -304,10 +304,10 @@ def test_the_file_makes_a_valid_run_equal_to_the_local_one(engine: Engine, here:
     for name in names:
         engine.start(name)
     for name in ("plant", "agent-1", "agent-4"):
-        until(lambda name=name: engine.is_healthy(name), f"{name}: {engine.said(name)}")  # type: ignore[misc]
+        until(lambda name=name: engine.is_healthy(name), f"{name}: {engine.output_of(name)}")  # type: ignore[misc]
     engine.start("orchestrator")
-    until(lambda: "stays until Ctrl-C" in engine.said("orchestrator"), engine.said("orchestrator"))
-    assert "http://localhost:9090" in engine.said("orchestrator")
+    until(lambda: "stays until Ctrl-C" in engine.output_of("orchestrator"), engine.output_of("orchestrator"))
+    assert "http://localhost:9090" in engine.output_of("orchestrator")
     assert engine.is_healthy("orchestrator")
 
     def ask(target: str) -> str:  # from another machine
@@ -320,7 +320,7 @@ def test_the_file_makes_a_valid_run_equal_to_the_local_one(engine: Engine, here:
 
     engine.programs["orchestrator"].process.send_signal(signal.SIGTERM)
     ended = {name: engine.programs[name].process.wait(DEADLINE_S) for name in engine.programs if name != "router"}
-    assert set(ended.values()) == {0}, (ended, engine.said("orchestrator"))
+    assert set(ended.values()) == {0}, (ended, engine.output_of("orchestrator"))
     run = engine.folder / "orchestrator/runs/latest"
     verdict = json.loads((run / "verdict.json").read_text())
     assert verdict["verdict"] == "valid", verdict
@@ -375,8 +375,8 @@ def test_secure_manifests_are_valid_and_each_process_has_its_secret(here: Path) 
         mounts = [one for one in spec["containers"][0]["volumeMounts"] if one["name"] in volumes]
         assert [one["mountPath"] for one in mounts] == [f"/keys/{one}" for one in own]
         assert all(one["readOnly"] for one in mounts)
-    told = next(one for one in documents if one["kind"] == "ConfigMap" and one["metadata"]["name"] == "agent-3")
-    assert 'credentials = "/keys/agent-3"' in told["data"]["config.toml"]
+    config = next(one for one in documents if one["kind"] == "ConfigMap" and one["metadata"]["name"] == "agent-3")
+    assert 'credentials = "/keys/agent-3"' in config["data"]["config.toml"]
     assert not any(b"PRIVATE KEY" in yaml.dump(one).encode() for one in documents if one["kind"] != "Secret")
 
 

@@ -153,12 +153,12 @@ def test_a_law_that_fails_makes_its_runs_unknown_and_no_others(here: Path) -> No
         "        if sample.t == 20: raise RuntimeError('tired')\n",
         encoding="utf-8",
     )
-    said = orchestrator("sweep", "paper7", "--seeds", "0:2", "--set", "law=minimax,mine:Tired", "--out", "out")
-    assert said.returncode == 3, said.stderr
+    swept = orchestrator("sweep", "paper7", "--seeds", "0:2", "--set", "law=minimax,mine:Tired", "--out", "out")
+    assert swept.returncode == 3, swept.stderr
     table = rows(here / "out")
     assert [row["verdict"] for row in table] == ["valid", "valid", "unknown", "unknown"]
     assert "tired" in table[2]["reasons"]
-    assert said.stdout.splitlines()[-1].startswith("unknown (first seed 0, law=mine:Tired: ")
+    assert swept.stdout.splitlines()[-1].startswith("unknown (first seed 0, law=mine:Tired: ")
 
 
 # Interruption, kill and continuation.
@@ -196,8 +196,8 @@ def test_a_stopped_and_killed_sweep_continues_to_the_same_bytes(here: Path, undi
     with (out / "runs.jsonl").open("a", encoding="utf-8") as file:
         file.write('{"setting": 0, "se')  # as if it had been killed while it wrote
     there = lines(out)
-    said = orchestrator(*command)
-    assert said.returncode == 0, said.stderr
+    swept = orchestrator(*command)
+    assert swept.returncode == 0, swept.stderr
     assert (out / "sweep.parquet").read_bytes() == undisturbed
 
 
@@ -241,9 +241,9 @@ def test_a_sweep_with_dying_workers_is_reported(here: Path) -> None:
         "        super().learn(x, flow, x_next)\n",
         encoding="utf-8",
     )
-    said = orchestrator("sweep", "paper7", "--seeds", "0:2", "--set", "law=deadly:Deadly", "--jobs", "1")
-    assert said.returncode == 3
-    assert said.stderr.startswith("error: seed 0, law=deadly:Deadly: ")
+    swept = orchestrator("sweep", "paper7", "--seeds", "0:2", "--set", "law=deadly:Deadly", "--jobs", "1")
+    assert swept.returncode == 3
+    assert swept.stderr.startswith("error: seed 0, law=deadly:Deadly: ")
 
 
 def test_seeds_may_grow(tmp_path: Path) -> None:
@@ -383,19 +383,19 @@ def test_metrics_do_not_depend_on_how_telemetry_was_batched(monkeypatch: pytest.
 
 
 def test_the_summary_and_the_boxes_are_the_quartiles_of_the_table(here: Path) -> None:
-    said = orchestrator(
+    swept = orchestrator(
         "sweep", "paper7", "--seeds", "0:9", "--set", "steps=4,12", "--set", "law=minimax", "--out", "o"
     )
-    assert said.returncode == 0, said.stderr
+    assert swept.returncode == 0, swept.stderr
     by_steps = {steps: [row for row in rows(here / "o") if row["steps"] == steps] for steps in (4, 12)}
     with (here / "o/summary.csv").open(encoding="utf-8", newline="") as file:
         found = {(line["steps"], line["metric"]): line for line in csv.DictReader(file)}
     for steps, own in by_steps.items():
         regret = values_of(own, "regret")
         assert float(found[str(steps), "regret"]["median"]) == np.median(regret)
-        assert f"{np.median(regret):.3g} [" in said.stdout
+        assert f"{np.median(regret):.3g} [" in swept.stdout
         assert float(found[str(steps), "share_right"]["error"]) == spread(values_of(own, "share_right")).error
-    heading = next(line for line in said.stdout.splitlines() if "nodes right" in line)
+    heading = next(line for line in swept.stdout.splitlines() if "nodes right" in line)
     assert heading.split()[:2] == ["steps", "runs"], "a key with one value needs no column"
     figure = boxes.draw(of("steps=4,12", "law=minimax", seeds="0:9"), list(by_steps.values()))
     for axis, metric in zip(figure.axes, boxes.PANELS, strict=True):

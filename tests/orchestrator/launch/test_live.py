@@ -135,8 +135,8 @@ def test_a_mistake_of_a_file_has_the_same_message_in_a_live_fault(entry: dict[st
     with pytest.raises(TopologyError) as there:
         resolve(load("paper7", ["nodes.4={a: 0.6, candidates: [0.3, 0.6]}", f"faults={json.dumps([entry])}"]))
     kind = entry.get("kind", "fault")
-    said = [str(problem).removeprefix("fault 1").removeprefix(": ") for problem in there.value.problems]
-    assert str(here.value).splitlines() == [f"{kind}: {one}" for one in said]
+    printed = [str(problem).removeprefix("fault 1").removeprefix(": ") for problem in there.value.problems]
+    assert str(here.value).splitlines() == [f"{kind}: {one}" for one in printed]
 
 
 # Over a real network.
@@ -159,7 +159,7 @@ def say(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
     return capsys.readouterr().out
 
 
-def told(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, Any]:
+def json_of(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, Any]:
     answer: dict[str, Any] = json.loads(say(capsys, *arguments, "--json"))
     return answer
 
@@ -168,7 +168,7 @@ def listed(capsys: pytest.CaptureFixture[str], key: str, wanted: list[Any], with
     """One thing of every fault in the list, once it is as wanted: the file is written a moment after the answer."""
     until = time.monotonic() + within_s
     pause = threading.Event()
-    while (found := [fault[key] for fault in told(capsys, "fault", "list")["faults"]]) != wanted:
+    while (found := [fault[key] for fault in json_of(capsys, "fault", "list")["faults"]]) != wanted:
         if time.monotonic() > until:
             break
         pause.wait(0.05)
@@ -207,13 +207,13 @@ def test_every_fault_comes_by_command_and_the_run_can_be_repeated(
     """Each is acknowledged with its number and step, listed, and written to the file; the folder gives the same run."""
     expected = []
     for number, (command, entry) in enumerate(INJECTED, start=1):
-        answer = told(capsys, "fault", *command.split())
+        answer = json_of(capsys, "fault", *command.split())
         assert answer["fault"] == number
         begins = entry["at"] if "at" in entry else entry.get("steps", [0])[0]
         expected.append(shifted(entry, answer["step"] - begins))
         assert answer["entry"] == expected[-1]
     steps = [entry["at"] if "at" in entry else entry["steps"][0] for entry in expected]
-    healed = told(capsys, "heal", "4")
+    healed = json_of(capsys, "heal", "4")
     assert healed["faults"] == [4]
     expected[3]["steps"][1] = healed["step"]
     with Live() as live:
@@ -241,10 +241,10 @@ def test_every_fault_comes_by_command_and_the_run_can_be_repeated(
 def test_a_command_reports_its_effect_or_its_refusal(
     running: Orchestrator, here: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    said = say(capsys, "fault", "drop", "2-4", "--for", "50000", "--run", "paper7")
-    run, step = said.partition(":")[0], int(said.split()[-3])
+    printed = say(capsys, "fault", "drop", "2-4", "--for", "50000", "--run", "paper7")
+    run, step = printed.partition(":")[0], int(printed.split()[-3])
     assert run == Path("runs/latest").resolve().name
-    assert said == f"{run}: fault 1: drop 2-4 from step {step} to {step + 50000}\n"
+    assert printed == f"{run}: fault 1: drop 2-4 from step {step} to {step + 50000}\n"
     assert say(capsys, "fault", "heal", "1").startswith(f"{run}: fault 1 healed from step ")
     assert say(capsys, "heal") == f"{run}: no fault to heal\n"
     with refusal(Code.FAULT):
@@ -268,10 +268,10 @@ def test_a_command_reports_its_effect_or_its_refusal(
 def test_the_clock_is_held_and_let_go(running: Orchestrator, here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A paused network makes only the requested steps; a wait for more has a deadline, and then names the network."""
     assert say(capsys, "rate", "0").endswith("\n")
-    at = told(capsys, "pause")["step"]
+    at = json_of(capsys, "pause")["step"]
     with Live() as live:
         live.wait_for_step(at)
-        assert told(capsys, "step", "5")["run"] == live.run
+        assert json_of(capsys, "step", "5")["run"] == live.run
         assert live.wait_for_step(at + 5) == at + 5
         with refusal(Code.DEADLINE):
             live.wait_for_step(at + 6, deadline_s=0.2)
@@ -294,7 +294,7 @@ def test_commands_without_a_running_network(here: Path, capsys: pytest.CaptureFi
 
 def test_a_future_fault_cannot_be_healed(running: Orchestrator, here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The fault is in the file as it was given, and the file can be read."""
-    cut = told(capsys, "fault", "cut", "2-4", "--after", "500000")
+    cut = json_of(capsys, "fault", "cut", "2-4", "--after", "500000")
     with Live() as live:
         with refusal(Code.FAULT):
             live.heal(1)

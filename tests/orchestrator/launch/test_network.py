@@ -489,7 +489,7 @@ def test_steps_before_a_failure_of_the_law_are_recorded(here: Path, command: str
 
 
 @pytest.mark.parametrize(
-    ("law", "code", "said"),
+    ("law", "code", "named"),
     [
         ("no.such:Law", 2, "law no.such:Law: cannot be loaded"),
         ("laws:Missing", 2, "has no attribute 'Missing'"),
@@ -498,12 +498,12 @@ def test_steps_before_a_failure_of_the_law_are_recorded(here: Path, command: str
         ("laws:Tired", 2, "I am tired"),
     ],
 )
-def test_a_failing_law_is_refused_with_its_reason(here: Path, law: str, code: int, said: str) -> None:
+def test_a_failing_law_is_refused_with_its_reason(here: Path, law: str, code: int, named: str) -> None:
     (here / "laws.py").write_text(LAWS + "LAWS = 3\n")
     for command in (("up", "paper7", *QUIET), ("simulate", "paper7", "--no-record")):
         done = orchestrator(*command, "--law", law)
         assert done.returncode == code
-        assert said in done.stdout + done.stderr
+        assert named in done.stdout + done.stderr
         assert "Traceback" not in done.stdout + done.stderr
 
 

@@ -51,9 +51,9 @@ START_DEADLINE_S = 120.0
 def runs(program: Program) -> None:
     """Wait until a machine of the cluster reports that it runs."""
     by, pause = time.monotonic() + START_DEADLINE_S, Event()
-    while "will now block forever" not in (said := program.log.read_text()):
-        assert time.monotonic() < by, said
-        assert program.process.poll() is None, said
+    while "will now block forever" not in (printed := program.log.read_text()):
+        assert time.monotonic() < by, printed
+        assert program.process.poll() is None, printed
         pause.wait(0.05)
 
 
@@ -163,10 +163,10 @@ def test_an_agent_that_is_killed_on_a_cluster_is_started_again_by_ray(
         network.wait_for("going on without shard")
         network.wait_for("is back")
         assert network.wait_for_event("restarted")["process"] == victim["process"]
-        said = Program(
+        printed = Program(
             cluster.on("head"), (sys.executable, "-P", "-m", "hedgerow.orchestrator", "rate", "0"), Path("rate")
         )
-        assert said.process.wait() == 0, said.log.read_text()
+        assert printed.process.wait() == 0, printed.log.read_text()
         assert network.wait() == 0, network.output
     assert verdict()["verdict"] == "valid"
     assert verdict()["restarts"] == 1
@@ -192,10 +192,10 @@ def test_agents_of_a_lost_machine_restart_on_other_machines(
         network.wait_for_event("first_step")  # an agent that dies before is waited for, and never lost
         cut_off(spare)
         network.wait_for_event("back", times=len(lost))
-        said = Program(
+        printed = Program(
             cluster.on("bench"), (sys.executable, "-P", "-m", "hedgerow.orchestrator", "rate", "0"), tmp_path / "rate"
         )
-        assert said.process.wait() == 0, said.log.read_text()
+        assert printed.process.wait() == 0, printed.log.read_text()
         assert network.wait() == 0, network.output
     assert verdict()["verdict"] == "valid"
     assert verdict()["checks"]["reference"]["ok"]
@@ -235,23 +235,23 @@ def test_ctrl_c_leaves_nothing_of_a_cluster_that_we_started(environment: None) -
 def test_a_cluster_that_is_not_there_is_a_mistake_in_words(environment: None) -> None:
     done = orchestrator("up", "paper7", "--on", "ray://127.0.0.1:1")
     assert done.returncode == 2
-    said = "no cluster: Connection refused; is `ray start --head` running there? clients use port 10001"
-    assert done.stderr.startswith(f"error: --on ray://127.0.0.1:1: {said}"), done.stderr
+    printed = "no cluster: Connection refused; is `ray start --head` running there? clients use port 10001"
+    assert done.stderr.startswith(f"error: --on ray://127.0.0.1:1: {printed}"), done.stderr
     assert not Path("runs").exists()
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "printed"),
     [
         (("--on", "mars"), "error: --on mars: is no cluster; write ray, or ray://HOST:PORT"),
         (("--on", "ray://head"), "error: --on ray://head: names no port; write ray://HOST:10001"),
         (("--on", "ray", "--external", "3"), "error: --external --on: choose one; on a cluster, Ray starts all agents"),
     ],
 )
-def test_an_invalid_cluster_is_refused_at_once(here: Path, arguments: tuple[str, ...], said: str) -> None:
+def test_an_invalid_cluster_is_refused_at_once(here: Path, arguments: tuple[str, ...], printed: str) -> None:
     done = run_here("up", "paper7", *arguments)
     assert done.returncode == 2
-    assert done.stderr == f"{said}\n"
+    assert done.stderr == f"{printed}\n"
 
 
 @pytest.mark.parametrize("command", [("up", "paper7"), ("sweep", "paper7", "--seeds", "0:2")])

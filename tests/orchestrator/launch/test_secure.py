@@ -110,9 +110,9 @@ def test_keys_are_their_users_alone_short_lived_and_in_no_log(here: Path, networ
             assert certificate.subject.rfc4514_string() == f"CN={path.parent.name}"
             assert timedelta() < now - certificate.not_valid_before_utc - SLACK < timedelta(minutes=2)
             assert certificate.not_valid_after_utc - now < timedelta(days=LIFE_DAYS)
-    said = contents(here / "runs") + network.output.encode()
-    assert b"PRIVATE KEY" not in said
-    assert not any(path.read_text().splitlines()[1].encode() in said for path in files if path.name == "key.pem")
+    printed = contents(here / "runs") + network.output.encode()
+    assert b"PRIVATE KEY" not in printed
+    assert not any(path.read_text().splitlines()[1].encode() in printed for path in files if path.name == "key.pem")
     # The operator has separate keys.
     assert orchestrator("status").returncode == 0
     assert orchestrator("fault", "drop", "2-4", "--for", "5").returncode == 0

@@ -61,10 +61,10 @@ def test_every_folder_has_only_its_own_keys(here: Path, port: int) -> None:
         assert folder.stat().st_mode & 0o777 == 0o700
         files = [*folder.iterdir()]
         assert {path.stat().st_mode & 0o777 for path in files} == {0o600}
-        said = "".join(path.read_text() for path in files)
-        assert [one for one, secret in secrets.items() if secret.splitlines()[1] in said] == [name]
+        printed = "".join(path.read_text() for path in files)
+        assert [one for one, secret in secrets.items() if secret.splitlines()[1] in printed] == [name]
         if name in agents:
-            known = {f"agent-{node}" for node in truth if all(str(a) in said for a in truth[node]["candidates"])}
+            known = {f"agent-{node}" for node in truth if all(str(a) in printed for a in truth[node]["candidates"])}
             assert known == {name}
         certificate = x509.load_pem_x509_certificate((folder / CERTIFICATE).read_bytes())
         assert certificate.subject.rfc4514_string() == f"CN={name}"
@@ -80,9 +80,9 @@ def test_separate_agents_join_with_their_keys_and_change_nothing(here: Path, por
     bundle(port)
     shutil.copytree("lab/agent-6", "keys-of-6")
     (here / "lab/agent-6/key.pem").unlink()
-    told: list[tuple[str, ...]] = [("--config", "lab/agent-3"), ("--config", "lab/agent-5.toml")]
-    told.append(("--config", "lab/agent-6/config.toml", "--credentials", "keys-of-6"))
-    agents = [start("agents", *words) for words in told]
+    configs: list[tuple[str, ...]] = [("--config", "lab/agent-3"), ("--config", "lab/agent-5.toml")]
+    configs.append(("--config", "lab/agent-6/config.toml", "--credentials", "keys-of-6"))
+    agents = [start("agents", *words) for words in configs]
     with up(port, "--external", "3,5,6") as network:
         assert network.wait() == 0, network.output
         assert network.children.keys() == {"plant", *(f"agent-{name}" for name in (1, 2, 4, 7))}
@@ -115,9 +115,9 @@ def test_plant_and_observer_may_see_the_token_of_a_plant(here: Path, port: int, 
         first = start("plant", "--config", "lab/plant")
         with open_client(f"tls/localhost:{port}", "hedgerow/paper7", Path("lab/observer"), DEADLINE_S) as session:
             wait_for(session, "plant", DEADLINE_S)
-            told: list[str] = []
-            with room(session, "hedgerow/paper7", told.append, lambda: bool(told)):
-                assert told
+            configs: list[str] = []
+            with room(session, "hedgerow/paper7", configs.append, lambda: bool(configs)):
+                assert configs
         start("plant", "--config", "lab/plant").wait_for("another plant already runs at hedgerow/paper7")
         assert first.process.poll() is None
     finally:
@@ -127,9 +127,9 @@ def test_plant_and_observer_may_see_the_token_of_a_plant(here: Path, port: int, 
 def test_a_plant_elsewhere_is_the_router_with_the_routers_keys(here: Path, port: int, start: Any) -> None:
     bundle(port, "--processes", "2", "--steps", "20")
     listen = ("--listen", f"tls/127.0.0.1:{port}")
-    code, said = start("plant", "--config", "lab/plant", *listen).wait()
+    code, printed = start("plant", "--config", "lab/plant", *listen).wait()
     assert code == 3
-    assert "--credentials" in said
+    assert "--credentials" in printed
     plant = start("plant", "--config", "lab/plant", *listen, "--credentials", "lab/router")
     agents = [start("agents", "--config", f"lab/shard-{p}") for p in (0, 1)]
     with Orchestrator("up", "lab/topology.yaml", "--external", "plant,all", "--keys", "lab", *UP) as network:
@@ -152,25 +152,25 @@ def test_wrong_keys_are_reported_at_both_ends(here: Path, port: int, start: Any)
     in_place_of_agent_3("foreign", "issued", CERTIFICATE, PRIVATE_KEY)  # the router refuses it
     in_place_of_agent_3("distrusting", "issued", CA)  # it refuses the router
     in_place_of_agent_3("swapped", "lab/agent-5", CERTIFICATE, PRIVATE_KEY)
-    said = {}
+    printed = {}
     with up(port, "--external", "3") as network:
         network.wait_for("waiting for agent-3")
         wrong = {name: start("agents", "--config", name) for name in ("foreign", "distrusting", "swapped")}
         wrong["open"] = start("agents", "--config", "lab/agent-3", "--router", f"tcp/localhost:{port}")
         for name, agent in wrong.items():
-            code, said[name] = agent.wait()
-            assert code in (Exit.USER_MISTAKE, Exit.UNKNOWN), said[name]
-            assert "Traceback" not in said[name]
+            code, printed[name] = agent.wait()
+            assert code in (Exit.USER_MISTAKE, Exit.UNKNOWN), printed[name]
+            assert "Traceback" not in printed[name]
         network.wait_for("our router refused a certificate: it is of another authority")
         network.wait_for("a client refused our certificate: it is of another authority")
         right = start("agents", "--config", "lab/agent-3")
         assert network.wait() == 0, network.output
         assert right.wait()[0] == 0
     refuses = f"the router at tls/localhost:{port} refuses the certificate in foreign: it is of another authority"
-    assert refuses in said["foreign"]
-    assert f"tls/localhost:{port}" in said["distrusting"]
-    assert "agent-3" in said["swapped"]
-    assert f"tcp/localhost:{port}" in said["open"]
+    assert refuses in printed["foreign"]
+    assert f"tls/localhost:{port}" in printed["distrusting"]
+    assert "agent-3" in printed["swapped"]
+    assert f"tcp/localhost:{port}" in printed["open"]
 
 
 def test_an_observer_with_wrong_keys_does_not_wait(here: Path, port: int) -> None:
@@ -238,8 +238,8 @@ def test_impossible_options_are_refused_at_once(here: Path, arguments: tuple[str
 
 def test_without_keys_no_process_may_join(here: Path, start: Any) -> None:
     bundle(1)
-    told = Path("lab/agent-3/config.toml")
-    told.write_text(told.read_text().replace('credentials = "."\n', ""))
-    code, said = start("agents", "--config", "lab/agent-3").wait()
+    configs = Path("lab/agent-3/config.toml")
+    configs.write_text(configs.read_text().replace('credentials = "."\n', ""))
+    code, printed = start("agents", "--config", "lab/agent-3").wait()
     assert code == 2
-    assert "--credentials" in said
+    assert "--credentials" in printed

@@ -88,6 +88,6 @@ def test_a_smaller_g_is_not_proved() -> None:
 def test_networks_with_many_models_are_said_to_have_too_many() -> None:
     with pytest.raises(NoBoundError):
         of(hg.load("paper7"))
-    told = hg.bound("paper7").to_dict()["bounds"]["learning"]
-    assert set(told) == {"not_computed"}
+    written = hg.bound("paper7").to_dict()["bounds"]["learning"]
+    assert set(written) == {"not_computed"}
     assert hg.bound(EAGER).to_dict()["bounds"]["learning"]["models"] == 4

@@ -50,7 +50,7 @@ def test_other_networks_are_not_compared_without_a_warning(paper: Run, grid: Run
 
 
 @pytest.mark.parametrize(
-    ("overrides", "said"),
+    ("overrides", "sentence"),
     [
         ([], "B repeats A"),
         (["seed=2"], "B differs from A in true a and candidates and the disturbances. So it has a different oracle"),
@@ -62,10 +62,10 @@ def test_other_networks_are_not_compared_without_a_warning(paper: Run, grid: Run
         (["b=0.09"], "B is of another network than A: it has other b (0.09, not 0.1)."),
     ],
 )
-def test_differences_are_reported(paper: Run, tmp_path: Path, overrides: Sequence[str], said: str) -> None:
+def test_differences_are_reported(paper: Run, tmp_path: Path, overrides: Sequence[str], sentence: str) -> None:
     comparable, sentences = notices([paper, ran(resolve(load("paper7", overrides)), tmp_path / "run")])
-    assert sentences[0].startswith(said)
-    assert comparable == ("another network" not in said)
+    assert sentences[0].startswith(sentence)
+    assert comparable == ("another network" not in sentence)
 
 
 def test_too_many_runs(paper: Run, tmp_path: Path) -> None:

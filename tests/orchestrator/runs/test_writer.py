@@ -48,7 +48,7 @@ def ran(topology: Topology, folder: Path, record: Any = None) -> Verdict:
     return simulate_into(topology, create(topology, folder), layout(topology, 1), Watching(record=False), Quiet())
 
 
-def said(verdict: Verdict) -> dict[str, Any]:
+def metrics_of(verdict: Verdict) -> dict[str, Any]:
     """All of a verdict but its name and how long it took."""
     return {
         key: value
@@ -73,7 +73,7 @@ def test_the_recorded_part_changes_only_the_amount_of_data(topology: Topology, d
         record["nodes"] = [topology.ids[k] for k in record["nodes"]]
     with tempfile.TemporaryDirectory() as scratch:
         whole, some = Path(scratch) / "whole", Path(scratch) / "some"
-        assert said(ran(topology, whole, {"nodes": "all"})) == said(ran(topology, some, record))
+        assert metrics_of(ran(topology, whole, {"nodes": "all"})) == metrics_of(ran(topology, some, record))
         what = selection(topology.model_copy(update={"record": Record.model_validate(record)}))
         T, ids = topology.steps, [topology.ids[k] for k in what.nodes]
         steps = [t for t in range(T) if t % record["every"] == 0 or t == T - 1]

@@ -208,15 +208,15 @@ def apart(network: Networks) -> tuple[Run, Run]:
 def test_a_difference_is_explained(apart: tuple[Run, Run]) -> None:
     """Which node, which step first, and which messages were lost until then."""
     one, other = apart
-    said = explain(one.estimates_at(5), other.estimates_at(5))
-    assert said is not None
-    assert said[0].startswith("estimates at step 5 differ: node 2: ")
-    assert said[1].startswith("first at step 1: ahat of node 2 ")
-    assert said[2:4] == [
+    explained = explain(one.estimates_at(5), other.estimates_at(5))
+    assert explained is not None
+    assert explained[0].startswith("estimates at step 5 differ: node 2: ")
+    assert explained[1].startswith("first at step 1: ahat of node 2 ")
+    assert explained[2:4] == [
         "lost messages before, left:  messages lost or late: 4->2 at 0-1, 2->4 at 0-1",
         "until then, right: no message lost or late",
     ]
-    assert explain(one, other) == ["runs differ", *said[1:]]
+    assert explain(one, other) == ["runs differ", *explained[1:]]
     assert explain(one, {"a": 1}) is None
     with pytest.raises(AssertionError):
         one.assert_same_estimates(other)
@@ -438,10 +438,10 @@ def test_nothing_remains_after_pytest_is_interrupted_or_killed(
     try:
         wait_until(lambda: len(processes_of(pytester.path)) == ALL_OF_PAPER7, "the network runs")
         process.send_signal(how)
-        said, _ = process.communicate(timeout=60)
+        explained, _ = process.communicate(timeout=60)
     finally:
         process.kill()
-    assert process.returncode == (2 if how is signal.SIGINT else -how), said
+    assert process.returncode == (2 if how is signal.SIGINT else -how), explained
     wait_until(lambda: processes_of(pytester.path) == [], "all are gone")
 
 

@@ -313,36 +313,36 @@ def test_a_viewer_of_another_version_is_reported_with_a_fix(monkeypatch: pytest.
     """Both commands name the two versions and continue; for a viewer too old to answer, they report that."""
     ours = rr.__version__
     monkeypatch.setattr(rr, "__version__", "0.99.0")
-    viewer, said = begin_headless(), list[str]()
+    viewer, messages = begin_headless(), list[str]()
     stranger = Viewer(viewer.url)
     expected = f"the viewer at {viewer.url} is Rerun {ours}, and this is 0.99.0: its display may be wrong."
     expected += " Install rerun-sdk==0.99.0 there"
     topology = resolve(load("paper7"))
     observer, run = Observer(topology), simulate(topology)
     try:
-        stream = RerunStream(topology, observer, "story", None, stranger, warn=said.append)
+        stream = RerunStream(topology, observer, "story", None, stranger, warn=messages.append)
         stream.log(observer.take(run.rows))
-        until(lambda: said == [expected])
+        until(lambda: messages == [expected])
         assert stream.close(60.0)
         until(lambda: last_step(viewer.url) == 29)
         ran("run")
-        open_runs(["run"], viewer.url, said.append)
-        assert said[1] == expected
+        open_runs(["run"], viewer.url, messages.append)
+        assert messages[1] == expected
     finally:
         kill(viewer)
 
 
 def test_a_viewer_without_a_version_is_reported() -> None:
     """Neither a viewer before 0.41 nor a page's server reports its version."""
-    server, said = start("web"), list[str]()
+    server, messages = start("web"), list[str]()
     assert server is not None
     try:
         server.wait_until_it_listens()
-        compare(Viewer(server.url), said.append).join()
-        assert said[0].startswith(f"the viewer at {server.url} does not report its version: it is old")
-        assert f"install rerun-sdk=={rr.__version__} there" in said[0]
-        compare(server, said.append).join()
-        assert len(said) == 1, "we know what we have started"
+        compare(Viewer(server.url), messages.append).join()
+        assert messages[0].startswith(f"the viewer at {server.url} does not report its version: it is old")
+        assert f"install rerun-sdk=={rr.__version__} there" in messages[0]
+        compare(server, messages.append).join()
+        assert len(messages) == 1, "we know what we have started"
     finally:
         server.end()
 
@@ -472,11 +472,11 @@ def test_a_run_opens_from_its_recording_or_its_tables_alike(saver: Saver) -> Non
     content = bytearray((folders[2] / "run.rrd").read_bytes())
     content[4:8] = struct.pack("4B", 0, 99, 0, 0)
     (folders[2] / "run.rrd").write_bytes(content)
-    said: list[str] = []
+    messages: list[str] = []
     for folder in folders:
-        open_runs([str(folder)], saver.url, said.append)
+        open_runs([str(folder)], saver.url, messages.append)
     saver.close()
-    assert [line for line in said if "tables" in line] == [
+    assert [line for line in messages if "tables" in line] == [
         "without: there is no run.rrd: shown from its tables",
         f"newer: run.rrd was written by Rerun 0.99, newer than {rr.__version__} here: shown from its tables",
     ]
