@@ -215,8 +215,7 @@ def test_the_picture_of_faults_is_fresh(tmp_path: Path) -> None:
     """docs/plot_faults.py draws, and the picture in docs/faults.md has the same numbers."""
     image = tmp_path / "faults.png"
     ran = subprocess.run(
-        [sys.executable, "-W", "error", str(ROOT / "docs/plot_faults.py"), str(image)],
-        env=os.environ | {"MPLCONFIGDIR": str(tmp_path)},
+        [str(preloaded.SESSION.programs / "program"), str(ROOT / "docs/plot_faults.py"), str(image)],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,

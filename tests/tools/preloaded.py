@@ -85,7 +85,7 @@ with connection.makefile() as answers:
     code = int(answers.read())
 os.kill(os.getpid(), -code) if code < 0 else os._exit(code)
 """
-"""the programs `orchestrator`, and `program FILE`, for a shell: they order a process, and exit with the code of that"""
+"""the programs `orchestrator`, and `program FILE …`, for a shell: they order a process, and exit with its code"""
 
 
 class Process:
@@ -307,12 +307,12 @@ def accept(listening: socket.socket, connections: dict[int, socket.socket]) -> N
     connection.sendall(f"{pid}\n".encode())
 
 
-def run_program(file: str) -> NoReturn:
-    """Run a Python program as `python -W error FILE` does."""
+def run_program(file: str, *arguments: str) -> NoReturn:
+    """Run a Python program as `python -W error FILE …` does."""
     code = 0
     signal.signal(signal.SIGINT, signal.default_int_handler)
     warnings.simplefilter("error")
-    sys.argv = [file]
+    sys.argv = [file, *arguments]
     sys.path.insert(0, str(Path(file).parent.absolute()))
     try:
         runpy.run_path(file, run_name="__main__")
