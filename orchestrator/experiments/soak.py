@@ -22,7 +22,7 @@ import psutil
 from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
-from hedgerow.orchestrator.ground.signals import Interrupts
+from hedgerow.orchestrator.ground.signals import EndNowError, Interrupts
 from hedgerow.orchestrator.launch.live import Live
 from hedgerow.orchestrator.runs import registry
 from hedgerow.orchestrator.runs.files import load_events, read_verdict
@@ -153,6 +153,8 @@ def run_soak(
     trends = trends_of(samples)
     for trend in worth_saying(trends):
         say(str(trend))
+    if not trends and interrupts.count:
+        raise EndNowError(f"{interrupts.name}, before there was anything to measure; see {folder.path}")
     if not trends:
         raise HedgerowError(f"{folder.name}: ended before there was anything to measure; see {folder.logs}")
     _draw(folder.path, samples, say)

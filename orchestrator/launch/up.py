@@ -68,8 +68,8 @@ class Network:
         """the last time with a router"""
         self._cut_off = False
         """True if it has been absent for too long"""
-        self.interrupted = False
-        """True if the user asked for the end"""
+        self.interrupted = ""
+        """the signal by which the user asked for the end"""
 
     def run(
         self,
@@ -99,7 +99,7 @@ class Network:
                 raise
             except BaseException as error:  # a panic of a Rust library is not an Exception
                 self._ending.end_by(error, self._folder.logs / "orchestrator.log")
-            self.interrupted = interrupts.count > 0
+            self.interrupted = interrupts.name
             explain(found, run, self._folder, self._ending)
             if self._options.verify and not self._ending.stopped:
                 self._ending.comparison = compare(run)
