@@ -18,8 +18,8 @@ def show(name: str) -> None:
     """
     try:
         os.write(sys.stderr.fileno(), LINE.format(name).encode())
-    except (AttributeError, OSError, ValueError):  # standard error is closed
-        pass
+    except (AttributeError, OSError, ValueError):
+        return  # standard error is closed
 
 
 def end(*_: object) -> None:
