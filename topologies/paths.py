@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import os
 from pathlib import Path
 
 from hedgerow.topologies.errors import Code, UserError
@@ -19,3 +21,13 @@ def user_path(text: str) -> Path:
         return path.expanduser()
     except RuntimeError:  # the home folder is unknown: keep the text
         return path
+
+
+def beside(path: Path, end: str = ".part") -> Path:
+    """Return a path in the folder of `path`, for a file or folder that exists for a short time.
+
+    Its name is short, because a name as long as the file system allows has no room for more. No file of the user has
+    it: `.x.yaml` beside a folder `x` may be the user's.
+    """
+    digest = hashlib.sha256(os.fsencode(path.name)).hexdigest()[:16]
+    return path.with_name(f".hedgerow-{digest}-{os.getpid()}{end}")

@@ -29,6 +29,7 @@ from hedgerow.orchestrator.runs.files import load_events, read_verdict
 from hedgerow.orchestrator.runs.folder import RunFolder
 from hedgerow.topologies.errors import DeadlineError, HedgerowError
 from hedgerow.topologies.faults import Fault
+from hedgerow.topologies.paths import beside
 from hedgerow.topologies.regular_file import last_text
 from hedgerow.topologies.resolve import to_yaml
 from hedgerow.topologies.schema import Topology
@@ -139,11 +140,11 @@ def run_soak(
     topology = topology.model_copy(update={"steps": STEPS, "history": min(topology.history, HISTORY)})
     if faults:
         topology = with_faults(topology)
-    file = folder.path.with_name(f".{folder.name}.yaml")
+    file = beside(folder.path, "-soak.yaml")
     wake = threading.Event()
     with Interrupts(wake.set) as interrupts, _up(file, folder, topology, options) as up:
         say(f"run folder {folder.path}")
-        entry = _entry(up, folder, records="--no-record" not in options)
+        entry = _entry(up, file.with_suffix(".log"), folder, records="--no-record" not in options)
         samples = list(_samples(up, entry, minutes * 60, faults, lambda s: wake.wait(s) or interrupts.count > 0))
         up.terminate()  # a SIGINT may be ignored: a background job inherits that
         with contextlib.suppress(subprocess.TimeoutExpired):
@@ -195,7 +196,7 @@ def _up(file: Path, folder: RunFolder, topology: Topology, options: Sequence[str
         log_file.unlink(missing_ok=True)
 
 
-def _entry(up: subprocess.Popen[bytes], folder: RunFolder, records: bool) -> registry.Entry:
+def _entry(up: subprocess.Popen[bytes], log: Path, folder: RunFolder, records: bool) -> registry.Entry:
     """Return the registry entry of the run, once it has made a step and is fully loaded."""
     until = time.monotonic() + START_DEADLINE_S
     while not (
@@ -203,7 +204,6 @@ def _entry(up: subprocess.Popen[bytes], folder: RunFolder, records: bool) -> reg
         and (folder.recording.exists() or not records)
     ):
         if up.poll() is not None:
-            log = folder.path.with_name(f".{folder.name}.log")
             raise HedgerowError(f"{folder.name}: ended at once: {last_text(log, 500).strip()}")
         if time.monotonic() > until:
             raise DeadlineError(f"{folder.name}: no step after {START_DEADLINE_S:g} s; see {folder.logs}")
