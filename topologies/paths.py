@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
-import os
+import secrets
 from pathlib import Path
 
 from hedgerow.topologies.errors import Code, UserError
@@ -24,10 +23,9 @@ def user_path(text: str) -> Path:
 
 
 def beside(path: Path, end: str = ".part") -> Path:
-    """Return a path in the folder of `path`, for a file or folder that exists for a short time.
+    """Return a new path in the folder of `path`, for a file or folder that exists for a short time.
 
-    Its name is short, because a name as long as the file system allows has no room for more. No file of the user has
-    it: `.x.yaml` beside a folder `x` may be the user's.
+    Its name is short, because a name as long as the file system allows has no room for more. No other file has it:
+    `.x.yaml` beside a folder `x` may be the user's, and a killed process of the same id may have left its files.
     """
-    digest = hashlib.sha256(os.fsencode(path.name)).hexdigest()[:16]
-    return path.with_name(f".hedgerow-{digest}-{os.getpid()}{end}")
+    return path.with_name(f".hedgerow-{secrets.token_hex(8)}{end}")

@@ -33,9 +33,9 @@ def test_a_temporary_name_is_short_and_in_the_same_folder(name: str) -> None:
     assert len(path.name.encode()) < 64
 
 
-def test_two_names_have_two_temporary_names() -> None:
-    assert beside(Path("a")) != beside(Path("b"))
-    assert beside(Path("a"), ".npz") != beside(Path("a"), ".yaml")
+def test_a_temporary_name_is_new() -> None:
+    """A killed process may have left its files; in a container, the next process has the same id."""
+    assert beside(Path("a")) != beside(Path("a"))
 
 
 @pytest.mark.slow
