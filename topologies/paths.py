@@ -19,3 +19,14 @@ def user_path(text: str) -> Path:
         return path.expanduser()
     except RuntimeError:  # the home folder is unknown: keep the text
         return path
+
+
+def real_path(path: Path) -> Path:
+    """Return the whole path with all symbolic links followed; raise UserError for links that lead in a circle."""
+    try:
+        return path.resolve()
+    except RuntimeError:  # Python before 3.13 raises it for a circle
+        raise UserError(
+            f"{path}: symbolic links lead in a circle. Replace the link by a file or a folder.",
+            code=Code.FILE_UNREADABLE,
+        ) from None

@@ -15,6 +15,7 @@ from pydantic import BaseModel, ValidationError
 from hedgerow.topologies import budget, json_file
 from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.load import load
+from hedgerow.topologies.paths import real_path
 from hedgerow.topologies.regular_file import check_regular, read_regular
 from hedgerow.topologies.schema import Topology
 
@@ -42,7 +43,7 @@ def find_run(run: str | Path) -> Path:
                     raise UserError(
                         f"{path}: is no folder of a run: there is no topology.yaml in it", code=Code.RUN_MISSING
                     )
-                return path.resolve()
+                return real_path(path)
     except OSError as error:
         raise UserError(
             f"{run}: {error.strerror}; check the path and its permissions", code=Code.FILE_UNREADABLE

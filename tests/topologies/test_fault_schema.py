@@ -270,7 +270,7 @@ def test_faults_of_python_are_checked_on_resolving() -> None:
         ("{kind: partition, groups: [[1], [2]], probability: 0.5}", "fault 2: unknown key `probability`"),
         ("{kind: sensor}", "fault 2: `node:` is missing"),
         ("{kind: sensor, node: 9}", "fault 2: node: 9 is no node; the nodes are 1, 2, 3, 4"),
-        ("{kind: actuator, node: 1.5}", "fault 2: node: 1.5 is not a whole number"),
+        ("{kind: actuator, node: 1.5}", "fault 2: node: 1.5 is no node id"),
         ("{kind: crash, at: 3}", "fault 2: takes `node:`, or `process:`; give exactly one of them"),
         ("{kind: crash, node: 2, process: 0, at: 3}", "fault 2: takes `node:`, or `process:`; give exactly one"),
         ("{kind: crash, node: 2}", "fault 2: `at:` is missing"),
