@@ -41,7 +41,7 @@ def beside(folder: Path, file: str) -> Path:
     try:
         check_regular(path)
     except (OSError, UserError) as error:
-        why = error.strerror if isinstance(error, OSError) else str(error)
+        why = str(error.strerror) if isinstance(error, OSError) else str(error)
         raise FileRefusedError(
             why if why.startswith(str(path)) else f"{file}: {why}", code=Code.FILE_NOT_REGULAR
         ) from None

@@ -29,7 +29,7 @@ from hedgerow.orchestrator.runs import registry
 from hedgerow.topologies.base import node_id
 from hedgerow.topologies.describe import describe
 from hedgerow.topologies.errors import Code, DeadlineError, HedgerowError, TopologyError, UserError
-from hedgerow.topologies.faults import Fault, Jump, effects
+from hedgerow.topologies.faults import Fault, Jump
 from hedgerow.topologies.json_file import loads
 from hedgerow.topologies.load import load, parse
 from hedgerow.topologies.rules import broken_faults
@@ -223,8 +223,7 @@ class Live:
                 f"jump: a: nothing is drawn while a network runs; name a candidate of {model.node}: {listed}",
                 code=Code.FAULT,
             )
-        struck = [effect.to_dict() for effect in effects([model], self.topology)]
-        answer = self._ask("fault", entry=model.written(), effects=struck)
+        answer = self._ask("fault", entry=model.written())
         added = Injected(answer["fault"], answer["step"], _FAULT.validate_python(answer["entry"]))
         self._added[added.number] = added.fault
         return added
