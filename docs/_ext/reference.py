@@ -97,8 +97,17 @@ def plain_to_rst(app: Sphinx, what: str, name: str, obj: object, options: object
             literal = True
         elif line.strip() and not indented:
             literal = False
-        written.append(line if literal else _SPECIAL.sub(r"\\\g<0>", _CODE.sub(r"``\1``", line)))
+        written.append(line if literal else "".join(_inline(line)))
     lines[:] = written
+
+
+def _inline(line: str) -> Iterator[str]:
+    """Yield the parts of a line: code in double backticks, and the rest with its special characters escaped.
+
+    Code is not escaped: reStructuredText would show the backslashes.
+    """
+    for k, part in enumerate(_CODE.split(line)):
+        yield f"``{part}``" if k % 2 else _SPECIAL.sub(r"\\\g<0>", part)
 
 
 SHORT = 24

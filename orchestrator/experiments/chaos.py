@@ -22,11 +22,11 @@ from hedgerow.orchestrator.ground.assignment import layout
 from hedgerow.orchestrator.ground.signals import EndNowError
 from hedgerow.orchestrator.launch.fork_client import ForkClient
 from hedgerow.orchestrator.launch.options import Options
-from hedgerow.orchestrator.launch.recording import Watching
 from hedgerow.orchestrator.launch.up import Network
-from hedgerow.orchestrator.metrics.summary import count
+from hedgerow.orchestrator.launch.watching import Watching
 from hedgerow.orchestrator.runs.folder import create
 from hedgerow.orchestrator.views.screen import Quiet
+from hedgerow.topologies.describe import count
 from hedgerow.topologies.errors import TopologyError
 from hedgerow.topologies.hinf import allowed_interval
 from hedgerow.topologies.load import parse

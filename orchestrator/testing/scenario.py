@@ -13,8 +13,9 @@ from hedgerow.orchestrator.ground import laws
 from hedgerow.orchestrator.ground.assignment import layout, truth_of, views_of
 from hedgerow.orchestrator.launch.fault_verbs import FaultVerbs
 from hedgerow.orchestrator.launch.live import checked
-from hedgerow.orchestrator.launch.recording import Recording, Watching
+from hedgerow.orchestrator.launch.recording import Recording
 from hedgerow.orchestrator.launch.running import Running, run_to_the_end
+from hedgerow.orchestrator.launch.watching import Watching
 from hedgerow.orchestrator.metrics.verdict import Ending
 from hedgerow.orchestrator.runs import reference
 from hedgerow.orchestrator.runs.folder import create

@@ -290,10 +290,10 @@ def test_a_mistake_is_one_line_with_a_fix(seeds: str, sets: list[str], says: str
 @pytest.mark.parametrize(
     ("other", "says"),
     [
-        (of("steps=3,5"), r"its `steps` is 3, 4, not 3, 5; name another folder"),
-        (of("law=minimax"), "only one of the two sets `law`"),
-        (of("steps=3,4", engine="zenoh"), "its engine is in-process, not zenoh"),
-        (plan("ring6", "0:2", ["steps=3,4"], "in-process"), "its name is paper7, not ring6"),
+        (of("steps=3,5"), r"`steps` is 3, 4 there, and 3, 5 in this command"),
+        (of("law=minimax"), "only this command sets `law`"),
+        (of("steps=3,4", engine="zenoh"), "engine is in-process there, and zenoh in this command"),
+        (plan("ring6", "0:2", ["steps=3,4"], "in-process"), "name is paper7 there, and ring6 in this command"),
     ],
 )
 def test_a_folder_holds_one_sweep(tmp_path: Path, other: Plan, says: str) -> None:

@@ -24,8 +24,8 @@ from hedgerow.agents.view import View
 from hedgerow.orchestrator.ground.assignment import layout
 from hedgerow.orchestrator.launch.fork_client import ForkClient
 from hedgerow.orchestrator.launch.options import Options
-from hedgerow.orchestrator.launch.recording import Watching
 from hedgerow.orchestrator.launch.up import Network
+from hedgerow.orchestrator.launch.watching import Watching
 from hedgerow.orchestrator.runs.folder import create
 from hedgerow.orchestrator.runs.reader import load_run
 from hedgerow.orchestrator.views.screen import Quiet

@@ -21,6 +21,7 @@ from hypothesis import strategies as st
 
 from hedgerow.orchestrator.ground.assignment import layout, places, truth_of, views_of
 from hedgerow.orchestrator.launch.endpoints import Connection
+from hedgerow.orchestrator.launch.fork_client import Order
 from hedgerow.orchestrator.launch.restarts import RESTARTS, UNREACHED_S
 from hedgerow.orchestrator.launch.supervisor import Processes
 from hedgerow.orchestrator.metrics.message_audit import audit
@@ -55,9 +56,10 @@ class Started:
         self.pids: dict[str, int] = {}
         self.codes: dict[str, int] = {}
 
-    def fork(self, name: str, *_: Any) -> None:
-        self.codes.pop(name, None)
-        self.pids[name] = 1
+    def fork(self, *orders: Order) -> None:
+        for order in orders:
+            self.codes.pop(order.name, None)
+            self.pids[order.name] = 1
 
     def kill(self, name: str) -> None:
         self.codes[name] = -9
@@ -73,7 +75,7 @@ class Lives:
         (folder / "processes").mkdir(parents=True)
         (folder / "logs").mkdir()
         self.processes = Processes(self.fork_client, RunFolder(folder), Connection("tcp/x:1", "n", listens=True))  # type: ignore[arg-type]
-        self.processes.start_agent(VIEWS[0])
+        self.processes.start_agents([VIEWS[0]])
 
     def end(self, reached: bool | None) -> list[str]:
         """End the life at hand and wait for the next; the kinds of events."""

@@ -18,8 +18,8 @@ from hedgerow.agents.law import Minimax, control
 from hedgerow.agents.laws import LAWS
 from hedgerow.orchestrator.ground.assignment import layout
 from hedgerow.orchestrator.launch import recording
-from hedgerow.orchestrator.launch.recording import Watching
 from hedgerow.orchestrator.launch.simulation import simulate_into
+from hedgerow.orchestrator.launch.watching import Watching
 from hedgerow.orchestrator.metrics.checks import Worst
 from hedgerow.orchestrator.metrics.gain_bound import Method, Premise, bound
 from hedgerow.orchestrator.metrics.gain_certificate import GainCertificate
