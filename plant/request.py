@@ -64,6 +64,10 @@ def text(request: Request, key: str) -> str | None:
     raise UserError(f"{key}: {shortened(value)} is no name", code=Code.OPTION)
 
 
+def _is_step(value: object) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= FOREVER
+
+
 def _step(key: str) -> int:
     if not (key.isascii() and key.isdecimal() and len(key) <= len(str(FOREVER))) or int(key) > FOREVER:
         raise UserError(f"at: {shortened(key)} is no step", code=Code.FAULT)
@@ -76,9 +80,7 @@ def entry(request: Request) -> Mapping[str, Any]:
     if not isinstance(value, dict) or text(value, "kind") is None:
         raise UserError(f"entry: {shortened(value)} is no fault as a file spells it", code=Code.FAULT)
     window, at = value.get("steps"), value.get("at")
-    if "steps" in value and not (
-        isinstance(window, list) and len(window) == 2 and all(type(step) is int and 0 <= step <= FOREVER for step in window)
-    ):
+    if "steps" in value and not (isinstance(window, list) and len(window) == 2 and all(map(_is_step, window))):
         raise UserError(f"entry: steps: {shortened(window)} is no window of steps", code=Code.FAULT)
     if isinstance(at, dict):
         for key in at:
