@@ -35,6 +35,7 @@ from hedgerow.topologies.load import load, parse
 from hedgerow.topologies.plain import plain
 from hedgerow.topologies.rules import broken_faults
 from hedgerow.topologies.schema import Topology
+from hedgerow.topologies.wording import in_our_words
 from hedgerow.wire.session import WireError, open_client
 
 if TYPE_CHECKING:
@@ -68,8 +69,8 @@ def _schema_problems(entry: Any, refused: ValidationError) -> Sequence[Any]:
         parse(json.dumps(least, default=str).encode(), "fault", Path())
     except TopologyError as error:
         return error.problems
-    # A file accepts some numbers that Python's types exclude, such as 1e16 for a step: report pydantic's own words.
-    return [f"{'.'.join(map(str, found['loc'][1:]))}: {found['msg']}" for found in refused.errors(include_url=False)]
+    # A file accepts some numbers that Python's types exclude, such as 1e16 for a step.
+    return [f"{'.'.join(map(str, found['loc'][1:]))}: {in_our_words(found)}" for found in refused.errors()]
 
 
 def _said(kind: str, problems: Sequence[Any]) -> Iterator[str]:
