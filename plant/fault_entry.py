@@ -55,7 +55,7 @@ class FaultEntries:
         self._graph, self._ids, self._shards, self._candidates = graph, ids, shards, candidates
 
     def effects(self, entry: Entry, fault: int) -> list[Effect]:
-        """Return the effects of an entry whose steps are those of the run; `fault` is its number in the list.
+        """Return the effects of an entry that counts the steps of the run; `fault` is its number in the list.
 
         Raise UserError for an entry that no resolved file of this network may contain.
         """

@@ -196,7 +196,7 @@ def _no_fault(source: Source, details: ErrorDetails) -> Problem:
 
 
 def _no_kind(source: Source, details: ErrorDetails, path: Path, value: Any, shown: str) -> Problem:
-    """Return the problem of a disturbance or a graph whose kind is missing or unknown."""
+    """Return the problem of a disturbance or a graph with a missing or unknown kind."""
     expected = details["msg"]
     written = value.get("kind") if isinstance(value, dict) else value
     inside = (*path, "kind") if isinstance(value, dict) and "kind" in value else path

@@ -1,6 +1,6 @@
 """Options and arguments that are numbers or one of some words, with messages in our words.
 
-The library of the command line would refuse `1e3` as a whole number, and report it in the words of its own validator.
+The library of the command line would refuse `1e3` as a whole number, and report it in the words of a validator.
 """
 
 from __future__ import annotations

@@ -73,12 +73,13 @@ MEANT: list[tuple[str, dict[str, Any]]] = [
     *asking("join", "network", "x" * 10**5, ["x"], codec=0),
     *asking("fault", "entry", None, [], {}, {"kind": 3}, "x"),
 ]
+BAD_CHANCES: list[Any] = [-1, 2, HUNDRED_DIGITS, "1", [], True]
 BAD_TABLES: list[Any] = ["x", -1, 3, {}, {"x": []}, {"-1": []}, {"1": 0}, {"1": [[1, 99]]}]
 BAD_GROUPS: list[Any] = [3, [], [[1]], [[1], []], [[1], [1]], [[1, 1], [2]], [[1], [9]]]
 WRONG: list[dict[str, Any]] = [
     *({**ENTRY, "steps": bad} for bad in (3, [1], ["a", "b"], [0, 1.5], [5, 5], [-1, 3], [True, 3], [0, 2**63])),
     *({**ENTRY, "link": bad} for bad in (None, 3, [1], [1, 99], [1, 7], [1, 1], ["1", 2], [1, 2, 4], [[1], 2])),
-    *({**ENTRY, "probability": bad} for bad in (-1, 2, HUNDRED_DIGITS, "1", [], True)),
+    *({**ENTRY, "probability": bad} for bad in BAD_CHANCES),
     {**ENTRY, "kind": "fire"},
     {**ENTRY, "kind": ["drop"]},
     {**ENTRY, "colour": 1},
