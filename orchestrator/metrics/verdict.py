@@ -143,7 +143,9 @@ class Verdict:
         ):
             if number := c[what]:
                 numbers.append(f"{number} {thing}{'s' if number > 1 else ''}")
-        if m:
+        if m and m["disturbance_energy"] == 0 and m["cost"] == 0:
+            numbers.append("at rest (x(0) = 0 and no disturbance; `defaults:` sets both)")
+        elif m:
             # A number that is not finite grew too large; but with a zero disturbance, the gain is undefined.
             large = math.nan if m["disturbance_energy"] == 0 else math.inf
             gain, less = (large if m[name] is None else m[name] for name in ("gain", "gain_less_x0"))

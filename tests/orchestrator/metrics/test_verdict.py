@@ -243,7 +243,7 @@ def test_without_a_disturbance_there_is_no_gain() -> None:
     assert still.verdict == "valid"
     metrics = still.content["metrics"]
     assert (metrics["gain"], metrics["gain_less_x0"], metrics["cost_ratio"]) == (None, None, None)
-    assert "gain undefined" in still.line()
+    assert "at rest" in still.line()
     json.dumps(still.content, allow_nan=False)
 
 
