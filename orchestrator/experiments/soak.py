@@ -27,7 +27,7 @@ from hedgerow.orchestrator.runs.files import load_events, read_verdict
 from hedgerow.orchestrator.runs.folder import RunFolder
 from hedgerow.topologies.errors import DeadlineError, HedgerowError
 from hedgerow.topologies.faults import Actuator, Cut, Delay, Drop, Fault, Sensor
-from hedgerow.topologies.paths import beside
+from hedgerow.topologies.paths import beside, real_path
 from hedgerow.topologies.regular_file import last_text
 from hedgerow.topologies.resolve import to_yaml
 from hedgerow.topologies.schema import Topology
@@ -132,7 +132,7 @@ def run_soak(
     The new folder gets soak.csv and soak.png. `options` are further options of `orchestrator up`. The exit code is 0 if
     the run is flat, 1 if it is not or is INVALID, 3 if it ended early. Raises HedgerowError.
     """
-    folder = RunFolder(directory.resolve())
+    folder = RunFolder(real_path(directory))
     folder.path.parent.mkdir(parents=True, exist_ok=True)
     topology = topology.model_copy(update={"steps": STEPS, "history": min(topology.history, HISTORY)})
     if faults:
