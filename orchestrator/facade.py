@@ -8,7 +8,6 @@ import io
 import json
 import re
 import sys
-import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -34,7 +33,6 @@ from hedgerow.topologies.named import Named, resolved, text_of
 from hedgerow.topologies.paths import user_path
 from hedgerow.topologies.plain import plain
 from hedgerow.topologies.regular_file import read_regular
-from hedgerow.topologies.resolve import to_yaml
 from hedgerow.topologies.schema import Topology
 
 if TYPE_CHECKING:
@@ -146,7 +144,7 @@ def sweep(
 ) -> pa.Table:
     """Run a network under every seed and every combination of values, and return one row per run.
 
-    `network` is that of `load`; give the file rather than a Topology if each seed is to draw its own numbers. Each
+    `network` is that of `load`; a Topology of `load` is drawn anew by each seed, and that of a run folder is not. Each
     setting is `path=values`, as for `--set` on the command line: `"nodes.2.x0=1,2"`. Each keyword is a top-level key
     with a value or a list of values: `law=["minimax", "nominal"]`. `seeds` is a range with stride 1. Runs in `out` are
     not repeated; the default is a folder in sweeps/. `jobs` is the number of processes, by default one per core. If a
@@ -165,14 +163,9 @@ def sweep(
         *settings,
         *(f"{key}={','.join(_text(key, one) for one in _listed(value))}" for key, value in values.items()),
     ]
-    with tempfile.TemporaryDirectory(prefix="hedgerow-") as scratch:
-        file = str(network)
-        if not isinstance(network, Path | str) or "\n" in file or file.lstrip().startswith("{"):
-            file = str(Path(scratch) / "network.yaml")
-            Path(file).write_text(to_yaml(load(network)), encoding="utf-8")
-        planned = plan(file, f"{seeds.start}:{seeds.stop}", sets, engine)
-        folder = default_out(planned) if out is None else user_path(str(out))
-        done = sweep_into(planned, folder, jobs, quiet=True)
+    planned = plan(network, f"{seeds.start}:{seeds.stop}", sets, engine)
+    folder = default_out(planned) if out is None else user_path(str(out))
+    done = sweep_into(planned, folder, jobs, quiet=True)
     table = folder / "sweep.parquet"
     if not table.exists():
         raise HedgerowError(done.line)

@@ -189,9 +189,10 @@ class Network(Mapping[str, Any]):
         return self.replace(nodes=given)
 
     def save(self, path: str | Path, force: bool = False) -> Path:
-        """Write the topology file, and the table of a large network beside it; return its path.
+        """Write the topology file, and return its path.
 
-        Raise UserError if a file exists, without `force`.
+        The numbers of a large network are written to a table beside the file. Raise UserError if the file exists,
+        unless `force` is True.
         """
         target = user_path(str(path))
         found = self._imported

@@ -243,25 +243,25 @@ class World:
         if now.flags is None:
             return [(State(t, x[own], b""), None) for own in self._places]
         messages: list[tuple[State | None, Record | None]] = []
-        told = self._told(now.flags, self._received, now.deliveries)
-        for p, (part, (flags, spans)) in enumerate(zip(self._parts, told, strict=True)):
+        parts = self._link_parts(now.flags, self._received, now.deliveries)
+        for p, (part, (flags, spans)) in enumerate(zip(self._parts, parts, strict=True)):
             if not self.present(p):
                 messages.append((None, None))
             else:
                 messages.append((State(t, x[self._places[p]], flags, spans), self._record_of(part)))
         return messages
 
-    def _told(
+    def _link_parts(
         self, flags: Flags, received: Deliveries | None, sent: Deliveries | None
     ) -> list[tuple[bytes, Sequence[Span]]]:
         """Return, by shard, its Flag bits, empty if all are set, and its spans."""
         spans, flags_of_all, stop = self._spans(received, sent), flags.take(self._incidence_order).tobytes(), 0
-        told: list[tuple[bytes, Sequence[Span]]] = []
+        parts: list[tuple[bytes, Sequence[Span]]] = []
         for p, up in enumerate(self._up_bytes):
             start, stop = stop, stop + len(up)
             own, own_spans = flags_of_all[start:stop], spans.get(p, ())
-            told.append((b"" if own == up and not own_spans else own, own_spans))
-        return told
+            parts.append((b"" if own == up and not own_spans else own, own_spans))
+        return parts
 
     @cached_property
     def _places(self) -> list[slice]:
@@ -313,7 +313,7 @@ class World:
         down = np.zeros(len(self.graph.node), dtype=bool) if active.lost is None else active.lost
         deliveries = links.plan(down, active.late)
         flags = self._flags(None, now.deliveries, deliveries)
-        tails = [pack_flags(*one) for one in self._told(flags, now.deliveries, deliveries)]
+        tails = [pack_flags(*one) for one in self._link_parts(flags, now.deliveries, deliveries)]
         return _Ahead(faults.changes, links, deliveries, flags, tails)
 
     def _w(self) -> Array:

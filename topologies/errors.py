@@ -87,9 +87,9 @@ def bounded(text: str) -> str:
 
 
 class UserError(HedgerowError):
-    """A mistake that the user can correct; the command line exits with code 2 and prints no traceback.
+    """A mistake that the user can correct. The command line prints the message without a traceback, and exits with 2.
 
-    A message that begins with an option gets the code OPTION, unless the raise gives another code.
+    `code` is the kind of mistake. Without one, a message that begins with an option has the code OPTION.
     """
 
     default_code = Code.USER

@@ -55,7 +55,7 @@ def compare(
 
     check_options(jobs=jobs)
     settings = [*(sets or []), *([] if steps is None else [f"steps={steps}"])]
-    plan = comparison(file, law or ["minimax"], disturbances_of(disturbances), seeds_of(seeds), settings)
+    plan = comparison(Path(file), law or ["minimax"], disturbances_of(disturbances), seeds_of(seeds), settings)
     found = run(plan, out, jobs, quiet)
     if found is None:
         return 3

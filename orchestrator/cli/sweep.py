@@ -52,6 +52,6 @@ def sweep(
     check_options(jobs=jobs)
     if on is not None:
         check(on)
-    done = run(plan(file, seeds, sets or [], engine), out, jobs, on, quiet)
+    done = run(plan(Path(file), seeds, sets or [], engine), out, jobs, on, quiet)
     echo(done.line)
     return done.exit_code

@@ -59,7 +59,7 @@ class UpProcess:
                 stdout=output,
                 stderr=subprocess.STDOUT,
                 start_new_session=True,  # Ctrl-C reaches this process alone, which then ends the network
-                env=os.environ | ({} if listed else {"XDG_RUNTIME_DIR": str(self._scratch)}),
+                env=os.environ | _paths(topology) | ({} if listed else {"XDG_RUNTIME_DIR": str(self._scratch)}),
             )
 
     def wait(self, deadline_s: float | None) -> None:
@@ -122,6 +122,23 @@ class UpProcess:
             self.process.wait()
         if self._temporary is not None:
             shutil.rmtree(self._temporary, ignore_errors=True)
+
+
+def _paths(topology: Topology) -> dict[str, str]:
+    """Return the variable with which processes find a law of the user wherever this process found it.
+
+    The law may lie beside the script that runs, or in a folder of tests, and import what lies elsewhere.
+    """
+    if ":" not in topology.law:
+        return {}
+    installed = {sys.prefix, sys.base_prefix, sys.exec_prefix, sys.base_exec_prefix}
+    own = [
+        path
+        for path in sys.path
+        if path and os.pathsep not in path and not any(Path(path).is_relative_to(one) for one in installed)
+    ]
+    given = os.environ.get("PYTHONPATH")
+    return {"PYTHONPATH": os.pathsep.join([*own, *([given] if given else [])])} if own else {}
 
 
 def run_to_the_end(

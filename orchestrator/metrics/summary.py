@@ -26,7 +26,7 @@ def table(topology: Topology) -> str:
     graph, a, b = topology.graph, truth(topology), topology.network.b
     unequal = graph.weights is not None or not isinstance(b, float)
     rows = Table(box=None, pad_edge=False, header_style="bold")
-    own_numbers = ("gain", "weighted degree") if unequal else ()
+    own_numbers = ("b", "weighted degree") if unequal else ()
     headings = ("node", "degree", *own_numbers, "allowed interval", "candidates", "truth", "x0", "disturbance")
     for heading in headings:
         rows.add_column(heading, overflow="fold")

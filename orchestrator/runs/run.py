@@ -125,9 +125,9 @@ class Run(RecordedRows):
     edge_open = flags("open")
     """True if an edge carried flow, (T, E)."""
     i_hears = flags("i_hears")
-    """True if the message of node j arrived at node i in its own step, (T, E)."""
+    """True if node i received the message of node j in the step in which j sent it, for each edge (i, j), (T, E)."""
     j_hears = flags("j_hears")
-    """True if the message of node i arrived at node j in its own step, (T, E)."""
+    """True if node j received the message of node i in the step in which i sent it, for each edge (i, j), (T, E)."""
 
     @cached_property
     def regret(self) -> Array:

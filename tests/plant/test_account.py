@@ -30,14 +30,14 @@ class Checked(World):
     """Compares the two ways to encode the states of a step."""
 
     def states(self) -> list[tuple[State | None, Record | None]]:
-        told = super().states()
+        sent = super().states()
         if (ready := self.ready_states) is not None:
             (x, tails), sizes = ready, [len(part.nodes) for part in self._parts]
             starts = encode_quiet_states(self.t, x, sizes)
             messages = [start + tail for start, tail in zip(starts, tails, strict=True)]
-            assert messages == [encode_state(*state) for state, _ in told if state]
-            assert all(record is None for _, record in told)
-        return told
+            assert messages == [encode_state(*state) for state, _ in sent if state]
+            assert all(record is None for _, record in sent)
+        return sent
 
 
 class Early(Checked):
