@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.load import content, find, parse
 from hedgerow.topologies.resolve import resolve, to_yaml
 from hedgerow.topologies.schema import Topology
@@ -28,6 +29,11 @@ def text_of(network: Named) -> tuple[bytes, str, Path]:
         return json.dumps(dict(network)).encode(), "network", getattr(network, "folder", None) or Path()
     if isinstance(network, str) and ("\n" in network or network.lstrip().startswith("{")):
         return network.encode(), "network", Path()
+    if not isinstance(network, str | Path):
+        raise UserError(
+            f"{type(network).__name__}: is no network. Give a name, a path, a text, a dictionary or a Topology.",
+            code=Code.TOPOLOGY,
+        )
     path = find(str(network))
     return content(path), str(path), path.parent
 
