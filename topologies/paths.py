@@ -29,3 +29,14 @@ def beside(path: Path, end: str = ".part") -> Path:
     `.x.yaml` beside a folder `x` may be the user's, and a killed process of the same id may have left its files.
     """
     return path.with_name(f".hedgerow-{secrets.token_hex(8)}{end}")
+
+
+def real_path(path: Path) -> Path:
+    """Return the whole path with all symbolic links followed; raise UserError for links that lead in a circle."""
+    try:
+        return path.resolve()
+    except RuntimeError:  # Python before 3.13 raises it for a circle
+        raise UserError(
+            f"{path}: symbolic links lead in a circle. Replace the link by a file or a folder.",
+            code=Code.FILE_UNREADABLE,
+        ) from None

@@ -15,12 +15,10 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import psutil
 from numpy.typing import NDArray
-from pydantic import TypeAdapter
 
 from hedgerow.orchestrator.ground.signals import EndNowError, Interrupts
 from hedgerow.orchestrator.launch.live import Live
@@ -28,8 +26,8 @@ from hedgerow.orchestrator.runs import registry
 from hedgerow.orchestrator.runs.files import load_events, read_verdict
 from hedgerow.orchestrator.runs.folder import RunFolder
 from hedgerow.topologies.errors import DeadlineError, HedgerowError
-from hedgerow.topologies.faults import Fault
-from hedgerow.topologies.paths import beside
+from hedgerow.topologies.faults import Actuator, Cut, Delay, Drop, Fault, Sensor
+from hedgerow.topologies.paths import beside, real_path
 from hedgerow.topologies.regular_file import last_text
 from hedgerow.topologies.resolve import to_yaml
 from hedgerow.topologies.schema import Topology
@@ -37,7 +35,6 @@ from hedgerow.wire.session import WireError
 
 Say = Callable[[str], None]
 Array = NDArray[np.float64]
-_FAULT: TypeAdapter[Fault] = TypeAdapter(Fault)
 
 STEPS = 10**9
 """more than any soak test makes"""
@@ -114,17 +111,17 @@ class Trend:
 def with_faults(topology: Topology) -> Topology:
     """Return the resolved network with additional random faults during the whole run; its own faults remain."""
     edges, nodes = topology.pairs, topology.ids
-    added: list[dict[str, Any]] = [
-        {"kind": "sensor", "node": nodes[0], "probability": 0.02},
-        {"kind": "actuator", "node": nodes[len(nodes) // 2], "probability": 0.02},
+    added: list[Fault] = [
+        Sensor(node=nodes[0], probability=0.02),
+        Actuator(node=nodes[len(nodes) // 2], probability=0.02),
     ]
     if edges:
         added += [
-            {"kind": "drop", "link": edges[0], "probability": 0.05},
-            {"kind": "delay", "link": edges[len(edges) // 2], "by": 2, "probability": 0.05},
-            {"kind": "cut", "edge": edges[-1], "probability": 0.02},
+            Drop(link=edges[0], probability=0.05),
+            Delay(link=edges[len(edges) // 2], by=2, probability=0.05),
+            Cut(edge=edges[-1], probability=0.02),
         ]
-    return topology.model_copy(update={"faults": (*topology.faults, *map(_FAULT.validate_python, added))})
+    return topology.model_copy(update={"faults": (*topology.faults, *added)})
 
 
 def run_soak(
@@ -135,7 +132,7 @@ def run_soak(
     The new folder gets soak.csv and soak.png. `options` are further options of `orchestrator up`. The exit code is 0 if
     the run is flat, 1 if it is not or is INVALID, 3 if it ended early. Raises HedgerowError.
     """
-    folder = RunFolder(directory.resolve())
+    folder = RunFolder(real_path(directory))
     folder.path.parent.mkdir(parents=True, exist_ok=True)
     topology = topology.model_copy(update={"steps": STEPS, "history": min(topology.history, HISTORY)})
     if faults:

@@ -16,7 +16,7 @@ from hedgerow.orchestrator.ground.law_source import FOLDER as LAW
 from hedgerow.orchestrator.ground.law_source import source_of
 from hedgerow.orchestrator.ground.spelling import shown
 from hedgerow.topologies.errors import Code, HedgerowError, UserError
-from hedgerow.topologies.paths import beside
+from hedgerow.topologies.paths import beside, real_path
 from hedgerow.topologies.resolve import save
 from hedgerow.topologies.schema import Topology
 
@@ -65,7 +65,10 @@ def new_folder(folder: Path, shown: str, mode: int = 0o777) -> None:
 
     `shown` is the name in the user's words.
     """
-    folder.mkdir(mode, parents=True, exist_ok=True)
+    try:
+        folder.mkdir(mode, parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"{shown}: {error.strerror}; name another folder", code=Code.OUTPUT) from error
     if any(folder.iterdir()):
         raise UserError(f"{shown}: holds something already; name a new folder", code=Code.OUTPUT)
 
@@ -102,7 +105,7 @@ def create(topology: Topology, directory: Path | None) -> RunFolder:
         made = directory is not None and not directory.exists()
         if directory is not None:
             new_folder(directory, f"--run-dir {directory}")
-            folder = RunFolder(directory.resolve())
+            folder = RunFolder(real_path(directory))
         else:
             folder = _new_in(Path("runs"), topology.name)
             made = True
@@ -191,7 +194,7 @@ def _new_in(runs: Path, name: str) -> RunFolder:
     stamp = time.strftime("%Y%m%d-%H%M%S")
     number = 1
     while True:
-        path = runs.resolve() / f"{name}-{stamp}{f'-{number}' if number > 1 else ''}"
+        path = real_path(runs) / f"{name}-{stamp}{f'-{number}' if number > 1 else ''}"
         try:
             path.mkdir()
         except FileExistsError:
