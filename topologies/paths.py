@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 from pathlib import Path
 
 from hedgerow.topologies.errors import Code, UserError
@@ -19,6 +20,15 @@ def user_path(text: str) -> Path:
         return path.expanduser()
     except RuntimeError:  # the home folder is unknown: keep the text
         return path
+
+
+def beside(path: Path, end: str = ".part") -> Path:
+    """Return a new path in the folder of `path`, for a file or folder that exists for a short time.
+
+    Its name is short, because a name as long as the file system allows has no room for more. No other file has it:
+    `.x.yaml` beside a folder `x` may be the user's, and a killed process of the same id may have left its files.
+    """
+    return path.with_name(f".hedgerow-{secrets.token_hex(8)}{end}")
 
 
 def real_path(path: Path) -> Path:

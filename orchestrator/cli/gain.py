@@ -74,11 +74,16 @@ def worst(
 
     seconds = seconds_of(budget)
     topology = checked(read(file, sets, law=law))
+    is_stopped = False
     with Interrupts() as interrupts, Progress(f"worst {topology.name}", seconds, quiet=quiet or as_json) as progress:
 
         def quit_now() -> bool:
+            nonlocal is_stopped
             progress.update()
-            return bool(interrupts.count)
+            if interrupts.count and not is_stopped:
+                is_stopped = True
+                progress.say(f"stopped: {interrupts.name}; proving the attack found so far")
+            return is_stopped
 
         found = search(topology, seconds, faults, seed, steps, out, progress.say, quit_now)
     echo(json.dumps(found.to_dict()) if as_json else f"{found.text()}\nagain with: orchestrator up {out}")

@@ -36,7 +36,7 @@ _Chance = Annotated[float, real("its probability at each step, for each message"
 _For = Annotated[int | None, whole("number of steps [until healed]", "--for", low=1)]
 _Back = Annotated[int | None, whole("number of steps that it misses [until healed]")]
 _Process = Annotated[int | None, whole("kill this process with all its agents", metavar="P")]
-_NODE_OR_PROCESS = Annotated[str | None, typer.Argument(metavar="[NODE]", help="the node of the agent")]
+_NODE_OR_PROCESS = Annotated[str | None, typer.Argument(metavar="NODE", help="the node of the agent")]
 _REQUIRED = inspect.Parameter.empty
 _ARGUMENTS: dict[str, tuple[Any, Any]] = {
     "link": (_Link, _REQUIRED),
@@ -56,7 +56,7 @@ _ARGUMENTS: dict[str, tuple[Any, Any]] = {
     "as_json": (AsJson, False),
 }
 """The command-line form of each argument of the methods of FaultVerbs, and its default."""
-Number = Annotated[int | None, whole_argument("the fault's number [all that can be ended]", metavar="[ID]")]
+Number = Annotated[int | None, whole_argument("the fault's number [all that can be ended]", metavar="ID")]
 
 
 def register(app: typer.Typer) -> None:
@@ -172,7 +172,7 @@ def resume(run: Run = None, as_json: AsJson = False) -> int:
 
 
 def step(
-    steps: Annotated[int, whole_argument("number of steps", metavar="[N]", low=1)] = 1,
+    steps: Annotated[int, whole_argument("number of steps", metavar="N", low=1)] = 1,
     run: Run = None,
     as_json: AsJson = False,
 ) -> int:

@@ -13,7 +13,7 @@ from hedgerow.orchestrator.cli.numbers import real, whole
 from hedgerow.orchestrator.cli.options import Quiet, RunDir, Sets
 from hedgerow.topologies.escape import echo
 
-File = Annotated[str, typer.Argument(metavar="[FILE]", help="a topology file, a bundled name, or the folder of a run")]
+File = Annotated[str, typer.Argument(metavar="FILE", help="a topology file, a bundled name, or the folder of a run")]
 Minutes = Annotated[float, real("for how long", metavar="N")]
 Rate = Annotated[float, real("steps per second, 0 for as fast as possible")]
 Processes = Annotated[int | None, whole("agent processes [one a node]", metavar="P", low=1)]

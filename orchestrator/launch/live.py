@@ -55,11 +55,11 @@ def checked(fault: Fault | Mapping[str, Any], topology: Topology) -> Fault:
         try:
             model: Fault = _FAULT.validate_python(entry)
         except ValidationError as error:
-            raise UserError("\n".join(_said(kind, _schema_problems(entry, error))), code=Code.FAULT) from None
+            raise UserError("\n".join(_lines(kind, _schema_problems(entry, error))), code=Code.FAULT) from None
     else:
         kind, model = fault.kind, fault
     if problems := broken_faults(topology.model_copy(update={"faults": (model,)})):
-        raise UserError("\n".join(_said(kind, problems)), code=Code.FAULT)
+        raise UserError("\n".join(_lines(kind, problems)), code=Code.FAULT)
     return model
 
 
@@ -73,7 +73,7 @@ def _schema_problems(entry: Any, refused: ValidationError) -> Sequence[Any]:
     return [f"{'.'.join(map(str, found['loc'][1:]))}: {in_our_words(found)}" for found in refused.errors()]
 
 
-def _said(kind: str, problems: Sequence[Any]) -> Iterator[str]:
+def _lines(kind: str, problems: Sequence[Any]) -> Iterator[str]:
     for problem in problems:
         yield f"{kind}: " + str(problem).removeprefix("fault 1").removeprefix(": ")
 

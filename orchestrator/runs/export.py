@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import shutil
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -23,7 +22,7 @@ from hedgerow.orchestrator.runs.run import Run
 from hedgerow.orchestrator.runs.table import Table
 from hedgerow.orchestrator.runs.writer import ROW_GROUP
 from hedgerow.topologies.errors import Code, UserError
-from hedgerow.topologies.paths import real_path
+from hedgerow.topologies.paths import beside, real_path
 
 FORMS = ("csv", "parquet", "npz", "mat")
 NAMES = (
@@ -146,7 +145,7 @@ def _write(files: Mapping[Path, Write]) -> None:
     file = next(iter(files))
     folder = file.parent
     is_new = not folder.exists()
-    parts = {file: file.with_name(f".{file.name}.{os.getpid()}.part") for file in files}
+    parts = {file: beside(file) for file in files}
     done = False
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -220,5 +220,5 @@ def test_the_plant_accepts_what_a_resolved_file_may_contain(entry: dict[str, Any
     ],
 )
 def test_an_observer_reports_an_invalid_fault(entry: dict[str, Any]) -> None:
-    with pytest.raises(HedgerowError, match="the plant was given a fault that"):
+    with pytest.raises(HedgerowError):
         with_fault(PAPER7, entry)

@@ -174,9 +174,9 @@ def test_a_refused_process_is_named_by_its_key_and_each_cause_is_reported_once(s
     scene.ask(keys.join(0), process="agent-7", **{**theirs, "hedgerow": "agent-7 is refused"})
     for k in range(20):
         scene.ask(keys.join(0), process="agent-7", **{**theirs, "hedgerow": f"9.{k}"})
-    told = [event for event in scene.events if event["event"] == "refused"]
-    assert {event["who"] for event in told} == {"agent 1"}
-    causes = [event["cause"] for event in told]
+    reported = [event for event in scene.events if event["event"] == "refused"]
+    assert {event["who"] for event in reported} == {"agent 1"}
+    causes = [event["cause"] for event in reported]
     assert len(set(causes)) == len(causes) <= 4
     assert not any("agent-7" in cause for cause in causes)
 
@@ -291,9 +291,9 @@ def test_every_pod_is_confined_too() -> None:
 
 def test_a_connection_without_a_handshake_is_no_refused_certificate() -> None:
     logged = "zenoh_link_tls::unicast: tls handshake eof. Hint: increase the system open file limit."
-    said = refused(f"2026-11-28T02:45:58Z  WARN acc-0 {logged}")
-    assert said is not None
-    assert "certificate" not in said
+    notice = refused(f"2026-11-28T02:45:58Z  WARN acc-0 {logged}")
+    assert notice is not None
+    assert "certificate" not in notice
 
 
 @pytest.mark.slow

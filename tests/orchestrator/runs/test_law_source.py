@@ -24,6 +24,7 @@ from hedgerow.orchestrator.ground.law_source import LawSource
 from hedgerow.orchestrator.launch.external_agents import configs
 from hedgerow.topologies.errors import Code, UserError
 from tests.tools.processes import orchestrator
+from tests.tools.refusals import refusal
 
 LAW = """
 from hedgerow.agents.law import Minimax
@@ -165,7 +166,7 @@ def test_a_sweep_does_not_resume_with_another_source(here: Path) -> None:
     assert json.loads((here / "out" / "sweep.json").read_text())["laws"]
     assert swept() == 0
     edit(here, 0.7)
-    with pytest.raises(UserError, match="source of its law"):
+    with refusal(Code.OUTPUT, f"--out {here / 'out'}"):
         swept()
 
 
