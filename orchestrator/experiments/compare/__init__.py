@@ -85,7 +85,9 @@ class Compared:
 
 
 def compare(plan: Comparison, out: Path | None = None, jobs: int | None = None, quiet: bool = False) -> Compared | None:
-    """Make the missing runs, then table, findings and figure; None if it was stopped, with the finished runs saved.
+    """Make the missing runs, then the table, the findings and the figure.
+
+    Return None if the comparison was stopped; the finished runs are saved.
 
     `jobs` is the number of processes, all cores by default; with 1, the runs are made in this process. Raise UserError
     for a mistake, and HedgerowError if a run cannot be made.
