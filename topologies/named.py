@@ -31,6 +31,9 @@ class Given(NamedTuple):
     own_files: tuple[str, ...] = ()
     """files of samples that the user named in Python, and which may be anywhere"""
 
+    def __repr__(self) -> str:
+        return f"<{' '.join([self.name, *self.overrides])}>"
+
     def with_overrides(self, *overrides: str) -> Given:
         """Return the same network with further settings."""
         return self._replace(overrides=(*self.overrides, *overrides))

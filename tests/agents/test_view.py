@@ -373,7 +373,7 @@ def test_a_link_is_drawn_as_broken_only_while_it_is(
     def whole() -> bool:
         return look().whole
 
-    options = [f"--set=faults={json.dumps(faults)}", "--rate=50", "--steps=100000", "--no-record"]
+    options = [f"--set=faults={json.dumps(faults)}", "--rate=10", "--steps=100000", "--no-record"]
     with Orchestrator("up", "paper7", "--viewer", watched.url, *options) as up:
         up.wait_for("running")
         until(broken, every_s=0.5)  # a picture costs more than the network

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
 
 from hedgerow.orchestrator.experiments.compare.plan import Comparison
 from hedgerow.orchestrator.experiments.compare.runs import METRICS
@@ -48,6 +47,8 @@ class Cell:
         """Return half the width of the interval of the mean, by Student's t over seeds; NaN for one seed."""
         if self.n < 2:
             return float("nan")
+        from scipy import stats  # noqa: PLC0415 (a second, and every `import hedgerow` would pay it)
+
         error = float(np.nanstd(self.values, ddof=1)) / self.n**0.5
         return float(stats.t.ppf(0.5 + LEVEL / 2, self.n - 1) * error)
 
@@ -113,6 +114,8 @@ def paired(found: Sequence[Cell]) -> list[Paired]:
 
 
 def _tested(one: Cell, other: Cell) -> Paired:
+    from scipy import stats  # noqa: PLC0415
+
     apart = one.values - other.values
     apart = apart[np.isfinite(apart)]
     sign = 1.0 if one.metric in HIGHER_IS_BETTER else -1.0

@@ -33,7 +33,7 @@ def test_two_laws_on_the_same_axes(paper: Run, fixed: Run, folder: Path) -> None
     np.testing.assert_array_equal(curves(figure.axes[0]), expected)
     assert names(figure) == ["A: minimax", "B: nominal", "nominal"]
 
-    path, *_ = report([paper, fixed], folder / "laws", "regret,gain")
+    path, *_ = report([paper, fixed], folder / "laws", "regret,gain", formats=["svg"])
     shown = page(path)
     for name, words in METRICS.items():
         if name != "nodes_right":
@@ -43,7 +43,7 @@ def test_two_laws_on_the_same_axes(paper: Run, fixed: Run, folder: Path) -> None
 
 
 def test_other_networks_are_not_compared_without_a_warning(paper: Run, grid: Run, folder: Path) -> None:
-    path, *_ = report([paper, grid], folder / "others", "2")
+    path, *_ = report([paper, grid], folder / "others", "2", formats=["svg"])
     text = " ".join(page(path).text)
     assert "(16, not 7)" in text
     assert [own for _, own in page(path).elements if own.get("class") == "warning"]

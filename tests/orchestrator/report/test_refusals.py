@@ -15,7 +15,9 @@ from hedgerow.orchestrator.report import report
 from hedgerow.orchestrator.report.figures import FIGURES
 from hedgerow.orchestrator.runs.run import Run
 from hedgerow.topologies.errors import Code
+from tests.tools import preloaded
 from tests.tools.figures import ROOT
+from tests.tools.processes import orchestrator
 from tests.tools.refusals import refusal
 
 
@@ -48,10 +50,9 @@ def test_without_matplotlib_the_message_names_the_package(
 
 
 @pytest.mark.parametrize(("arguments", "at"), [(["nowhere"], "nowhere"), ([], "runs/latest"), (["empty"], "empty")])
-def test_a_run_that_does_not_exist_is_refused(tmp_path: Path, arguments: list[str], at: str) -> None:
-    (tmp_path / "empty").mkdir()
-    command = [sys.executable, "-P", "-m", "hedgerow.orchestrator", "report", *arguments]
-    tried = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+def test_a_run_that_does_not_exist_is_refused(here: Path, arguments: list[str], at: str) -> None:
+    (here / "empty").mkdir()
+    tried = orchestrator("report", *arguments)
     assert (tried.returncode, tried.stdout) == (2, "")
     assert tried.stderr.startswith(f"error: {at}: ")
 
@@ -64,14 +65,8 @@ def test_every_figure_is_in_report_md() -> None:
 
 def test_the_pictures_in_the_documents_are_fresh(paper: Run, tmp_path: Path) -> None:
     """docs/make_report_images.py draws the pictures; those in the documents show the same numbers, and are small."""
-    command = [
-        sys.executable,
-        "-W",
-        "error",
-        str(ROOT / "docs/make_report_images.py"),
-        str(tmp_path),
-        "report-authors7",
-    ]
+    program = str(preloaded.SESSION.programs / "program")
+    command = [program, str(ROOT / "docs/make_report_images.py"), str(tmp_path), "report-authors7"]
     made = subprocess.run(command, capture_output=True, text=True, check=False)
     assert made.returncode == 0, made.stderr
     metrics = paper.verdict.content["metrics"]

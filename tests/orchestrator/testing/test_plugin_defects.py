@@ -14,7 +14,7 @@ def fail(*_):
     raise LookupError("planted")
 
 def test_of_a_file(network, monkeypatch):
-    monkeypatch.setattr("hedgerow.orchestrator.testing.scenario.parse", fail)
+    monkeypatch.setattr("hedgerow.topologies.named.parse", fail)
     network("paper7")
 
 def test_of_a_run(network, monkeypatch):
