@@ -52,7 +52,7 @@ class QuietLaw:
         incidences: list[list[tuple[int, int, float]]] = [[] for _ in range(k)]
         for i, j, weight in zip(view.row.tolist(), view.column.tolist(), w, strict=True):
             incidences[i].append((i, j, weight))
-        gains = np.broadcast_to(np.asarray(view.b, dtype=float), k).tolist()
+        gains = view.b.tolist() if isinstance(view.b, np.ndarray) else [float(view.b)] * k
         columns = [column[~np.isnan(column)].tolist() for column in view.candidates.T]
         self._nodes = [_Node(*one) for one in zip(gains, columns, incidences, rules, strict=True)]
         self._law, self._height = law, len(law.memory)

@@ -84,8 +84,8 @@ def flood(attack: Callable[[zenoh.Session, float, dict[str, int]], None] | None)
             events: list[dict[str, Any]] = []
             while not any(event["event"] == "first_step" for event in events):
                 time.sleep(0.05)
-                told = run / "events.jsonl"
-                events = [json.loads(line) for line in told.read_text().splitlines()] if told.exists() else []
+                log_file = run / "events.jsonl"
+                events = [json.loads(line) for line in log_file.read_text().splitlines()] if log_file.exists() else []
             start = next(event for event in events if event["event"] == "start")
             session = open_client(start["endpoint"], start["namespace"], None, 5.0)
             count = {"answered": 0, "refused": 0}

@@ -34,7 +34,9 @@ SIZE = (1280, 720)
 CROP = (0, 36, 1280, 690)
 """the viewer's window without its bars"""
 WIDTH = 960
-FRAME_MS = 125
+EVERY = 2
+"""the steps between two frames: a frame takes about 40 kB, because the axes of the panels move"""
+FRAME_MS = 220
 LAST_MS = 2500
 IMAGE = Path(__file__).parent / "images" / "paper7.gif"
 
@@ -49,7 +51,11 @@ def pictures(folder: Path, rate: float) -> list[Image.Image]:
         options = [f"--set=faults={json.dumps(FAULTS)}", f"--steps={STEPS}", f"--rate={rate}", "--no-record"]
         command = [sys.executable, "-m", "hedgerow.orchestrator", "up", "paper7", "--viewer", viewer.url, *options]
         found: list[Image.Image] = []
-        with subprocess.Popen(command, cwd=folder) as up:
+        printed = folder / "printed"
+        with printed.open("w") as out, subprocess.Popen(command, cwd=folder, stdout=out, stderr=out) as up:
+            # Before the first step, the viewer shows its own welcome page.
+            while up.poll() is None and "first step" not in printed.read_text():
+                time.sleep(0.1)
             while up.poll() is None:
                 began = time.monotonic()
                 client.save_screenshot(str(folder / "frame.png"))
@@ -67,7 +73,8 @@ def pictures(folder: Path, rate: float) -> list[Image.Image]:
 def main() -> None:
     """Run, and write the animation."""
     with tempfile.TemporaryDirectory() as folder:
-        frames = pictures(Path(folder), float(sys.argv[1]) if len(sys.argv) > 1 else RATE)
+        found = pictures(Path(folder), float(sys.argv[1]) if len(sys.argv) > 1 else RATE)
+    frames = [*found[:-1:EVERY], found[-1]]
     height = round(WIDTH * frames[0].height / frames[0].width)
     small = [frame.resize((WIDTH, height), Image.Resampling.LANCZOS) for frame in frames]
     # Use one palette for all frames: otherwise each frame would change the colours of unchanged parts, and the file

@@ -55,7 +55,8 @@ def _code() -> int:
         from hedgerow.orchestrator.launch.fork_client import ForkClient  # noqa: PLC0415
 
         fork_client = ForkClient() if launches else None
-        from hedgerow.orchestrator.cli.main import run_command  # noqa: PLC0415
+        with start.loading():
+            from hedgerow.orchestrator.cli.main import run_command  # noqa: PLC0415
 
         start.command_begins()
         return run_command(BEGAN, fork_client)
@@ -101,6 +102,8 @@ def _settle_environment() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # A notebook sets a backend that exists only in its interpreter; we draw to files.
     os.environ["MPLBACKEND"] = "Agg"
+    # Pydantic would look for plugins in every installed package.
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     for name in ("COLUMNS", "LINES"):
         if not _is_size(os.environ.get(name, "1")):
             del os.environ[name]  # a terminal of size zero: let libraries ask the terminal

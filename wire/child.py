@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import logging
 import os
 import signal
@@ -22,6 +23,8 @@ USER_ERROR = Exit.USER_MISTAKE
 """The exit code after a mistake of the user. A restart would not help."""
 ERROR_PREFIX = "error: "
 """The last line of the log of a failed process starts with this."""
+SLOW_LAW = "has been running for"
+"""The log of an agent has this in its lines about a slow law; the operator searches for them."""
 LINE, TIME = "%(asctime)s.%(msecs)03d %(name)s: %(message)s", "%H:%M:%S"
 """The format of a line of a log."""
 
@@ -50,6 +53,17 @@ def escape_warnings() -> None:
     """Escape the warnings of a process without a log, which logging writes to standard error as they are."""
     if logging.lastResort is not None:
         logging.lastResort.setFormatter(Line("%(message)s"))
+
+
+@functools.cache
+def open_log() -> None:
+    """Write the log of this process to standard error; a second call changes nothing.
+
+    The fork server opens the log of all its children, which then need not copy the memory that this writes to.
+    """
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(Line())
+    logging.basicConfig(handlers=[handler], level=logging.INFO)
 
 
 def run_child(body: Callable[[], None]) -> NoReturn:
@@ -95,9 +109,7 @@ def run_alone(body: Callable[[], None], logged: bool = False) -> NoReturn:
 
 def _run(body: Callable[[], None], logged: bool, ends: Collection[signal.Signals]) -> int:
     """Run `body` with a log, and return the exit code."""
-    handler = logging.StreamHandler(sys.stderr)
-    handler.setFormatter(Line())
-    logging.basicConfig(handlers=[handler], level=logging.INFO)
+    open_log()
     code = Exit.VALID
     try:
         if ends:

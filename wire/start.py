@@ -6,6 +6,7 @@ Import this module before everything slow: it loads little but the standard libr
 from __future__ import annotations
 
 import contextlib
+import gc
 import io
 import os
 import resource
@@ -64,6 +65,20 @@ def _end(problem: object, code: int) -> NoReturn:
     with contextlib.suppress(OSError, ValueError):
         echo(f"error: {problem}", error=True)
     sys.exit(code)
+
+
+@contextlib.contextmanager
+def loading() -> Iterator[None]:
+    """Load modules in the block without garbage collection, which would traverse them again and again.
+
+    All objects of that moment are left out of later collections.
+    """
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 def open_streams() -> None:

@@ -9,7 +9,7 @@ import typer
 
 from hedgerow.orchestrator.cli.names import EXPERIMENT
 from hedgerow.orchestrator.cli.options import File, NoProgress, Sets
-from hedgerow.topologies.errors import Code, UserError
+from hedgerow.topologies.errors import check_options
 from hedgerow.topologies.escape import echo
 from hedgerow.topologies.paths import user_path
 
@@ -53,10 +53,9 @@ def compare(
     from hedgerow.orchestrator.experiments.compare.plan import comparison, disturbances_of  # noqa: PLC0415
     from hedgerow.orchestrator.experiments.sweep.plan import seeds_of  # noqa: PLC0415
 
-    if jobs is not None and jobs < 1:
-        raise UserError(f"--jobs {jobs}: is below 1. Leave it out for all cores.", code=Code.OPTION)
+    check_options(jobs=jobs)
     settings = [*(sets or []), *([] if steps is None else [f"steps={steps}"])]
-    plan = comparison(file, law or ["minimax"], disturbances_of(disturbances), seeds_of(seeds), settings)
+    plan = comparison(Path(file), law or ["minimax"], disturbances_of(disturbances), seeds_of(seeds), settings)
     found = run(plan, out, jobs, quiet)
     if found is None:
         return 3

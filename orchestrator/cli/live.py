@@ -35,7 +35,7 @@ _Chance = Annotated[float, typer.Option(metavar="P", help="its probability at ea
 _For = Annotated[int | None, typer.Option("--for", metavar="N", min=1, help="number of steps [until healed]")]
 _Back = Annotated[int | None, typer.Option(metavar="N", help="number of steps that it misses [until healed]")]
 _Process = Annotated[int | None, typer.Option(metavar="P", help="kill this process with all its agents")]
-_NODE_OR_PROCESS = Annotated[str | None, typer.Argument(metavar="[NODE]", help="the node of the agent")]
+_NODE_OR_PROCESS = Annotated[str | None, typer.Argument(metavar="NODE", help="the node of the agent")]
 _REQUIRED = inspect.Parameter.empty
 _ARGUMENTS: dict[str, tuple[Any, Any]] = {
     "link": (_Link, _REQUIRED),
@@ -55,7 +55,7 @@ _ARGUMENTS: dict[str, tuple[Any, Any]] = {
     "as_json": (AsJson, False),
 }
 """The command-line form of each argument of the methods of FaultVerbs, and its default."""
-Number = Annotated[int | None, typer.Argument(metavar="[ID]", help="the fault's number [all that can be ended]")]
+Number = Annotated[int | None, typer.Argument(metavar="ID", help="the fault's number [all that can be ended]")]
 
 
 def register(app: typer.Typer) -> None:
@@ -171,7 +171,7 @@ def resume(run: Run = None, as_json: AsJson = False) -> int:
 
 
 def step(
-    steps: Annotated[int, typer.Argument(metavar="[N]", min=1, help="number of steps")] = 1,
+    steps: Annotated[int, typer.Argument(metavar="N", min=1, help="number of steps")] = 1,
     run: Run = None,
     as_json: AsJson = False,
 ) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import copy
 import functools
 import json
 import os
@@ -53,6 +54,7 @@ from hedgerow.topologies.escape import command, echo
 from hedgerow.topologies.paths import user_path
 from hedgerow.wire.child import escape_warnings
 from hedgerow.wire.runtime import let_numbers_overflow
+from hedgerow.wire.start import loading
 
 # Loading the topology modules takes most of a second: each command imports what it needs.
 if TYPE_CHECKING:
@@ -107,7 +109,20 @@ def run_command(began: float, fork_client: ForkClient | None) -> int:
     _BEGAN, _FORK_CLIENT = began, fork_client
     let_numbers_overflow()
     escape_warnings()
-    return run_to_exit_code(lambda: app(standalone_mode=False) or 0)
+    needed = _without_other_commands(app, *sys.argv[1:2])
+    return run_to_exit_code(lambda: needed(standalone_mode=False) or 0)
+
+
+def _without_other_commands(whole: typer.Typer, word: str = "") -> typer.Typer:
+    """Return the command line with the command `word` alone; all of it if no command has this name.
+
+    Typer takes longer to build all commands than `up` takes to load numpy.
+    """
+    named = [one for one in whole.registered_commands if one.callback and word == (one.name or one.callback.__name__)]
+    part = copy.copy(whole)
+    if named:
+        part.registered_commands, part.registered_groups = named, []
+    return part
 
 
 @app.command(rich_help_panel=RUN)
@@ -168,14 +183,15 @@ def up(
         raise UserError("--lifeline --detach: choose one; a network in the background has no standard input")
     if lifeline:
         threading.Thread(target=detached.end_with_standard_input, name="lifeline", daemon=True).start()
-    from hedgerow.orchestrator.ground.assignment import layout, places, views_of  # noqa: PLC0415
-    from hedgerow.orchestrator.launch.endpoints import check as check_security  # noqa: PLC0415
-    from hedgerow.orchestrator.launch.endpoints import meeting_place  # noqa: PLC0415
-    from hedgerow.orchestrator.launch.options import Options  # noqa: PLC0415
-    from hedgerow.orchestrator.launch.recording import Watching  # noqa: PLC0415
-    from hedgerow.orchestrator.launch.up import Network  # noqa: PLC0415
-    from hedgerow.orchestrator.runs import folder as folders  # noqa: PLC0415
-    from hedgerow.orchestrator.views.screen import screen  # noqa: PLC0415
+    with loading():
+        from hedgerow.orchestrator.ground.assignment import layout, places, views_of  # noqa: PLC0415
+        from hedgerow.orchestrator.launch.endpoints import check as check_security  # noqa: PLC0415
+        from hedgerow.orchestrator.launch.endpoints import meeting_place  # noqa: PLC0415
+        from hedgerow.orchestrator.launch.options import Options  # noqa: PLC0415
+        from hedgerow.orchestrator.launch.up import Network  # noqa: PLC0415
+        from hedgerow.orchestrator.launch.watching import Watching  # noqa: PLC0415
+        from hedgerow.orchestrator.runs import folder as folders  # noqa: PLC0415
+        from hedgerow.orchestrator.views.screen import screen  # noqa: PLC0415
 
     check_options(rate=rate, deadline=deadline, wait=wait)
     count_of: object = int(processes) if processes and processes.lstrip("-").isdecimal() else processes
@@ -265,8 +281,8 @@ def _check_cluster(on: str, external: str | None) -> None:
 
 def _introduce(topology: Topology, processes: int, folder: RunFolder, display: Screen) -> None:
     """Print the size of the network, the run folder, and the rows that are recorded."""
-    from hedgerow.orchestrator.metrics.summary import count  # noqa: PLC0415
     from hedgerow.orchestrator.runs.selection import notes  # noqa: PLC0415
+    from hedgerow.topologies.describe import count  # noqa: PLC0415 (pydantic takes a while to load)
 
     what = f"{count(len(topology.ids), 'node')} in {count(processes, 'process', 'es')}, {topology.steps} steps"
     display.say(f"{topology.name}: {what}, run {folder.name}")
@@ -306,8 +322,8 @@ def simulate(
 ) -> int:
     """Run a network in this process, without Zenoh; the result has the same bits as that of `up`."""
     from hedgerow.orchestrator.ground.assignment import layout  # noqa: PLC0415
-    from hedgerow.orchestrator.launch.recording import Watching  # noqa: PLC0415
     from hedgerow.orchestrator.launch.simulation import simulate_into  # noqa: PLC0415
+    from hedgerow.orchestrator.launch.watching import Watching  # noqa: PLC0415
     from hedgerow.orchestrator.runs import folder as folders  # noqa: PLC0415
     from hedgerow.orchestrator.runs.selection import notes  # noqa: PLC0415
     from hedgerow.orchestrator.views.screen import screen  # noqa: PLC0415

@@ -20,7 +20,7 @@ File = Annotated[
 Running = Annotated[
     str | None,
     typer.Argument(
-        metavar="[RUN]",
+        metavar="RUN",
         help="name of a running network [the only one, or that of this folder]",
         autocompletion=complete.running,
     ),

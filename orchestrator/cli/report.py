@@ -14,9 +14,7 @@ from hedgerow.topologies.paths import user_path
 
 Runs = Annotated[
     list[str] | None,
-    typer.Argument(
-        metavar="[RUN ...]", help="run folders, or names in runs/ [runs/latest]", autocompletion=complete.runs
-    ),
+    typer.Argument(metavar="RUN", help="run folders, or names in runs/ [runs/latest]", autocompletion=complete.runs),
 ]
 Out = Annotated[Path | None, typer.Option(parser=user_path, metavar="DIR", help="the folder to write [RUN-report]")]
 Figures = Annotated[str | None, typer.Option(metavar="2,4,...", help="only these figures [all]")]

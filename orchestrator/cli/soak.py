@@ -12,7 +12,7 @@ from hedgerow.orchestrator.cli.names import EXPERIMENT
 from hedgerow.orchestrator.cli.options import Quiet, RunDir, Sets
 from hedgerow.topologies.escape import echo
 
-File = Annotated[str, typer.Argument(metavar="[FILE]", help="a topology file, a bundled name, or the folder of a run")]
+File = Annotated[str, typer.Argument(metavar="FILE", help="a topology file, a bundled name, or the folder of a run")]
 Minutes = Annotated[float, typer.Option(metavar="N", help="for how long")]
 Rate = Annotated[float, typer.Option(metavar="R", min=0, help="steps per second, 0 for as fast as possible")]
 Processes = Annotated[int | None, typer.Option(metavar="P", min=1, help="agent processes [one a node]")]

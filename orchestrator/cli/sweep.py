@@ -10,7 +10,7 @@ import typer
 from hedgerow.orchestrator.cli.names import EXPERIMENT
 from hedgerow.orchestrator.cli.options import Quiet
 from hedgerow.orchestrator.launch.ray_cluster import check
-from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.errors import check_options
 from hedgerow.topologies.escape import echo
 from hedgerow.topologies.paths import user_path
 
@@ -49,10 +49,9 @@ def sweep(
     from hedgerow.orchestrator.experiments.sweep import sweep as run  # noqa: PLC0415
     from hedgerow.orchestrator.experiments.sweep.plan import plan  # noqa: PLC0415
 
-    if jobs is not None and jobs < 1:
-        raise UserError(f"--jobs {jobs}: is below 1; leave it out for all cores")
+    check_options(jobs=jobs)
     if on is not None:
         check(on)
-    done = run(plan(file, seeds, sets or [], engine), out, jobs, on, quiet)
+    done = run(plan(Path(file), seeds, sets or [], engine), out, jobs, on, quiet)
     echo(done.line)
     return done.exit_code

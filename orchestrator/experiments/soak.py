@@ -15,12 +15,10 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import psutil
 from numpy.typing import NDArray
-from pydantic import TypeAdapter
 
 from hedgerow.orchestrator.ground.signals import Interrupts
 from hedgerow.orchestrator.launch.live import Live
@@ -28,7 +26,7 @@ from hedgerow.orchestrator.runs import registry
 from hedgerow.orchestrator.runs.files import load_events, read_verdict
 from hedgerow.orchestrator.runs.folder import RunFolder
 from hedgerow.topologies.errors import DeadlineError, HedgerowError
-from hedgerow.topologies.faults import Fault
+from hedgerow.topologies.faults import Actuator, Cut, Delay, Drop, Fault, Sensor
 from hedgerow.topologies.regular_file import last_text
 from hedgerow.topologies.resolve import to_yaml
 from hedgerow.topologies.schema import Topology
@@ -36,7 +34,6 @@ from hedgerow.wire.session import WireError
 
 Say = Callable[[str], None]
 Array = NDArray[np.float64]
-_FAULT: TypeAdapter[Fault] = TypeAdapter(Fault)
 
 STEPS = 10**9
 """more than any soak test makes"""
@@ -113,17 +110,17 @@ class Trend:
 def with_faults(topology: Topology) -> Topology:
     """Return the resolved network with additional random faults during the whole run; its own faults remain."""
     edges, nodes = topology.pairs, topology.ids
-    added: list[dict[str, Any]] = [
-        {"kind": "sensor", "node": nodes[0], "probability": 0.02},
-        {"kind": "actuator", "node": nodes[len(nodes) // 2], "probability": 0.02},
+    added: list[Fault] = [
+        Sensor(node=nodes[0], probability=0.02),
+        Actuator(node=nodes[len(nodes) // 2], probability=0.02),
     ]
     if edges:
         added += [
-            {"kind": "drop", "link": edges[0], "probability": 0.05},
-            {"kind": "delay", "link": edges[len(edges) // 2], "by": 2, "probability": 0.05},
-            {"kind": "cut", "edge": edges[-1], "probability": 0.02},
+            Drop(link=edges[0], probability=0.05),
+            Delay(link=edges[len(edges) // 2], by=2, probability=0.05),
+            Cut(edge=edges[-1], probability=0.02),
         ]
-    return topology.model_copy(update={"faults": (*topology.faults, *map(_FAULT.validate_python, added))})
+    return topology.model_copy(update={"faults": (*topology.faults, *added)})
 
 
 def run_soak(

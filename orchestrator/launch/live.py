@@ -24,7 +24,7 @@ import zenoh
 from pydantic import TypeAdapter, ValidationError
 
 from hedgerow.orchestrator.launch.control import ask
-from hedgerow.orchestrator.launch.fault_verbs import FaultVerbs, NodeId, Pair, window_of
+from hedgerow.orchestrator.launch.fault_verbs import FaultVerbs, NodeId, Pair
 from hedgerow.orchestrator.runs import registry
 from hedgerow.topologies.base import node_id
 from hedgerow.topologies.describe import describe
@@ -32,6 +32,7 @@ from hedgerow.topologies.errors import Code, DeadlineError, HedgerowError, Topol
 from hedgerow.topologies.faults import Fault, Jump, effects
 from hedgerow.topologies.json_file import loads
 from hedgerow.topologies.load import load, parse
+from hedgerow.topologies.plain import plain
 from hedgerow.topologies.rules import broken_faults
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire.session import WireError, open_client
@@ -48,28 +49,17 @@ _FAULT: TypeAdapter[Fault] = TypeAdapter(Fault)
 def checked(fault: Fault | Mapping[str, Any], topology: Topology) -> Fault:
     """Return a fault for a resolved topology; raise UserError with all mistakes, as for a file."""
     if isinstance(fault, Mapping):
-        entry = _plain(fault)
+        entry = plain(fault)
         kind = entry.get("kind", "fault")
         try:
             model: Fault = _FAULT.validate_python(entry)
         except ValidationError as error:
-            raise UserError("\n".join(_said(kind, _schema_problems(entry, error))), code=Code.FAULT) from None
+            raise UserError("\n".join(_lines(kind, _schema_problems(entry, error))), code=Code.FAULT) from None
     else:
         kind, model = fault.kind, fault
     if problems := broken_faults(topology.model_copy(update={"faults": (model,)})):
-        raise UserError("\n".join(_said(kind, problems)), code=Code.FAULT)
+        raise UserError("\n".join(_lines(kind, problems)), code=Code.FAULT)
     return model
-
-
-def _plain(value: Any) -> Any:
-    """Return values of Python and numpy as a file would give them."""
-    if isinstance(value, Mapping):
-        return {_plain(key): _plain(inside) for key, inside in value.items()}
-    if isinstance(value, range):
-        return window_of(value)
-    if isinstance(value, list | tuple):
-        return [_plain(inside) for inside in value]
-    return value.item() if hasattr(value, "item") else value
 
 
 def _schema_problems(entry: Any, refused: ValidationError) -> Sequence[Any]:
@@ -82,7 +72,7 @@ def _schema_problems(entry: Any, refused: ValidationError) -> Sequence[Any]:
     return [f"{'.'.join(map(str, found['loc'][1:]))}: {found['msg']}" for found in refused.errors(include_url=False)]
 
 
-def _said(kind: str, problems: Sequence[Any]) -> Iterator[str]:
+def _lines(kind: str, problems: Sequence[Any]) -> Iterator[str]:
     for problem in problems:
         yield f"{kind}: " + str(problem).removeprefix("fault 1").removeprefix(": ")
 
@@ -175,6 +165,9 @@ class Live:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+    def __repr__(self) -> str:
+        return f"<Live {self.entry.run}, in {self.entry.folder}>"
 
     def close(self) -> None:
         """Close the session; the network continues."""

@@ -82,7 +82,7 @@ def at_ends(graph: Graph) -> Index:
     return ends
 
 
-class Accounts:
+class FaultAccounts:
     """The accounts of all faults of a run, and the counts of missing inputs and messages."""
 
     def __init__(self, graph: Graph, schedule: Schedule) -> None:

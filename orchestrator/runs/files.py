@@ -25,7 +25,7 @@ def find_run(run: str | Path) -> Path:
     try:
         there = sorted(path for path in Path("runs").glob("*") if path.is_dir())
         named = [path for path in there if stamp.fullmatch(path.name)]
-        own, listed_run = Path(run), Path("runs") / run
+        own, listed_run = Path(str(run)), Path("runs") / str(run)
         both = (
             isinstance(run, str)
             and "/" not in run

@@ -64,7 +64,10 @@ def new_folder(folder: Path, shown: str, mode: int = 0o777) -> None:
 
     `shown` is the name in the user's words.
     """
-    folder.mkdir(mode, parents=True, exist_ok=True)
+    try:
+        folder.mkdir(mode, parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"{shown}: {error.strerror}; name another folder", code=Code.OUTPUT) from error
     if any(folder.iterdir()):
         raise UserError(f"{shown}: holds something already; name a new folder", code=Code.OUTPUT)
 

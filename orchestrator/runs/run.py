@@ -125,9 +125,9 @@ class Run(RecordedRows):
     edge_open = flags("open")
     """True if an edge carried flow, (T, E)."""
     i_hears = flags("i_hears")
-    """True if the message of node j arrived at node i in its own step, (T, E)."""
+    """True if node i received the message of node j in the step in which j sent it, for each edge (i, j), (T, E)."""
     j_hears = flags("j_hears")
-    """True if the message of node i arrived at node j in its own step, (T, E)."""
+    """True if node j received the message of node i in the step in which i sent it, for each edge (i, j), (T, E)."""
 
     @cached_property
     def regret(self) -> Array:
@@ -272,7 +272,7 @@ class Run(RecordedRows):
 
     def estimates_at(self, t: int) -> Estimates:
         """Return the estimate of every node at step t, from the samples of earlier steps, as a dict by node."""
-        if not 0 <= t < self.T:
+        if not isinstance(t, int | np.integer) or not 0 <= t < self.T:
             raise UserError(f"estimates_at({t}): the run has steps 0 to {self.T - 1}", code=Code.OPTION)
         return Estimates(self, t)
 

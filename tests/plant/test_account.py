@@ -42,12 +42,12 @@ class Checked(World):
     """Compares the two ways to encode the states of a step."""
 
     def states(self) -> list[tuple[State | None, Record | None]]:
-        told = super().states()
+        sent = super().states()
         if (x := self.quiet_states) is not None:
             sizes = [len(part.nodes) for part in self._parts]
-            assert encode_quiet_states(self.t, x, sizes) == [encode_state(*state) for state, _ in told if state]
-            assert all(record is None for _, record in told)
-        return told
+            assert encode_quiet_states(self.t, x, sizes) == [encode_state(*state) for state, _ in sent if state]
+            assert all(record is None for _, record in sent)
+        return sent
 
 
 @given(topology=faulty(), history=st.sampled_from([1, 5, 100_000]), data=st.data())

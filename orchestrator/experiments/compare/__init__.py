@@ -13,11 +13,12 @@ from pathlib import Path
 from hedgerow.orchestrator.experiments.compare import tables
 from hedgerow.orchestrator.experiments.compare.plan import Comparison
 from hedgerow.orchestrator.experiments.compare.runs import METRICS, answer
-from hedgerow.orchestrator.experiments.compare.statistics import Cell, Paired, cells, paired
+from hedgerow.orchestrator.experiments.compare.statistics import Cell, Paired, cells, paired, repeats
 from hedgerow.orchestrator.experiments.sweep import cores
 from hedgerow.orchestrator.experiments.sweep.folder import SweepFolder
 from hedgerow.orchestrator.experiments.sweep.progress import progress
 from hedgerow.orchestrator.experiments.sweep.runs import Answer, Failure, Row
+from hedgerow.orchestrator.experiments.sweep.summary import REPEATED
 from hedgerow.orchestrator.experiments.sweep.workers import over_processes
 from hedgerow.orchestrator.ground.signals import Interrupts
 from hedgerow.orchestrator.metrics.verdict import EXIT_CODES, INVALID, UNKNOWN, VALID
@@ -49,12 +50,18 @@ class Compared:
     @property
     def method(self) -> str:
         """Return how the numbers were made, in one line."""
-        return tables.method(len(self.plan.seeds), len(self.tests))
+        said = tables.method(len(self.plan.seeds), len(self.tests))
+        once = repeats(self.plan, self.rows)
+        return said + (f"; under {', '.join(once)}, {REPEATED}: it counts once" if once else "")
 
     @property
     def markdown(self) -> str:
         """Return tables and findings in Markdown."""
         return f"# {self.plan.name}\n\n{self.method}.\n\n{tables.markdown(self.cells, self.tests)}"
+
+    def __repr__(self) -> str:
+        laws, under = ", ".join(self.plan.laws), ", ".join(self.plan.disturbances)
+        return f"<Compared {self.plan.name}: {laws} under {under}, {len(self.plan.seeds)} seeds; print it>"
 
     def __str__(self) -> str:
         return "\n\n".join([tables.text(self.cells), tables.conclusions(self.cells, self.tests), self.method])

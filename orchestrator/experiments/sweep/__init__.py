@@ -103,6 +103,8 @@ def _conclude(plan: Plan, folder: SweepFolder, say: Callable[[str], None]) -> Sw
     verdicts = Counter(row["verdict"] for own in rows for row in own)
     worst = next(one for one in (INVALID, UNKNOWN, VALID) if verdicts[one])
     say(summary.table(plan, rows))
+    if any(map(summary.repeated, rows)):
+        say(f"{summary.REPEATED}; one seed is enough")
     say(f"{folder.table}, summary.csv, {drawn}")
     first = next(row for own in rows for row in own if row["verdict"] == worst)
     where = (

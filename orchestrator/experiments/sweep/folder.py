@@ -98,7 +98,9 @@ class SweepFolder:
                 f"--out {self.path}: sweep.json does not belong to a sweep; name a new folder", code=Code.FILE_FORMAT
             )
         if other := _difference(there, wanted):
-            raise UserError(f"--out {self.path}: holds another sweep: {other}; name another folder", code=Code.OUTPUT)
+            raise UserError(
+                f"--out {self.path}: holds a sweep with other settings: {other}; name another folder", code=Code.OUTPUT
+            )
 
     def _read(self) -> None:
         """Read the finished runs; remove an incomplete last line."""
@@ -198,13 +200,14 @@ def _difference(there: dict[str, Any], wanted: dict[str, Any]) -> str:
     for key in dict.fromkeys((*wanted, *there)):
         one, other = there.get(key), wanted.get(key)
         if one != other and key not in ("set", "versions", "networks", "laws"):
-            apart = f"its {key} is {_said(one)}, not {_said(other)}"
-            return f"only one of the two sets {key}" if None in (one, other) else apart
+            if None in (one, other):
+                return f"only {'this command' if one is None else 'that sweep'} sets {key}"
+            return f"{key} is {_said(one)} there, and {_said(other)} in this command"
     if there.get("laws") != wanted.get("laws"):
-        return "the source of its law was another, which it keeps in the folder law"
+        return "the source of the law has changed since; the folder law keeps the old source"
     if there["versions"] != wanted["versions"]:
-        return "other versions made it"
-    return "its topology file was another" if there["networks"] != wanted["networks"] else ""
+        return "other versions of Hedgerow or its packages made it"
+    return "the topology file has changed since" if there["networks"] != wanted["networks"] else ""
 
 
 def _said(value: Any) -> str:

@@ -127,10 +127,10 @@ def test_a_reader_that_has_left_has_read_enough() -> None:
     assert (done.returncode, done.stderr) == (0, b"")
 
 
-def traceback_of(said: bytes) -> str:
+def traceback_of(printed: bytes) -> str:
     """The traceback in the file that the one line on standard error names."""
-    assert said.count(b"\n") == 1, said
-    return Path(said.decode().strip().rpartition(" ")[2].rstrip(")")).read_text()
+    assert printed.count(b"\n") == 1, printed
+    return Path(printed.decode().strip().rpartition(" ")[2].rstrip(")")).read_text()
 
 
 def test_a_defect_of_a_command_is_one_line_and_exit_code_70(here: Path) -> None:
@@ -230,8 +230,8 @@ def test_an_event_that_no_plant_sends_is_refused(event: dict[str, object]) -> No
 
 
 def test_an_event_is_rebuilt_from_known_fields() -> None:
-    told = {"event": "revive", "shard": 2, "step": 4, "strange": "x"}
-    assert checked(told, 3, 0) == {"event": "revive", "shard": 2, "step": 4}
+    strange = {"event": "revive", "shard": 2, "step": 4, "strange": "x"}
+    assert checked(strange, 3, 0) == {"event": "revive", "shard": 2, "step": 4}
 
 
 def test_a_report_of_files_of_two_runs_is_refused() -> None:

@@ -30,13 +30,13 @@ def test_the_page_has_the_numbers_of_the_verdict(paper: Run, written: dict[str, 
     (verdict,) = (text for text in shown.text if text.startswith('{\n  "verdict"'))
     assert json.loads(verdict) == paper.verdict.content
     text = " ".join(shown.text)
-    for said in (
+    for sentence in (
         "Verdict: valid.",
         "6 of 7 estimates are the truth after 30 steps",
         "does not bound the gain",
         "numpy",
     ):
-        assert said in text
+        assert sentence in text
 
 
 def test_the_page_asks_for_nothing(written: dict[str, Path]) -> None:
