@@ -23,7 +23,7 @@ def graphs(draw: st.DrawFn) -> Graph:
 def expected(graph: Graph) -> list[int]:
     i, j = graph.edges.T
     _, piece = connected_components(coo_array((np.ones(len(i)), (i, j)), (graph.n, graph.n)), directed=False)
-    return np.unique(piece, return_index=True)[1].tolist()
+    return [int(place) for place in np.unique(piece, return_index=True)[1]]
 
 
 @given(graphs())
