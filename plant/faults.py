@@ -122,9 +122,12 @@ class Faults:
         self._sizes = sizes(graph)
         self.effects = list(effects)
         self._chance.take(self.effects)
+        self.changes = 0
+        """number of times that the list of effects was changed"""
         self._changed()
 
     def _changed(self) -> None:
+        self.changes += 1
         self._from = self._until = 0
         self._active: list[Effect] = []
         self._dead: list[Effect] = []
@@ -158,8 +161,8 @@ class Faults:
         return self._active
 
     def none_at(self, t: int) -> bool:
-        """Return True if no effect is active at steps t and t + 1."""
-        return not self._look(t) and (t + 1 < self._until or not self._look(t + 1))
+        """Return True if no effect is active at step t."""
+        return not self._look(t)
 
     def at(self, t: int) -> ActiveFaults | None:
         """Return the faults active at step t, except crashes and jumps; None if there are none."""

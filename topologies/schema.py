@@ -383,7 +383,19 @@ class Topology(Model):
         if not set(update or ()) <= _ASIDE:
             for name in ("ids", "graph", "network", "_places"):
                 copy.__dict__.pop(name, None)
+        if update:
+            copy.__dict__.pop("given_as", None)
         return copy
+
+    @cached_property
+    def given_as(self) -> object:
+        """Return the text that the numbers were drawn from, as `named.Given`; None for a changed copy."""
+        return None
+
+    def with_given(self, given: object) -> Self:
+        """Return the same network, which remembers the text that its numbers were drawn from."""
+        self.__dict__["given_as"] = given  # not a private attribute: equal networks of two texts are equal
+        return self
 
     @property
     def given(self) -> Table | None:
