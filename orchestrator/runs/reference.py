@@ -28,7 +28,7 @@ def run(truth: Truth, views: Sequence[View], law: Law | None = None) -> Iterator
     failed.
     """
     if not any(Effect.from_dict(effect).lossy for effect in truth.effects):
-        # No message can be missing, and here nobody adds faults: no past row is ever read.
+        # No message can be missing, and a run in one process gets no more faults: no past row is ever read.
         truth, views = replace(truth, history=0), [replace(view, history=0) for view in views]
     fast.prepare(len(truth.ids), truth.steps)
     world, began = World(truth), time.monotonic()
