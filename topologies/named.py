@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.load import content, find, parse
 from hedgerow.topologies.plain import plain
 from hedgerow.topologies.resolve import resolve, to_yaml
@@ -71,6 +71,11 @@ def text_of(network: Named) -> tuple[bytes, str, Path]:
         return json.dumps(plain(network)).encode(), "network", getattr(network, "folder", None) or Path()
     if isinstance(network, str) and ("\n" in network or network.lstrip().startswith("{")):
         return network.encode(), "network", Path()
+    if not isinstance(network, str | Path):
+        raise UserError(
+            f"{type(network).__name__}: is no network. Give a name, a path, a text, a dictionary or a Topology.",
+            code=Code.TOPOLOGY,
+        )
     path = find(str(network))
     return content(path), str(path), path.parent
 
