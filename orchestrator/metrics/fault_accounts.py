@@ -25,10 +25,15 @@ import numpy as np
 
 from hedgerow.orchestrator.metrics.checks import Worst
 from hedgerow.orchestrator.metrics.fault_schedule import Instances, Schedule
-from hedgerow.topologies.graph import Graph, Index, Mask
+from hedgerow.topologies.graph import Array, Graph, Index, Mask
 from hedgerow.wire.message import TAKEN, Flag, Flags
 
 _OPEN, _RECEIVE, _TAKEN = np.uint8(Flag.OPEN), np.uint8(Flag.RECEIVE), np.uint8(TAKEN)
+
+
+def absent(missing: Mask, report: Array) -> Mask:
+    """Return True where a missing input came without a report, (B, n): the agent was absent. `report` is (B, 2, n)."""
+    return missing & np.isnan(report).all(axis=1) if missing.any() else missing
 
 
 class Observed(NamedTuple):

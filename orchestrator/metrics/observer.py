@@ -18,7 +18,7 @@ from hedgerow.agents.law import control
 from hedgerow.orchestrator.ground.assignment import candidates_of
 from hedgerow.orchestrator.metrics.certificate import Certificate, running
 from hedgerow.orchestrator.metrics.checks import DynamicsCheck, Worst, norms
-from hedgerow.orchestrator.metrics.fault_accounts import FaultAccounts, Observed
+from hedgerow.orchestrator.metrics.fault_accounts import FaultAccounts, Observed, absent
 from hedgerow.orchestrator.metrics.fault_schedule import Schedule
 from hedgerow.orchestrator.metrics.gain_certificate import GainCertificate
 from hedgerow.orchestrator.metrics.twins import Twins
@@ -96,7 +96,7 @@ class Batch:
     @cached_property
     def dead(self) -> Mask:
         """Return True where a missing input came without a report: the agent was absent, (B, n)."""
-        return self.missing & np.isnan(self.ahat) & np.isnan(self.margin)
+        return absent(self.missing, np.stack([self.ahat, self.margin], axis=1))
 
     @cached_property
     def wrong(self) -> Mask:
@@ -250,7 +250,7 @@ class Observer:
         x_oracle_next = np.vstack([x_oracle[1:], self._twins.x[:1]])
         slack = self._certificate.take(t, w, x_oracle_next, sums[:, 3], changed)
         missing = ~np.isfinite(u)
-        silent = missing & np.isnan(report).all(axis=1) if missing.any() else missing
+        silent = absent(missing, report)
         self.fault_accounts.take(Observed(t, missing, silent, edge_open, link_up, _rows(rows, "used")))
         return Batch(
             t=t, a=a, x=x, u=u, w=w, ahat=ahat, index=index, margin=margin,

@@ -20,7 +20,7 @@ from hedgerow.agents.loading import law_class
 from hedgerow.agents.local import asks
 from hedgerow.orchestrator.metrics.checks import ROUNDING, TINY
 from hedgerow.orchestrator.metrics.estimates import switches
-from hedgerow.orchestrator.metrics.fault_accounts import FaultAccounts, Observed
+from hedgerow.orchestrator.metrics.fault_accounts import FaultAccounts, Observed, absent
 from hedgerow.orchestrator.metrics.fault_schedule import Schedule
 from hedgerow.orchestrator.metrics.observer import mean_error
 from hedgerow.orchestrator.runs import reference
@@ -179,7 +179,7 @@ class _Batch:
         names = ("u", "edge_open", "link_up", "used")
         u, edge_open, link_up, used = (np.array([getattr(row, name) for row in self._rows]) for name in names)
         missing = ~np.isfinite(u)
-        silent = missing & np.array([np.isnan(row.report).all(axis=0) for row in self._rows])
+        silent = absent(missing, np.array([row.report for row in self._rows]))
         t = np.array([row.t for row in self._rows])
         self._fault_accounts.take(Observed(t, missing, silent, edge_open.astype(bool), link_up.astype(bool), used))
         self._rows.clear()
