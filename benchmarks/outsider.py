@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import statistics
 import subprocess
 import sys
@@ -22,13 +23,23 @@ from hedgerow.wire import keys
 from hedgerow.wire.session import close, open_client
 
 UP = ("up", "paper7", "--viewer", "none", "--no-record")
-WITHOUT_REPLAY = """
-import functools
-from hedgerow.orchestrator.launch import up
-up.Recording = functools.partial(up.Recording, replayed=False)
+TIMED = """
+import os, time
+from pathlib import Path
+from hedgerow.orchestrator.metrics.replay import Replay
+take, spent = Replay.take, 0.0
+def timed(self, rows):
+    global spent
+    began = time.thread_time()
+    take(self, rows)
+    spent += time.thread_time() - began
+    Path(os.environ["REPLAY_CPU"]).write_text(str(spent))
+Replay.take = timed
 from hedgerow.orchestrator.__main__ import main
 main()
 """
+SHORT = 500
+"""the steps of a run that only starts and ends"""
 FLOOD_S = 5.0
 RATE = 50
 
@@ -38,20 +49,35 @@ def verdict(folder: Path) -> dict[str, Any]:
     return content
 
 
-def speed(steps: int, replayed: bool) -> float:
-    """Return the steps per second of one run of paper7."""
-    start = ("-m", "hedgerow.orchestrator") if replayed else ("-c", WITHOUT_REPLAY)
+def cpu(steps: int) -> tuple[float, float]:
+    """Return the processor time of the replay and of all processes, in one run of paper7 [s]."""
     with tempfile.TemporaryDirectory() as folder:
-        run = Path(folder) / "run"
-        command = [sys.executable, "-P", *start, *UP, "--steps", str(steps), "--run-dir", str(run)]
-        subprocess.run(command, check=True, capture_output=True)
-        return float(verdict(run)["steps_per_s"])
+        spent = Path(folder) / "spent"
+        command = [sys.executable, "-P", "-c", TIMED, *UP, "--steps", str(steps), "--run-dir", f"{folder}/run"]
+        before = os.times()
+        subprocess.run(command, check=True, capture_output=True, env={**os.environ, "REPLAY_CPU": str(spent)})
+        after = os.times()
+        whole = after.children_user + after.children_system - before.children_user - before.children_system
+        return float(spent.read_text(encoding="utf-8")), whole
 
 
 def replay(rounds: int, steps: int) -> dict[str, float]:
-    """Return the speed with the replay as a ratio to that without it: the median of rounds, the least and the most."""
-    ratios = [speed(steps, replayed=True) / speed(steps, replayed=False) for _ in range(rounds)]
-    return {"ratio": statistics.median(ratios), "least": min(ratios), "most": max(ratios)}
+    """Return the processor time per step of the replay and of all processes, and their ratio, by the median of rounds.
+
+    The start and the end of a run are left out: each round compares a long run to a short one.
+    """
+    found = []
+    for _ in range(rounds):
+        (some, least), (own, whole) = cpu(SHORT), cpu(steps)
+        found.append(((own - some) / (steps - SHORT), (whole - least) / (steps - SHORT)))
+    shares = [own / whole for own, whole in found]
+    return {
+        "replay [us per step]": round(1e6 * statistics.median(own for own, _ in found), 1),
+        "all [us per step]": round(1e6 * statistics.median(whole for _, whole in found), 1),
+        "share": round(statistics.median(shares), 4),
+        "least": round(min(shares), 4),
+        "most": round(max(shares), 4),
+    }
 
 
 def commands(session: zenoh.Session, until: float, count: dict[str, int]) -> None:

@@ -30,7 +30,7 @@ from hedgerow.orchestrator.runs.run import Run
 from hedgerow.topologies.errors import Code, HedgerowError, UserError, check_options
 from hedgerow.topologies.law_choice import LawChoice
 from hedgerow.topologies.named import Named, resolved, text_of
-from hedgerow.topologies.paths import user_path
+from hedgerow.topologies.paths import real_path, user_path
 from hedgerow.topologies.plain import plain
 from hedgerow.topologies.regular_file import read_regular
 from hedgerow.topologies.schema import Topology
@@ -212,7 +212,7 @@ def _folder(topology: Topology, run_dir: str | Path | None) -> Iterator[RunFolde
         path = user_path(str(run_dir))
         made = not path.exists()
         new_folder(path, f"run_dir={str(run_dir)!r}")
-        folder = RunFolder(path.resolve())
+        folder = RunFolder(real_path(path))
         folder.made = made
     try:
         yield folder

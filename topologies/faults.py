@@ -81,7 +81,9 @@ def _disjoint(groups: tuple[tuple[int | str, ...], ...]) -> tuple[tuple[int | st
     seen: set[int | str] = set()
     for node in (node for group in groups for node in group):
         if node in seen:
-            raise PydanticCustomError("disjoint", "node {node} is in the groups twice", {"node": node})
+            raise PydanticCustomError(
+                "disjoint", "node {node} is in the groups twice; keep it in one of them", {"node": node}
+            )
         seen.add(node)
     return groups
 

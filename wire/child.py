@@ -14,7 +14,7 @@ from typing import NoReturn
 
 from hedgerow.topologies.errors import Exit, HedgerowError, UserError
 from hedgerow.topologies.escape import echo, escape
-from hedgerow.wire import crash, start
+from hedgerow.wire import crash, first, start
 from hedgerow.wire.limits import limit_reached
 from hedgerow.wire.runtime import let_numbers_overflow
 from hedgerow.wire.stderr_relay import StderrRelay
@@ -113,7 +113,7 @@ def _run(body: Callable[[], None], logged: bool, ends: Collection[signal.Signals
     code = Exit.VALID
     try:
         if ends:
-            threading.Thread(target=_watch_signals, args=(ends,), name="signals", daemon=True).start()
+            threading.Thread(target=_watch_signals, args=(ends, logged), name="signals", daemon=True).start()
         body()
     except HedgerowError as error:
         code = Exit.USER_MISTAKE if isinstance(error, UserError) else Exit.UNKNOWN
@@ -150,12 +150,14 @@ def stopped_by(stop: Callable[[], None]) -> Iterator[None]:
         _stop = None
 
 
-def _watch_signals(ends: Collection[signal.Signals]) -> None:
+def _watch_signals(ends: Collection[signal.Signals], logged: bool) -> None:
     number = signal.sigwait(ends)
     if (stop := _stop) is not None:
         # A separate thread: this one must receive the next signal.
         threading.Thread(target=stop, name="stop", daemon=True).start()
         number = signal.sigwait(ends)
+    if not logged:
+        first.show(start.name_of(number))
     # Flush nothing: a log is written line by line, and a full pipe would block this process.
     os._exit(128 + number)
 

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from hedgerow.orchestrator.cli.names import EXPERIMENT
+from hedgerow.orchestrator.cli.numbers import whole
 from hedgerow.orchestrator.cli.options import File, NoProgress, Sets
 from hedgerow.topologies.errors import check_options
 from hedgerow.topologies.escape import echo
@@ -24,12 +25,12 @@ Disturbances = Annotated[
     ),
 ]
 Seeds = Annotated[str, typer.Option(metavar="FIRST:STOP", help="every seed from FIRST up to, and without, STOP")]
-Steps = Annotated[int | None, typer.Option(help="replace `steps:`")]
+Steps = Annotated[int | None, whole("replace `steps:`")]
 Out = Annotated[
     Path | None,
     typer.Option(parser=user_path, metavar="DIR", help="the folder, new or of this comparison [comparisons/NAME-HASH]"),
 ]
-Jobs = Annotated[int | None, typer.Option(metavar="N", help="processes that run at once [the cores]")]
+Jobs = Annotated[int | None, whole("processes that run at once [the cores]")]
 
 
 def register(app: typer.Typer) -> None:

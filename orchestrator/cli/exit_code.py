@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from hedgerow.orchestrator.ground.signals import EndNowError
 from hedgerow.topologies.errors import Code, Exit, HedgerowError, TopologyError, UserError
 from hedgerow.topologies.escape import echo
 from hedgerow.wire import crash, start
@@ -35,7 +36,7 @@ def run_to_exit_code(command: Callable[[], int]) -> int:
     try:
         code = command()
         if code == start.INTERRUPTED:  # typer has caught the KeyboardInterrupt
-            code = start.code_after_signal()
+            code = start.end_of_command()
         with contextlib.suppress(BrokenPipeError):  # the reader of the pipe has closed it, and needs no more
             sys.stdout.flush()
     except TopologyError as error:
@@ -44,11 +45,14 @@ def run_to_exit_code(command: Callable[[], int]) -> int:
     except UserError as error:
         _complain(f"error: {error}")
         code = 2
+    except EndNowError as error:
+        _complain(f"stopped: {error}")
+        code = Exit.UNKNOWN
     except HedgerowError as error:
         _complain(f"error: {error}")
         code = Exit.CRASH if error.code == Code.CRASH else Exit.UNKNOWN
     except (typer.Abort, KeyboardInterrupt):
-        code = start.code_after_signal()
+        code = start.end_of_command()
     except BaseException as error:  # a panic of a Rust library is not an Exception
         code = _unexpected(error)
     return code

@@ -34,6 +34,7 @@ from hedgerow.orchestrator.cli import sweep as cli_sweep
 from hedgerow.orchestrator.cli import watch as cli_watch
 from hedgerow.orchestrator.cli.exit_code import code_of_run, run_to_exit_code
 from hedgerow.orchestrator.cli.names import EXPERIMENT, INSPECT, RUN, WATCH, Commands
+from hedgerow.orchestrator.cli.numbers import real, whole, whole_of
 from hedgerow.orchestrator.cli.options import (
     AsJson,
     File,
@@ -78,7 +79,7 @@ _FORK_CLIENT: ForkClient | None = None
 Record = Annotated[bool, typer.Option("--record/--no-record", help="write run.rrd")]
 SplitRecording = Annotated[
     float,
-    typer.Option(metavar="MB", min=0, help="size of a file of the recording, 0 for one file"),
+    real("size of a file of the recording, 0 for one file", metavar="MB", low=0),
 ]
 Plain = Annotated[bool, typer.Option("--plain", help="print lines instead of a live table")]
 Viewer = Annotated[
@@ -135,7 +136,7 @@ def up(
     seed: Seed = None,
     law: Law = None,
     kept_law: KeptLaw = False,
-    rate: Annotated[float, typer.Option(metavar="R", help="steps per second, 0 for as fast as possible")] = 0.0,
+    rate: Annotated[float, real("steps per second, 0 for as fast as possible")] = 0.0,
     run_dir: RunDir = None,
     sets: Sets = None,
     viewer: Viewer = "auto",
@@ -167,10 +168,10 @@ def up(
     namespace: Annotated[str | None, typer.Option(metavar="KEY", help="prefix of all keys [hedgerow/NAME]")] = None,
     wait: Annotated[
         float | None,
-        typer.Option(metavar="S", help="seconds to wait for them [600, on Ray 120]"),
+        real("seconds to wait for them [600, on Ray 120]", metavar="S"),
     ] = None,
     on: Annotated[str | None, typer.Option(metavar="ray|ray://HOST:PORT", help="cluster that runs the agents")] = None,
-    deadline: Annotated[float, typer.Option(metavar="S", help="seconds to wait for an agent at a step")] = 10.0,
+    deadline: Annotated[float, real("seconds to wait for an agent at a step", metavar="S")] = 10.0,
     verify: Annotated[bool, typer.Option("--verify", help="repeat the run here, and compare all bits")] = False,
     detach: Annotated[bool, typer.Option("--detach", help="return after the first step; the network runs on")] = False,
     lifeline: Annotated[bool, typer.Option("--lifeline", help="end the run when standard input ends")] = False,
@@ -194,7 +195,7 @@ def up(
         from hedgerow.orchestrator.views.screen import screen  # noqa: PLC0415
 
     check_options(rate=rate, deadline=deadline, wait=wait)
-    count_of: object = int(processes) if processes and processes.lstrip("-").isdecimal() else processes
+    count_of: object = whole_of(processes) if processes and processes[-1:].isdigit() else processes
     drawn = read(file, sets, steps=steps, seed=seed, law=law, processes=count_of, secure=secure)
     topology = importable(drawn, file, kept_law)
     shards = layout(topology, topology.process_count)
@@ -396,7 +397,7 @@ def status(run: Running = None, as_json: AsJson = False) -> int:
 @app.command(rich_help_panel=WATCH)
 def stop(
     run: Running = None,
-    deadline: Annotated[float, typer.Option(metavar="S", help="seconds to wait for the end")] = 20.0,
+    deadline: Annotated[float, real("seconds to wait for the end", metavar="S")] = 20.0,
 ) -> int:
     """End a running network as Ctrl-C does, and wait for its end."""
     from hedgerow.orchestrator.launch.live import Live  # noqa: PLC0415
@@ -422,11 +423,9 @@ def stop(
 
 @app.command(rich_help_panel=EXPERIMENT)
 def chaos(
-    seed: Annotated[
-        int, typer.Option(metavar="N", min=0, help="first seed; it determines the network and the faults")
-    ] = 0,
-    runs: Annotated[int, typer.Option(min=1, help="number of seeds to try")] = 1,
-    nodes: Annotated[int, typer.Option(min=2, max=200, help="largest number of nodes of a network")] = 12,
+    seed: Annotated[int, whole("first seed; it determines the network and the faults", low=0)] = 0,
+    runs: Annotated[int, whole("number of seeds to try", low=1)] = 1,
+    nodes: Annotated[int, whole("largest number of nodes of a network", low=2, high=200)] = 12,
     quiet: NoProgress = False,
 ) -> int:
     """Run random networks under random faults until a check fails; write the smallest file that fails; exit code 1."""

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from hedgerow.orchestrator.cli.names import EXPERIMENT
+from hedgerow.orchestrator.cli.numbers import whole
 from hedgerow.orchestrator.cli.options import Quiet
 from hedgerow.orchestrator.launch.ray_cluster import check
 from hedgerow.topologies.errors import check_options
@@ -26,7 +27,7 @@ Out = Annotated[
     Path | None,
     typer.Option(parser=user_path, metavar="DIR", help="the sweep's folder, new or of this sweep [sweeps/NAME-HASH]"),
 ]
-Jobs = Annotated[int | None, typer.Option(metavar="N", help="runs at once [the cores; with --engine zenoh 1]")]
+Jobs = Annotated[int | None, whole("runs at once [the cores; with --engine zenoh 1]")]
 On = Annotated[str | None, typer.Option(metavar="ray|ray://HOST:PORT", help="the cluster to run on [this machine]")]
 
 

@@ -121,7 +121,7 @@ def trial(topology: Topology, folder: Path, fork_client: ForkClient) -> str:
     network = Network(topology, create(topology, folder), shards, options, Quiet(), fork_client, time.monotonic())
     content = network.run().content
     if network.interrupted:
-        raise EndNowError("stopped on request")
+        raise EndNowError(network.interrupted)
     wrong = [reason for reason in content["reasons"] if "could not fire" not in reason]
     if content["steps_done"] < topology.steps:
         wrong.append(f"{content['steps_done']} of {topology.steps} steps done")

@@ -29,12 +29,13 @@ from hedgerow.orchestrator.runs import registry
 from hedgerow.topologies.base import node_id
 from hedgerow.topologies.describe import describe
 from hedgerow.topologies.errors import Code, DeadlineError, HedgerowError, TopologyError, UserError
-from hedgerow.topologies.faults import Fault, Jump, effects
+from hedgerow.topologies.faults import Fault, Jump
 from hedgerow.topologies.json_file import loads
 from hedgerow.topologies.load import load, parse
 from hedgerow.topologies.plain import plain
 from hedgerow.topologies.rules import broken_faults
 from hedgerow.topologies.schema import Topology
+from hedgerow.topologies.wording import in_our_words
 from hedgerow.wire.session import WireError, open_client
 
 if TYPE_CHECKING:
@@ -68,8 +69,8 @@ def _schema_problems(entry: Any, refused: ValidationError) -> Sequence[Any]:
         parse(json.dumps(least, default=str).encode(), "fault", Path())
     except TopologyError as error:
         return error.problems
-    # A file accepts some numbers that Python's types exclude, such as 1e16 for a step: report pydantic's own words.
-    return [f"{'.'.join(map(str, found['loc'][1:]))}: {found['msg']}" for found in refused.errors(include_url=False)]
+    # A file accepts some numbers that Python's types exclude, such as 1e16 for a step.
+    return [f"{'.'.join(map(str, found['loc'][1:]))}: {in_our_words(found)}" for found in refused.errors()]
 
 
 def _lines(kind: str, problems: Sequence[Any]) -> Iterator[str]:
@@ -213,8 +214,7 @@ class Live:
                 f"jump: a: nothing is drawn while a network runs; name a candidate of {model.node}: {listed}",
                 code=Code.FAULT,
             )
-        struck = [effect.to_dict() for effect in effects([model], self.topology)]
-        answer = self._ask("fault", entry=model.written(), effects=struck)
+        answer = self._ask("fault", entry=model.written())
         added = Injected(answer["fault"], answer["step"], _FAULT.validate_python(answer["entry"]))
         self._added[added.number] = added.fault
         return added

@@ -27,6 +27,7 @@ from hedgerow.orchestrator.runs.reader import load_run
 from hedgerow.orchestrator.runs.registry import Entry
 from hedgerow.orchestrator.runs.run import Run
 from hedgerow.topologies.errors import Code, DeadlineError, Exit, HedgerowError, UserError
+from hedgerow.topologies.paths import real_path
 from hedgerow.topologies.regular_file import last_text
 from hedgerow.topologies.resolve import to_yaml
 from hedgerow.topologies.schema import Topology
@@ -43,7 +44,7 @@ class UpProcess:
 
     def __init__(self, topology: Topology, folder: Path, *options: str, listed: bool = True) -> None:
         """Start it. `options` are those of `up`. A network that is not `listed` is hidden from `orchestrator ps`."""
-        self.folder = folder.resolve()
+        self.folder = real_path(folder)
         # The scratch folder of a hidden network stays beside its run folder, where its test can look at it.
         self._temporary = Path(tempfile.mkdtemp(prefix="hedgerow-up-")) if listed else None
         self._scratch = self._temporary or self.folder.with_name(f"{self.folder.name}.runtime")

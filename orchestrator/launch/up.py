@@ -69,8 +69,8 @@ class Network:
         """the last time with a router"""
         self._cut_off = False
         """True if it has been absent for too long"""
-        self.interrupted = False
-        """True if the user asked for the end"""
+        self.interrupted = ""
+        """the signal by which the user asked for the end"""
 
     @cached_property
     def _ending(self) -> Ending:
@@ -117,7 +117,7 @@ class Network:
                 raise
             except BaseException as error:  # a panic of a Rust library is not an Exception
                 self._ending.end_by(error, self._folder.logs / "orchestrator.log")
-            self.interrupted = interrupts.count > 0
+            self.interrupted = interrupts.name
             from hedgerow.orchestrator.launch.comparison import compare  # noqa: PLC0415
             from hedgerow.orchestrator.launch.judging import explain  # noqa: PLC0415
             from hedgerow.orchestrator.runs.log_files import escape_logs  # noqa: PLC0415

@@ -249,10 +249,11 @@ class Run(RecordedRows):
         return self._observed[1].summary()
 
     def first_difference(self) -> Finding | None:
-        """Replay the tables by the file and the law, and return the first difference; None if there is none.
+        """Replay the tables by the file, the law and the observer, and return the first difference, None without one.
 
-        This loads and runs the code of the law. The tables do not hold the received messages, so those are not
-        compared. Raises UserError if the law cannot be loaded, and HedgerowError if a row is lost or the law fails.
+        The number of steps must be that of the verdict. This loads and runs the code of the law. The tables do not hold
+        the received messages, so those are not compared. Raises UserError if the law cannot be loaded, and
+        HedgerowError if a row is lost or the law fails.
         """
         return replayed.first_difference(self)
 

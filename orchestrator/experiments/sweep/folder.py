@@ -19,6 +19,7 @@ from hedgerow.orchestrator.runs.folder import write_json
 from hedgerow.topologies import budget
 from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.json_file import read_json
+from hedgerow.topologies.paths import beside
 from hedgerow.topologies.regular_file import check_regular
 
 
@@ -157,7 +158,7 @@ class SweepFolder:
             columns[name] = pa.array([row.get(name) for row in rows], kind)
         for name in ("verdict", "reasons"):
             columns[name] = pa.array([row[name] for row in rows], pa.string())
-        part = self.table.with_name(self.table.name + ".part")
+        part = beside(self.table)
         try:
             pq.write_table(pa.table(columns), spelled(part))
             part.replace(self.table)

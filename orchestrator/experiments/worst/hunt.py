@@ -22,6 +22,7 @@ from hedgerow.topologies.errors import Code, HedgerowError, UserError
 from hedgerow.topologies.faults import Cut, Drop, FaultModel
 from hedgerow.topologies.graph import Array
 from hedgerow.topologies.load import parse
+from hedgerow.topologies.paths import beside
 from hedgerow.topologies.resolve import resolve, to_yaml
 from hedgerow.topologies.schema import Topology
 
@@ -333,7 +334,7 @@ class Hunt:
             "seconds": self.state.seconds,
             "rng": self.rng.bit_generator.state,
         }
-        part = file.with_name(file.name + ".part")
+        part = beside(file)
         archive.write(part, {"worst": head}, arrays)
         part.rename(file)
 

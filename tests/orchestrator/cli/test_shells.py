@@ -17,6 +17,7 @@ import pytest
 from hedgerow.orchestrator.launch.plant_event import checked
 from hedgerow.topologies.errors import Code, Exit, TopologyError
 from hedgerow.topologies.load import parse
+from hedgerow.wire import first, start
 from hedgerow.wire.limits import limit_reached
 from hedgerow.wire.message import MessageError
 from tests.tools.processes import COMMAND, DEADLINE_S
@@ -80,15 +81,11 @@ def test_a_process_of_a_run_ignores_signals_that_were_ignored_at_the_start() -> 
     assert (done.returncode, done.stdout) == (0, b"alive\n")
 
 
-def test_a_ctrl_c_while_modules_load_is_quiet(here: Path) -> None:
+def test_a_ctrl_c_while_modules_load_is_one_line(here: Path) -> None:
     (here / "slow.py").write_text("import os, signal\nos.kill(os.getpid(), signal.SIGINT)\n")
     text = "import sys\nsys.path.insert(0, '.')\nfrom hedgerow.wire import start\nstart.begin()\nimport slow"
     done = run(command=(sys.executable, "-c", text))
-    assert (done.returncode, done.stderr) == (start_code(), b"")
-
-
-def start_code() -> int:
-    return 128 + signal.SIGINT
+    assert (done.returncode, done.stderr) == (start.INTERRUPTED, first.LINE.format("Ctrl-C").encode())
 
 
 @pytest.mark.slow
