@@ -6,10 +6,12 @@ each a `Received`. A law without these arguments is called without them, at no e
 
 from __future__ import annotations
 
+import functools
 import inspect
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from types import FunctionType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -99,7 +101,15 @@ class Received(NamedTuple):
 
 def asks(call: Any, argument: str) -> bool:
     """Return True if a callable names an argument."""
+    function = getattr(call, "__func__", call)
     try:
-        return argument in inspect.signature(call).parameters
+        named = _named if isinstance(function, FunctionType) else _named.__wrapped__
+        return argument in named(function)
     except (TypeError, ValueError):  # a callable of C has no signature
         return False
+
+
+@functools.lru_cache(maxsize=64)
+def _named(call: Any) -> frozenset[str]:
+    """Return the arguments of a callable; for a function of a law, forked agents know the answer from the start."""
+    return frozenset(inspect.signature(call).parameters)

@@ -32,7 +32,7 @@ from hedgerow.agents.view import View
 from hedgerow.topologies.paths import user_path
 from hedgerow.wire import keys
 from hedgerow.wire.access import MOST_PER_S
-from hedgerow.wire.child import run_child
+from hedgerow.wire.child import SLOW_LAW, run_child
 from hedgerow.wire.codec import (
     decode_end,
     decode_record,
@@ -63,11 +63,8 @@ PAUSE_S = 20 / MOST_PER_S
 PATIENCE_S = 1.0
 """time that a step may take before the log names the missing messages"""
 
-
-SLOW_LAW = "has been running for"
-"""the words in the log about a slow law; the operator searches for them"""
 SLOW_EVERY_S = 5.0
-"""time between two such lines"""
+"""time between two lines about a slow law"""
 
 
 class _Answering(NamedTuple):

@@ -14,7 +14,8 @@ import numpy as np
 from hedgerow.agents.law import Array, Law
 from hedgerow.agents.law_lines import line_of, place_of, running
 from hedgerow.agents.loading import LawError, new_law, reals
-from hedgerow.agents.local import Received, asks
+from hedgerow.agents.local import asks
+from hedgerow.agents.newest import Newest
 from hedgerow.agents.peer import Peer
 from hedgerow.agents.quiet import QuietForms, QuietLaw
 from hedgerow.agents.samples import LateRows, Samples
@@ -68,15 +69,8 @@ class Shard:
         """By incidence: the peer that it leads to."""
         self._up = bytes([ALL_UP]) * self.m
         self._samples = Samples(self._law, view.history, self._row, ends, stops[-1], view.weights)
-        self._asks = asks(self._law.act, "now")
-        """the law acts on the newest values of its neighbours"""
-        self._now = Received(
-            -1,
-            np.ones(self.k, dtype=bool),
-            np.full(self.m, np.nan),
-            np.full(self.m, np.nan),
-            np.full(self.m, -1, dtype=np.int64),
-        )
+        self._newest = Newest(view, self._samples) if asks(self._law.act, "now") else None
+        """the newest values of the neighbours, for a law that acts on them"""
         self._quiet = QuietLaw.of(view, self._law)
         """makes the quiet steps of a few nodes; None for other shards and laws"""
         self._forms = QuietForms(self.k, [None if nodes is None else nodes.tolist() for nodes, _ in self.audience])
@@ -243,13 +237,8 @@ class Shard:
             self._x, self._u = np.full(self.k, np.nan), np.full(self.k, np.nan)
         self._samples.restore(record, anew)
         self._x, self._u = self._x.copy(), self._u.copy()
-        # A new process has received nothing from its neighbours yet.
-        lost = np.ones(self.m, dtype=bool) if anew else back[self._row]
-        self._now = self._now._replace(
-            x=np.where(lost, np.nan, self._now.x),
-            u=np.where(lost, np.nan, self._now.u),
-            step=np.where(lost, -1, self._now.step),
-        )
+        if self._newest is not None:
+            self._newest.forget(np.ones(self.m, dtype=bool) if anew else back[self._row])
         if len(record.x):
             self._x[back], self._u[back] = record.x[-1], record.u[-1]
         else:
@@ -267,8 +256,8 @@ class Shard:
             ]
             inputs = gather([self._u, *last_rows]) if links else self._u
             states = self._states(links)
-            if self._asks and states is not None:
-                self._note(past, states, inputs, ())
+            if self._newest is not None and states is not None:
+                self._newest.note(past, states, inputs, self._up, ())
             self._samples.take(past, self._x, inputs, state.x, states)
             return
         # The newest row of a link message is that of t - 1, unless the link is late.
@@ -290,44 +279,19 @@ class Shard:
             used[c] |= min(max(stop - start, 0), MOST_LATE) << LATE
         self.used = bytes(used)
         inputs, states = gather([self._u, *last_rows]), self._states(links)
-        if self._asks and states is not None:
-            self._note(past, states, inputs, late_rows)
+        if self._newest is not None and states is not None:
+            self._newest.note(past, states, inputs, self.used, late_rows)
         self._samples.take_late(past, self._x, inputs, plain, state.x, late_rows, back, states)
 
     def _states(self, links: Sequence[Link | None]) -> Array | None:
         """Return our own states followed by the peers' states of the same step, for a law that asks; otherwise None."""
-        if not (self._asks or self._samples.asks):
+        if self._newest is None and not self._samples.asks:
             return None
         rows = [
             _SILENCE * peer.receives if link is None else link.x[-8 * peer.receives :]
             for link, peer in zip(links, self.peers, strict=True)
         ]
         return gather([self._x, *rows])
-
-    def _note(self, past: int, states: Array, inputs: Array, late_rows: Sequence[LateRows]) -> None:
-        """Keep the newest values that have arrived over each incidence, late rows included.
-
-        Call it before the sample of `past` is taken: rows of our own nodes are as far back as those in a message.
-        """
-        column = self._view.column
-        got = np.isfinite(states[column] + inputs[column])  # a neighbour without a reading has no input either
-        got &= np.frombuffer(self.used or self._up, np.uint8) & Flag.RECEIVE != 0
-        x, u = np.where(got, states[column], self._now.x), np.where(got, inputs[column], self._now.u)
-        step = np.where(got, past, self._now.step)
-        for c, start, stop, inputs_then, states_then in late_rows:
-            if stop - 1 <= step[c]:
-                continue
-            if inputs_then is not None and states_then is not None:
-                rows = states_then, inputs_then
-            elif (place := column[c]) < self.k:
-                own_x, own_u = self._samples.sent(start, stop)
-                rows = own_x[:, place], own_u[:, place]
-            else:
-                continue
-            known = np.flatnonzero(np.isfinite(rows[0] + rows[1]))
-            if len(known) and (newest := stop - len(rows[0]) + int(known[-1])) > step[c]:
-                x[c], u[c], step[c] = rows[0][known[-1]], rows[1][known[-1]], newest
-        self._now = self._now._replace(x=x, u=u, step=step)
 
     def _came(self, c: int, links: Sequence[Link | None], start: int, stop: int) -> LateRows:
         """Return the rows of steps start to stop - 1 that arrived over an incidence."""
@@ -343,7 +307,7 @@ class Shard:
     def _act(self, t: int, x: Array) -> Array:
         method = "act"
         try:
-            now = [self._now.at(t)] if self._asks else []
+            now = [] if self._newest is None else [self._newest.at(t)]
             u = reals(self._law.act(x, *now))  # a copy: the shard keeps it, and the law may reuse its array
             method = "report"
             self._report = np.asarray(self._law.report(), dtype=float)

@@ -22,7 +22,8 @@ from typing import Any
 import psutil
 
 from hedgerow.orchestrator.ground.assignment import layout, truth_of, views_of
-from hedgerow.orchestrator.launch.recording import Recording, Watching
+from hedgerow.orchestrator.launch.recording import Recording
+from hedgerow.orchestrator.launch.watching import Watching
 from hedgerow.orchestrator.metrics.verdict import Ending
 from hedgerow.orchestrator.runs.folder import RunFolder, create
 from hedgerow.orchestrator.runs.reference import run as run_in_process

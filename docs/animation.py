@@ -33,8 +33,12 @@ FAULTS = [
 SIZE = (1280, 720)
 CROP = (0, 36, 1280, 690)
 """the viewer's window without its bars"""
+PANEL = (0, 500, 400, 640)
+"""the panel *Now*, which is blank on the welcome page"""
 WIDTH = 960
-FRAME_MS = 125
+EVERY = 2
+"""the steps between two frames: a frame takes about 40 kB, because the axes of the panels move"""
+FRAME_MS = 220
 LAST_MS = 2500
 IMAGE = Path(__file__).parent / "images" / "paper7.gif"
 
@@ -49,12 +53,16 @@ def pictures(folder: Path, rate: float) -> list[Image.Image]:
         options = [f"--set=faults={json.dumps(FAULTS)}", f"--steps={STEPS}", f"--rate={rate}", "--no-record"]
         command = [sys.executable, "-m", "hedgerow.orchestrator", "up", "paper7", "--viewer", viewer.url, *options]
         found: list[Image.Image] = []
+        client.save_screenshot(str(folder / "frame.png"))
+        welcome = Image.open(folder / "frame.png").convert("RGB").crop(CROP).crop(PANEL).tobytes()
         with subprocess.Popen(command, cwd=folder) as up:
             while up.poll() is None:
                 began = time.monotonic()
                 client.save_screenshot(str(folder / "frame.png"))
                 frame = Image.open(folder / "frame.png").convert("RGB").crop(CROP)
-                if not found or frame.tobytes() != found[-1].tobytes():
+                # Before the first step, the viewer shows its own welcome page.
+                begun = bool(found) or frame.crop(PANEL).tobytes() != welcome
+                if begun and (not found or frame.tobytes() != found[-1].tobytes()):
                     found.append(frame)
                 time.sleep(max(0.0, 1 / rate - (time.monotonic() - began)))
         if up.returncode:
@@ -67,7 +75,8 @@ def pictures(folder: Path, rate: float) -> list[Image.Image]:
 def main() -> None:
     """Run, and write the animation."""
     with tempfile.TemporaryDirectory() as folder:
-        frames = pictures(Path(folder), float(sys.argv[1]) if len(sys.argv) > 1 else RATE)
+        found = pictures(Path(folder), float(sys.argv[1]) if len(sys.argv) > 1 else RATE)
+    frames = [*found[:-1:EVERY], found[-1]]
     height = round(WIDTH * frames[0].height / frames[0].width)
     small = [frame.resize((WIDTH, height), Image.Resampling.LANCZOS) for frame in frames]
     # Use one palette for all frames: otherwise each frame would change the colours of unchanged parts, and the file

@@ -34,6 +34,8 @@ from hedgerow.topologies.resolve import resolve
 
 DOCS = Path(__file__).parent
 TEMPLATE, RESULT = DOCS / "topology.md.in", DOCS / "topology.md"
+COMMAND = (sys.executable, "-P", "-m", "hedgerow.orchestrator")
+"""The command `orchestrator` of this Python."""
 
 WRITTEN = {
     "nodes": "list of node ids, or mapping from node ids to [what they override](#a-node)",
@@ -324,8 +326,8 @@ def bundled_files() -> str:
 class Scratch:
     """A folder for the commands of the document, which run one after another."""
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
+    def __init__(self, folder: Path, command: Sequence[str]) -> None:
+        self.folder, self.command = folder, command
 
     def file(self, name: str) -> str:
         """Return a file of docs/examples, and put it into the folder for later commands."""
@@ -335,9 +337,8 @@ class Scratch:
 
     def console(self, command: str) -> str:
         """Return the output of `orchestrator`, and its exit code."""
-        arguments = command.split()
         ran = subprocess.run(
-            [sys.executable, "-P", "-m", *arguments],
+            [*self.command, *command.split()[1:]],
             cwd=self.folder,
             env=os.environ | {"COLUMNS": "160"},
             stdout=subprocess.PIPE,
@@ -353,7 +354,7 @@ class Scratch:
         """Return the resolved form of a file, as in a run folder."""
         arguments = ["simulate", file, "--no-record", "--run-dir", "drawn"]
         subprocess.run(
-            [sys.executable, "-P", "-m", "hedgerow.orchestrator", *arguments],
+            [*self.command, *arguments],
             cwd=self.folder,
             capture_output=True,
             check=True,
@@ -361,10 +362,10 @@ class Scratch:
         return f"```yaml\n{(self.folder / 'drawn' / 'topology.yaml').read_text(encoding='utf-8')}```"
 
 
-def generate() -> str:
-    """Return the whole document."""
+def generate(command: Sequence[str] = COMMAND) -> str:
+    """Return the whole document; `command` starts `orchestrator`."""
     with tempfile.TemporaryDirectory() as folder:
-        scratch = Scratch(Path(folder))
+        scratch = Scratch(Path(folder), command)
         makers: dict[str, Callable[..., str]] = {
             "topology": topology,
             "node": node,

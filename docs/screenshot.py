@@ -16,6 +16,8 @@ from PIL import Image
 from rerun.experimental import ViewerClient
 
 from hedgerow.orchestrator.ground.assignment import layout, truth_of, views_of
+from hedgerow.orchestrator.metrics.gain_certificate import GainCertificate
+from hedgerow.orchestrator.metrics.guarantee import certified, plant_of
 from hedgerow.orchestrator.metrics.observer import Observer
 from hedgerow.orchestrator.runs import reference
 from hedgerow.orchestrator.views.rerun.stream import RerunStream
@@ -62,6 +64,9 @@ def settle(client: ViewerClient, image: Path) -> None:
 def make(image: Path, faults: str, steps: int) -> None:
     """Run, show, and save the picture."""
     observer = Observer(resolve(load("paper7", [f"steps={STEPS}", f"faults={faults}"])))
+    network = observer.topology.network
+    observer.adaptive = GainCertificate(plant_of(network), observer.x0)
+    observer.adaptive.known = certified(plant_of(network), network.gamma_star)
     viewer = native("--headless", "--window-size", "1600x900")
     assert viewer.process is not None
     try:

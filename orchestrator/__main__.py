@@ -24,8 +24,7 @@ MIN_OPEN_FILES, MIN_MEMORY, MIN_MEMORY_UP = 32, 1200 * 10**6, 2000 * 10**6
 
 def main() -> NoReturn:
     """Run the command line as the whole of this process, and exit with its code."""
-    code: int = start.INTERRUPTED
-    with contextlib.suppress(KeyboardInterrupt):
+    try:
         # Before all other imports: until then, a Ctrl-C ends with a traceback.
         start.begin()
         start.end_by_signals()
@@ -36,6 +35,8 @@ def main() -> NoReturn:
         with contextlib.nullcontext() if "HEDGEROW_DETACHED" in os.environ else StderrRelay():
             sys.unraisablehook, threading.excepthook = _ignored, _failed_thread
             code = _code()
+    except KeyboardInterrupt:
+        code = start.end_of_command()
     with contextlib.suppress(OSError, ValueError, KeyboardInterrupt):
         sys.stdout.flush()
         sys.stderr.flush()
@@ -55,12 +56,13 @@ def _code() -> int:
         from hedgerow.orchestrator.launch.fork_client import ForkClient  # noqa: PLC0415
 
         fork_client = ForkClient() if launches else None
-        from hedgerow.orchestrator.cli.main import run_command  # noqa: PLC0415
+        with start.loading():
+            from hedgerow.orchestrator.cli.main import run_command  # noqa: PLC0415
 
         start.command_begins()
         return run_command(BEGAN, fork_client)
     except KeyboardInterrupt:  # before there was a run to end
-        return start.code_after_signal()
+        return start.end_of_command()
     except HedgerowError as error:
         with contextlib.suppress(OSError):
             echo(f"error: {error}", error=True)
@@ -79,6 +81,9 @@ _FAILED: list[BaseException] = []
 
 def _ignored(found: sys.UnraisableHookArgs) -> None:
     """Report in one line an exception that Python ignores, such as one while a library releases an object."""
+    if isinstance(found.exc_value, KeyboardInterrupt):
+        start.raise_again(found.exc_value)
+        return
     with contextlib.suppress(Exception):
         echo(f"ignored: {found.exc_type.__name__}: {found.exc_value}", error=True)
 
@@ -101,6 +106,8 @@ def _settle_environment() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # A notebook sets a backend that exists only in its interpreter; we draw to files.
     os.environ["MPLBACKEND"] = "Agg"
+    # Pydantic would look for plugins in every installed package.
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     for name in ("COLUMNS", "LINES"):
         if not _is_size(os.environ.get(name, "1")):
             del os.environ[name]  # a terminal of size zero: let libraries ask the terminal

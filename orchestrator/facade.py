@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import inspect
 import io
 import json
 import re
 import sys
-import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hedgerow.agents.law import Minimax
 from hedgerow.orchestrator.experiments import bounds
 from hedgerow.orchestrator.experiments.compare import Compared
 from hedgerow.orchestrator.experiments.compare import compare as run_comparison
@@ -33,9 +30,9 @@ from hedgerow.orchestrator.runs.run import Run
 from hedgerow.topologies.errors import Code, HedgerowError, UserError, check_options
 from hedgerow.topologies.law_choice import LawChoice
 from hedgerow.topologies.named import Named, resolved, text_of
-from hedgerow.topologies.paths import user_path
+from hedgerow.topologies.paths import real_path, user_path
+from hedgerow.topologies.plain import plain
 from hedgerow.topologies.regular_file import read_regular
-from hedgerow.topologies.resolve import to_yaml
 from hedgerow.topologies.schema import Topology
 
 if TYPE_CHECKING:
@@ -147,10 +144,11 @@ def sweep(
 ) -> pa.Table:
     """Run a network under every seed and every combination of values, and return one row per run.
 
-    `network` is that of `load`; give the file rather than a Topology if each seed is to draw its own numbers. Each
+    `network` is that of `load`; a Topology of `load` is drawn again by each seed, and that of a run folder is not. Each
     setting is `path=values`, as for `--set` on the command line: `"nodes.2.x0=1,2"`. Each keyword is a top-level key
     with a value or a list of values: `law=["minimax", "nominal"]`. `seeds` is a range with stride 1. Runs in `out` are
-    not repeated; the default is a folder in sweeps/. `jobs` is the number of runs at a time. Raises UserError for a
+    not repeated; the default is a folder in sweeps/. `jobs` is the number of processes, by default one per core. If a
+    law is defined in the script or notebook itself, this process makes all runs. Raises UserError for a
     mistake, and HedgerowError if the sweep was interrupted.
     """
     import pyarrow.parquet as pq  # noqa: PLC0415 (Arrow takes a while to load)
@@ -159,17 +157,15 @@ def sweep(
     from hedgerow.orchestrator.experiments.sweep.folder import default_out  # noqa: PLC0415
     from hedgerow.orchestrator.experiments.sweep.plan import plan  # noqa: PLC0415
 
-    if seeds.step != 1:
-        raise UserError(f"seeds={seeds}: has a stride; use a range without one", code=Code.OPTION)
-    sets = [*settings, *(f"{key}={','.join(map(_text, _listed(value)))}" for key, value in values.items())]
-    with tempfile.TemporaryDirectory(prefix="hedgerow-") as scratch:
-        file = str(network)
-        if not isinstance(network, Path | str) or "\n" in file or file.lstrip().startswith("{"):
-            file = str(Path(scratch) / "network.yaml")
-            Path(file).write_text(to_yaml(load(network)), encoding="utf-8")
-        planned = plan(file, f"{seeds.start}:{seeds.stop}", sets, engine)
-        folder = default_out(planned) if out is None else user_path(str(out))
-        done = sweep_into(planned, folder, jobs, quiet=True)
+    _check_seeds(seeds)
+    check_options(jobs=jobs)
+    sets = [
+        *settings,
+        *(f"{key}={','.join(_text(key, one) for one in _listed(value))}" for key, value in values.items()),
+    ]
+    planned = plan(network, f"{seeds.start}:{seeds.stop}", sets, engine)
+    folder = default_out(planned) if out is None else user_path(str(out))
+    done = sweep_into(planned, folder, jobs, quiet=True)
     table = folder / "sweep.parquet"
     if not table.exists():
         raise HedgerowError(done.line)
@@ -177,18 +173,34 @@ def sweep(
 
 
 def report(
-    runs: Run | str | Path | Sequence[Run | str | Path], out: str | Path | None = None, **options: Any
+    runs: Run | str | Path | Sequence[Run | str | Path],
+    out: str | Path | None = None,
+    figures: str | Sequence[str] | None = None,
+    *,
+    force: bool = False,
+    width_in: float | None = None,
+    style: str | None = None,
+    formats: Sequence[str] = ("pdf", "png"),
 ) -> list[Path]:
     """Write the figures of one or several runs and a page with all numbers into a folder, and return the files.
 
-    `runs` are runs or the names that `load_run` takes. `options` are those of `hedgerow.orchestrator.report.report`:
-    `figures`, `force`, `width_in`, `style` and `formats`. Raises UserError.
+    `runs` are runs or the names that `load_run` takes. `figures` picks some, as in `["2", "4", "gain"]`. `force`
+    replaces an earlier report in `out`. `width_in` is the width of a figure [in], by default one column. `style` is a
+    .mplstyle file or the name of a style of matplotlib. `formats` are of pdf, png, svg and pgf. Raises UserError.
     """
     from hedgerow.orchestrator.report import report as write  # noqa: PLC0415
 
     several = [runs] if isinstance(runs, Run | str | Path) else [*runs]
     loaded = [one if isinstance(one, Run) else load_run(one) for one in several]
-    return write(loaded, None if out is None else user_path(str(out)), **options)
+    return write(
+        loaded,
+        None if out is None else user_path(str(out)),
+        figures if figures is None or isinstance(figures, str) else ",".join(map(str, figures)),
+        force,
+        width_in=width_in,
+        style=style,
+        formats=[formats] if isinstance(formats, str) else formats,
+    )
 
 
 @contextlib.contextmanager
@@ -200,7 +212,7 @@ def _folder(topology: Topology, run_dir: str | Path | None) -> Iterator[RunFolde
         path = user_path(str(run_dir))
         made = not path.exists()
         new_folder(path, f"run_dir={str(run_dir)!r}")
-        folder = RunFolder(path.resolve())
+        folder = RunFolder(real_path(path))
         folder.made = made
     try:
         yield folder
@@ -241,6 +253,7 @@ def worst(
     and drops too. `out` is the file of the network. The search keeps its state beside it, and a later call continues
     the search; by default nothing is written. Raises HedgerowError if no disturbance was found.
     """
+    check_options(budget=budget)
     topology = checked(load(network, *settings, **overrides))
     return search(topology, budget, faults, seed, out=None if out is None else user_path(str(out)))
 
@@ -262,46 +275,51 @@ def compare(
     partial(MyLaw, p0=10)]`. A disturbance is `file`, the name of a preset (`sinusoid`, `white`, `ar1`, `constant`,
     `confuse`, `none`), names joined by `+`, or a mapping as in a file.
     `settings` and `overrides` are those of `load`. `out` is the folder of the results, which the same call finds again.
-    With `jobs` above 1, processes share the runs; a script then needs `if __name__ == "__main__":`. Raises UserError
-    for a mistake.
+    With `jobs` above 1, processes share the runs, unless a law is defined in the script or notebook itself. Raises
+    UserError for a mistake.
     """
-    plan = comparison(network, [*map(_law, laws)], disturbances, seeds, [*settings, *_settings(overrides)])
+    _check_seeds(seeds)
+    check_options(jobs=jobs)
+    plan = comparison(
+        network,
+        [*map(_law, [laws] if isinstance(laws, str) else laws)],
+        disturbances,
+        seeds,
+        [*settings, *_settings(overrides)],
+    )
     found = run_comparison(plan, None if out is None else user_path(str(out)), jobs, quiet=True)
     if found is None:
         raise KeyboardInterrupt
     return found
 
 
+def _check_seeds(seeds: object) -> None:
+    if not isinstance(seeds, range) or seeds.step != 1:
+        raise UserError(f"seeds={seeds!r}: give a range without a stride, such as range(50)", code=Code.OPTION)
+
+
 def _settings(overrides: Mapping[str, object]) -> list[str]:
-    return [f"{key}={json.dumps(_plain(value))}" for key, value in overrides.items()]
-
-
-def _plain(value: object) -> object:
-    """Return a class, and a class with parameters, as a file names it, and another value as it is."""
-    if value is Minimax:
-        return "minimax"
-    if isinstance(value, functools.partial) and inspect.isclass(value.func) and not value.args:
-        return {"class": _plain(value.func), **value.keywords}
-    return f"{value.__module__}:{value.__qualname__}" if inspect.isclass(value) else value
+    return [f"{key}={json.dumps(plain(value, f'{key}: '))}" for key, value in overrides.items()]
 
 
 def _law(law: object) -> str:
     """Return a law as the text of a LawChoice; UserError if it is neither a text, nor a class, nor a partial of one."""
-    plain = _plain(law)
+    found = plain(law, "law: ")
     try:
-        if isinstance(plain, dict):
-            return str(LawChoice.of(plain["class"], {key: value for key, value in plain.items() if key != "class"}))
-    except ValueError as error:
+        if isinstance(found, dict):
+            name = found.pop("class", None) or found.pop("name")
+            return str(LawChoice.of(name, found))
+    except (KeyError, ValueError) as error:
         raise UserError(f"laws: {law!r} {error}. Correct it.", code=Code.OPTION) from None
-    if isinstance(plain, str):
-        return plain
+    if isinstance(found, str):
+        return found
     raise UserError(f"laws: {law!r} is neither a text nor a class. Give one of both.", code=Code.OPTION)
 
 
-def _text(value: object) -> str:
+def _text(key: str, value: object) -> str:
     """Return a value as the command line spells it."""
-    plain = _plain(value)
-    return plain if isinstance(plain, str) and _PLAIN.fullmatch(plain) else json.dumps(plain)
+    found = plain(value, f"{key}: ")
+    return found if isinstance(found, str) and _PLAIN.fullmatch(found) else json.dumps(found)
 
 
 def _listed(value: object) -> Sequence[object]:

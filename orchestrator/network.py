@@ -22,6 +22,7 @@ from hedgerow.topologies.importing.written import Imported, imported
 from hedgerow.topologies.named import resolved, text_of
 from hedgerow.topologies.nodes import SPELLED_OUT
 from hedgerow.topologies.paths import user_path
+from hedgerow.topologies.plain import plain
 from hedgerow.topologies.reading import Times
 from hedgerow.topologies.schema import Topology
 
@@ -86,7 +87,7 @@ class Network(Mapping[str, Any]):
         return network
 
     def _hold(self, content: Mapping[str, Any], arrays: Mapping[str, Any]) -> None:
-        self._content: dict[str, Any] = {key: _plain(value) for key, value in content.items()}
+        self._content: dict[str, Any] = plain(content)
         self.arrays: dict[str, Any] = dict(arrays)
         """the columns of a network of more than 1000 nodes, as a table of docs/topology.md has them"""
         self._imported: Imported | None = None
@@ -188,9 +189,10 @@ class Network(Mapping[str, Any]):
         return self.replace(nodes=given)
 
     def save(self, path: str | Path, force: bool = False) -> Path:
-        """Write the topology file, and the table of a large network beside it; return its path.
+        """Write the topology file, and return its path.
 
-        Raise UserError if a file exists, without `force`.
+        The numbers of a large network are written to a table beside the file. Raise UserError if the file exists,
+        unless `force` is True.
         """
         target = user_path(str(path))
         found = self._imported
@@ -330,16 +332,3 @@ def _files(content: Any) -> bool:
 def _some(nodes: Iterable[Any]) -> str:
     listed = [str(node) for node in nodes]
     return ", ".join(listed[:8]) + (", …" if len(listed) > 8 else "")
-
-
-def _plain(value: Any) -> Any:
-    """Return a value with the types of a file; convert numbers of NumPy, tuples and models."""
-    if isinstance(value, np.generic | np.ndarray):
-        return value.tolist()
-    if hasattr(value, "model_dump"):
-        return value.written() if hasattr(value, "written") else value.model_dump(mode="json", exclude_none=True)
-    if isinstance(value, Mapping):
-        return {key.item() if isinstance(key, np.generic) else key: _plain(own) for key, own in value.items()}
-    if isinstance(value, list | tuple | range | set):
-        return [_plain(own) for own in value]
-    return value

@@ -12,7 +12,6 @@ import logging
 import re
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import zenoh
@@ -26,8 +25,9 @@ from hedgerow.plant.allowance import (
     JOINS_PER_S,
     Allowance,
 )
+from hedgerow.plant.fault_entry import FaultEntries
 from hedgerow.plant.request import Request
-from hedgerow.topologies.effects import FOREVER, Effect
+from hedgerow.topologies.effects import FOREVER
 from hedgerow.topologies.errors import Code, UserError
 from hedgerow.wire import keys
 from hedgerow.wire.handshake import introduction, mismatch
@@ -63,6 +63,8 @@ class Control:
         self._plant = plant
         self._allowances: dict[str, Allowance] = {}
         """the allowances by key"""
+        truth = plant.truth
+        self._entries = FaultEntries(plant.world.graph, truth.ids, truth.shards, truth.candidates)
         self._refused: dict[str, set[str]] = {}
         """the causes that the observer has received, by place"""
         commands: dict[str, Callable[[Request], Reply]] = {
@@ -164,24 +166,21 @@ class Control:
         return {"step": self._plant.world.t}
 
     def _fault(self, request: Request) -> Reply:
-        """Add a fault, which the request gives as a file entry and as effects, both with steps relative to the first
-        possible step.
-        """
+        """Add a fault, which the request gives as a file entry with steps relative to the first possible step."""
         plant, start = self._plant, self._next
         if plant.over:
             return {"error": "the run is over"}
         number = plant.world.fault_count
-        effects = requests.effects(request, plant.world.graph, number)
         entry = shift_entry(requests.entry(request), start)
-        shifted = [_shifted(one, start) for one in effects]
-        plant.world.faults.add(shifted)
+        added = self._entries.effects(entry, number)
+        plant.world.faults.add(added)
         plant.world.fault_count += 1
-        start = min((one.start for one in shifted), default=start)
+        start = min((one.start for one in added), default=start)
         plant.report_event("fault", fault=number, entry=entry, at=start)
         return {"fault": number + 1, "step": start, "entry": entry}
 
     def _heal(self, request: Request) -> Reply:
-        """End a fault, by its number from 1, or all active faults. A crashed agent needs one step to learn of it."""
+        """End a fault, by its number from 1, or all active faults. A crashed agent returns one step later."""
         plant, at = self._plant, self._next
         wanted = None if request.get("fault") is None else requests.integer(request, "fault", 1, FOREVER)
         if wanted is not None and wanted > plant.world.fault_count:
@@ -252,11 +251,6 @@ def _version(request: Request, key: str) -> str | None:
     if value is not None and not _VERSION.fullmatch(value):
         raise UserError(f"{key}: {requests.shortened(value)} is no version", code=Code.MESSAGE)
     return value
-
-
-def _shifted(effect: Effect, by: int) -> Effect:
-    table = None if effect.table is None else {step + by: targets for step, targets in effect.table.items()}
-    return replace(effect, start=effect.start + by, stop=min(effect.stop + by, FOREVER), table=table)
 
 
 def shift_entry(entry: Mapping[str, Any], by: int) -> dict[str, Any]:

@@ -122,9 +122,12 @@ class Faults:
         self._sizes = sizes(graph)
         self.effects = list(effects)
         self._chance.take(self.effects)
+        self.changes = 0
+        """number of times that the list of effects was changed"""
         self._changed()
 
     def _changed(self) -> None:
+        self.changes += 1
         self._from = self._until = 0
         self._active: list[Effect] = []
         self._dead: list[Effect] = []

@@ -10,7 +10,6 @@ from __future__ import annotations
 import argparse
 import functools
 import logging
-import re
 import secrets
 import threading
 import time
@@ -20,12 +19,12 @@ from typing import Any, NoReturn
 import numpy as np
 import zenoh
 
-from hedgerow.plant.allowance import TOKENS_AT_ONCE, TOKENS_PER_S, Allowance
 from hedgerow.plant.clock import RESEND_AFTER_S, Clock
 from hedgerow.plant.control import Control
 from hedgerow.plant.inputs import Inputs
 from hedgerow.plant.round_trips import Stopwatch
 from hedgerow.plant.shards import Shards
+from hedgerow.plant.tokens import Tokens
 from hedgerow.plant.truth import Truth
 from hedgerow.plant.world import World
 from hedgerow.topologies.errors import DeadlineError
@@ -103,8 +102,6 @@ class Plant:
         self._ahead = rows_ahead(n, e)
         self._since = time.monotonic()
         """the time when state(t) became ready"""
-        self._left_behind: set[str] = set()
-        """agents of an earlier run that are still there"""
         self.running = False
         self.over = False
         self.stopping = False
@@ -125,9 +122,7 @@ class Plant:
         elif shared:
             LOG.warning("%s: cannot be opened here; telemetry travels in messages", shared)
         self.shards = Shards(truth, self.world, session, self.report_event)
-        self._token_allowances = [Allowance(TOKENS_PER_S, TOKENS_AT_ONCE) for _ in self.shards.all]
-        self._late_tokens: dict[int, tuple[int, bool]] = {}
-        """by shard: the newest change of its tokens above the rate limit, which is processed later"""
+        self._tokens = Tokens(len(self.shards.all), self.number, self._see)
         self._inputs = Inputs([len(one.nodes) for one in self.shards.all], [one.incidences for one in self.shards.all])
         self._receivers = [
             *(
@@ -138,7 +133,7 @@ class Plant:
         ]
         self._control = Control(self, session)
         # Declare the token before the look at the agents: agents of an earlier run then leave.
-        self._token = session.liveliness().declare_token(keys.alive(keys.PLANT, self.number))
+        self._own_token = session.liveliness().declare_token(keys.alive(keys.PLANT, self.number))
         self._alive = session.liveliness().declare_subscriber(keys.ALIVE, direct(self._take_alive), history=True)
 
     def run(self) -> None:
@@ -179,15 +174,15 @@ class Plant:
     def _wait_for_agents(self) -> None:
         def all_alive() -> bool:
             ready = all(shard.alive for shard in self.shards.all)
-            return self.stopping or (ready and not self._left_behind)
+            return self.stopping or (ready and not self._tokens.left_behind)
 
         by = time.monotonic() + self._start_s
         while not self.changed.wait_for(all_alive, min(RESEND_AFTER_S, max(0.0, by - time.monotonic()))):
             self._see_late_tokens()
             if time.monotonic() < by:
                 continue
-            if self._left_behind:
-                who = ", ".join(sorted(self._left_behind)[:8])
+            if self._tokens.left_behind:
+                who = ", ".join(sorted(self._tokens.left_behind)[:8])
                 raise DeadlineError(
                     f"{who}: of a run before, still there after {self._start_s:g} s; end those processes"
                 )
@@ -389,37 +384,20 @@ class Plant:
                 self.changed.notify_all()
 
     def _take_alive(self, sample: zenoh.Sample) -> None:
-        match = re.fullmatch(r"alive/shard-([0-9]{1,9})/([0-9]{1,9})(?:-([0-9]{1,10}))?", str(sample.key_expr))
-        if match is None or int(match[1]) >= len(self.shards.all):
-            return
-        there = sample.kind == zenoh.SampleKind.PUT
-        if match[3] is not None and int(match[3]) != self.number:
-            # An agent of an earlier run: it leaves when it sees our token, and until then would answer our states.
+        if (token := self._tokens.read(str(sample.key_expr))) is not None:
             with self.changed:
-                (self._left_behind.add if there else self._left_behind.discard)(
-                    f"shard-{match[1]}/{match[2]}-{match[3]}"
-                )
-                self.changed.notify_all()
-            return
-        p, life = int(match[1]), int(match[2])
-        with self.changed:
-            if p in self._late_tokens or not self._token_allowances[p].take():
-                if life >= self._late_tokens.get(p, (life, there))[0]:
-                    self._late_tokens[p] = life, there
-                return
-            self._see(p, life, there)
+                if self._tokens.take(token, sample.kind == zenoh.SampleKind.PUT):
+                    self.changed.notify_all()
 
     def _see_late_tokens(self) -> None:
-        """Process the tokens above the rate limit, as far as the limit permits now."""
-        for p in [p for p in self._late_tokens if self._token_allowances[p].take()]:
-            self._see(p, *self._late_tokens.pop(p))
+        if self._tokens.take_late():
+            self.changed.notify_all()
 
     def _see(self, p: int, life: int, there: bool) -> None:
-        """Record that the token of a life appeared or vanished; the lock is held."""
+        """Record that the token of a life appeared or vanished."""
         if life > max(0, self.shards.all[p].life):  # the plant may be the only witness of the end of a separate process
             self.died(p, life - 1)
         self.shards.see(p, life, there)
-        self.changed.notify_all()
 
     def died(self, p: int, life: int) -> None:
         """Record the end of a shard's process, reported by the program that started it."""

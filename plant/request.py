@@ -9,8 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from hedgerow.plant.faults import sizes
-from hedgerow.topologies.effects import FOREVER, TARGETS, Effect
+from hedgerow.topologies.effects import FOREVER
 from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.graph import Graph
 from hedgerow.wire import bounded_json
@@ -21,9 +20,6 @@ LEAST_BYTES, BYTES_PER_INCIDENCE = 2**20, 64
 """A fault may strike every link of the network and name each of them."""
 TEXT = 200
 """The maximum length of a name; a refused value is quoted up to this length."""
-EFFECTS = 2
-"""the maximum number of effects of one fault: a partition that cuts has two"""
-MOST_LATE = 10**6
 
 
 def read(payload: bytes, graph: Graph) -> Request:
@@ -68,54 +64,13 @@ def text(request: Request, key: str) -> str | None:
     raise UserError(f"{key}: {shortened(value)} is no name", code=Code.OPTION)
 
 
-def effects(request: Request, graph: Graph, fault: int) -> list[Effect]:
-    """Return the effects of a fault, with the number `fault`."""
-    written = request.get("effects")
-    if not isinstance(written, list) or len(written) > EFFECTS or not all(isinstance(one, dict) for one in written):
-        raise UserError(f"effects: {shortened(written)} is no list of {EFFECTS} effects at most", code=Code.FAULT)
-    return [_effect(one, graph, fault) for one in written]
-
-
-def _effect(one: Request, graph: Graph, fault: int) -> Effect:
-    kind = one.get("kind")
-    if not isinstance(kind, str) or kind not in TARGETS:
-        raise UserError(f"kind: {shortened(kind)} is none of {', '.join(TARGETS)}", code=Code.FAULT)
-    size = sizes(graph)[TARGETS[kind]]
-    targets, table = _targets("targets", one.get("targets"), size), None
-    if kind == "jump" and len(targets) != 1:
-        raise UserError(f"targets: a jump is of one node, and not of {len(targets)}", code=Code.FAULT)
-    if one.get("table") is not None:
-        table = _table(one["table"], size)
-    return Effect(
-        fault,
-        kind,
-        targets,
-        integer(one, "start", 0, FOREVER),
-        integer(one, "stop", 0, FOREVER),
-        number({"probability": 1.0, **one}, "probability", 0, 1),
-        integer({"by": 0, **one}, "by", 0, MOST_LATE),
-        number({"a": 0.0, **one}, "a", -1, 1),
-        table,
-    )
-
-
-def _targets(key: str, value: object, size: int) -> tuple[int, ...]:
-    if isinstance(value, list) and all(type(one) is int and 0 <= one < size for one in value):
-        if len({*value}) == len(value):
-            return tuple(value)
-        raise UserError(f"{key}: {shortened(value)} names one twice", code=Code.FAULT)
-    raise UserError(f"{key}: {shortened(value)} is no list of integers below {size}", code=Code.FAULT)
-
-
-def _table(value: object, size: int) -> dict[int, tuple[int, ...]]:
-    if not isinstance(value, dict):
-        raise UserError(f"table: {shortened(value)} is no object of targets by step", code=Code.FAULT)
-    return {_step(key): _targets(f"table: {shortened(key)}", struck, size) for key, struck in value.items()}
+def _is_step(value: object) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= FOREVER
 
 
 def _step(key: str) -> int:
     if not (key.isascii() and key.isdecimal() and len(key) <= len(str(FOREVER))) or int(key) > FOREVER:
-        raise UserError(f"table: {shortened(key)} is no step", code=Code.FAULT)
+        raise UserError(f"at: {shortened(key)} is no step", code=Code.FAULT)
     return int(key)
 
 
@@ -125,9 +80,7 @@ def entry(request: Request) -> Mapping[str, Any]:
     if not isinstance(value, dict) or text(value, "kind") is None:
         raise UserError(f"entry: {shortened(value)} is no fault as a file spells it", code=Code.FAULT)
     window, at = value.get("steps"), value.get("at")
-    if "steps" in value and not (
-        isinstance(window, list) and len(window) == 2 and all(type(step) is int and step >= 0 for step in window)
-    ):
+    if "steps" in value and not (isinstance(window, list) and len(window) == 2 and all(map(_is_step, window))):
         raise UserError(f"entry: steps: {shortened(window)} is no window of steps", code=Code.FAULT)
     if isinstance(at, dict):
         for key in at:

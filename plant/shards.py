@@ -120,10 +120,12 @@ class Shards:
     def prepare(self) -> None:
         """Prepare the messages of step t, and the set of shards to wait for."""
         self._until.clear()
-        if (x := self._world.quiet_states) is not None:
+        if (ready := self._world.ready_states) is not None:
+            x, tails = ready
             self.missing.update(range(len(self.all)))
-            for shard, message in zip(self.all, encode_quiet_states(self._world.t, x, self._sizes), strict=True):
-                shard.messages = [message]
+            starts = encode_quiet_states(self._world.t, x, self._sizes)
+            for shard, start, tail in zip(self.all, starts, tails, strict=True):
+                shard.messages = [start + tail if tail else start]
             return
         for p, (shard, (state, record)) in enumerate(zip(self.all, self._world.states(), strict=True)):
             shard.messages = [] if record is None else [encode_record(record)]

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hedgerow.topologies import archive
-from hedgerow.topologies.document import Form, Lists, Named, NodeIds, Numbers, Parts, Setting, ragged
+from hedgerow.topologies.document import Form, Lists, Named, NodeIds, Numbers, Parts, Ragged, Setting, ragged
 from hedgerow.topologies.graph import Array, Gain, Index
-from hedgerow.topologies.network import Group
+from hedgerow.topologies.network import Group, padded
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +40,8 @@ class Truth:
     """The number of past steps stored for back-filling, 0 for none."""
     weights: Array | None = None
     """Weights of the edges, (E,); None if all are 1."""
+    candidates: Array | None = None
+    """The values that the command of a jump may give a node, (M, n), padded with NaN; None in a large network."""
 
     def write(self, path: Path) -> None:
         """Write the truth as the .npz file that `read` reads."""
@@ -64,7 +66,11 @@ class Truth:
 
     def _document(self) -> dict[str, Any]:
         disturbance = [vars(group) for group in self.disturbance]
-        return {**vars(self), "disturbance": disturbance, "shards": ragged(self.shards)}
+        listed = None
+        if self.candidates is not None:
+            known = ~np.isnan(self.candidates.T)
+            listed = Ragged(self.candidates.T[known], known.sum(axis=1))
+        return {**vars(self), "disturbance": disturbance, "shards": ragged(self.shards), "candidates": listed}
 
     @classmethod
     def _of(cls, document: Mapping[str, Any]) -> Truth:
@@ -72,6 +78,8 @@ class Truth:
         # TOML has no null: an effect without a table leaves it out.
         effects = [{"table": None, **effect} for effect in document["effects"]]
         changed = {"disturbance": disturbance, "shards": document["shards"].lists(), "effects": effects}
+        if (listed := document.get("candidates")) is not None:
+            changed["candidates"] = padded([own.tolist() for own in listed.lists()])
         return cls(**{**document, **changed})
 
 
@@ -88,6 +96,7 @@ _FORM = Form(
     edges=Numbers(np.int64, -1, 2),
     weights=_FLOATS,
     shards=Lists(_INDEX),
+    candidates=Lists(_FLOATS),
     disturbance=Parts(Form(number=Setting(), kind=Setting(), nodes=_INDEX, values=Named())),
     effects=Setting(),
 )

@@ -7,6 +7,7 @@ step, at both ends. So no old value is held, and no flow is one-sided (docs/theo
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -22,7 +23,7 @@ from hedgerow.plant.truth import Truth
 from hedgerow.topologies.effects import Effect
 from hedgerow.topologies.fast import kernels_for, unequal_kernels_for
 from hedgerow.topologies.graph import Array, Gain, Graph, Index, Mask, all_finite
-from hedgerow.wire.codec import join
+from hedgerow.wire.codec import join, pack_flags
 from hedgerow.wire.history import History
 from hedgerow.wire.message import ALL_UP, TAKEN, Buffer, Flag, Flags, Record, Span, State, Telemetry
 
@@ -91,6 +92,21 @@ class _Made(NamedTuple):
     """the faults and messages of the step; None if nothing was missing"""
 
 
+class _Ahead(NamedTuple):
+    """The links at t + 1, and what the shards learn of them, if every node acts at t and only links fail at t + 1."""
+
+    changes: int
+    """of the faults, when this was computed"""
+    links: Links
+    """after the deliveries of t, and with those of t + 1 planned"""
+    deliveries: Deliveries
+    """at t + 1"""
+    flags: Flags
+    """Flag bits by incidence at t + 1, (2E,)"""
+    tails: Sequence[bytes]
+    """By shard: its state message of t + 1 behind the states."""
+
+
 class World:
     """The true network in motion: its state x(t), its faults, and the advance to the next step."""
 
@@ -139,6 +155,10 @@ class World:
         self._received: Deliveries | None = None
         """the deliveries at t - 1; None if every link delivered the row of that step alone"""
         self._now = _Step(self.x, self.x)
+        self._ahead: _Ahead | None = None
+        """the links of the next step; after `advance`, those of this step"""
+        self._tails: Sequence[bytes] | None = None
+        """By shard: its state message of t behind the states; None if the message has to be made as a whole."""
 
     # The first half of a step: what holds at t, and the messages to the shards.
 
@@ -147,13 +167,22 @@ class World:
         t, faults, links, graph = self.t, self.faults, self.links, self.graph
         before = self._now.absent
         active, gone, soon = None, None, None
+        ahead, self._ahead, self._tails = self._ahead, None, None
+        if ahead is not None and ahead.changes == faults.changes:
+            self._now = _Step(self.x, self.x, ahead.flags, deliveries=ahead.deliveries)
+            self._tails = ahead.tails
+            return
         if not (faults.none_at(t) and faults.none_at(t + 1)):
             for node, a in faults.jumps(t):
                 self.a[node] = a
             active, gone, soon = faults.at(t), faults.absent(t), faults.absent(t + 1)
         if active is None and gone is None and soon is None and before is None and links.complete:
             quiet = self._open is None and self._received is None
-            self._now = _Step(self.x, self.x) if quiet else _Step(self.x, self.x, self._flags(links.whole))
+            self._now = _Step(self.x, self.x)
+            if quiet:
+                self._tails = self._no_tails
+            else:
+                self._now.flags = self._flags(self._open, self._received, links.whole)
             return
         active = active or ActiveFaults()
         down: Mask = np.zeros(len(graph.node), dtype=bool) if gone is None else gone[graph.neighbour]
@@ -167,11 +196,13 @@ class World:
         read = self.x if active.blind is None else np.where(active.blind, np.nan, self.x)
         sent = read if gone is None else np.where(gone, np.nan, read)
         back = before if before is None or gone is None else before & ~gone
-        self._now = _Step(sent, read, self._flags(deliveries), gone, back, deliveries, active.cut, active.mute)
+        flags = self._flags(self._open, self._received, deliveries)
+        self._now = _Step(sent, read, flags, gone, back, deliveries, active.cut, active.mute)
 
-    def _flags(self, deliveries: Deliveries) -> Flags:
-        graph, received = self.graph, self._received or self.links.whole
-        flags = (self._all_open if self._open is None else self._open).take(graph.edge)
+    def _flags(self, edge_open: Flags | None, received: Deliveries | None, deliveries: Deliveries) -> Flags:
+        """Return the Flag bits of a step: the open edges and the deliveries of the step before, and its deliveries."""
+        graph, received = self.graph, received or self.links.whole
+        flags = (self._all_open if edge_open is None else edge_open).take(graph.edge)
         flags |= received.some.view(np.uint8) << 1
         flags |= deliveries.some.take(graph.reverse).view(np.uint8) << 2
         return flags
@@ -192,11 +223,18 @@ class World:
         return any(self.wanted(p, stop) for stop in ends if self.t < stop < self.steps)
 
     @property
-    def quiet_states(self) -> Array | None:
-        """Return x(t) in the order of the shards, (n,), if that is the whole message; otherwise None."""
-        if self._now.flags is not None:
+    def ready_states(self) -> tuple[Array, Sequence[bytes]] | None:
+        """Return x(t) in the order of the shards, (n,), and by shard what follows its states in the message.
+
+        None if a node is absent or has no reading, or if the messages are not made yet.
+        """
+        if self._tails is None:
             return None
-        return self._now.sent if self._in_order else self._now.sent.take(self.order)
+        return self._now.sent if self._in_order else self._now.sent.take(self.order), self._tails
+
+    @cached_property
+    def _no_tails(self) -> Sequence[bytes]:
+        return [b""] * len(self._parts)
 
     def states(self) -> list[tuple[State | None, Record | None]]:
         """Return, by shard, its state of t, None if the shard is absent, and the record of its returning nodes."""
@@ -205,18 +243,25 @@ class World:
         if now.flags is None:
             return [(State(t, x[own], b""), None) for own in self._places]
         messages: list[tuple[State | None, Record | None]] = []
-        spans, flags_of_all, stop = self._spans(), now.flags.take(self._incidence_order).tobytes(), 0
-        for p, part in enumerate(self._parts):
-            start, stop = stop, stop + len(part.incidences)
-            own = x[self._places[p]]
+        parts = self._link_parts(now.flags, self._received, now.deliveries)
+        for p, (part, (flags, spans)) in enumerate(zip(self._parts, parts, strict=True)):
             if not self.present(p):
                 messages.append((None, None))
             else:
-                flags, own_spans = flags_of_all[start:stop], spans.get(p, ())
-                if flags == self._up_bytes[p] and not own_spans:
-                    flags = b""
-                messages.append((State(t, own, flags, own_spans), self._record_of(part)))
+                messages.append((State(t, x[self._places[p]], flags, spans), self._record_of(part)))
         return messages
+
+    def _link_parts(
+        self, flags: Flags, received: Deliveries | None, sent: Deliveries | None
+    ) -> list[tuple[bytes, Sequence[Span]]]:
+        """Return, by shard, its Flag bits, empty if all are set, and its spans."""
+        spans, flags_of_all, stop = self._spans(received, sent), flags.take(self._incidence_order).tobytes(), 0
+        parts: list[tuple[bytes, Sequence[Span]]] = []
+        for p, up in enumerate(self._up_bytes):
+            start, stop = stop, stop + len(up)
+            own, own_spans = flags_of_all[start:stop], spans.get(p, ())
+            parts.append((b"" if own == up and not own_spans else own, own_spans))
+        return parts
 
     @cached_property
     def _places(self) -> list[slice]:
@@ -224,10 +269,10 @@ class World:
         stops = np.cumsum([len(part.nodes) for part in self._parts]).tolist()
         return [slice(stop - len(part.nodes), stop) for stop, part in zip(stops, self._parts, strict=True)]
 
-    def _spans(self) -> dict[int, list[Span]]:
+    def _spans(self, received: Deliveries | None, sent: Deliveries | None) -> dict[int, list[Span]]:
         """Return, by shard, the spans of the incidences that deliver other rows than that of the step alone."""
         reverse, whole = self.graph.reverse, self.links.whole
-        received, sent = self._received or whole, self._now.deliveries or whole
+        received, sent = received or whole, sent or whole
         numbers = np.array([received.late, received.back, sent.late.take(reverse), sent.back.take(reverse)])
         found = np.flatnonzero(numbers.any(axis=0))
         columns = (self._home.take(found), self._local.take(found), *numbers.take(found, axis=1))
@@ -246,8 +291,30 @@ class World:
         return Record(self.t, back, first, x.copy(), u.copy(), record.bits(first, self.t)[:, edges].copy())
 
     def look_ahead(self) -> None:
-        """Compute w(t) while the plant waits for the inputs of t; it needs none of them."""
+        """Compute w(t), and what the links do at t + 1, while the plant waits for the inputs of t."""
         self._next_w = self._w()
+        self._ahead = self._links_ahead()
+
+    def _links_ahead(self) -> _Ahead | None:
+        """Return the links of t + 1; None if nothing is lost there, or if it depends on the inputs of t."""
+        now, faults, t = self._now, self.faults, self.t + 1
+        alone = now.cut is None and now.mute is None and now.absent is None and now.back is None
+        if not alone or (faults.none_at(t) and now.deliveries is None and self.links.complete):
+            return None
+        if faults.absent(t - 1) is not None or faults.absent(t) is not None or faults.absent(t + 1) is not None:
+            return None
+        active = faults.at(t) or ActiveFaults()
+        if faults.jumps(t) or not (active.cut is None and active.blind is None and active.mute is None):
+            return None
+        links = copy.copy(self.links)
+        links.commit(now.deliveries)
+        if faults.none_at(t) and faults.none_at(t + 1) and links.complete:
+            return None
+        down = np.zeros(len(self.graph.node), dtype=bool) if active.lost is None else active.lost
+        deliveries = links.plan(down, active.late)
+        flags = self._flags(None, now.deliveries, deliveries)
+        tails = [pack_flags(*one) for one in self._link_parts(flags, now.deliveries, deliveries)]
+        return _Ahead(faults.changes, links, deliveries, flags, tails)
 
     def _w(self) -> Array:
         if self._disturbance.sees_state:
@@ -268,10 +335,15 @@ class World:
             u = u.take(self._place)
         gone = self.faults.absent(t)
         edge_open, deliveries = None, now.deliveries
-        quiet = now.flags is None and gone is None and all_finite(u)
-        if not quiet:
-            u, edge_open, deliveries = self._what_acts(u, gone)
-        self.links.commit(deliveries)
+        everybody = gone is None and all_finite(u)
+        quiet = now.flags is None and everybody
+        if self._ahead is not None and everybody:
+            self.links = self._ahead.links
+        else:
+            self._ahead = None
+            if not quiet:
+                u, edge_open, deliveries = self._what_acts(u, gone)
+            self.links.commit(deliveries)
         w = self._w() if self._next_w is None else self._next_w
         self._next_w = None
         self.x = dynamics(self.a, self.b, graph, x, u, w, None if edge_open is None else edge_open.view(np.bool_))

@@ -82,18 +82,18 @@ def test_rows_that_are_for_one_node_leave_those_of_another() -> None:
 def test_additional_rows_of_a_neighbour_affect_only_its_own() -> None:
     """Every link message from node 1 also brings the row before: node 2 alone receives it, without harm."""
     view = views_of(resolve(load("paper7")), layout(resolve(load("paper7")), 7))[1]
-    told, misled = Shard(view), Shard(view)
+    answer_of, misled = Shard(view), Shard(view)
     lots = np.random.default_rng(0)
     for t in range(100):
         state = State(t, lots.normal(size=1), b"")
-        for shard in (told, misled):
+        for shard in (answer_of, misled):
             shard.answer(state)
         rows = lots.normal(size=(len(view.peers), 2))
         for p, row in enumerate(rows):
             link = Link(t, t, row[1:].tobytes(), row[1:].tobytes())
-            told.receive(p, link)
+            answer_of.receive(p, link)
             misled.receive(p, Link(t, t - 1, row.tobytes(), row.tobytes()) if p == 0 else link)
-        np.testing.assert_array_equal(told.report, misled.report)
+        np.testing.assert_array_equal(answer_of.report, misled.report)
 
 
 @given(faulty())

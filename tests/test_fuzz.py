@@ -7,6 +7,7 @@ results. Special cases follow: a law is code, a disk is full, a clock jumps.
 from __future__ import annotations
 
 import ast
+import errno
 import json
 import os
 import shutil
@@ -78,7 +79,7 @@ def test_check_loads_the_law_when_it_is_asked_to(here: Path) -> None:
     assert orchestrator("check", "paper7", "--law", "nowhere.at_all:Law").returncode == 0
     done = orchestrator("check", "paper7", "--law", "nowhere.at_all:Law", "--import-law")
     assert done.returncode == 2
-    assert "law nowhere.at_all:Law: cannot be loaded: ModuleNotFoundError" in done.stderr
+    assert done.stderr.startswith("error: law nowhere.at_all:Law: ")
 
 
 # ---- files that are not regular, or not ours to read
@@ -96,8 +97,9 @@ def test_a_loop_of_links_and_a_broken_link_are_reported(here: Path) -> None:
 def test_a_damaged_file_of_a_run_folder_is_named(name: str, here: Path) -> None:
     assert orchestrator("simulate", "paper7", "--no-record", "--run-dir", "run").returncode == 0
     (here / "run" / name).write_bytes(b"{]\n\xff\n")
-    with pytest.raises(UserError, match=name):
+    with pytest.raises(UserError) as refused:
         load_run("run")
+    assert name in str(refused.value)
     done = orchestrator("export", "run", "--to", "npz")
     assert done.returncode == 2
     assert name in done.stderr
@@ -128,7 +130,7 @@ def test_an_unreadable_folder_is_reported(here: Path) -> None:
     (here / "run/telemetry.parquet").chmod(0)
     done = orchestrator("export", "run", "--to", "npz")
     assert done.returncode == 2
-    assert "Permission denied" in done.stderr
+    assert os.strerror(errno.EACCES) in done.stderr
 
 
 # ---- a full disk
@@ -142,7 +144,7 @@ def test_a_full_disk_ends_the_run_with_the_recorded_steps(record: bool, here: Pa
     command = ["up", "paper7", "--steps", "100000", "--viewer", "none", "--run-dir", "run"]
     done = orchestrator(*command, *([] if record else ["--no-record"]), largest=300_000)
     assert done.returncode == 3, done.stdout + done.stderr
-    assert "File too large" in done.stdout + done.stderr
+    assert os.strerror(errno.EFBIG) in done.stdout + done.stderr
     assert "Traceback" not in done.stdout + done.stderr
     run = load_run("run")
     assert run.T > 100

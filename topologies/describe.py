@@ -47,3 +47,8 @@ def _what(fault: Fault) -> str:
     late = f" by {fault.by}" if isinstance(fault, Delay) else ""
     chance = getattr(fault, "probability", 1.0)
     return f"{fault.kind} {struck}{late}" + (f" with probability {chance:g}" if chance != 1.0 else "")
+
+
+def count(number: int, thing: str, plural: str = "s") -> str:
+    """Return a number of things, in words."""
+    return f"{number} {thing}{plural if number != 1 else ''}"

@@ -27,7 +27,8 @@ class Ragged(NamedTuple):
 
     def lists(self) -> list[NDArray[Any]]:
         """Return the lists as views of `values`."""
-        return np.split(self.values, np.cumsum(self.sizes)[:-1]) if len(self.sizes) else []
+        stops = self.sizes.cumsum().tolist()
+        return [self.values[start:stop] for start, stop in zip([0, *stops], stops, strict=False)]
 
 
 def ragged(lists: Sequence[NDArray[Any]]) -> Ragged:

@@ -87,9 +87,9 @@ def bounded(text: str) -> str:
 
 
 class UserError(HedgerowError):
-    """A mistake that the user can correct; the command line exits with code 2 and prints no traceback.
+    """A mistake that the user can correct. The command line prints the message without a traceback, and exits with 2.
 
-    A message that begins with an option gets the code OPTION, unless the raise gives another code.
+    `code` is the kind of mistake. Without one, a message that begins with an option has the code OPTION.
     """
 
     default_code = Code.USER
@@ -103,12 +103,21 @@ MOST = 1e9
 """The maximum of an option in seconds, or in steps per second; the system refuses longer waits."""
 
 
-def check_options(**given: float | None) -> None:
-    """Raise UserError for seconds that are not above 0, or for a `rate` below 0; NaN is refused in both cases."""
+def check_options(**given: object) -> None:
+    """Raise UserError for seconds that are not above 0, for a `rate` below 0, or for `jobs` below 1.
+
+    None passes, as an option that is not given; NaN and what is no number do not.
+    """
     for name, value in given.items():
-        least = "from 0" if name == "rate" else "above 0"
-        if value is not None and (not 0 <= value <= MOST or (value == 0 and name != "rate")):
-            raise UserError(f"--{name} {value:g}: give a number {least}, and at most {MOST:g}", code=Code.OPTION)
+        if name == "jobs":
+            right, cure = isinstance(value, int) and value >= 1, "give a whole number from 1, or none for all cores"
+        else:
+            least = "from 0" if name == "rate" else "above 0"
+            right = isinstance(value, int | float) and 0 <= value <= MOST and (value > 0 or name == "rate")
+            cure = f"give a number {least}, and at most {MOST:g}"
+        if value is not None and (not right or isinstance(value, bool)):
+            shown = f"{value:g}" if isinstance(value, float) else value
+            raise UserError(f"--{name} {shown}: {cure}", code=Code.OPTION)
 
 
 class DeadlineError(HedgerowError):

@@ -14,6 +14,7 @@ import numpy as np
 from hedgerow.topologies import budget
 from hedgerow.topologies.base import node_id
 from hedgerow.topologies.errors import Code, FileRefusedError, UserError
+from hedgerow.topologies.foreign import csv_problem, not_text
 from hedgerow.topologies.graph import LARGEST, Array
 from hedgerow.topologies.paths import user_path
 from hedgerow.topologies.reading import Times
@@ -100,7 +101,8 @@ def _csv(path: Path) -> dict[Any, Any]:
         reader = csv.reader(io.StringIO(read_regular(path, growth=60).decode("utf-8-sig")))
         numbered = [(reader.line_num, row) for row in reader if row]
     except (UnicodeDecodeError, csv.Error) as error:
-        raise FileRefusedError(f"{path}: cannot be read: {error}", "Save it as CSV in UTF-8") from None
+        why = not_text(error.object, error) if isinstance(error, UnicodeDecodeError) else csv_problem(error)
+        raise FileRefusedError(f"{path}: cannot be read: {why}", "Save it as CSV in UTF-8") from None
     rows = [row for _, row in numbered]
     for line, row in numbered:
         if len(row) != len(rows[0]):

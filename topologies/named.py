@@ -2,17 +2,60 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.load import content, find, parse
+from hedgerow.topologies.plain import plain
 from hedgerow.topologies.resolve import resolve, to_yaml
 from hedgerow.topologies.schema import Topology
 
 Named = str | Path | Mapping[str, Any] | Topology
 """A network as an argument in Python; see `text_of`."""
+
+
+class Given(NamedTuple):
+    """A network as it was given, before its numbers are drawn."""
+
+    text: bytes
+    name: str
+    """the name in messages"""
+    folder: Path
+    """the folder of its CSV files"""
+    overrides: tuple[str, ...] = ()
+    """`path=value` settings"""
+    own_files: tuple[str, ...] = ()
+    """files of samples that the user named in Python, and which may be anywhere"""
+
+    def __repr__(self) -> str:
+        return f"<{' '.join([self.name, *self.overrides])}>"
+
+    def with_overrides(self, *overrides: str) -> Given:
+        """Return the same network with further settings."""
+        return self._replace(overrides=(*self.overrides, *overrides))
+
+    def parse(self) -> Topology:
+        """Return the network with no number drawn yet; raise TopologyError with every mistake."""
+        return parse(self.text, self.name, self.folder, self.overrides, self.own_files)
+
+    def draw(self) -> Topology:
+        """Return the network with all numbers drawn, which remembers this text."""
+        return resolve(self.parse(), self.folder).with_given(self)
+
+
+def given(network: Named) -> Given:
+    """Return a network as it was given, for other seeds: a Topology of `hg.load` is drawn again from its file.
+
+    A changed copy of a Topology, and one of a run folder, have the numbers that they show, for every seed.
+    """
+    if isinstance(network, Topology) and isinstance(network.given_as, Given):
+        return network.given_as
+    own_files = tuple(_files(network)) if isinstance(network, Mapping) else ()
+    return Given(*text_of(network), own_files=own_files)
 
 
 def text_of(network: Named) -> tuple[bytes, str, Path]:
@@ -25,19 +68,28 @@ def text_of(network: Named) -> tuple[bytes, str, Path]:
         return to_yaml(network).encode(), network.name, Path()
     if isinstance(network, Mapping):
         # A network of hg.Network has a folder if its table or samples lie in files.
-        return json.dumps(dict(network)).encode(), "network", getattr(network, "folder", None) or Path()
+        return json.dumps(plain(network)).encode(), "network", getattr(network, "folder", None) or Path()
     if isinstance(network, str) and ("\n" in network or network.lstrip().startswith("{")):
         return network.encode(), "network", Path()
+    if not isinstance(network, str | Path):
+        raise UserError(
+            f"{type(network).__name__}: is no network. Give a name, a path, a text, a dictionary or a Topology.",
+            code=Code.TOPOLOGY,
+        )
     path = find(str(network))
     return content(path), str(path), path.parent
 
 
 def resolved(network: Named, overrides: Sequence[str] = ()) -> Topology:
     """Return a network with all numbers drawn; arguments and errors as in `text_of` and `load.load`."""
-    text, name, folder = text_of(network)
-    # A dictionary is the user's own, and so are the paths in it.
-    named = set(_files(network)) if isinstance(network, Mapping) else ()
-    return resolve(parse(text, name, folder, overrides, named), folder)
+    own_files = tuple(_files(network)) if isinstance(network, Mapping) else ()
+    drawn = Given(*text_of(network), own_files=own_files).with_overrides(*overrides).draw()
+    if isinstance(network, Topology) and isinstance(network.given_as, Given):
+        undrawn = network.given_as.with_overrides(*overrides)
+        with contextlib.suppress(UserError):  # a setting that names a drawn value has no place in the text
+            undrawn.parse()
+            drawn.with_given(undrawn)
+    return drawn
 
 
 def _files(content: Any) -> Iterator[str]:

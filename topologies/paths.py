@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 from pathlib import Path
 
 from hedgerow.topologies.errors import Code, UserError
@@ -19,3 +20,23 @@ def user_path(text: str) -> Path:
         return path.expanduser()
     except RuntimeError:  # the home folder is unknown: keep the text
         return path
+
+
+def beside(path: Path, end: str = ".part") -> Path:
+    """Return a new path in the folder of `path`, for a file or folder that exists for a short time.
+
+    Its name is short, because a name as long as the file system allows has no room for more. No other file has it:
+    `.x.yaml` beside a folder `x` may be the user's, and a killed process of the same id may have left its files.
+    """
+    return path.with_name(f".hedgerow-{secrets.token_hex(8)}{end}")
+
+
+def real_path(path: Path) -> Path:
+    """Return the whole path with all symbolic links followed; raise UserError for links that lead in a circle."""
+    try:
+        return path.resolve()
+    except RuntimeError:  # Python before 3.13 raises it for a circle
+        raise UserError(
+            f"{path}: symbolic links lead in a circle. Replace the link by a file or a folder.",
+            code=Code.FILE_UNREADABLE,
+        ) from None

@@ -10,6 +10,7 @@ from pathlib import Path
 from hedgerow.topologies import budget
 from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.escape import escape
+from hedgerow.topologies.paths import real_path
 
 
 def check_regular(path: Path, inside: Path | None = None) -> os.stat_result:
@@ -18,7 +19,7 @@ def check_regular(path: Path, inside: Path | None = None) -> os.stat_result:
     inside: the folder that a symbolic link must not lead out of.
     """
     status = path.stat()
-    if inside is not None and not path.resolve().is_relative_to(inside.resolve()):
+    if inside is not None and not real_path(path).is_relative_to(real_path(inside)):
         raise UserError(f"{path}: is a link out of its folder. Put the file itself there.", code=Code.FILE_NOT_REGULAR)
     _refuse_others(path, status)
     return status

@@ -9,11 +9,16 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from hedgerow.topologies import budget, frames
+from hedgerow.topologies.cures import cure_of_number
 from hedgerow.topologies.errors import Code, FileRefusedError, UserError
+from hedgerow.topologies.escape import shorten
+from hedgerow.topologies.foreign import csv_problem, foreign_kind, not_text
 from hedgerow.topologies.graph import LARGEST
 from hedgerow.topologies.header import Header, Row, split
+from hedgerow.topologies.paths import real_path
 from hedgerow.topologies.reading import Times
-from hedgerow.topologies.regular_file import open_regular
+from hedgerow.topologies.regular_file import check_regular, open_regular
+from hedgerow.topologies.source import FLOAT
 
 MAX_BYTES = 512 * 2**20
 
@@ -23,10 +28,23 @@ def beside(folder: Path, file: str) -> Path:
     elsewhere.
     """
     path = folder / file
-    if not path.resolve().is_relative_to(folder.resolve()):
-        raise ValueError(f"{file} lies outside the topology's own folder")
-    if not path.is_file():
-        raise ValueError(f"{file}: no such file in {folder}, where the topology file is")
+    try:
+        inside = real_path(path).is_relative_to(real_path(folder))
+    except UserError as error:
+        raise FileRefusedError(str(error), code=error.code) from None
+    if not inside:
+        raise FileRefusedError(f"{file} lies outside the topology's own folder", "copy it into that folder")
+    if not path.exists():
+        raise FileRefusedError(
+            f"{file}: no such file in {folder}, where the topology file is", "correct the name, or copy it there"
+        )
+    try:
+        check_regular(path)
+    except (OSError, UserError) as error:
+        why = str(error.strerror) if isinstance(error, OSError) else str(error)
+        raise FileRefusedError(
+            why if why.startswith(str(path)) else f"{file}: {why}", code=Code.FILE_NOT_REGULAR
+        ) from None
     return path
 
 
@@ -74,16 +92,28 @@ def columns(
     except UserError as error:
         raise FileRefusedError(str(error), code=error.code) from None
     except UnicodeDecodeError as error:
-        what = f"{file}: byte {error.start} is not UTF-8 text"
-        raise FileRefusedError(what, "save the file as CSV in UTF-8") from None
-    except (OSError, csv.Error) as error:
-        raise ValueError(f"{file}: cannot be read: {error}") from None
+        raise _no_text(file, path, error) from None
+    except OSError as error:
+        raise FileRefusedError(f"{file}: cannot be read: {error.strerror}", "check its permissions") from None
+    except csv.Error as error:
+        raise FileRefusedError(f"{file}:{reader.line_num + 1}: {csv_problem(error)}", _CLOSE_QUOTES) from None
     if not rows:
-        raise ValueError(f"{file}: is empty")
+        raise FileRefusedError(f"{file}: is empty", "write a row of samples per step")
+    if foreign_kind(rows[0][1][0].encode(errors="replace")):
+        raise _no_text(file, path, None)
     if times is None:
         return _table(file, rows, ids, header)
     rows, stamps = _without_times(file, rows, times.column)
     return frames.by_steps(file, {times.column: stamps, **_table(file, rows, ids, "ids")}, ids, times)
+
+
+_CLOSE_QUOTES = "close every quote, and write one row per line"
+
+
+def _no_text(file: str, path: Path, error: UnicodeDecodeError | None) -> FileRefusedError:
+    with open_regular(path) as opened:
+        what = not_text(opened.read(64), error)
+    return FileRefusedError(f"{file}: {what}", "save the file as CSV in UTF-8")
 
 
 def _without_times(file: str, rows: list[Row], time: str) -> tuple[list[Row], list[str]]:
@@ -102,6 +132,15 @@ def _without_times(file: str, rows: list[Row], time: str) -> tuple[list[Row], li
     return [(number, row[:at] + row[at + 1 :]) for number, row in rows], [row[at].strip() for _, row in rows[1:]]
 
 
+def number(cell: str) -> float:
+    """Return the number in a cell; NaN for a text that is none.
+
+    Python would read 1_0 as 10 and accept the digits of other scripts, which other readers of the same file refuse.
+    """
+    spelled = cell.strip()
+    return float(spelled) if FLOAT.match(spelled) else math.nan
+
+
 def _table(file: str, rows: list[Row], ids: Sequence[int | str], header: Header | None) -> dict[int | str, list[float]]:
     order, above = split(file, rows, ids, header)
     table: dict[int | str, list[float]] = {node: [] for node in order}
@@ -111,13 +150,13 @@ def _table(file: str, rows: list[Row], ids: Sequence[int | str], header: Header 
                 f"{file}:{line}: has {len(row)} cells, not {len(order)}", "write one cell per column"
             )
         for column, (node, cell) in enumerate(zip(order, row, strict=True), 1):
-            try:
-                value = float(cell)
-            except ValueError:
-                value = math.nan
+            value = number(cell)
             if not abs(value) <= LARGEST:
-                what = f"beyond {LARGEST:g}" if math.isfinite(value) else "not a finite number"
-                cure = "write a point, not a comma, in it" if "," in cell else "write a number such as 0.5"
-                raise FileRefusedError(f"{file}:{line}: column {column}, node {node}: {cell[:40]!r} is {what}", cure)
+                what, cure = "not a finite number", cure_of_number(cell.strip())
+                if not math.isnan(value):
+                    what, cure = f"beyond {LARGEST:g}", "choose a smaller one"
+                raise FileRefusedError(
+                    f"{file}:{line}: column {column}, node {node}: {shorten(repr(cell[:400]), 44)} is {what}", cure
+                )
             table[node].append(value)
     return table

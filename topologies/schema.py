@@ -274,6 +274,8 @@ class Topology(Model):
         size = f"{len(self.nodes)} nodes, {len(self.edges)} edges, {self.steps} steps"
         return f"<Topology {self.name}: {size}, law {self.law}, seed {self.seed}, {len(self.faults)} faults>"
 
+    __str__ = __repr__  # pydantic's text has every node
+
     @cached_property
     def origin_of_law(self) -> str:
         """Return the place of the law, as the start of a message: `topo.yaml:7: `; empty if it has none."""
@@ -381,7 +383,19 @@ class Topology(Model):
         if not set(update or ()) <= _ASIDE:
             for name in ("ids", "graph", "network", "_places"):
                 copy.__dict__.pop(name, None)
+        if update:
+            copy.__dict__.pop("given_as", None)
         return copy
+
+    @cached_property
+    def given_as(self) -> object:
+        """Return the text that the numbers were drawn from, as `named.Given`; None for a changed copy."""
+        return None
+
+    def with_given(self, given: object) -> Self:
+        """Return the same network, which remembers the text that its numbers were drawn from."""
+        self.__dict__["given_as"] = given  # not a private attribute: equal networks of two texts are equal
+        return self
 
     @property
     def given(self) -> Table | None:

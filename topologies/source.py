@@ -17,6 +17,7 @@ import yaml
 
 from hedgerow.topologies import budget
 from hedgerow.topologies.errors import Code, Problem, Problems, TopologyError
+from hedgerow.topologies.foreign import foreign_kind, not_text
 
 MAX_BYTES = 32 * 2**20
 MAX_DEPTH = 32
@@ -111,9 +112,13 @@ def read_source(name: str, text: bytes) -> Source:
             builder.take(event)
     except UnicodeDecodeError as error:
         line = text[: error.start].count(b"\n") + 1
-        _refuse(source, line, f"byte {error.start} is not UTF-8 text", "save the file as UTF-8")
+        kind = foreign_kind(text)
+        cure = "save the file as UTF-8" if not kind or "UTF-16" in kind else "name a topology file"
+        _refuse(source, line, not_text(text, error), cure)
     except yaml.reader.ReaderError as error:
         line = text[: error.position].count(b"\n") + 1
+        if foreign_kind(text):
+            _refuse(source, 1, not_text(text), "name a topology file")
         _refuse(source, line, f"not YAML: {error.reason}", "remove the character")
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else 0
@@ -121,6 +126,8 @@ def read_source(name: str, text: bytes) -> Source:
         if (begins := error.context_mark) is not None and "simple key" in (error.context or ""):
             line, column = begins.line + 1, begins.column + 1  # the problem is found on a later line
         what = " ".join(part for part in (error.context, error.problem) if part)
+        if begins is not None and (opened := _OPENED.get(error.context or "")) and _at_end(text, error.problem_mark):
+            _refuse(source, begins.line + 1, f"not YAML: {opened[0]}", opened[1], begins.column + 1)
         # A parser may have another limit of the depth, a little earlier or later than ours: the mistake is the same.
         if _DEEPER.search(error.problem or "") or _DEEPER.search(error.context or ""):
             _refuse(source, line, *_TOO_DEEP, column)
@@ -130,6 +137,19 @@ def read_source(name: str, text: bytes) -> Source:
             _refuse(source, 0, *_TOO_DEEP)
         _refuse(source, 0, f"not YAML: {error}", "see docs/topology.md for the form of a topology")
     return source
+
+
+_OPENED = {
+    "while scanning a quoted scalar": ("a quote opens here, and nothing closes it", "write the closing quote"),
+    "while parsing a flow sequence": ("a [ opens here, and nothing closes it", "write the closing ]"),
+    "while parsing a flow mapping": ("a { opens here, and nothing closes it", "write the closing }"),
+}
+"""by what the parser was reading as the text ended: the mistake at its beginning, and the fix"""
+
+
+def _at_end(text: bytes, mark: Any) -> bool:
+    """Return True if nothing of the text follows the line of a mark."""
+    return mark is not None and not any(line.strip() for line in text.splitlines()[mark.line :])
 
 
 _TOO_DEEP = f"nested more than {MAX_DEPTH} deep", "no topology needs that"

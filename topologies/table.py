@@ -330,6 +330,7 @@ def _labels(found: NDArray[Any], n: int) -> Sequence[str] | None:
     from pydantic import TypeAdapter, ValidationError  # noqa: PLC0415
 
     from hedgerow.topologies.base import Label  # noqa: PLC0415
+    from hedgerow.topologies.wording import in_our_words  # noqa: PLC0415
 
     if found.shape != (n,) or found.dtype.kind != "U":
         raise ValueError(f"`labels` has the shape {found.shape} of {found.dtype}, not {(n,)} of texts")
@@ -337,7 +338,7 @@ def _labels(found: NDArray[Any], n: int) -> Sequence[str] | None:
     try:
         TypeAdapter(list[Label]).validate_python([label for label in given if label])
     except ValidationError as error:
-        raise ValueError(f"`labels`: {error.errors(include_url=False)[0]['msg']}") from None
+        raise ValueError(f"`labels`: {in_our_words(error.errors(include_url=False)[0])}") from None
     return tuple(given) if any(given) else None
 
 

@@ -7,7 +7,7 @@ import math
 from typing import Any, NoReturn
 
 from hedgerow.topologies import budget
-from hedgerow.topologies.json_file import memory
+from hedgerow.topologies.json_file import memory, unique
 
 MOST_BYTES = 2**28
 MOST_VALUES = 5_000_000
@@ -33,7 +33,8 @@ def decode(text: bytes, most_bytes: int = MOST_BYTES) -> Any:
     if why := budget.excess(_COPIES * memory(text)):
         raise ValueError(why)
     try:
-        return _plain(json.loads(text.decode("utf-8"), parse_constant=_refuse_constant), MOST_DEPTH)
+        parsed = json.loads(text.decode("utf-8"), object_pairs_hook=unique, parse_constant=_refuse_constant)
+        return _plain(parsed, MOST_DEPTH)
     except (RecursionError, MemoryError):
         raise ValueError(_TOO_DEEP) from None
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import logging
 import os
 import signal
@@ -13,7 +14,7 @@ from typing import NoReturn
 
 from hedgerow.topologies.errors import Exit, HedgerowError, UserError
 from hedgerow.topologies.escape import echo, escape
-from hedgerow.wire import crash, start
+from hedgerow.wire import crash, first, start
 from hedgerow.wire.limits import limit_reached
 from hedgerow.wire.runtime import let_numbers_overflow
 from hedgerow.wire.stderr_relay import StderrRelay
@@ -22,6 +23,8 @@ USER_ERROR = Exit.USER_MISTAKE
 """The exit code after a mistake of the user. A restart would not help."""
 ERROR_PREFIX = "error: "
 """The last line of the log of a failed process starts with this."""
+SLOW_LAW = "has been running for"
+"""The log of an agent has this in its lines about a slow law; the operator searches for them."""
 LINE, TIME = "%(asctime)s.%(msecs)03d %(name)s: %(message)s", "%H:%M:%S"
 """The format of a line of a log."""
 
@@ -50,6 +53,17 @@ def escape_warnings() -> None:
     """Escape the warnings of a process without a log, which logging writes to standard error as they are."""
     if logging.lastResort is not None:
         logging.lastResort.setFormatter(Line("%(message)s"))
+
+
+@functools.cache
+def open_log() -> None:
+    """Write the log of this process to standard error; a second call changes nothing.
+
+    The fork server opens the log of all its children, which then need not copy the memory that this writes to.
+    """
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(Line())
+    logging.basicConfig(handlers=[handler], level=logging.INFO)
 
 
 def run_child(body: Callable[[], None]) -> NoReturn:
@@ -95,13 +109,11 @@ def run_alone(body: Callable[[], None], logged: bool = False) -> NoReturn:
 
 def _run(body: Callable[[], None], logged: bool, ends: Collection[signal.Signals]) -> int:
     """Run `body` with a log, and return the exit code."""
-    handler = logging.StreamHandler(sys.stderr)
-    handler.setFormatter(Line())
-    logging.basicConfig(handlers=[handler], level=logging.INFO)
+    open_log()
     code = Exit.VALID
     try:
         if ends:
-            threading.Thread(target=_watch_signals, args=(ends,), name="signals", daemon=True).start()
+            threading.Thread(target=_watch_signals, args=(ends, logged), name="signals", daemon=True).start()
         body()
     except HedgerowError as error:
         code = Exit.USER_MISTAKE if isinstance(error, UserError) else Exit.UNKNOWN
@@ -138,12 +150,14 @@ def stopped_by(stop: Callable[[], None]) -> Iterator[None]:
         _stop = None
 
 
-def _watch_signals(ends: Collection[signal.Signals]) -> None:
+def _watch_signals(ends: Collection[signal.Signals], logged: bool) -> None:
     number = signal.sigwait(ends)
     if (stop := _stop) is not None:
         # A separate thread: this one must receive the next signal.
         threading.Thread(target=stop, name="stop", daemon=True).start()
         number = signal.sigwait(ends)
+    if not logged:
+        first.show(start.name_of(number))
     # Flush nothing: a log is written line by line, and a full pipe would block this process.
     os._exit(128 + number)
 

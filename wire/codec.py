@@ -140,13 +140,19 @@ def _floats(message: bytes, count: int, skip: int = 0) -> Array:
 
 def encode_state(t: int, x: Buffer, flags: Buffer, spans: Sequence[Span] = ()) -> bytes:
     """Return the bytes of a State message."""
-    if spans:
-        flags = bytes(flags) + b"".join([_SPAN.pack(*span) for span in spans])
-    return _pack(_STATE, _count(x), t, x, flags)
+    return _pack(_STATE, _count(x), t, x, pack_flags(flags, spans))
+
+
+def pack_flags(flags: Buffer, spans: Sequence[Span]) -> bytes:
+    """Return the bytes of a State message behind the states."""
+    return bytes(flags) + b"".join([_SPAN.pack(*span) for span in spans])
 
 
 def encode_quiet_states(t: int, x: Array, sizes: Iterable[int]) -> list[bytes]:
-    """Return the State messages of all shards, of `sizes` nodes each; each carries x alone, and all flags are set."""
+    """Return the State messages of all shards, of `sizes` nodes each; each carries x alone, and all flags are set.
+
+    With the bytes of `pack_flags` behind it, each is the message with those flags and spans.
+    """
     start, messages, last, head = 0, list[bytes](), -1, b""
     # A view of a long array: a copy of the whole and one of the part would cost as much as the message.
     view = np.ascontiguousarray(x).view(_U1) if len(x) > FEW_STATES else None

@@ -63,13 +63,25 @@ class Credentials:
             **_BOTH_ENDS,
         }
 
+    def router_tls(self) -> dict[str, object]:
+        """Return the Zenoh settings of the links of a router in this process.
 
-def router_tls(folder: Path) -> dict[str, object]:
-    """Return the Zenoh settings of the links of a router that has its credentials in `folder`."""
+        They hold no path: Zenoh copies them into an endpoint, which ends at `#` and `?`.
+        """
+        return {
+            "root_ca_certificate_base64": _inline(self.authority),
+            "listen_private_key_base64": _inline(self.private_key),
+            "listen_certificate_base64": _inline(self.certificate),
+            **_BOTH_ENDS,
+        }
+
+
+def carried_router_tls() -> dict[str, object]:
+    """Return the Zenoh settings of the links of a router that starts in the folder of its credentials."""
     return {
-        "root_ca_certificate": str(folder / CA),
-        "listen_private_key": str(folder / PRIVATE_KEY),
-        "listen_certificate": str(folder / CERTIFICATE),
+        "root_ca_certificate": CA,
+        "listen_private_key": PRIVATE_KEY,
+        "listen_certificate": CERTIFICATE,
         **_BOTH_ENDS,
     }
 

@@ -5,10 +5,26 @@ Nothing is imported here that Python has not loaded already: until `quiet` was c
 
 import _signal  # type: ignore[import-not-found]
 import os
+import sys
+
+LINE = "stopped: {}\n"
+"""The line of a command that a signal ended."""
+
+
+def show(name: str) -> None:
+    """Write the line about a signal to standard error.
+
+    A signal handler may call this: `print` fails if the signal arrived while it ran.
+    """
+    try:
+        os.write(sys.stderr.fileno(), LINE.format(name).encode())
+    except (AttributeError, OSError, ValueError):
+        return  # standard error is closed
 
 
 def end(*_: object) -> None:
-    """End this process with the exit code of a Ctrl-C."""
+    """End this process with one line and the exit code of a Ctrl-C."""
+    show("Ctrl-C")
     os._exit(128 + _signal.SIGINT)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import functools
 import os
 import threading
 import warnings
@@ -51,6 +52,7 @@ def share_the_cores() -> None:
         os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
 
 
+@functools.cache
 def let_numbers_overflow() -> None:
     """Let our own arithmetic overflow to infinity without numpy's warnings.
 

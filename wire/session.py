@@ -19,7 +19,7 @@ import zenoh
 from hedgerow.topologies.errors import Code, DeadlineError, HedgerowError, UserError
 from hedgerow.topologies.escape import escape
 from hedgerow.topologies.json_file import read_json
-from hedgerow.wire.credentials import Credentials, router_tls
+from hedgerow.wire.credentials import Credentials
 from hedgerow.wire.limits import limit_in, limits_now
 from hedgerow.wire.message import MessageError
 from hedgerow.wire.runtime import KEPT, keep_thread
@@ -112,11 +112,11 @@ def _config(namespace: str | None, settings: dict[str, object]) -> zenoh.Config:
 
 
 def router_settings(
-    endpoint: str, credentials: Path | None = None, rules: Mapping[str, object] | None = None
+    endpoint: str, tls: Mapping[str, object] | None = None, rules: Mapping[str, object] | None = None
 ) -> dict[str, object]:
     """Return the settings of the router of a run.
 
-    With `credentials` it accepts only clients that the `rules` of wire.access allow.
+    With `tls` it has credentials, and accepts only clients that the `rules` of wire.access allow.
     """
     settings: dict[str, object] = {
         "mode": "router",
@@ -125,8 +125,8 @@ def router_settings(
         # The router would wait half a second for other routers before it opens; there are none.
         "scouting/delay": 0,
     }
-    if credentials is not None:
-        settings |= {"transport/link/tls": router_tls(credentials), **(rules or {})}
+    if tls is not None:
+        settings |= {"transport/link/tls": dict(tls), **(rules or {})}
     return settings
 
 
@@ -136,14 +136,15 @@ def open_router(endpoint: str, namespace: str | None = None, credentials: Path |
     With `credentials`, a folder with its certificate and the rules of access, it is the router of a secure run.
     Raises WireError.
     """
-    rules = None
+    tls = rules = None
     if credentials is not None:
         rules = _rules_in(credentials)
+        tls = Credentials.read(credentials).router_tls()
         from hedgerow.wire.refusal import log_refusals  # noqa: PLC0415
 
         log_refusals()
     try:
-        return _open_aside(_config(namespace, router_settings(endpoint, credentials, rules)), OPEN_TIMEOUT_S)
+        return _open_aside(_config(namespace, router_settings(endpoint, tls, rules)), OPEN_TIMEOUT_S)
     except zenoh.ZError as error:
         raise WireError(f"no router on {endpoint}: {_why(error)}") from None
 

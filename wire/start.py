@@ -6,6 +6,7 @@ Import this module before everything slow: it loads little but the standard libr
 from __future__ import annotations
 
 import contextlib
+import gc
 import io
 import os
 import resource
@@ -46,7 +47,7 @@ def whole(command: str) -> Iterator[None]:
             _fail(error)
         _end(f"{command} needs {error.name}. Install it with: pip install numpy eclipse-zenoh", Exit.USER_MISTAKE)
     except KeyboardInterrupt:
-        sys.exit(INTERRUPTED)
+        sys.exit(end_of_command())
     except SystemExit:
         raise
     except BaseException as error:  # a panic of a Rust library is not an Exception
@@ -64,6 +65,20 @@ def _end(problem: object, code: int) -> NoReturn:
     with contextlib.suppress(OSError, ValueError):
         echo(f"error: {problem}", error=True)
     sys.exit(code)
+
+
+@contextlib.contextmanager
+def loading() -> Iterator[None]:
+    """Load modules in the block without garbage collection, which would traverse them again and again.
+
+    All objects of that moment are left out of later collections.
+    """
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 def open_streams() -> None:
@@ -112,8 +127,17 @@ def end_by_signals() -> None:
             signal.signal(number, _interrupt)
 
 
-def code_after_signal() -> int:
-    """Return the exit code after the signal that ended a command."""
+def name_of(number: int) -> str:
+    """Return the name of a signal as a user knows it."""
+    return "Ctrl-C" if number == signal.SIGINT else signal.Signals(number).name
+
+
+def end_of_command() -> int:
+    """Print one line about the signal that ended a command, unless it was printed; return the exit code."""
+    global _is_shown  # noqa: PLW0603 (a process has one command)
+    if not _is_shown:
+        _is_shown = True
+        first.show(name_of(_last))
     return 128 + _last
 
 
@@ -123,23 +147,45 @@ def command_begins() -> None:
     _has_command = True
 
 
-_has_command = False
+_has_command = _is_shown = False
 _last: int = signal.SIGINT
 _AGAIN_S = 0.02
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
     global _last  # noqa: PLW0603
+    if _is_shown:  # the process is at its end, and may wait for a reader of its output
+        os._exit(128 + number)
     _last = number
+    if not _has_command and _is_import(frame):
+        os._exit(end_of_command())
+    _raise(KeyboardInterrupt(), frame)
+
+
+def raise_again(error: BaseException) -> None:
+    """Raise in the main thread, a little later, an error of a signal's handler that Python has ignored.
+
+    The signal may arrive while a destructor or a callback of the garbage collector runs, and nothing can be raised out
+    of them. The command would then run on.
+    """
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGALRM, lambda _, frame: _raise(error, frame))
+        signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
+
+
+def _raise(error: BaseException, frame: FrameType | None) -> None:
+    """Raise the error, or do so after the import that runs."""
+    if not _is_import(frame):
+        raise error
+    raise_again(error)
+
+
+def _is_import(frame: FrameType | None) -> bool:
     while frame is not None:
         if frame.f_code.co_filename.startswith("<frozen importlib"):
-            if not _has_command:
-                os._exit(128 + number)
-            signal.signal(signal.SIGALRM, lambda _, later: _interrupt(number, later))
-            signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
-            return
+            return True
         frame = frame.f_back
-    raise KeyboardInterrupt
+    return False
 
 
 def ignored(numbers: Iterable[signal.Signals]) -> set[signal.Signals]:

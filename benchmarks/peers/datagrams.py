@@ -33,8 +33,8 @@ def _agent(network: Network, me: int, end: socket.socket, folder: str) -> None:
         sender, t, x, u = MESSAGE.unpack(end.recv(MESSAGE.size))
         if t == STOP:
             return
-        if (said := lockstep.take(sender, t, x, u)) is not None:
-            message = MESSAGE.pack(me, *said)
+        if (answer := lockstep.take(sender, t, x, u)) is not None:
+            message = MESSAGE.pack(me, *answer)
             for other in others:
                 other.send(message)
 

@@ -20,7 +20,7 @@ from dora import Node
 
 from benchmarks.peers.network import MESSAGE, PLANT, Agent, Done, Lockstep, Network, Plant
 
-SAID = "said"
+SENT = "sent"
 """the output of an agent, and the input at its receivers, followed by the agent's number"""
 STATE = "x"
 """the output of the plant, followed by the agent's number, and the input at the agent"""
@@ -42,8 +42,8 @@ def _agent(network: Network, me: int) -> None:
     while (event := node.next()) is not None:
         if event["type"] == "STOP" or (event["type"], event["id"]) == ("INPUT_CLOSED", STATE):  # the plant has ended
             return
-        if event["type"] == "INPUT" and (said := lockstep.take(*_message(event))) is not None:
-            _send(node, SAID, me, *said)
+        if event["type"] == "INPUT" and (answer := lockstep.take(*_message(event))) is not None:
+            _send(node, SENT, me, *answer)
 
 
 def _plant(network: Network, steps: int, folder: Path) -> None:
@@ -72,12 +72,12 @@ def _dataflow(network: Network, steps: int, folder: str) -> dict[str, object]:
         return {"id": name, **path, "outputs": outputs, "inputs": inputs}
 
     everybody = range(len(network))
-    listening = {f"{SAID}{i}": hears(f"agent{i}/{SAID}") for i in everybody}
+    listening = {f"{SENT}{i}": hears(f"agent{i}/{SENT}") for i in everybody}
     nodes = [node("plant", [f"{STATE}{i}" for i in everybody], listening, f"plant {network.saved} {steps} {folder}")]
     for i in everybody:
         inputs = {STATE: hears(f"plant/{STATE}{i}")}
-        inputs |= {f"{SAID}{j}": hears(f"agent{j}/{SAID}") for j in network.neighbours(i)}
-        nodes.append(node(f"agent{i}", [SAID], inputs, f"agent {network.saved} {i}"))
+        inputs |= {f"{SENT}{j}": hears(f"agent{j}/{SENT}") for j in network.neighbours(i)}
+        nodes.append(node(f"agent{i}", [SENT], inputs, f"agent {network.saved} {i}"))
     return {"nodes": nodes}
 
 

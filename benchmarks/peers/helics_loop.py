@@ -44,15 +44,15 @@ def _agent(network: Network, me: int, steps: int, port: int, broker_up: Event) -
     broker_up.wait()
     agent = Agent(network, me)
     federate = _federate(f"agent{me}", port, LATER)
-    said = h.helicsFederateRegisterGlobalPublication(federate, f"said/{me}", h.HELICS_DATA_TYPE_COMPLEX, "")
+    sent = h.helicsFederateRegisterGlobalPublication(federate, f"sent/{me}", h.HELICS_DATA_TYPE_COMPLEX, "")
     state = h.helicsFederateRegisterSubscription(federate, f"state/{me}", "")
-    links = [h.helicsFederateRegisterSubscription(federate, f"said/{j}", "") for j in agent.neighbours]
+    links = [h.helicsFederateRegisterSubscription(federate, f"sent/{j}", "") for j in agent.neighbours]
     h.helicsFederateEnterExecutingMode(federate)
     for t in range(steps):
         h.helicsFederateRequestTime(federate, t + LATER)
         x = h.helicsInputGetDouble(state)
         heard = [h.helicsInputGetComplex(link).imag for link in links] if t else []
-        h.helicsPublicationPublishComplex(said, x, agent.step(x, heard))
+        h.helicsPublicationPublishComplex(sent, x, agent.step(x, heard))
     h.helicsFederateRequestTime(federate, steps + LATER)
     h.helicsFederateDestroy(federate)
 
@@ -72,7 +72,7 @@ def run(network: Network, steps: int) -> Done:
         h.helicsFederateRegisterGlobalPublication(federate, f"state/{i}", h.HELICS_DATA_TYPE_DOUBLE, "")
         for i in range(n)
     ]
-    inputs = [h.helicsFederateRegisterSubscription(federate, f"said/{i}", "") for i in range(n)]
+    inputs = [h.helicsFederateRegisterSubscription(federate, f"sent/{i}", "") for i in range(n)]
     h.helicsFederateEnterExecutingMode(federate)
     going = True
     while going:

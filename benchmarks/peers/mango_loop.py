@@ -72,9 +72,9 @@ async def _agent(network: Network, me: int, ports: Sequence[int], here: Barrier)
             sender, t, x, u = await inbox.messages.get()
             if t == STOP:
                 return
-            if (said := lockstep.take(sender, t, x, u)) is not None:
+            if (answer := lockstep.take(sender, t, x, u)) is not None:
                 for other in others:
-                    await inbox.send_message((me, *said), other)
+                    await inbox.send_message((me, *answer), other)
 
 
 async def _plant(network: Network, steps: int, ports: Sequence[int], here: Barrier) -> Done:

@@ -28,7 +28,7 @@ class AgentSimulator(mosaik_api_v3.Simulator):
     """The simulator of one agent."""
 
     def __init__(self) -> None:
-        super().__init__(_meta("Agent", ["me"], ["x", "heard", "said"]))
+        super().__init__(_meta("Agent", ["me"], ["x", "heard", "sent"]))
 
     def create(self, num: int, model: str, me: int) -> list[dict[str, Any]]:
         """Create the one entity of the process."""
@@ -40,20 +40,20 @@ class AgentSimulator(mosaik_api_v3.Simulator):
         """Make one step of the agent."""
         ((self._me, own),) = inputs.items()
         (x,) = own["x"].values()
-        heard = {int(sender.split(".")[1]): said for sender, said in own["heard"].items()} if time else {}
-        self._said = x, self._agent.step(x, [heard[j][1] for j in self._agent.neighbours] if time else [])
+        heard = {int(sender.split(".")[1]): sent for sender, sent in own["heard"].items()} if time else {}
+        self._sent = x, self._agent.step(x, [heard[j][1] for j in self._agent.neighbours] if time else [])
         return time + 1
 
     def get_data(self, _: dict[str, list[str]]) -> dict[str, Any]:
         """Return the message to plant and neighbours."""
-        return {self._me: {"said": self._said}}
+        return {self._me: {"sent": self._sent}}
 
 
 class PlantSimulator(mosaik_api_v3.Simulator):
     """The plant, with an entity for every node."""
 
     def __init__(self) -> None:
-        super().__init__(_meta("Node", ["plant", "left"], ["x", "said"]))
+        super().__init__(_meta("Node", ["plant", "left"], ["x", "sent"]))
 
     def create(self, num: int, model: str, plant: Plant, left: list[Done]) -> list[dict[str, Any]]:
         """Create all nodes; `left` receives the result of the run."""
@@ -63,8 +63,8 @@ class PlantSimulator(mosaik_api_v3.Simulator):
     def step(self, time: int, inputs: dict[str, Any], max_advance: int) -> int:  # noqa: ARG002  (mosaik asks for the name)
         """Make one step of all nodes; at the first, there are no inputs yet."""
         if time:
-            said = [next(iter(inputs[name]["said"].values())) for name in self._names]
-            if not self._plant.step([u for _, u in said]):
+            sent = [next(iter(inputs[name]["sent"].values())) for name in self._names]
+            if not self._plant.step([u for _, u in sent]):
                 self._left.append(self._plant.done())
         self._x = dict(zip(self._names, self._plant.x.tolist(), strict=True))
         return time + 1
@@ -90,9 +90,9 @@ def run(network: Network, steps: int) -> Done:
     agents = [world.start("Agent", sim_id=f"agent{i}").Agent(me=i) for i in range(len(network))]
     for i, (node, agent) in enumerate(zip(nodes, agents, strict=True)):
         world.connect(node, agent, "x")
-        world.connect(agent, node, "said", time_shifted=True, initial_data={"said": None})
+        world.connect(agent, node, "sent", time_shifted=True, initial_data={"sent": None})
         for j in network.neighbours(i):
-            world.connect(agent, agents[j], ("said", "heard"), time_shifted=True, initial_data={"said": None})
+            world.connect(agent, agents[j], ("sent", "heard"), time_shifted=True, initial_data={"sent": None})
     world.run(until=steps + 1, print_progress=False)
     return left[0]
 

@@ -38,8 +38,8 @@ def _agent(network: Network, me: int, folder: str) -> None:
         if t == STOP:
             context.destroy(linger=0)
             return
-        if (said := lockstep.take(sender, t, x, u)) is not None:
-            message = MESSAGE.pack(me, *said)
+        if (answer := lockstep.take(sender, t, x, u)) is not None:
+            message = MESSAGE.pack(me, *answer)
             for other in others:
                 other.send(message)
 

@@ -33,9 +33,9 @@ class Actor:
         """Return (x, u) of this step."""
         return x, self._agent.step(x, self._heard)
 
-    def hear(self, own: tuple[float, float], *said: tuple[float, float]) -> float:
+    def hear(self, own: tuple[float, float], *sent: tuple[float, float]) -> float:
         """Store the neighbours' messages for the next step; return its own u for the plant."""
-        self._heard = tuple(u for _, u in said)
+        self._heard = tuple(u for _, u in sent)
         return own[1]
 
 
@@ -55,9 +55,9 @@ def run(network: Network, steps: int) -> Done:
         actors = [remote.remote(network, i) for i in range(n)]
         ray.get([actor.ready.remote() for actor in actors])
         with InputNode() as states:
-            said = [actor.act.bind(states[i]) for i, actor in enumerate(actors)]
+            sent = [actor.act.bind(states[i]) for i, actor in enumerate(actors)]
             heard = [
-                actor.hear.bind(said[i], *(said[j] for j in network.neighbours(i))) for i, actor in enumerate(actors)
+                actor.hear.bind(sent[i], *(sent[j] for j in network.neighbours(i))) for i, actor in enumerate(actors)
             ]
             graph = MultiOutputNode(heard)
         compiled = graph.experimental_compile()

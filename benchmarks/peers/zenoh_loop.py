@@ -37,8 +37,8 @@ def _agent(network: Network, me: int, endpoint: str) -> None:
         if t == STOP:
             stopped.set()
             return
-        if (said := lockstep.take(sender, t, x, u)) is not None:
-            message = MESSAGE.pack(me, *said)
+        if (answer := lockstep.take(sender, t, x, u)) is not None:
+            message = MESSAGE.pack(me, *answer)
             for out in outs:
                 out.put(message)
 

@@ -13,19 +13,27 @@ from pygments.lexers.special import TextLexer
 from sphinx.application import Sphinx
 
 PAGE = "commands.md"
-_CODE = re.compile(r"(?<![`:\w])`([^`\n]+)`(?![`\w])")
-_OPTION = re.compile(r"(?<![`\w-])--[a-z][a-z-]*(?![`\w])")
+_CODE = re.compile(r"(?<![`:\w])`([^`]+)`(?![`\w])")
+_OPTION = re.compile(r"(?<![`\w-])--[a-z][a-z-]*(?: (?:native|web|none)\b)?(?![`\w])")
+_BRACES = re.compile(r"\{([^{}]+)\}")
+"""a required argument, as some releases of Typer print it"""
 _SPECIAL = re.compile(r"(?<!\w)([|*])(?=\S)|(?<=\w)_(?=\W|$)")
 
 
 def commands() -> str:
     """Return the page of the command line: every command with its arguments and options."""
     from hedgerow.orchestrator.cli.main import app  # noqa: PLC0415
+    from hedgerow.orchestrator.cli.names import PANELS  # noqa: PLC0415
 
-    lines = ["# Commands", "", "This page is written by the program: it is what `--help` prints.", ""]
-    for path, command in _walk("orchestrator", typer.main.get_command(app)):
-        if path != "orchestrator":
-            lines += _section(path, command)
+    lines = ["# Commands", "", "Each command prints its part of this page with `--help`.", ""]
+    panel = ""
+    group: Any = typer.main.get_command(app)
+    for name, command in sorted(group.commands.items(), key=lambda one: PANELS.index(one[1].rich_help_panel)):
+        if command.rich_help_panel != panel:
+            panel = command.rich_help_panel
+            lines += [f"## {panel}", ""]
+        for path, inside in _walk(f"orchestrator {name}", command):
+            lines += _section(path, inside)
     return "\n".join(lines) + "\n"
 
 
@@ -38,8 +46,9 @@ def _walk(path: str, command: Any) -> Iterator[tuple[str, Any]]:
 
 def _section(path: str, command: Any) -> list[str]:
     usage = " ".join(command.collect_usage_pieces(command.make_context(path, [], resilient_parsing=True)))
+    usage = _BRACES.sub(r"\1", usage)
     lines = [
-        f"## {path.removeprefix('orchestrator ')}",
+        f"### {path.removeprefix('orchestrator ')}",
         "",
         f"```text\n{path} {usage}\n```",
         "",
@@ -89,25 +98,48 @@ def plain_to_rst(app: Sphinx, what: str, name: str, obj: object, options: object
     """
     del app, what, name, obj, options
     written: list[str] = []
+    text: list[str] = []
     literal = False
     for k, line in enumerate(lines):
         indented = line.startswith("    ")
         if indented and not literal and (k == 0 or not lines[k - 1].strip()):
-            written += ["::", ""]
-            literal = True
+            written += [*_inline(text), "::", ""]
+            text, literal = [], True
         elif line.strip() and not indented:
             literal = False
-        written.append(line if literal else _SPECIAL.sub(r"\\\g<0>", _CODE.sub(r"``\1``", line)))
-    lines[:] = written
+        if literal:
+            written.append(line)
+        else:
+            text.append(line)
+    lines[:] = written + _inline(text)
+
+
+def _inline(text: list[str]) -> list[str]:
+    """Return lines of text with code in double backticks, and with the special characters of the rest escaped.
+
+    Code may go on in the next line. It is not escaped: reStructuredText would show the backslashes.
+    """
+    parts = _CODE.split("\n".join(text))
+    marked = (
+        f"``{' '.join(part.split())}``" if k % 2 else _SPECIAL.sub(r"\\\g<0>", part) for k, part in enumerate(parts)
+    )
+    return "".join(marked).split("\n") if text else []
 
 
 SHORT = 24
 """the maximum length of code that never breaks at the end of a line, such as an option with its hyphens"""
 
 
-def mark_short_code(app: Sphinx, doctree: nodes.document, name: str) -> None:
-    """Mark short code for site.css."""
+LONG = 40
+"""the length of a text in a cell that needs a wide column on a phone"""
+
+
+def mark_sizes(app: Sphinx, doctree: nodes.document, name: str) -> None:
+    """Mark short code and long cells for site.css."""
     del app, name
+    for entry in doctree.findall(nodes.entry):
+        if len(entry.astext()) >= LONG:
+            entry["classes"].append("long")
     for literal in doctree.findall(nodes.literal):
         if len(literal.astext()) <= SHORT:
             literal["classes"].append("short")
@@ -118,5 +150,5 @@ def setup(app: Sphinx) -> dict[str, Any]:
     app.add_lexer("csv", TextLexer)  # Pygments has no lexer of that name
     app.connect("builder-inited", write)
     app.connect("autodoc-process-docstring", plain_to_rst)
-    app.connect("doctree-resolved", mark_short_code)
+    app.connect("doctree-resolved", mark_sizes)
     return {"parallel_read_safe": True}

@@ -8,8 +8,9 @@ from typing import Annotated
 import typer
 
 from hedgerow.orchestrator.cli.names import EXPERIMENT
+from hedgerow.orchestrator.cli.numbers import whole
 from hedgerow.orchestrator.cli.options import File, NoProgress, Sets
-from hedgerow.topologies.errors import Code, UserError
+from hedgerow.topologies.errors import check_options
 from hedgerow.topologies.escape import echo
 from hedgerow.topologies.paths import user_path
 
@@ -24,12 +25,12 @@ Disturbances = Annotated[
     ),
 ]
 Seeds = Annotated[str, typer.Option(metavar="FIRST:STOP", help="every seed from FIRST up to, and without, STOP")]
-Steps = Annotated[int | None, typer.Option(help="replace `steps:`")]
+Steps = Annotated[int | None, whole("replace `steps:`")]
 Out = Annotated[
     Path | None,
     typer.Option(parser=user_path, metavar="DIR", help="the folder, new or of this comparison [comparisons/NAME-HASH]"),
 ]
-Jobs = Annotated[int | None, typer.Option(metavar="N", help="processes that run at once [the cores]")]
+Jobs = Annotated[int | None, whole("processes that run at once [the cores]")]
 
 
 def register(app: typer.Typer) -> None:
@@ -53,10 +54,9 @@ def compare(
     from hedgerow.orchestrator.experiments.compare.plan import comparison, disturbances_of  # noqa: PLC0415
     from hedgerow.orchestrator.experiments.sweep.plan import seeds_of  # noqa: PLC0415
 
-    if jobs is not None and jobs < 1:
-        raise UserError(f"--jobs {jobs}: is below 1. Leave it out for all cores.", code=Code.OPTION)
+    check_options(jobs=jobs)
     settings = [*(sets or []), *([] if steps is None else [f"steps={steps}"])]
-    plan = comparison(file, law or ["minimax"], disturbances_of(disturbances), seeds_of(seeds), settings)
+    plan = comparison(Path(file), law or ["minimax"], disturbances_of(disturbances), seeds_of(seeds), settings)
     found = run(plan, out, jobs, quiet)
     if found is None:
         return 3

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import io
+import os
 import select
 import sys
 from collections.abc import Callable
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from hedgerow.orchestrator.ground.signals import EndNowError
 from hedgerow.topologies.errors import Code, Exit, HedgerowError, TopologyError, UserError
 from hedgerow.topologies.escape import echo
 from hedgerow.wire import crash, start
@@ -35,7 +37,7 @@ def run_to_exit_code(command: Callable[[], int]) -> int:
     try:
         code = command()
         if code == start.INTERRUPTED:  # typer has caught the KeyboardInterrupt
-            code = start.code_after_signal()
+            code = start.end_of_command()
         with contextlib.suppress(BrokenPipeError):  # the reader of the pipe has closed it, and needs no more
             sys.stdout.flush()
     except TopologyError as error:
@@ -44,11 +46,14 @@ def run_to_exit_code(command: Callable[[], int]) -> int:
     except UserError as error:
         _complain(f"error: {error}")
         code = 2
+    except EndNowError as error:
+        _complain(f"stopped: {error}")
+        code = Exit.UNKNOWN
     except HedgerowError as error:
         _complain(f"error: {error}")
         code = Exit.CRASH if error.code == Code.CRASH else Exit.UNKNOWN
     except (typer.Abort, KeyboardInterrupt):
-        code = start.code_after_signal()
+        code = start.end_of_command()
     except BaseException as error:  # a panic of a Rust library is not an Exception
         code = _unexpected(error)
     return code
@@ -72,11 +77,22 @@ def _unexpected(error: BaseException) -> int:
             echo(shown.getvalue(), error=True, end="")
         return Exit.USER_MISTAKE
     reached = limit_reached(error)
-    if reached is None and isinstance(error, OSError) and error.errno in OF_PATHS and error.filename is not None:
-        _complain(f"error: {error.filename!s}: {error.strerror}. Name another path, or correct its permissions.")
+    if reached is None and isinstance(error, OSError) and (mistake := _mistake_of_path(error)):
+        _complain(f"error: {mistake}")
         return Exit.USER_MISTAKE
     _complain(f"error: {reached or crash.report(error)}")
     return Exit.CRASH if reached is None else Exit.UNKNOWN
+
+
+def _mistake_of_path(error: OSError) -> str:
+    """Return the problem and the fix of a path that the user chose, or an empty text for another error."""
+    try:
+        os.getcwd()
+    except FileNotFoundError:
+        return "the working directory was removed. Change to a folder that exists."
+    if error.errno not in OF_PATHS or error.filename is None:
+        return ""
+    return f"{error.filename!s}: {error.strerror}. Name another path, or correct its permissions."
 
 
 def _nobody_reads() -> bool:

@@ -13,7 +13,7 @@ from hedgerow.topologies.escape import echo
 from hedgerow.topologies.paths import user_path
 
 Run = Annotated[
-    str, typer.Argument(metavar="[RUN]", help="a run folder, or its name in runs/", autocompletion=complete.runs)
+    str, typer.Argument(metavar="RUN", help="a run folder, or its name in runs/", autocompletion=complete.runs)
 ]
 To = Annotated[str, typer.Option(metavar="csv|parquet|npz|mat", help="tables, or named arrays")]
 Out = Annotated[

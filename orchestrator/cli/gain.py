@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from hedgerow.orchestrator.cli.names import EXPERIMENT
+from hedgerow.orchestrator.cli.numbers import whole
 from hedgerow.orchestrator.cli.options import AsJson, File, Law, NoProgress, Sets
 from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.escape import echo
@@ -19,15 +20,14 @@ Full = Annotated[bool, typer.Option("--full", help="a full storage matrix P, for
 Split = Annotated[bool, typer.Option("--split", help="one small matrix per node at any size, which may take minutes")]
 Budget = Annotated[str, typer.Option(metavar="TIME", help="how long to search, as 90, 60s or 5m")]
 Faults = Annotated[bool, typer.Option("--faults", help="search cuts and drops too")]
-SearchSeed = Annotated[int, typer.Option("--seed", min=0, help="seed of the search")]
+SearchSeed = Annotated[int, whole("seed of the search", "--seed", low=0)]
 Length = Annotated[
     int | None,
-    typer.Option(
+    whole(
+        "steps of the run of a disturbance that holds its last value [10000; 4000 of more than 100 nodes]",
         "--steps",
-        min=100,
-        max=10**6,
-        help="steps of the run of a disturbance that holds its last value [10000; 4000 of more than 100 nodes]",
-        show_default=False,
+        low=100,
+        high=10**6,
     ),
 ]
 Out = Annotated[Path, typer.Option(parser=user_path, metavar="FILE", help="the network that repeats the gain")]
@@ -74,11 +74,16 @@ def worst(
 
     seconds = seconds_of(budget)
     topology = checked(read(file, sets, law=law))
+    is_stopped = False
     with Interrupts() as interrupts, Progress(f"worst {topology.name}", seconds, quiet=quiet or as_json) as progress:
 
         def quit_now() -> bool:
+            nonlocal is_stopped
             progress.update()
-            return bool(interrupts.count)
+            if interrupts.count and not is_stopped:
+                is_stopped = True
+                progress.say(f"stopped: {interrupts.name}; proving the attack found so far")
+            return is_stopped
 
         found = search(topology, seconds, faults, seed, steps, out, progress.say, quit_now)
     echo(json.dumps(found.to_dict()) if as_json else f"{found.text()}\nagain with: orchestrator up {out}")

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from hedgerow.orchestrator.cli.names import INSPECT
+from hedgerow.orchestrator.cli.numbers import real, whole
 from hedgerow.orchestrator.cli.options import Seed
 from hedgerow.topologies.escape import command, echo
 from hedgerow.topologies.paths import user_path
@@ -31,9 +32,7 @@ def import_(
     storage: Annotated[
         str | None, typer.Option(metavar=_NUMBER, help="an attribute of nodes, or one storage for all; b_i = b/sqrt(c)")
     ] = None,
-    junction_storage: Annotated[
-        float | None, typer.Option(metavar="C", help="of nodes without one; of junctions [100 m^2]")
-    ] = None,
+    junction_storage: Annotated[float | None, real("of nodes without one; of junctions [100 m^2]", metavar="C")] = None,
     largest_component: Annotated[
         bool, typer.Option("--largest-component", help="keep the largest connected piece alone")
     ] = False,
@@ -41,17 +40,17 @@ def import_(
         bool, typer.Option("--directed", help="i,j and j,i of a list are one edge, not two parallel ones")
     ] = False,
     max_degree: Annotated[
-        int | None, typer.Option(metavar="D", help="keep at most D edges per node, those of the largest weights")
+        int | None, whole("keep at most D edges per node, those of the largest weights", metavar="D")
     ] = None,
     time_step: Annotated[
-        float | None, typer.Option(metavar="S", help="seconds per step of an EPANET network [half of what (3) allows]")
+        float | None, real("seconds per step of an EPANET network [half of what (3) allows]", metavar="S")
     ] = None,
-    leak: Annotated[float | None, typer.Option(metavar="R", help="loss per hour: a = exp(-R dt) [a is drawn]")] = None,
+    leak: Annotated[float | None, real("loss per hour: a = exp(-R dt) [a is drawn]")] = None,
     reservoir_storage: Annotated[
-        float | None, typer.Option(metavar="C", help="keep reservoirs, with C m^2 [they are dropped]")
+        float | None, real("keep reservoirs, with C m^2 [they are dropped]", metavar="C")
     ] = None,
-    b: Annotated[float | None, typer.Option("--b", help="the gain [half of what (3) allows]")] = None,
-    steps: Annotated[int | None, typer.Option(help="steps of the run [300]")] = None,
+    b: Annotated[float | None, real("the gain [half of what (3) allows]", "--b", metavar="B")] = None,
+    steps: Annotated[int | None, whole("steps of the run [300]")] = None,
     seed: Seed = None,
     name: Annotated[str | None, typer.Option(help="the name of the run [that of the file]")] = None,
     force: Annotated[bool, typer.Option("--force", help="replace existing files")] = False,

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hedgerow.orchestrator.cli.names import DEPLOY, INSPECT
+from hedgerow.orchestrator.cli.numbers import real
 from hedgerow.orchestrator.cli.options import AsJson, File, Processes
 from hedgerow.topologies.escape import command, echo
 from hedgerow.topologies.paths import user_path
@@ -41,7 +42,7 @@ def keys(
         str, typer.Option(metavar="ENDPOINT", help="where the router will be: tls/HOST:PORT")
     ] = "tls/localhost:7447",
     processes: Processes = None,
-    days: Annotated[float, typer.Option(metavar="N", min=0.01, max=366, help="how long the certificates hold")] = 7,
+    days: Annotated[float, real("days that the certificates hold", metavar="N", low=0.01, high=366)] = 7,
 ) -> int:
     """Make the keys of a secure network with a separate router: a folder for each process, and the router's."""
     from hedgerow.orchestrator.launch.certificates import CONFIGURATION, to_carry  # noqa: PLC0415

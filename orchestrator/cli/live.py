@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hedgerow.orchestrator.cli.names import WATCH, Commands
+from hedgerow.orchestrator.cli.numbers import real, real_argument, whole, whole_argument
 from hedgerow.orchestrator.cli.options import AsJson
 from hedgerow.orchestrator.launch.fault_verbs import VERBS, FaultVerbs
 from hedgerow.topologies.escape import echo
@@ -31,11 +32,11 @@ Run = Annotated[
     typer.Option("--run", metavar="RUN", help="a running network's name [the only one, or that of this folder]"),
 ]
 _Link = Annotated[str, typer.Argument(metavar="I-J", help="two neighbours; I,J where a '-' is part of a name")]
-_Chance = Annotated[float, typer.Option(metavar="P", help="its probability at each step, for each message")]
-_For = Annotated[int | None, typer.Option("--for", metavar="N", min=1, help="number of steps [until healed]")]
-_Back = Annotated[int | None, typer.Option(metavar="N", help="number of steps that it misses [until healed]")]
-_Process = Annotated[int | None, typer.Option(metavar="P", help="kill this process with all its agents")]
-_NODE_OR_PROCESS = Annotated[str | None, typer.Argument(metavar="[NODE]", help="the node of the agent")]
+_Chance = Annotated[float, real("its probability at each step, for each message", metavar="P")]
+_For = Annotated[int | None, whole("number of steps [until healed]", "--for", low=1)]
+_Back = Annotated[int | None, whole("number of steps that it misses [until healed]")]
+_Process = Annotated[int | None, whole("kill this process with all its agents", metavar="P")]
+_NODE_OR_PROCESS = Annotated[str | None, typer.Argument(metavar="NODE", help="the node of the agent")]
 _REQUIRED = inspect.Parameter.empty
 _ARGUMENTS: dict[str, tuple[Any, Any]] = {
     "link": (_Link, _REQUIRED),
@@ -43,19 +44,19 @@ _ARGUMENTS: dict[str, tuple[Any, Any]] = {
     "groups": (Annotated[str, typer.Argument(metavar="I,J/K,L", help="groups of nodes")], _REQUIRED),
     "node": (Annotated[str, typer.Argument(metavar="NODE", help="the id of a node")], _REQUIRED),
     "process": (_Process, None),
-    "to": (Annotated[float, typer.Option(metavar="A", help="the new truth, one of the node's candidates")], _REQUIRED),
-    "by": (Annotated[int, typer.Option(metavar="N", min=1, help="delay in steps")], _REQUIRED),
+    "to": (Annotated[float, real("the new truth, one of the node's candidates", metavar="A")], _REQUIRED),
+    "by": (Annotated[int, whole("delay in steps", low=1)], _REQUIRED),
     "cut": (Annotated[bool, typer.Option("--cut", help="cut the edges between them too")], False),
     "one_way": (Annotated[bool, typer.Option("--one-way", help="only the messages from I to J")], False),
     "probability": (_Chance, 1.0),
     "steps": (_For, None),
     "restart_after": (_Back, None),
-    "after": (Annotated[int, typer.Option("--after", metavar="N", min=0, help="number of steps to wait first")], 0),
+    "after": (Annotated[int, whole("number of steps to wait first", "--after", low=0)], 0),
     "run": (Run, None),
     "as_json": (AsJson, False),
 }
 """The command-line form of each argument of the methods of FaultVerbs, and its default."""
-Number = Annotated[int | None, typer.Argument(metavar="[ID]", help="the fault's number [all that can be ended]")]
+Number = Annotated[int | None, whole_argument("the fault's number [all that can be ended]", metavar="ID")]
 
 
 def register(app: typer.Typer) -> None:
@@ -171,7 +172,7 @@ def resume(run: Run = None, as_json: AsJson = False) -> int:
 
 
 def step(
-    steps: Annotated[int, typer.Argument(metavar="[N]", min=1, help="number of steps")] = 1,
+    steps: Annotated[int, whole_argument("number of steps", metavar="N", low=1)] = 1,
     run: Run = None,
     as_json: AsJson = False,
 ) -> int:
@@ -182,9 +183,7 @@ def step(
 
 
 def rate(
-    per_second: Annotated[
-        float, typer.Argument(metavar="R", min=0, help="steps per second, 0 for as fast as possible")
-    ],
+    per_second: Annotated[float, real_argument("steps per second, 0 for as fast as possible", metavar="R", low=0)],
     run: Run = None,
     as_json: AsJson = False,
 ) -> int:

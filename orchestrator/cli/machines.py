@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from hedgerow.orchestrator.cli.names import DEPLOY
+from hedgerow.orchestrator.cli.numbers import choice, real
 from hedgerow.orchestrator.cli.options import File, Law, Processes, Seed, Sets, Steps
 from hedgerow.topologies.errors import Code, UserError, check_options
 from hedgerow.topologies.escape import echo
@@ -17,7 +17,7 @@ from hedgerow.topologies.paths import user_path
 Secure = Annotated[
     bool | None, typer.Option("--secure/--open", help="keys for every process, and a router that refuses the rest")
 ]
-Days = Annotated[float | None, typer.Option(metavar="N", min=0.01, max=366, help="how long the keys hold [7]")]
+Days = Annotated[float | None, real("days that the keys hold [7]", metavar="N", low=0.01, high=366)]
 Namespace = Annotated[str | None, typer.Option(metavar="KEY", help="where all meet [hedgerow/NAME]")]
 
 
@@ -80,17 +80,16 @@ def _refuse_days(secure: bool, days: float | None) -> None:
         raise UserError(f"--days {days:g}: is how long keys hold, of a secure network; give --secure too")
 
 
-class Format(StrEnum):
-    """The engine that runs the containers."""
-
-    COMPOSE = "compose"
-    KUBERNETES = "kubernetes"
+COMPOSE, KUBERNETES = "compose", "kubernetes"
+Format = Annotated[
+    str, choice("for Docker, or for Kubernetes", "--format", metavar="compose|kubernetes", words=[COMPOSE, KUBERNETES])
+]
 
 
 def compose(
     file: File,
-    form: Annotated[Format, typer.Option("--format", help="for Docker, or for Kubernetes")] = Format.COMPOSE,
-    rate: Annotated[float, typer.Option(metavar="R", help="steps per second, 0 for as fast as possible")] = 10.0,
+    form: Format = COMPOSE,
+    rate: Annotated[float, real("steps per second, 0 for as fast as possible")] = 10.0,
     out: Annotated[
         Path | None, typer.Option(parser=user_path, metavar="FILE", help="write it there, for you alone to read")
     ] = None,
@@ -125,7 +124,7 @@ def compose(
     check_options(rate=rate)
     topology = read(file, sets, steps=steps, seed=seed, law=law, processes=processes, secure=secure)
     shards = layout(topology, topology.process_count)
-    meet, docker, folder = namespace_of(topology.name) if namespace is None else namespace, form is Format.COMPOSE, None
+    meet, docker, folder = namespace_of(topology.name) if namespace is None else namespace, form == COMPOSE, None
     check_namespace(meet)
     beside = out.parent if out else Path()
     _refuse_days(topology.secure, days)

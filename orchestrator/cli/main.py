@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import copy
 import functools
 import json
 import os
@@ -33,6 +34,7 @@ from hedgerow.orchestrator.cli import sweep as cli_sweep
 from hedgerow.orchestrator.cli import watch as cli_watch
 from hedgerow.orchestrator.cli.exit_code import code_of_run, run_to_exit_code
 from hedgerow.orchestrator.cli.names import EXPERIMENT, INSPECT, RUN, WATCH, Commands
+from hedgerow.orchestrator.cli.numbers import real, whole, whole_of
 from hedgerow.orchestrator.cli.options import (
     AsJson,
     File,
@@ -53,6 +55,7 @@ from hedgerow.topologies.escape import command, echo
 from hedgerow.topologies.paths import user_path
 from hedgerow.wire.child import escape_warnings
 from hedgerow.wire.runtime import let_numbers_overflow
+from hedgerow.wire.start import loading
 
 # Loading the topology modules takes most of a second: each command imports what it needs.
 if TYPE_CHECKING:
@@ -76,7 +79,7 @@ _FORK_CLIENT: ForkClient | None = None
 Record = Annotated[bool, typer.Option("--record/--no-record", help="write run.rrd")]
 SplitRecording = Annotated[
     float,
-    typer.Option(metavar="MB", min=0, help="size of a file of the recording, 0 for one file"),
+    real("size of a file of the recording, 0 for one file", metavar="MB", low=0),
 ]
 Plain = Annotated[bool, typer.Option("--plain", help="print lines instead of a live table")]
 Viewer = Annotated[
@@ -107,7 +110,20 @@ def run_command(began: float, fork_client: ForkClient | None) -> int:
     _BEGAN, _FORK_CLIENT = began, fork_client
     let_numbers_overflow()
     escape_warnings()
-    return run_to_exit_code(lambda: app(standalone_mode=False) or 0)
+    needed = _without_other_commands(app, *sys.argv[1:2])
+    return run_to_exit_code(lambda: needed(standalone_mode=False) or 0)
+
+
+def _without_other_commands(whole: typer.Typer, word: str = "") -> typer.Typer:
+    """Return the command line with the command `word` alone; all of it if no command has this name.
+
+    Typer takes longer to build all commands than `up` takes to load numpy.
+    """
+    named = [one for one in whole.registered_commands if one.callback and word == (one.name or one.callback.__name__)]
+    part = copy.copy(whole)
+    if named:
+        part.registered_commands, part.registered_groups = named, []
+    return part
 
 
 @app.command(rich_help_panel=RUN)
@@ -120,7 +136,7 @@ def up(
     seed: Seed = None,
     law: Law = None,
     kept_law: KeptLaw = False,
-    rate: Annotated[float, typer.Option(metavar="R", help="steps per second, 0 for as fast as possible")] = 0.0,
+    rate: Annotated[float, real("steps per second, 0 for as fast as possible")] = 0.0,
     run_dir: RunDir = None,
     sets: Sets = None,
     viewer: Viewer = "auto",
@@ -152,10 +168,10 @@ def up(
     namespace: Annotated[str | None, typer.Option(metavar="KEY", help="prefix of all keys [hedgerow/NAME]")] = None,
     wait: Annotated[
         float | None,
-        typer.Option(metavar="S", help="seconds to wait for them [600, on Ray 120]"),
+        real("seconds to wait for them [600, on Ray 120]", metavar="S"),
     ] = None,
     on: Annotated[str | None, typer.Option(metavar="ray|ray://HOST:PORT", help="cluster that runs the agents")] = None,
-    deadline: Annotated[float, typer.Option(metavar="S", help="seconds to wait for an agent at a step")] = 10.0,
+    deadline: Annotated[float, real("seconds to wait for an agent at a step", metavar="S")] = 10.0,
     verify: Annotated[bool, typer.Option("--verify", help="repeat the run here, and compare all bits")] = False,
     detach: Annotated[bool, typer.Option("--detach", help="return after the first step; the network runs on")] = False,
     lifeline: Annotated[bool, typer.Option("--lifeline", help="end the run when standard input ends")] = False,
@@ -168,17 +184,18 @@ def up(
         raise UserError("--lifeline --detach: choose one; a network in the background has no standard input")
     if lifeline:
         threading.Thread(target=detached.end_with_standard_input, name="lifeline", daemon=True).start()
-    from hedgerow.orchestrator.ground.assignment import layout, places, views_of  # noqa: PLC0415
-    from hedgerow.orchestrator.launch.endpoints import check as check_security  # noqa: PLC0415
-    from hedgerow.orchestrator.launch.endpoints import meeting_place  # noqa: PLC0415
-    from hedgerow.orchestrator.launch.options import Options  # noqa: PLC0415
-    from hedgerow.orchestrator.launch.recording import Watching  # noqa: PLC0415
-    from hedgerow.orchestrator.launch.up import Network  # noqa: PLC0415
-    from hedgerow.orchestrator.runs import folder as folders  # noqa: PLC0415
-    from hedgerow.orchestrator.views.screen import screen  # noqa: PLC0415
+    with loading():
+        from hedgerow.orchestrator.ground.assignment import layout, places, views_of  # noqa: PLC0415
+        from hedgerow.orchestrator.launch.endpoints import check as check_security  # noqa: PLC0415
+        from hedgerow.orchestrator.launch.endpoints import meeting_place  # noqa: PLC0415
+        from hedgerow.orchestrator.launch.options import Options  # noqa: PLC0415
+        from hedgerow.orchestrator.launch.up import Network  # noqa: PLC0415
+        from hedgerow.orchestrator.launch.watching import Watching  # noqa: PLC0415
+        from hedgerow.orchestrator.runs import folder as folders  # noqa: PLC0415
+        from hedgerow.orchestrator.views.screen import screen  # noqa: PLC0415
 
     check_options(rate=rate, deadline=deadline, wait=wait)
-    count_of: object = int(processes) if processes and processes.lstrip("-").isdecimal() else processes
+    count_of: object = whole_of(processes) if processes and processes[-1:].isdigit() else processes
     drawn = read(file, sets, steps=steps, seed=seed, law=law, processes=count_of, secure=secure)
     topology = importable(drawn, file, kept_law)
     shards = layout(topology, topology.process_count)
@@ -265,8 +282,8 @@ def _check_cluster(on: str, external: str | None) -> None:
 
 def _introduce(topology: Topology, processes: int, folder: RunFolder, display: Screen) -> None:
     """Print the size of the network, the run folder, and the rows that are recorded."""
-    from hedgerow.orchestrator.metrics.summary import count  # noqa: PLC0415
     from hedgerow.orchestrator.runs.selection import notes  # noqa: PLC0415
+    from hedgerow.topologies.describe import count  # noqa: PLC0415 (pydantic takes a while to load)
 
     what = f"{count(len(topology.ids), 'node')} in {count(processes, 'process', 'es')}, {topology.steps} steps"
     display.say(f"{topology.name}: {what}, run {folder.name}")
@@ -306,8 +323,8 @@ def simulate(
 ) -> int:
     """Run a network in this process, without Zenoh; the result has the same bits as that of `up`."""
     from hedgerow.orchestrator.ground.assignment import layout  # noqa: PLC0415
-    from hedgerow.orchestrator.launch.recording import Watching  # noqa: PLC0415
     from hedgerow.orchestrator.launch.simulation import simulate_into  # noqa: PLC0415
+    from hedgerow.orchestrator.launch.watching import Watching  # noqa: PLC0415
     from hedgerow.orchestrator.runs import folder as folders  # noqa: PLC0415
     from hedgerow.orchestrator.runs.selection import notes  # noqa: PLC0415
     from hedgerow.orchestrator.views.screen import screen  # noqa: PLC0415
@@ -380,7 +397,7 @@ def status(run: Running = None, as_json: AsJson = False) -> int:
 @app.command(rich_help_panel=WATCH)
 def stop(
     run: Running = None,
-    deadline: Annotated[float, typer.Option(metavar="S", help="seconds to wait for the end")] = 20.0,
+    deadline: Annotated[float, real("seconds to wait for the end", metavar="S")] = 20.0,
 ) -> int:
     """End a running network as Ctrl-C does, and wait for its end."""
     from hedgerow.orchestrator.launch.live import Live  # noqa: PLC0415
@@ -406,11 +423,9 @@ def stop(
 
 @app.command(rich_help_panel=EXPERIMENT)
 def chaos(
-    seed: Annotated[
-        int, typer.Option(metavar="N", min=0, help="first seed; it determines the network and the faults")
-    ] = 0,
-    runs: Annotated[int, typer.Option(min=1, help="number of seeds to try")] = 1,
-    nodes: Annotated[int, typer.Option(min=2, max=200, help="largest number of nodes of a network")] = 12,
+    seed: Annotated[int, whole("first seed; it determines the network and the faults", low=0)] = 0,
+    runs: Annotated[int, whole("number of seeds to try", low=1)] = 1,
+    nodes: Annotated[int, whole("largest number of nodes of a network", low=2, high=200)] = 12,
     quiet: NoProgress = False,
 ) -> int:
     """Run random networks under random faults until a check fails; write the smallest file that fails; exit code 1."""

@@ -19,7 +19,7 @@ _MEANT = {
 }
 
 
-RUN, WATCH, INSPECT, EXPERIMENT, DEPLOY = "Run", "Watch and control", "Inspect", "Experiment", "Deploy"
+PANELS = RUN, WATCH, INSPECT, EXPERIMENT, DEPLOY = "Run", "Watch and control", "Inspect", "Experiment", "Deploy"
 """The panels of the help text, in order."""
 
 
@@ -31,7 +31,7 @@ class Commands(typer.core.TyperGroup):
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write the commands in their panels, each with its whole first sentence."""
-        panels: dict[str, list[tuple[str, str]]] = {name: [] for name in (RUN, WATCH, INSPECT, EXPERIMENT, DEPLOY)}
+        panels: dict[str, list[tuple[str, str]]] = {name: [] for name in PANELS}
         for name in self.list_commands(ctx):
             command = self.get_command(ctx, name)
             if command is None:

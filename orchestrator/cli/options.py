@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from hedgerow.orchestrator.cli import complete
+from hedgerow.orchestrator.cli.numbers import whole
 from hedgerow.topologies.escape import answers_alone
 from hedgerow.topologies.paths import user_path
 
@@ -20,14 +21,14 @@ File = Annotated[
 Running = Annotated[
     str | None,
     typer.Argument(
-        metavar="[RUN]",
+        metavar="RUN",
         help="name of a running network [the only one, or that of this folder]",
         autocompletion=complete.running,
     ),
 ]
 Sets = Annotated[list[str] | None, typer.Option("--set", metavar="PATH=VALUE", help="replace a value of the file")]
-Steps = Annotated[int | None, typer.Option(help="replace `steps:`")]
-Seed = Annotated[int | None, typer.Option(help="replace `seed:`")]
+Steps = Annotated[int | None, whole("replace `steps:`")]
+Seed = Annotated[int | None, whole("replace `seed:`")]
 Law = Annotated[str | None, typer.Option(help="replace `law:`")]
 KeptLaw = Annotated[
     bool, typer.Option("--kept-law", help="FILE is the folder of a run: load the law from its copy there")
@@ -46,4 +47,4 @@ def _alone(context: typer.Context, as_json: bool) -> bool:
 
 
 AsJson = Annotated[bool, typer.Option("--json", help="one JSON object on standard output", callback=_alone)]
-Processes = Annotated[int | None, typer.Option(metavar="P", help="agent processes [one a node]")]
+Processes = Annotated[int | None, whole("agent processes [one a node]", metavar="P")]

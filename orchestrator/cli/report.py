@@ -9,18 +9,17 @@ import typer
 
 from hedgerow.orchestrator.cli import complete
 from hedgerow.orchestrator.cli.names import INSPECT
+from hedgerow.orchestrator.cli.numbers import real
 from hedgerow.topologies.escape import echo
 from hedgerow.topologies.paths import user_path
 
 Runs = Annotated[
     list[str] | None,
-    typer.Argument(
-        metavar="[RUN ...]", help="run folders, or names in runs/ [runs/latest]", autocompletion=complete.runs
-    ),
+    typer.Argument(metavar="RUN", help="run folders, or names in runs/ [runs/latest]", autocompletion=complete.runs),
 ]
 Out = Annotated[Path | None, typer.Option(parser=user_path, metavar="DIR", help="the folder to write [RUN-report]")]
 Figures = Annotated[str | None, typer.Option(metavar="2,4,...", help="only these figures [all]")]
-Width = Annotated[float | None, typer.Option(metavar="IN", help="width of a figure in inches [3.5, one column]")]
+Width = Annotated[float | None, real("width of a figure in inches [3.5, one column]", metavar="IN")]
 Style = Annotated[str | None, typer.Option(metavar="FILE", help="a .mplstyle file, or a style of matplotlib, on top")]
 Formats = Annotated[str, typer.Option("--format", metavar="pdf,...", help="formats of the figures: pdf, png, svg, pgf")]
 Force = Annotated[bool, typer.Option("--force", help="replace an existing report")]

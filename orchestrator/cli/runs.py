@@ -13,7 +13,7 @@ from hedgerow.orchestrator.cli.options import AsJson
 from hedgerow.topologies.escape import echo, escape
 from hedgerow.topologies.paths import user_path
 
-Directory = Annotated[Path, typer.Argument(metavar="[DIR]", parser=user_path, help="the folder that holds the runs")]
+Directory = Annotated[Path, typer.Argument(metavar="DIR", parser=user_path, help="the folder that holds the runs")]
 Keep = Annotated[
     int | None, typer.Option("--keep", metavar="N", min=0, help="remove all runs except the newest N and running ones")
 ]

@@ -9,13 +9,14 @@ from typing import Annotated
 import typer
 
 from hedgerow.orchestrator.cli.names import EXPERIMENT
+from hedgerow.orchestrator.cli.numbers import real, whole
 from hedgerow.orchestrator.cli.options import Quiet, RunDir, Sets
 from hedgerow.topologies.escape import echo
 
-File = Annotated[str, typer.Argument(metavar="[FILE]", help="a topology file, a bundled name, or the folder of a run")]
-Minutes = Annotated[float, typer.Option(metavar="N", help="for how long")]
-Rate = Annotated[float, typer.Option(metavar="R", min=0, help="steps per second, 0 for as fast as possible")]
-Processes = Annotated[int | None, typer.Option(metavar="P", min=1, help="agent processes [one a node]")]
+File = Annotated[str, typer.Argument(metavar="FILE", help="a topology file, a bundled name, or the folder of a run")]
+Minutes = Annotated[float, real("for how long", metavar="N")]
+Rate = Annotated[float, real("steps per second, 0 for as fast as possible")]
+Processes = Annotated[int | None, whole("agent processes [one a node]", metavar="P", low=1)]
 Record = Annotated[bool, typer.Option("--record/--no-record", help="write run.rrd")]
 Faults = Annotated[bool, typer.Option("--faults/--no-faults", help="add random faults to the whole run")]
 

@@ -8,9 +8,10 @@ from typing import Annotated
 import typer
 
 from hedgerow.orchestrator.cli.names import EXPERIMENT
+from hedgerow.orchestrator.cli.numbers import whole
 from hedgerow.orchestrator.cli.options import Quiet
 from hedgerow.orchestrator.launch.ray_cluster import check
-from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.errors import check_options
 from hedgerow.topologies.escape import echo
 from hedgerow.topologies.paths import user_path
 
@@ -26,7 +27,7 @@ Out = Annotated[
     Path | None,
     typer.Option(parser=user_path, metavar="DIR", help="the sweep's folder, new or of this sweep [sweeps/NAME-HASH]"),
 ]
-Jobs = Annotated[int | None, typer.Option(metavar="N", help="runs at once [the cores; with --engine zenoh 1]")]
+Jobs = Annotated[int | None, whole("runs at once [the cores; with --engine zenoh 1]")]
 On = Annotated[str | None, typer.Option(metavar="ray|ray://HOST:PORT", help="the cluster to run on [this machine]")]
 
 
@@ -49,10 +50,9 @@ def sweep(
     from hedgerow.orchestrator.experiments.sweep import sweep as run  # noqa: PLC0415
     from hedgerow.orchestrator.experiments.sweep.plan import plan  # noqa: PLC0415
 
-    if jobs is not None and jobs < 1:
-        raise UserError(f"--jobs {jobs}: is below 1; leave it out for all cores")
+    check_options(jobs=jobs)
     if on is not None:
         check(on)
-    done = run(plan(file, seeds, sets or [], engine), out, jobs, on, quiet)
+    done = run(plan(Path(file), seeds, sets or [], engine), out, jobs, on, quiet)
     echo(done.line)
     return done.exit_code

@@ -15,7 +15,7 @@ from hedgerow.topologies.escape import command, echo
 Runs = Annotated[
     list[str] | None,
     typer.Argument(
-        metavar="[RUN]...",
+        metavar="RUN",
         help="a run folder, or its name in runs/; several are drawn on the same axes [the latest]",
         autocompletion=complete.runs,
     ),

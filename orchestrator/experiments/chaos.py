@@ -22,12 +22,13 @@ from hedgerow.orchestrator.ground.assignment import layout
 from hedgerow.orchestrator.ground.signals import EndNowError
 from hedgerow.orchestrator.launch.fork_client import ForkClient
 from hedgerow.orchestrator.launch.options import Options
-from hedgerow.orchestrator.launch.recording import Watching
 from hedgerow.orchestrator.launch.up import Network
-from hedgerow.orchestrator.metrics.summary import count
+from hedgerow.orchestrator.launch.watching import Watching
 from hedgerow.orchestrator.runs.folder import create
 from hedgerow.orchestrator.views.screen import Quiet
+from hedgerow.topologies.describe import count
 from hedgerow.topologies.errors import TopologyError
+from hedgerow.topologies.faults import Actuator, Crash, Cut, Delay, Drop, FaultModel, Jump, Partition, Sensor
 from hedgerow.topologies.hinf import allowed_interval
 from hedgerow.topologies.load import parse
 from hedgerow.topologies.resolve import resolve, to_yaml
@@ -83,24 +84,24 @@ def drawn(seed: int, most: int = 12) -> Raw:
 
 def _fault(lots: np.random.Generator, nodes: Mapping[int, Raw], edges: list[list[int]], steps: int) -> Raw:
     start = int(lots.integers(steps))
-    window = {"steps": [start, start + int(lots.integers(1, steps))]}
-    chance = {"probability": 0.4} if lots.random() < 0.4 else {}
+    window: Raw = {"steps": (start, start + int(lots.integers(1, steps)))}
+    chance = window | ({"probability": 0.4} if lots.random() < 0.4 else {})
     i, j = edges[int(lots.integers(len(edges)))][:: int(lots.choice([1, -1]))]
     node = int(lots.integers(len(nodes)))
-    kinds: list[Raw] = [
-        {"kind": "drop", "link": [i, j], **window, **chance},
-        {"kind": "drop", "from": i, "to": j, **window, **chance},
-        {"kind": "delay", "from": i, "to": j, "by": int(lots.integers(1, 6)), **window, **chance},
-        {"kind": "cut", "edge": [i, j], **window, **chance},
-        {"kind": "partition", "groups": [[0], list(range(1, len(nodes)))], "cut": bool(lots.random() < 0.5), **window},
-        {"kind": "sensor", "node": node, **window, **chance},
-        {"kind": "actuator", "node": node, **window, **chance},
-        {"kind": "jump", "node": node, "at": start, "a": nodes[node]["candidates"][int(lots.integers(3))]},
-        {"kind": "crash", "node": node, "at": start, "restart_after": int(lots.integers(1, 8))},
-        {"kind": "crash", "node": node, "at": start, "restart_after": int(lots.integers(1, 8))},
-        {"kind": "crash", "node": node, "at": start},
+    kinds: list[FaultModel] = [
+        Drop(link=(i, j), **chance),
+        Drop(from_=i, to=j, **chance),
+        Delay(from_=i, to=j, by=int(lots.integers(1, 6)), **chance),
+        Cut(edge=(i, j), **chance),
+        Partition(groups=((0,), tuple(range(1, len(nodes)))), cut=bool(lots.random() < 0.5), **window),
+        Sensor(node=node, **chance),
+        Actuator(node=node, **chance),
+        Jump(node=node, at=start, a=nodes[node]["candidates"][int(lots.integers(3))]),
+        Crash(node=node, at=start, restart_after=int(lots.integers(1, 8))),
+        Crash(node=node, at=start, restart_after=int(lots.integers(1, 8))),
+        Crash(node=node, at=start),
     ]
-    return kinds[int(lots.integers(len(kinds)))]
+    return kinds[int(lots.integers(len(kinds)))].written()
 
 
 def read(raw: Raw) -> Topology:
@@ -120,7 +121,7 @@ def trial(topology: Topology, folder: Path, fork_client: ForkClient) -> str:
     network = Network(topology, create(topology, folder), shards, options, Quiet(), fork_client, time.monotonic())
     content = network.run().content
     if network.interrupted:
-        raise EndNowError("stopped on request")
+        raise EndNowError(network.interrupted)
     wrong = [reason for reason in content["reasons"] if "could not fire" not in reason]
     if content["steps_done"] < topology.steps:
         wrong.append(f"{content['steps_done']} of {topology.steps} steps done")

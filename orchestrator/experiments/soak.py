@@ -15,20 +15,19 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import psutil
 from numpy.typing import NDArray
-from pydantic import TypeAdapter
 
-from hedgerow.orchestrator.ground.signals import Interrupts
+from hedgerow.orchestrator.ground.signals import EndNowError, Interrupts
 from hedgerow.orchestrator.launch.live import Live
 from hedgerow.orchestrator.runs import registry
 from hedgerow.orchestrator.runs.files import load_events, read_verdict
 from hedgerow.orchestrator.runs.folder import RunFolder
 from hedgerow.topologies.errors import DeadlineError, HedgerowError
-from hedgerow.topologies.faults import Fault
+from hedgerow.topologies.faults import Actuator, Cut, Delay, Drop, Fault, Sensor
+from hedgerow.topologies.paths import beside, real_path
 from hedgerow.topologies.regular_file import last_text
 from hedgerow.topologies.resolve import to_yaml
 from hedgerow.topologies.schema import Topology
@@ -36,7 +35,6 @@ from hedgerow.wire.session import WireError
 
 Say = Callable[[str], None]
 Array = NDArray[np.float64]
-_FAULT: TypeAdapter[Fault] = TypeAdapter(Fault)
 
 STEPS = 10**9
 """more than any soak test makes"""
@@ -113,17 +111,17 @@ class Trend:
 def with_faults(topology: Topology) -> Topology:
     """Return the resolved network with additional random faults during the whole run; its own faults remain."""
     edges, nodes = topology.pairs, topology.ids
-    added: list[dict[str, Any]] = [
-        {"kind": "sensor", "node": nodes[0], "probability": 0.02},
-        {"kind": "actuator", "node": nodes[len(nodes) // 2], "probability": 0.02},
+    added: list[Fault] = [
+        Sensor(node=nodes[0], probability=0.02),
+        Actuator(node=nodes[len(nodes) // 2], probability=0.02),
     ]
     if edges:
         added += [
-            {"kind": "drop", "link": edges[0], "probability": 0.05},
-            {"kind": "delay", "link": edges[len(edges) // 2], "by": 2, "probability": 0.05},
-            {"kind": "cut", "edge": edges[-1], "probability": 0.02},
+            Drop(link=edges[0], probability=0.05),
+            Delay(link=edges[len(edges) // 2], by=2, probability=0.05),
+            Cut(edge=edges[-1], probability=0.02),
         ]
-    return topology.model_copy(update={"faults": (*topology.faults, *map(_FAULT.validate_python, added))})
+    return topology.model_copy(update={"faults": (*topology.faults, *added)})
 
 
 def run_soak(
@@ -134,16 +132,16 @@ def run_soak(
     The new folder gets soak.csv and soak.png. `options` are further options of `orchestrator up`. The exit code is 0 if
     the run is flat, 1 if it is not or is INVALID, 3 if it ended early. Raises HedgerowError.
     """
-    folder = RunFolder(directory.resolve())
+    folder = RunFolder(real_path(directory))
     folder.path.parent.mkdir(parents=True, exist_ok=True)
     topology = topology.model_copy(update={"steps": STEPS, "history": min(topology.history, HISTORY)})
     if faults:
         topology = with_faults(topology)
-    file = folder.path.with_name(f".{folder.name}.yaml")
+    file = beside(folder.path, "-soak.yaml")
     wake = threading.Event()
     with Interrupts(wake.set) as interrupts, _up(file, folder, topology, options) as up:
         say(f"run folder {folder.path}")
-        entry = _entry(up, folder, records="--no-record" not in options)
+        entry = _entry(up, file.with_suffix(".log"), folder, records="--no-record" not in options)
         samples = list(_samples(up, entry, minutes * 60, faults, lambda s: wake.wait(s) or interrupts.count > 0))
         up.terminate()  # a SIGINT may be ignored: a background job inherits that
         with contextlib.suppress(subprocess.TimeoutExpired):
@@ -153,6 +151,8 @@ def run_soak(
     trends = trends_of(samples)
     for trend in worth_saying(trends):
         say(str(trend))
+    if not trends and interrupts.count:
+        raise EndNowError(f"{interrupts.name}, before there was anything to measure; see {folder.path}")
     if not trends:
         raise HedgerowError(f"{folder.name}: ended before there was anything to measure; see {folder.logs}")
     _draw(folder.path, samples, say)
@@ -193,7 +193,7 @@ def _up(file: Path, folder: RunFolder, topology: Topology, options: Sequence[str
         log_file.unlink(missing_ok=True)
 
 
-def _entry(up: subprocess.Popen[bytes], folder: RunFolder, records: bool) -> registry.Entry:
+def _entry(up: subprocess.Popen[bytes], log: Path, folder: RunFolder, records: bool) -> registry.Entry:
     """Return the registry entry of the run, once it has made a step and is fully loaded."""
     until = time.monotonic() + START_DEADLINE_S
     while not (
@@ -201,7 +201,6 @@ def _entry(up: subprocess.Popen[bytes], folder: RunFolder, records: bool) -> reg
         and (folder.recording.exists() or not records)
     ):
         if up.poll() is not None:
-            log = folder.path.with_name(f".{folder.name}.log")
             raise HedgerowError(f"{folder.name}: ended at once: {last_text(log, 500).strip()}")
         if time.monotonic() > until:
             raise DeadlineError(f"{folder.name}: no step after {START_DEADLINE_S:g} s; see {folder.logs}")

@@ -30,6 +30,10 @@ HISTORY_BYTES = 2**28
 """The maximum memory for the histories of all processes together, as a rough estimate [bytes]."""
 
 
+JUMPS_CHECKED = 20_000
+"""the maximum number of nodes for which the plant can refuse the command of a jump to a value that is no candidate"""
+
+
 def layout(topology: Topology, processes: int | None) -> Layout:
     """Return the nodes of each of `processes` agent processes, cut at few edges; None is one process per node."""
     n = len(topology.ids)
@@ -48,6 +52,7 @@ def truth_of(topology: Topology, shards: Layout) -> Truth:
         x0=network.x0,
         edges=network.graph.edges,
         weights=network.graph.weights,
+        candidates=network.candidates if len(network.ids) <= JUMPS_CHECKED else None,
         disturbance=network.disturbance,
         steps=topology.steps,
         seed=topology.seed,

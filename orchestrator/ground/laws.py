@@ -26,6 +26,7 @@ from hedgerow.orchestrator.ground.law_source import refresh
 from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.law_choice import LawChoice
 from hedgerow.topologies.schema import LAWS, Topology
+from hedgerow.topologies.wording import in_our_words
 
 
 def checked(topology: Topology) -> Topology:
@@ -172,8 +173,7 @@ def _check_types(law: type[Any], given: Mapping[str, Any], where: str) -> None:
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         key = ".".join(map(str, first["loc"])) or "parameters"
-        problem = first["msg"][:1].lower() + first["msg"][1:]
-        raise UserError(f"{where}: the parameter {key}: {problem}. Correct it.", code=Code.LAW) from None
+        raise UserError(f"{where}: the parameter {key}: {in_our_words(first)}. Correct it.", code=Code.LAW) from None
 
 
 def _hints(law: type[Any], keys: Iterable[str]) -> dict[str, Any]:

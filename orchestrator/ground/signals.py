@@ -15,7 +15,7 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 class EndNowError(HedgerowError):
-    """The second request of the user to end."""
+    """The end that the user asked for, by a signal."""
 
 
 class Interrupts:
@@ -44,7 +44,7 @@ class Interrupts:
 
     def _take(self, number: int, _: FrameType | None) -> None:
         self.count += 1
-        self.name = "Ctrl-C" if number == signal.SIGINT else signal.Signals(number).name
+        self.name = start.name_of(number)
         if self.count == 2:
             raise EndNowError(f"a second {self.name}")
         self._notify()

@@ -18,7 +18,7 @@ from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.json_file import read_json
 from hedgerow.wire import keys
 from hedgerow.wire.access import OBSERVER, ROUTER, Place, rights, rules
-from hedgerow.wire.credentials import CA, CERTIFICATE, PRIVATE_KEY
+from hedgerow.wire.credentials import CA, CERTIFICATE, PRIVATE_KEY, carried_router_tls
 from hedgerow.wire.session import ACCESS, base_settings, remove_trace, router_settings
 
 if TYPE_CHECKING:
@@ -158,7 +158,7 @@ def to_carry(
     settings = {"endpoint": endpoint, "namespace": namespace, "rules": _digest(access_rules), "until": until}
     port = endpoint.rpartition(":")[2]
     # The certificate of the router is beside the file, because the router starts in that folder.
-    configuration = base_settings() | router_settings(f"tls/0.0.0.0:{port}", Path(), access_rules)
+    configuration = base_settings() | router_settings(f"tls/0.0.0.0:{port}", carried_router_tls(), access_rules)
     text = f"// zenohd -c {CONFIGURATION}, in this folder\n{json.dumps(nested(configuration), indent=1)}\n"
     try:
         with whole_folder(folder, str(folder), 0o700) as part:

@@ -6,8 +6,9 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from hedgerow.orchestrator.launch.recording import Recording, Watching, same_tables
+from hedgerow.orchestrator.launch.recording import Recording, same_tables
 from hedgerow.orchestrator.launch.simulation import simulate_into
+from hedgerow.orchestrator.launch.watching import Watching
 from hedgerow.orchestrator.metrics.verdict import Comparison
 from hedgerow.orchestrator.runs.folder import RunFolder, create
 from hedgerow.orchestrator.views.screen import Quiet

@@ -14,6 +14,7 @@ from hedgerow.orchestrator.runs import registry
 from hedgerow.orchestrator.runs.folder import RunFolder
 from hedgerow.topologies.errors import UserError
 from hedgerow.topologies.escape import command
+from hedgerow.topologies.paths import real_path
 from hedgerow.wire.access import OBSERVER, ROUTER, Place
 from hedgerow.wire.keys import PLANT, chunk
 from hedgerow.wire.ports import check_listen, free_port
@@ -82,7 +83,7 @@ def wire(folder: RunFolder, secure: bool, router: str | None, keys: Path | None,
         open_one = Connection(f"tls/{certificates.HERE[0]}:{free_port()}", namespace, listens=True)
         return open_one.with_keys_of_its_own(folder, certificates.HERE[0])
     endpoint, namespace = certificates.carried(keys, places)
-    return Connection(router or endpoint, namespace, listens=False, credentials=keys.resolve())
+    return Connection(router or endpoint, namespace, listens=False, credentials=real_path(keys))
 
 
 def check(

@@ -21,6 +21,7 @@ from hedgerow.orchestrator.ground.assignment import Layout, process_name, truth_
 from hedgerow.orchestrator.launch.control import ask
 from hedgerow.orchestrator.launch.endpoints import Connection
 from hedgerow.topologies.errors import Code, DeadlineError, HedgerowError, UserError
+from hedgerow.topologies.paths import real_path
 from hedgerow.topologies.regular_file import open_regular
 from hedgerow.topologies.resolve import to_yaml
 from hedgerow.topologies.schema import Topology
@@ -64,7 +65,7 @@ class External:
     def connection(self, router: str | None, keys: Path | None) -> Connection:
         """Return the connection of our own processes: an existing router, or the port that our plant opens."""
         endpoint = router or local(self.listen or "")
-        return Connection(endpoint, self.namespace, listens=router is None, credentials=keys and keys.resolve())
+        return Connection(endpoint, self.namespace, listens=router is None, credentials=keys and real_path(keys))
 
     def __str__(self) -> str:
         return ", ".join(self.names)

@@ -53,9 +53,16 @@ def with_loss(topology: Topology, shard: int, nodes: list[int | str], at: int) -
 
 
 def with_end(topology: Topology, number: int, at: int) -> Topology:
-    """Return the topology with the end of a fault (`number`, from 0) at step `at`, after its begin."""
+    """Return the topology with the end of a fault (`number`, from 0) at step `at`, after its begin.
+
+    Raise HedgerowError for a fault that cannot end there.
+    """
     faults = list(topology.faults)
-    faults[number] = _ended(faults[number], at)
+    written = {} if isinstance(faults[number], Jump) else _ended(faults[number], at).written()
+    try:
+        (faults[number],) = _with(topology.model_copy(update={"faults": ()}), written).faults
+    except ValidationError:
+        raise HedgerowError(f"fault {number + 1} cannot end at step {at}") from None
     return topology.model_copy(update={"faults": tuple(faults)})
 
 

@@ -13,8 +13,9 @@ import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 from hedgerow.topologies.errors import DeadlineError
 from hedgerow.wire import start
@@ -27,6 +28,15 @@ END_DEADLINE_S = 5.0
 def _leave_ctrl_c_to_us() -> None:
     """Ignore signals in the fork server, which ends with this process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+class Order(NamedTuple):
+    """An order for a process that runs `python -m MODULE ARGUMENTS` and logs to `log`."""
+
+    name: str
+    module: str
+    arguments: Sequence[str]
+    log: Path
 
 
 class ForkClient:
@@ -87,21 +97,23 @@ class ForkClient:
             self._changed.notify_all()
         self.on_end()
 
-    def fork(self, name: str, module: str, arguments: Sequence[str], log: Path) -> None:
-        """Run `python -m MODULE ARGUMENTS` in a separate process, which logs to `log`."""
+    def fork(self, *orders: Order) -> None:
+        """Start a process for each order."""
         with self._changed:
-            self.pids.pop(name, None)
-            self.codes.pop(name, None)
-        self._tell(name=name, module=module, arguments=list(arguments), log=str(log))
+            for order in orders:
+                self.pids.pop(order.name, None)
+                self.codes.pop(order.name, None)
+        self._tell(*(order._asdict() for order in orders))
 
     def leave_no(self, paths: Sequence[Path]) -> None:
         """Remove these files and folders when the fork server ends; it ends with its processes if this process dies."""
-        self._tell(leave=list(map(str, paths)))
+        self._tell({"leave": paths})
 
-    def _tell(self, **what: object) -> None:
+    def _tell(self, *requests: Mapping[str, object]) -> None:
+        """Send requests, which the fork server reads together if the pipe has room for them."""
         assert self._process.stdin is not None
         with contextlib.suppress(BrokenPipeError):  # `codes` records its end
-            self._process.stdin.write(json.dumps(what).encode() + b"\n")
+            self._process.stdin.write(b"".join(json.dumps(one, default=str).encode() + b"\n" for one in requests))
             self._process.stdin.flush()
 
     def wait_until_forked(self, names: Sequence[str]) -> None:

@@ -11,11 +11,16 @@ one. Its first argument is the descriptor of the lifeline that its children hold
 
 from __future__ import annotations
 
+import gc
+
+if __name__ == "__main__":
+    gc.disable()  # it would traverse the loaded objects again and again; `main` enables it
+
 import argparse
 import contextlib
 import functools
-import gc
 import json
+import logging
 import os
 import select
 import signal
@@ -30,15 +35,16 @@ import numpy as np
 import hedgerow.agents.laws.minimax  # most agents need it, and a fork shares it
 import hedgerow.agents.process
 import hedgerow.plant.process
+from hedgerow.agents.law_source import need_source
 from hedgerow.agents.shard import Shard
 from hedgerow.agents.view import Peer, View
 from hedgerow.topologies.errors import Exit
 from hedgerow.topologies.graph import Index
 from hedgerow.wire import crash, start
-from hedgerow.wire.child import ERROR_PREFIX
+from hedgerow.wire.child import ERROR_PREFIX, open_log
 from hedgerow.wire.codec import decode_state, encode_state, pack_link
 from hedgerow.wire.limits import limit_reached
-from hedgerow.wire.runtime import share_the_cores
+from hedgerow.wire.runtime import let_numbers_overflow, share_the_cores
 from hedgerow.wire.session import remove_trace
 
 
@@ -55,8 +61,11 @@ PROGRAMS = {
 }
 
 
-WARM_STEPS = 8
-"""steps of an agent before the first fork: the general path makes the first ones, floats the last ones"""
+WARM_ROUNDS, WARM_STEPS = 8, 8
+"""Starts of an agent before the first fork, and its steps: the general path makes the first ones, floats the last ones.
+
+Python rewrites a function that has been called a few times. In a child, that would copy its memory.
+"""
 IGNORE_SIGINT = "--ignore-sigint"
 """An argument: the processes of the run ignore SIGINT, as the command did at its start."""
 
@@ -65,8 +74,12 @@ def main() -> None:
     """Fork on demand until standard input ends."""
     # Release the standard error of our parent: the loaded modules have no more messages.
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
-    _warm_up()
+    let_numbers_overflow()
+    open_log()
+    for _ in range(WARM_ROUNDS):
+        _warm_up()
     gc.freeze()  # freeze the loaded objects: the collector would touch, and so copy, shared pages
+    gc.enable()
     lifeline = int(sys.argv[1])
     names: dict[int, str] = {}
     # The end of a child wakes the select below through this pair.
@@ -86,27 +99,36 @@ def main() -> None:
                 _end(names, leave)
                 return
             *lines, unread = (unread + more).split(b"\n")
-            for line in lines:
-                request = json.loads(line)
-                if "leave" in request:
-                    leave = request["leave"]
-                    continue
-                program = PROGRAMS[request["module"]]
-                # Here, not in each child: it would copy a megabyte of the memory that it shares with us.
-                known = program.options.parse_args(request["arguments"])
+            # All work before the first fork: every page that is written between two forks gets a copy in each child.
+            requests = [json.loads(line) for line in lines]
+            leave = next((one["leave"] for one in reversed(requests) if "leave" in one), leave)
+            orders = [one for one in requests if "leave" not in one]
+            programs, forked = [_program(order) for order in orders], list[tuple[str, int]]()
+            for order, program in zip(orders, programs, strict=True):
                 try:
                     pid = os.fork()
                 except OSError as error:
-                    _fail(request, error)
+                    _fail(order, error)
                     continue
                 if pid == 0:
-                    _become(request, lifeline, functools.partial(program.run, known))
-                names[pid] = request["name"]
-                _say(name=request["name"], pid=pid)
+                    _become(order, lifeline, program)
+                names[pid] = order["name"]
+                forked.append((order["name"], pid))
+            for name, pid in forked:
+                _say(name=name, pid=pid)
+
+
+def _program(order: dict[str, Any]) -> Callable[[], NoReturn]:
+    """Return a function that runs the program of an order.
+
+    This parses the arguments here, because that takes a megabyte of memory in each child.
+    """
+    program = PROGRAMS[order["module"]]
+    return functools.partial(program.run, program.options.parse_args(order["arguments"]))
 
 
 def _warm_up() -> None:
-    """Make some steps of an agent: what numpy and Python set up on first use is then shared by all forks."""
+    """Start an agent and make some steps: what numpy and Python set up on first use is then shared by all forks."""
     one: Index = np.zeros(1, dtype=np.int64)
     view = View(
         shard=0,
@@ -120,7 +142,10 @@ def _warm_up() -> None:
         outside=one + 1,
         history=100,
     )
+    view = View.from_dict(json.loads(view.to_json()))
+    need_source(view.law, view.law_source)
     shard = Shard(view)
+    logging.getLogger("agent").info("ready: shard %d of nodes %s", view.shard, view.ids.tolist())
     for t in range(WARM_STEPS):
         if t:
             shard.receive_message(0, pack_link(t - 1, t - 1, 1, [1.0], [1.0]))

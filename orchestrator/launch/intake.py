@@ -21,6 +21,8 @@ from hedgerow.orchestrator.metrics.verdict import Ending
 from hedgerow.orchestrator.runs.folder import RunFolder
 from hedgerow.orchestrator.views.event_line import event_line
 from hedgerow.orchestrator.views.screen import Screen
+from hedgerow.topologies.errors import HedgerowError
+from hedgerow.topologies.schema import Topology
 from hedgerow.wire import keys
 from hedgerow.wire.codec import (
     decode_end,
@@ -131,10 +133,30 @@ class Intake:
             self._screen.say(f"watch it at {run.viewer.link or run.viewer.url}")
         run.warn(self._screen)
 
+    def _changed(self, topology: Topology, event: dict[str, Any]) -> Topology | None:
+        """Return the topology with the faults after an event; None if they stay.
+
+        Raise HedgerowError for a change that no plant makes: in an open network, any process may write an event.
+        """
+        match event["event"]:
+            case "lost":
+                nodes = [topology.ids[k] for k in self._shards[event["shard"]]]
+                return with_loss(topology, event["shard"], nodes, event["step"])
+            case "back" | "heal":
+                return with_end(topology, event["fault"], event["at"])
+            case "fault":
+                return with_fault(topology, event["entry"])
+        return None
+
     def _take_event(self, processes: Processes, event: dict[str, Any]) -> None:
         """Act on an event of the plant between two steps, record it, and update the resolved file."""
         run, step = self._run, event["step"]
         topology = run.topology
+        try:
+            changed = self._changed(topology, event)
+        except HedgerowError as error:
+            self._refuse(MessageError(str(error)))
+            return
         recorded = {**event, "fault": event["fault"] + 1} if "fault" in event else event  # users count from 1
         if event["event"] != "counts":  # verdict.json has it
             details = {key: value for key, value in recorded.items() if key != "event"}
@@ -149,17 +171,13 @@ class Intake:
             case "revive":
                 processes.revive(event["shard"])
             case "lost":
-                nodes = [topology.ids[k] for k in self._shards[event["shard"]]]
                 self._ending.losses.add(event["fault"])
-                run.change(with_loss(topology, event["shard"], nodes, step))
                 if slow := processes.slow_law(step, event["shard"]):
                     recorded = {**recorded, "cause": f"{event['cause']}; {slow}"}
             case "refused":
                 self._screen.say(f"{event['who']} is refused: {event['cause']}")
-            case "back" | "heal":
-                run.change(with_end(topology, event["fault"], event["at"]))
-            case "fault":
-                run.change(with_fault(topology, event["entry"]))
+        if changed is not None:
+            run.change(changed)
         if (line := event_line(recorded)) is not None:
             self._screen.say(line.text)
             run.note(line.text, line.level, step)

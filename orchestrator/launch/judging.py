@@ -38,8 +38,9 @@ def fates(launched: Launched, run: Recording, shards: Layout, ending: Ending) ->
     return Fates(dead, processes.down, processes.slow_law(step))
 
 
-def explain(found: Fates, run: Recording, folder: RunFolder, ending: Ending) -> None:
-    """Record in `ending` why the run ended before its last step, if it did."""
+def explain(found: Fates | None, run: Recording, folder: RunFolder, ending: Ending) -> None:
+    """Record in `ending` why the run ended before its last step, if it did; `found` is None if nothing was launched."""
+    found = found or Fates()
     done = run.observer.end.t if run.observer.end is not None else run.observer.next_step
     if found.dead:
         folder.event("processes_died", processes=[str(one) for one in found.dead])

@@ -102,8 +102,13 @@ class Launch:
             connection.traces,
         )
 
-    def start(self, stack: contextlib.ExitStack, interrupts: Interrupts) -> Launched:
-        """Start the processes and open our own session; closing `stack` undoes each."""
+    def start(
+        self, stack: contextlib.ExitStack, interrupts: Interrupts, meanwhile: Callable[[], object] = lambda: None
+    ) -> Launched:
+        """Start the processes and open our own session; closing `stack` undoes each.
+
+        `meanwhile` is called while the processes start.
+        """
         connection = self.connection
         stack.enter_context(connection.laid(places(self.views)))
         stack.callback(self._fork_client.clear)
@@ -122,9 +127,8 @@ class Launch:
             truth = truth_of(self._topology, self._shards)
             shared, path = self._shared(stack)
             processes.start_plant(truth, self._options.rate, self._options.deadline_s, external, path)
-        for view in self.views:
-            if external is None or view.shard not in external:
-                processes.start_agent(view)
+        processes.start_agents(view for view in self.views if external is None or view.shard not in external)
+        meanwhile()
         session = session or self._connect(processes, interrupts, stack)
         pids = processes.wait_until_started()
         if external is not None:

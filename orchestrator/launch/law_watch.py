@@ -10,13 +10,14 @@ from typing import Any
 
 from hedgerow.agents.law_lines import call_of, running
 
-SLOW_S = 8.0
-"""the time of one call of a law after which it is reported"""
+REPORT_AFTER_S = 8.0
+"""the time of one call of a law after which the terminal reports it; the log of an agent names a slow law sooner,
+after agents.process.PATIENCE_S"""
 LOOK_EVERY_S = 1.0
 
 
 class LawWatch:
-    """A thread that reports one call of a law on the thread of its maker that takes longer than `SLOW_S`.
+    """A thread that reports one call of a law on the thread of its maker that takes longer than `REPORT_AFTER_S`.
 
     In a run of several processes, the deadline of the plant ends such a run. In one process there is no such deadline.
     """
@@ -40,13 +41,13 @@ class LawWatch:
     def _run(self) -> None:
         # The frame is held, because a frame that is freed and a new one may have the same address.
         call: FrameType | None = None
-        since, said = 0.0, False
+        since, reported = 0.0, False
         while not self._over.wait(LOOK_EVERY_S):
             now = call_of(self._watched, self._law)
             if now is not call:
-                call, since, said = now, time.monotonic(), False
-            elif call is not None and not said and (took := time.monotonic() - since) > SLOW_S:
-                where, said = running(self._watched, self._law), True
+                call, since, reported = now, time.monotonic(), False
+            elif call is not None and not reported and (took := time.monotonic() - since) > REPORT_AFTER_S:
+                where, reported = running(self._watched, self._law), True
                 self._say(
                     f"{where}: law {self._name}: one call has been running for {took:.0f} s."
                     " Make the law end, or press Ctrl-C twice to end the run."

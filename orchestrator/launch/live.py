@@ -24,16 +24,18 @@ import zenoh
 from pydantic import TypeAdapter, ValidationError
 
 from hedgerow.orchestrator.launch.control import ask
-from hedgerow.orchestrator.launch.fault_verbs import FaultVerbs, NodeId, Pair, window_of
+from hedgerow.orchestrator.launch.fault_verbs import FaultVerbs, NodeId, Pair
 from hedgerow.orchestrator.runs import registry
 from hedgerow.topologies.base import node_id
 from hedgerow.topologies.describe import describe
 from hedgerow.topologies.errors import Code, DeadlineError, HedgerowError, TopologyError, UserError
-from hedgerow.topologies.faults import Fault, Jump, effects
+from hedgerow.topologies.faults import Fault, Jump
 from hedgerow.topologies.json_file import loads
 from hedgerow.topologies.load import load, parse
+from hedgerow.topologies.plain import plain
 from hedgerow.topologies.rules import broken_faults
 from hedgerow.topologies.schema import Topology
+from hedgerow.topologies.wording import in_our_words
 from hedgerow.wire.session import WireError, open_client
 
 if TYPE_CHECKING:
@@ -48,28 +50,17 @@ _FAULT: TypeAdapter[Fault] = TypeAdapter(Fault)
 def checked(fault: Fault | Mapping[str, Any], topology: Topology) -> Fault:
     """Return a fault for a resolved topology; raise UserError with all mistakes, as for a file."""
     if isinstance(fault, Mapping):
-        entry = _plain(fault)
+        entry = plain(fault)
         kind = entry.get("kind", "fault")
         try:
             model: Fault = _FAULT.validate_python(entry)
         except ValidationError as error:
-            raise UserError("\n".join(_said(kind, _schema_problems(entry, error))), code=Code.FAULT) from None
+            raise UserError("\n".join(_lines(kind, _schema_problems(entry, error))), code=Code.FAULT) from None
     else:
         kind, model = fault.kind, fault
     if problems := broken_faults(topology.model_copy(update={"faults": (model,)})):
-        raise UserError("\n".join(_said(kind, problems)), code=Code.FAULT)
+        raise UserError("\n".join(_lines(kind, problems)), code=Code.FAULT)
     return model
-
-
-def _plain(value: Any) -> Any:
-    """Return values of Python and numpy as a file would give them."""
-    if isinstance(value, Mapping):
-        return {_plain(key): _plain(inside) for key, inside in value.items()}
-    if isinstance(value, range):
-        return window_of(value)
-    if isinstance(value, list | tuple):
-        return [_plain(inside) for inside in value]
-    return value.item() if hasattr(value, "item") else value
 
 
 def _schema_problems(entry: Any, refused: ValidationError) -> Sequence[Any]:
@@ -78,11 +69,11 @@ def _schema_problems(entry: Any, refused: ValidationError) -> Sequence[Any]:
         parse(json.dumps(least, default=str).encode(), "fault", Path())
     except TopologyError as error:
         return error.problems
-    # A file accepts some numbers that Python's types exclude, such as 1e16 for a step: report pydantic's own words.
-    return [f"{'.'.join(map(str, found['loc'][1:]))}: {found['msg']}" for found in refused.errors(include_url=False)]
+    # A file accepts some numbers that Python's types exclude, such as 1e16 for a step.
+    return [f"{'.'.join(map(str, found['loc'][1:]))}: {in_our_words(found)}" for found in refused.errors()]
 
 
-def _said(kind: str, problems: Sequence[Any]) -> Iterator[str]:
+def _lines(kind: str, problems: Sequence[Any]) -> Iterator[str]:
     for problem in problems:
         yield f"{kind}: " + str(problem).removeprefix("fault 1").removeprefix(": ")
 
@@ -176,6 +167,9 @@ class Live:
     ) -> None:
         self.close()
 
+    def __repr__(self) -> str:
+        return f"<Live {self.entry.run}, in {self.entry.folder}>"
+
     def close(self) -> None:
         """Close the session; the network continues."""
         if self._session is not None:
@@ -220,8 +214,7 @@ class Live:
                 f"jump: a: nothing is drawn while a network runs; name a candidate of {model.node}: {listed}",
                 code=Code.FAULT,
             )
-        struck = [effect.to_dict() for effect in effects([model], self.topology)]
-        answer = self._ask("fault", entry=model.written(), effects=struck)
+        answer = self._ask("fault", entry=model.written())
         added = Injected(answer["fault"], answer["step"], _FAULT.validate_python(answer["entry"]))
         self._added[added.number] = added.fault
         return added

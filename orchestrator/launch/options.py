@@ -7,7 +7,7 @@ from pathlib import Path
 
 from hedgerow.orchestrator.launch.external_agents import External
 from hedgerow.orchestrator.launch.ray_agents import OnRay
-from hedgerow.orchestrator.launch.recording import Watching
+from hedgerow.orchestrator.launch.watching import Watching
 
 
 @dataclass(frozen=True)

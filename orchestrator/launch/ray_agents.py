@@ -48,7 +48,7 @@ class RemoteAgent:
     """One agent in a Ray worker on some machine, with two threads: one runs the agent, one reports on it."""
 
     def __init__(self) -> None:
-        self._said: list[str] = []
+        self._lines: list[str] = []
 
     def run(self, config: Config, wait_s: float, credentials: Credentials | None) -> str:
         """Run the agent until the plant sends END; return the reason for a failure, or an empty text."""
@@ -56,7 +56,7 @@ class RemoteAgent:
         from hedgerow.wire.child import Line  # noqa: PLC0415
         from hedgerow.wire.runtime import share_the_cores  # noqa: PLC0415
 
-        listener = _Lines(self._said)
+        listener = _Lines(self._lines)
         listener.setFormatter(Line())
         logging.getLogger().addHandler(listener)
         logging.getLogger("agent").setLevel(logging.INFO)
@@ -84,7 +84,7 @@ class RemoteAgent:
         """Return the machine's address, the process id, and the log lines after the first `seen`."""
         import ray  # noqa: PLC0415
 
-        return ray.util.get_node_ip_address(), os.getpid(), self._said[seen:]
+        return ray.util.get_node_ip_address(), os.getpid(), self._lines[seen:]
 
 
 class _Lines(logging.Handler):

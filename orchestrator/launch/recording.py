@@ -7,12 +7,12 @@ import hashlib
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hedgerow.orchestrator.ground.background import BackgroundThread
+from hedgerow.orchestrator.launch.watching import Watching
 from hedgerow.orchestrator.metrics.gain_certificate import GainCertificate
 from hedgerow.orchestrator.metrics.guarantee import certified, plant_of
 from hedgerow.orchestrator.metrics.observer import Batch, Observer, rows_at_once
@@ -43,18 +43,6 @@ CERTIFIED = 10_000
 """The maximum number of nodes for a computation of the gain bounds beside the run. The end of the run waits for it."""
 TABLES = ("telemetry", "edges", "summary")
 """the names of the tables; `record:` can omit the summary"""
-
-
-@dataclass(frozen=True)
-class Watching:
-    """The destinations of Rerun data: run.rrd or none, and a viewer as named by `views.rerun.viewer.choose`."""
-
-    record: bool = True
-    viewer: str = "none"
-    split_mb: float = 256.0
-    """the size of run.rrd [MB] at which a next file begins; 0 for one file"""
-    keep: bool = False
-    """leave the page of a finished run open until Ctrl-C"""
 
 
 class Recording:

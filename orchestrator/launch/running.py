@@ -27,6 +27,7 @@ from hedgerow.orchestrator.runs.reader import load_run
 from hedgerow.orchestrator.runs.registry import Entry
 from hedgerow.orchestrator.runs.run import Run
 from hedgerow.topologies.errors import Code, DeadlineError, Exit, HedgerowError, UserError
+from hedgerow.topologies.paths import real_path
 from hedgerow.topologies.regular_file import last_text
 from hedgerow.topologies.resolve import to_yaml
 from hedgerow.topologies.schema import Topology
@@ -43,7 +44,7 @@ class UpProcess:
 
     def __init__(self, topology: Topology, folder: Path, *options: str, listed: bool = True) -> None:
         """Start it. `options` are those of `up`. A network that is not `listed` is hidden from `orchestrator ps`."""
-        self.folder = folder.resolve()
+        self.folder = real_path(folder)
         # The scratch folder of a hidden network stays beside its run folder, where its test can look at it.
         self._temporary = Path(tempfile.mkdtemp(prefix="hedgerow-up-")) if listed else None
         self._scratch = self._temporary or self.folder.with_name(f"{self.folder.name}.runtime")
@@ -59,7 +60,7 @@ class UpProcess:
                 stdout=output,
                 stderr=subprocess.STDOUT,
                 start_new_session=True,  # Ctrl-C reaches this process alone, which then ends the network
-                env=os.environ | ({} if listed else {"XDG_RUNTIME_DIR": str(self._scratch)}),
+                env=os.environ | _paths(topology) | ({} if listed else {"XDG_RUNTIME_DIR": str(self._scratch)}),
             )
 
     def wait(self, deadline_s: float | None) -> None:
@@ -124,6 +125,23 @@ class UpProcess:
             shutil.rmtree(self._temporary, ignore_errors=True)
 
 
+def _paths(topology: Topology) -> dict[str, str]:
+    """Return the variable with which processes find a law of the user where this process found it.
+
+    The law may be a file beside the script that runs, or in a folder of tests. It may import files of other folders.
+    """
+    if ":" not in topology.law:
+        return {}
+    installed = {sys.prefix, sys.base_prefix, sys.exec_prefix, sys.base_exec_prefix}
+    own = [
+        path
+        for path in sys.path
+        if path and os.pathsep not in path and not any(Path(path).is_relative_to(one) for one in installed)
+    ]
+    given = os.environ.get("PYTHONPATH")
+    return {"PYTHONPATH": os.pathsep.join([*own, *([given] if given else [])])} if own else {}
+
+
 def run_to_the_end(
     topology: Topology, folder: Path, *options: str, deadline_s: float | None = None, listed: bool = True
 ) -> Run:
@@ -156,6 +174,10 @@ class Running(Live):
         self._folder, self._options, self._listed, self._on_run = folder, options, listed, on_run
         self._frozen: set[int] = set()
         self._finished: Run | None = None
+
+    def __repr__(self) -> str:
+        how = "ended" if self._finished is not None else "running" if hasattr(self, "entry") else "not started"
+        return f"<Running {self.topology.name}: {len(self.topology.nodes)} nodes, {how}>"
 
     def __enter__(self) -> Running:
         self._up = UpProcess(self.topology, self._folder, *self._options, listed=self._listed)

@@ -16,7 +16,8 @@ from hedgerow.orchestrator.ground.law_source import FOLDER, differs, kept_law
 from hedgerow.orchestrator.ground.laws import checked
 from hedgerow.orchestrator.ground.signals import Interrupts
 from hedgerow.orchestrator.launch.law_watch import LawWatch
-from hedgerow.orchestrator.launch.recording import Recording, Watching
+from hedgerow.orchestrator.launch.recording import Recording
+from hedgerow.orchestrator.launch.watching import Watching
 from hedgerow.orchestrator.metrics.verdict import Ending, Verdict
 from hedgerow.orchestrator.runs import reference
 from hedgerow.orchestrator.runs.folder import RunFolder, create

@@ -4,25 +4,24 @@ from __future__ import annotations
 
 import signal
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from hedgerow.agents.process import SLOW_LAW
 from hedgerow.agents.view import View
 from hedgerow.orchestrator.ground.assignment import process_name
 from hedgerow.orchestrator.ground.law_source import kept_path
 from hedgerow.orchestrator.launch.endpoints import Connection
 from hedgerow.orchestrator.launch.external_agents import OWN_START_S, External
-from hedgerow.orchestrator.launch.fork_client import ForkClient
+from hedgerow.orchestrator.launch.fork_client import ForkClient, Order
 from hedgerow.orchestrator.launch.restarts import Restarts
 from hedgerow.orchestrator.runs.folder import RunFolder
 from hedgerow.plant.truth import Truth
 from hedgerow.topologies.errors import Exit
 from hedgerow.topologies.regular_file import last_text
 from hedgerow.wire import keys
-from hedgerow.wire.child import ERROR_PREFIX, USER_ERROR
+from hedgerow.wire.child import ERROR_PREFIX, SLOW_LAW, USER_ERROR
 
 SMALL = 64
 """the most nodes of a shard with its local view in a JSON file"""
@@ -93,16 +92,19 @@ class Processes:
         self.down: list[Dead] = []
         """the agents that stay down"""
 
-    def start_agent(self, view: View) -> None:
-        """Launch one shard with its local view alone."""
-        name = process_name(view)
-        self.deaths[view.shard] = 0
-        # A process takes 8 ms to read its first .npz file, and 0.1 ms to read JSON.
-        file = self._folder.processes / f"{name}.{'json' if view.k <= SMALL else 'npz'}"
-        view.write(file)
-        self._agents[name] = _Agent(view.shard, file)
-        self._start(name, "agents", file, self._connect)
-        self._names.append(name)
+    def start_agents(self, views: Iterable[View]) -> None:
+        """Launch shards, each with its local view alone."""
+        orders = []
+        for view in views:
+            name = process_name(view)
+            self.deaths[view.shard] = 0
+            # A process takes 8 ms to read its first .npz file, and 0.1 ms to read JSON.
+            file = self._folder.processes / f"{name}.{'json' if view.k <= SMALL else 'npz'}"
+            view.write(file)
+            self._agents[name] = _Agent(view.shard, file)
+            orders.append(self._order(name, "agents", file, self._connect))
+            self._names.append(name)
+        self._fork_client.fork(*orders)
 
     def start_plant(
         self, truth: Truth, rate: float, deadline_s: float, external: External | None = None, shared: str = ""
@@ -118,17 +120,17 @@ class Processes:
         options += ["--listen", listen] if self._connection.listens else self._connect
         file = self._folder.processes / f"{keys.PLANT}.npz"
         truth.write(file)
-        self._start(keys.PLANT, "plant", file, options)
+        self._fork_client.fork(self._order(keys.PLANT, "plant", file, options))
         self._names.append(keys.PLANT)
 
-    def _start(self, name: str, module: str, file: Path, options: Sequence[str]) -> None:
+    def _order(self, name: str, module: str, file: Path, options: Sequence[str]) -> Order:
         arguments = [str(file), "--namespace", self._connection.namespace, *options]
         if module == "agents" and (path := kept_path()) is not None:
             arguments += ["--law-path", str(path)]  # the fork server began before the path of modules changed
         credentials = self._connection.of(name)
         if credentials is not None:
             arguments += ["--credentials", str(credentials)]
-        self._fork_client.fork(name, module, arguments, self._log(name))
+        return Order(name, module, arguments, self._log(name))
 
     def wait_until_started(self) -> dict[str, int]:
         """Wait until all processes run; return the process ids by name."""
@@ -178,7 +180,8 @@ class Processes:
                 agent.alive = agent.starting = True
                 agent.killed = agent.reported = agent.again = False
                 self.restarts += 1
-                self._start(name, "agents", agent.file, [*self._connect, "--life", str(agent.life)])
+                again = [*self._connect, "--life", str(agent.life)]
+                self._fork_client.fork(self._order(name, "agents", agent.file, again))
         return happened
 
     @staticmethod

@@ -7,29 +7,31 @@ import functools
 import threading
 import time
 from collections.abc import Callable
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import zenoh
 
 from hedgerow.orchestrator.ground.assignment import Layout, process_name
 from hedgerow.orchestrator.ground.signals import Interrupts
-from hedgerow.orchestrator.launch.comparison import compare
 from hedgerow.orchestrator.launch.control import ask, tell_died
 from hedgerow.orchestrator.launch.fork_client import ForkClient
-from hedgerow.orchestrator.launch.intake import Intake
-from hedgerow.orchestrator.launch.judging import Fates, explain, fates
 from hedgerow.orchestrator.launch.launching import Launch, Launched
 from hedgerow.orchestrator.launch.options import Options
-from hedgerow.orchestrator.launch.recording import Recording
 from hedgerow.orchestrator.launch.supervisor import Processes, cause
-from hedgerow.orchestrator.metrics.verdict import Ending, Verdict
 from hedgerow.orchestrator.runs.folder import RunFolder
-from hedgerow.orchestrator.runs.log_files import escape_logs
-from hedgerow.orchestrator.views.rerun.viewer import Viewer
 from hedgerow.orchestrator.views.screen import Screen
 from hedgerow.topologies.errors import Exit
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire import keys
 from hedgerow.wire.session import WireError, has_router
+from hedgerow.wire.start import loading
+
+# The modules of the observer load while the processes of the run start.
+if TYPE_CHECKING:
+    from hedgerow.orchestrator.launch.recording import Recording
+    from hedgerow.orchestrator.metrics.verdict import Ending, Verdict
+    from hedgerow.orchestrator.views.rerun.viewer import Viewer
 
 TICK_S = 0.2
 """The time between two readings of telemetry [s]; rows are read in batches, beside the loop."""
@@ -57,7 +59,6 @@ class Network:
         """
         self._topology, self._folder, self._shards, self._options = topology, folder, shards, options
         self._screen, self._began = screen, began
-        self._ending = Ending(run=folder.name, engine="zenoh", processes=len(shards))
         self._wake = threading.Event()
         """set to check for news before the next tick"""
         self._launch = Launch(topology, folder, shards, options, screen, fork_client, self._wake.set)
@@ -68,8 +69,24 @@ class Network:
         """the last time with a router"""
         self._cut_off = False
         """True if it has been absent for too long"""
-        self.interrupted = False
-        """True if the user asked for the end"""
+        self.interrupted = ""
+        """the signal by which the user asked for the end"""
+
+    @cached_property
+    def _ending(self) -> Ending:
+        from hedgerow.orchestrator.metrics.verdict import Ending  # noqa: PLC0415
+
+        return Ending(run=self._folder.name, engine="zenoh", processes=len(self._shards))
+
+    @cached_property
+    def _recording(self) -> Recording:
+        """Return the recording, after loading all modules of the observer."""
+        with loading():
+            from hedgerow.orchestrator.launch import intake, judging  # noqa: F401, PLC0415
+            from hedgerow.orchestrator.launch.recording import Recording  # noqa: PLC0415
+
+        names = [process_name(view) for view in self._launch.views]
+        return Recording(self._topology, self._folder, self._options.watching, self._ending, names)
 
     def run(
         self,
@@ -81,33 +98,38 @@ class Network:
         `on_first_step` receives the seconds from the command to the first step, after that step. `at_last` ends last,
         while a signal still only asks for the end.
         """
-        found = Fates()
+        found = None
         with Interrupts(self._wake.set) as interrupts, at_last, self._launch.announced():
-            names = [process_name(view) for view in self._launch.views]
-            run = Recording(self._topology, self._folder, self._options.watching, self._ending, names)
             try:
                 with contextlib.ExitStack() as stack:
-                    launched = self._launch.start(stack, interrupts)
+                    launched = self._launch.start(stack, interrupts, meanwhile=lambda: self._recording)
+                    run = self._recording
                     run.tell_faults()
                     try:
                         self._observe(run, launched, interrupts, on_first_step)
                         if not self._cut_off:  # otherwise no process knows of the end
                             launched.processes.wait(PLANT_END_DEADLINE_S, AGENTS_END_DEADLINE_S)
                     finally:
+                        from hedgerow.orchestrator.launch.judging import fates  # noqa: PLC0415
+
                         found = fates(launched, run, self._shards, self._ending)
             except (KeyboardInterrupt, SystemExit):
                 raise
             except BaseException as error:  # a panic of a Rust library is not an Exception
                 self._ending.end_by(error, self._folder.logs / "orchestrator.log")
-            self.interrupted = interrupts.count > 0
+            self.interrupted = interrupts.name
+            from hedgerow.orchestrator.launch.comparison import compare  # noqa: PLC0415
+            from hedgerow.orchestrator.launch.judging import explain  # noqa: PLC0415
+            from hedgerow.orchestrator.runs.log_files import escape_logs  # noqa: PLC0415
+            from hedgerow.orchestrator.runs.round_trips import line  # noqa: PLC0415  # pyarrow delays the first step
+
+            run = self._recording
             explain(found, run, self._folder, self._ending)
             if self._options.verify and not self._ending.stopped:
                 self._ending.comparison = compare(run)
             verdict = run.close()
             escape_logs(self._folder.logs)
             run.warn(self._screen)
-            from hedgerow.orchestrator.runs.round_trips import line  # noqa: PLC0415  # pyarrow delays the first step
-
             if times := line(verdict.content["round_trips"] or {}):
                 self._screen.say(times)
             self._screen.verdict(verdict, self._folder.path)
@@ -136,6 +158,8 @@ class Network:
     ) -> None:
         """Read telemetry in batches, until the plant's END or until there is no process to wait for."""
         processes, session = launched.processes, launched.session
+        from hedgerow.orchestrator.launch.intake import Intake  # noqa: PLC0415
+
         known = (self._launch.views, self._screen, self._ending, self._wake, launched.shared)
         intake = Intake(run, self._folder, self._shards, *known)
         with contextlib.closing(intake.open(session)):

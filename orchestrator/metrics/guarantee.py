@@ -40,8 +40,8 @@ class Guarantee:
     """the optimal gain if every a is known and every edge is open; NaN if it is not known"""
     bounds: Mapping[Premise, Bound] = field(default_factory=dict)
     """the upper bound on the gain under each premise"""
-    not_computed: Mapping[Premise, str] = field(default_factory=dict)
-    """the reason why there is no bound under a premise"""
+    not_computed: Mapping[str, str] = field(default_factory=dict)
+    """the reason for each missing bound, by premise or, for the bound that counts what the law learns, `learning`"""
     at_least: float | None = None
     """the gain of the worst disturbance that `orchestrator worst` found"""
     learning: Learning | str | None = None
@@ -135,7 +135,7 @@ def guarantee(
 ) -> Guarantee:
     """Return the bounds of a plant under some premises; by `method_for` if `method` is None."""
     bounds: dict[Premise, Bound] = {}
-    reasons: dict[Premise, str] = {}
+    reasons: dict[str, str] = {}
     until = time.monotonic() + time_limit_s
     wanted = tuple(premises)
     for premise in sorted(wanted, key=[Premise.EDGES, Premise.ESTIMATES, Premise.JUMPS].index):

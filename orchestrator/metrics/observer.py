@@ -18,7 +18,7 @@ from hedgerow.agents.law import control
 from hedgerow.orchestrator.ground.assignment import candidates_of
 from hedgerow.orchestrator.metrics.certificate import Certificate, running
 from hedgerow.orchestrator.metrics.checks import DynamicsCheck, Worst, norms
-from hedgerow.orchestrator.metrics.fault_accounts import Accounts, Observed
+from hedgerow.orchestrator.metrics.fault_accounts import FaultAccounts, Observed
 from hedgerow.orchestrator.metrics.fault_schedule import Schedule
 from hedgerow.orchestrator.metrics.gain_certificate import GainCertificate
 from hedgerow.orchestrator.metrics.twins import Twins
@@ -183,7 +183,7 @@ class Observer:
         self.schedule = Schedule(topology)
         self._jumps = deque(self.schedule.jumps(0))
         self._jumped = False
-        self.fault_accounts = Accounts(self.graph, self.schedule)
+        self.fault_accounts = FaultAccounts(self.graph, self.schedule)
         self.checks = {
             "dynamics": self._dynamics.dynamics,
             "contraction": self._dynamics.contraction,

@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 from hedgerow.orchestrator.ground.assignment import candidates_of
+from hedgerow.topologies.describe import count
 from hedgerow.topologies.disturbances import Component
 from hedgerow.topologies.hinf import allowed_interval, contraction, gamma_star
 from hedgerow.topologies.law_choice import is_listed
@@ -25,7 +26,7 @@ def table(topology: Topology) -> str:
     graph, a, b = topology.graph, truth(topology), topology.network.b
     unequal = graph.weights is not None or not isinstance(b, float)
     rows = Table(box=None, pad_edge=False, header_style="bold")
-    own_numbers = ("gain", "weighted degree") if unequal else ()
+    own_numbers = ("b", "weighted degree") if unequal else ()
     headings = ("node", "degree", *own_numbers, "allowed interval", "candidates", "truth", "x0", "disturbance")
     for heading in headings:
         rows.add_column(heading, overflow="fold")
@@ -66,11 +67,6 @@ def table(topology: Topology) -> str:
             f"{count(processes, 'process', 'es')}; {crossing}"
         )
     return capture.get().rstrip()
-
-
-def count(number: int, thing: str, plural: str = "s") -> str:
-    """Return a number of things, in words."""
-    return f"{number} {thing}{plural if number != 1 else ''}"
 
 
 def _shown(part: Component) -> str:

@@ -143,7 +143,9 @@ class Verdict:
         ):
             if number := c[what]:
                 numbers.append(f"{number} {thing}{'s' if number > 1 else ''}")
-        if m:
+        if m and m["disturbance_energy"] == 0 and m["cost"] == 0:
+            numbers.append("at rest (x(0) = 0 and no disturbance; `defaults:` sets both)")
+        elif m:
             # A number that is not finite grew too large; but with a zero disturbance, the gain is undefined.
             large = math.nan if m["disturbance_energy"] == 0 else math.inf
             gain, less = (large if m[name] is None else m[name] for name in ("gain", "gain_less_x0"))
@@ -179,17 +181,21 @@ def ceiling(content: Mapping[str, Any]) -> float:
 
 
 def gain_text(gain: float, less: float, gamma_star: float, faultless: bool, at_most: float = math.nan) -> str:
-    """Return the gain in words, with the gain `less` V(x(0)) if it differs, and gamma*, which holds without faults.
+    """Return the gain in words, with the limits of the oracle (gamma*, without faults) and of the law.
 
-    `at_most` is the bound on the gain of the law. Arguments are NaN where they are undefined or not known yet.
+    `less` is the gain less V(x(0)). If it differs from `gain`, the cost of x(0) is part of `gain`, and of no limit.
+    `at_most` is the limit of the law. Arguments are NaN where they are undefined or not known yet.
     """
-    beside = [] if less == gain or math.isnan(gain) else [f"less V(x(0)): {less:.4g}"]
-    if not math.isnan(gamma_star):
-        beside.append(f"gamma* {gamma_star:.4g} is the oracle's{'' if faultless else ' without faults'}")
+    if math.isnan(gain):
+        shown, limits = "gain undefined", "limits"
+    elif less == gain:
+        shown, limits = f"gain {gain:.4g}", "limits"
+    else:
+        shown, limits = f"gain {gain:.4g} with x(0)", "limits without x(0)"
+    of = [] if math.isnan(gamma_star) else [f"oracle {gamma_star:.4g}{'' if faultless else ' without faults'}"]
     if not math.isnan(at_most):
-        beside.append(f"the law's is at most {rounded_up(at_most, 4)} from x(0) = 0")
-    shown = "undefined" if math.isnan(gain) else f"{gain:.4g}"
-    return f"gain {shown}" + (f" ({'; '.join(beside)})" if beside else "")
+        of.append(f"law {rounded_up(at_most, 4)}")
+    return shown + (f" ({limits}: {', '.join(of)})" if of else "")
 
 
 def _number(value: float | None, sign: str = "") -> str:

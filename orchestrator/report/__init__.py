@@ -42,7 +42,7 @@ def report(
     try:
         from hedgerow.orchestrator.report import figures as known  # noqa: PLC0415
         from hedgerow.orchestrator.report.page import page  # noqa: PLC0415
-        from hedgerow.orchestrator.report.style import FORMATS, Look, look, save  # noqa: PLC0415
+        from hedgerow.orchestrator.report.style import FORMATS, Look, look, save_and_embed  # noqa: PLC0415
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] != "matplotlib":
             raise
@@ -59,7 +59,9 @@ def report(
             whole = Path(scratch) / "report"
             whole.mkdir()
             with look(asked):
-                drawn = {kind: save(kind.draw(runs), whole, kind.file, kind.title, asked.formats) for kind in kinds}
+                drawn = {
+                    kind: save_and_embed(kind.draw(runs), whole, kind.file, kind.title, asked.formats) for kind in kinds
+                }
             (whole / PAGE).write_text(page(runs, drawn), encoding="utf-8", errors="backslashreplace")
             if out.is_dir():
                 out.rename(Path(scratch) / "old")

@@ -123,25 +123,47 @@ def label_panels(axes: Iterable[Axes]) -> None:
         axis.set_title(f"({ascii_lowercase[place % len(ascii_lowercase)]})")
 
 
-def save(figure: Figure, folder: Path, name: str, title: str, formats: Sequence[str] = ("pdf", "png")) -> bytes:
-    """Write NAME in each format, and return the figure as SVG; no file contains the time of its creation."""
+def save(figure: Figure, folder: Path, name: str, title: str, formats: Sequence[str] = ("pdf", "png")) -> None:
+    """Write NAME in each format; no file contains the time of its creation."""
+    _keep_layout(figure)
+    _write(figure, folder, name, title, formats)
+
+
+def save_and_embed(figure: Figure, folder: Path, name: str, title: str, formats: Sequence[str]) -> bytes:
+    """Write NAME in each format as `save` does, and return the figure as SVG, for a page."""
+    _keep_layout(figure)
+    drawn = _svg(figure)
+    if "svg" in formats:
+        (folder / f"{name}.svg").write_bytes(drawn)
+    _write(figure, folder, name, title, [one for one in formats if one != "svg"])
+    return drawn
+
+
+def _keep_layout(figure: Figure) -> None:
+    """Compute the layout once: all formats have the same."""
     figure.draw_without_rendering()
-    figure.set_layout_engine("none")  # all formats keep this layout
+    figure.set_layout_engine("none")
+
+
+def _write(figure: Figure, folder: Path, name: str, title: str, formats: Sequence[str]) -> None:
     # Do not use savefig, which draws everything one more time to measure it.
     if "pdf" in formats:
         pdf: Any = FigureCanvasPdf(figure)
         pdf.print_pdf(folder / f"{name}.pdf", metadata={"Title": title, "CreationDate": None, "Producer": None})
     if "pgf" in formats:
         (folder / f"{name}.pgf").write_text(_pgf(figure), encoding="utf-8")
-    drawn = io.BytesIO()
-    svg: Any = FigureCanvasSVG(figure)
-    svg.print_svg(drawn, metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
     if "svg" in formats:
-        (folder / f"{name}.svg").write_bytes(drawn.getvalue())
-    if "png" in formats:
+        (folder / f"{name}.svg").write_bytes(_svg(figure))
+    if "png" in formats:  # the last one, because it changes the resolution of the figure
         figure.dpi = matplotlib.rcParams["savefig.dpi"]
         png: Any = FigureCanvasAgg(figure)
         png.print_png(folder / f"{name}.png", metadata={"Title": title, "Software": None})
+
+
+def _svg(figure: Figure) -> bytes:
+    drawn = io.BytesIO()
+    svg: Any = FigureCanvasSVG(figure)
+    svg.print_svg(drawn, metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
     return drawn.getvalue()
 
 

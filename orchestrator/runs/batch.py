@@ -20,7 +20,7 @@ from hedgerow.agents.loading import law_class
 from hedgerow.agents.local import asks
 from hedgerow.orchestrator.metrics.checks import ROUNDING, TINY
 from hedgerow.orchestrator.metrics.estimates import switches
-from hedgerow.orchestrator.metrics.fault_accounts import Accounts, Observed
+from hedgerow.orchestrator.metrics.fault_accounts import FaultAccounts, Observed
 from hedgerow.orchestrator.metrics.fault_schedule import Schedule
 from hedgerow.orchestrator.metrics.observer import mean_error
 from hedgerow.orchestrator.runs import reference
@@ -111,11 +111,11 @@ class _Batch:
         self._bound: Array | None = None
         self._ahat, self._changed = np.full(S * n, np.nan), np.zeros(S)
         self._listed = is_listed(union.topology.law)
-        self._fault_accounts: Accounts | None = None
+        self._fault_accounts: FaultAccounts | None = None
         self._rows: list[Telemetry] = []
         if any(one.lossy for one in union.effects):
             self._schedule = Schedule.of(union.graph, union.ids, union.words, len(union.topology.faults), union.effects)
-            self._fault_accounts = Accounts(union.graph, self._schedule)
+            self._fault_accounts = FaultAccounts(union.graph, self._schedule)
 
     def run(self) -> Runs:
         """Make every step, and return the numbers."""

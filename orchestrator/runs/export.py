@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import shutil
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -23,6 +22,7 @@ from hedgerow.orchestrator.runs.run import Run
 from hedgerow.orchestrator.runs.table import Table
 from hedgerow.orchestrator.runs.writer import ROW_GROUP
 from hedgerow.topologies.errors import Code, UserError
+from hedgerow.topologies.paths import beside, real_path
 
 FORMS = ("csv", "parquet", "npz", "mat")
 NAMES = (
@@ -56,7 +56,7 @@ def export(run: Run, to: str, out: Path | None = None, force: bool = False) -> l
         raise UserError(f"--to {to}: is no form of a run; there are {', '.join(FORMS)}", code=Code.OPTION)
     files = _files(run, to, out)
     for file in files:
-        if file.resolve() in (table.parquet for table in run.tables.values()):
+        if real_path(file) in (table.parquet for table in run.tables.values()):
             raise UserError(f"{file}: is the run's own; --out names another folder", code=Code.OUTPUT)
         if file.is_dir():
             raise UserError(f"{file}: is a folder; --out names the file to write", code=Code.OUTPUT)
@@ -145,7 +145,7 @@ def _write(files: Mapping[Path, Write]) -> None:
     file = next(iter(files))
     folder = file.parent
     is_new = not folder.exists()
-    parts = {file: file.with_name(f".{file.name}.{os.getpid()}.part") for file in files}
+    parts = {file: beside(file) for file in files}
     done = False
     try:
         folder.mkdir(parents=True, exist_ok=True)

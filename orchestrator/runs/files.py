@@ -14,9 +14,12 @@ from pydantic import BaseModel, ValidationError
 
 from hedgerow.topologies import budget, json_file
 from hedgerow.topologies.errors import Code, UserError
+from hedgerow.topologies.escape import shorten
 from hedgerow.topologies.load import load
+from hedgerow.topologies.paths import real_path
 from hedgerow.topologies.regular_file import check_regular, read_regular
 from hedgerow.topologies.schema import Topology
+from hedgerow.topologies.wording import in_our_words
 
 
 def find_run(run: str | Path) -> Path:
@@ -25,7 +28,7 @@ def find_run(run: str | Path) -> Path:
     try:
         there = sorted(path for path in Path("runs").glob("*") if path.is_dir())
         named = [path for path in there if stamp.fullmatch(path.name)]
-        own, listed_run = Path(run), Path("runs") / run
+        own, listed_run = Path(str(run)), Path("runs") / str(run)
         both = (
             isinstance(run, str)
             and "/" not in run
@@ -42,7 +45,7 @@ def find_run(run: str | Path) -> Path:
                     raise UserError(
                         f"{path}: is no folder of a run: there is no topology.yaml in it", code=Code.RUN_MISSING
                     )
-                return path.resolve()
+                return real_path(path)
     except OSError as error:
         raise UserError(
             f"{run}: {error.strerror}; check the path and its permissions", code=Code.FILE_UNREADABLE
@@ -149,9 +152,18 @@ def read_verdict(folder: Path) -> dict[str, Any]:
         wrong = error.errors(include_url=False)[0]
         place = ".".join(map(str, wrong["loc"])) or "all of it"
         raise UserError(
-            f"{file}: is no verdict of this version: {place}: {wrong['msg']}; the run can be read without the file",
+            f"{file}: is no verdict of this version: {shorten(place)}: {in_our_words(wrong)}; "
+            "the run can be read without the file",
             code=Code.FILE_FORMAT,
         ) from None
+    failed = [name for name, check in content["checks"].items() if not check["ok"]]
+    if (content["verdict"] == "valid") != (not content["reasons"] and not failed):
+        raise UserError(
+            f"{file}: contradicts itself: the verdict is {shorten(content['verdict'])}, with "
+            f"{len(content['reasons'])} reasons and {len(failed)} failed checks. Repeat the run with "
+            "`orchestrator simulate`, or remove the file.",
+            code=Code.FILE_FORMAT,
+        )
     return content
 
 

@@ -16,6 +16,7 @@ from hedgerow.orchestrator.ground.law_source import FOLDER as LAW
 from hedgerow.orchestrator.ground.law_source import source_of
 from hedgerow.orchestrator.ground.spelling import shown
 from hedgerow.topologies.errors import Code, HedgerowError, UserError
+from hedgerow.topologies.paths import beside, real_path
 from hedgerow.topologies.resolve import save
 from hedgerow.topologies.schema import Topology
 
@@ -64,7 +65,10 @@ def new_folder(folder: Path, shown: str, mode: int = 0o777) -> None:
 
     `shown` is the name in the user's words.
     """
-    folder.mkdir(mode, parents=True, exist_ok=True)
+    try:
+        folder.mkdir(mode, parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"{shown}: {error.strerror}; name another folder", code=Code.OUTPUT) from error
     if any(folder.iterdir()):
         raise UserError(f"{shown}: holds something already; name a new folder", code=Code.OUTPUT)
 
@@ -77,7 +81,7 @@ def whole_folder(folder: Path, shown: str, mode: int = 0o777) -> Iterator[Path]:
     made = not folder.exists()
     new_folder(folder, shown, mode)
     # Keep an existing folder: the user may be in it, or have mounted it there.
-    part = (folder.parent if made else folder) / f".{folder.name}-{os.getpid()}"
+    part = beside(folder if made else folder / folder.name)
     try:
         part.mkdir(mode)
         yield part
@@ -97,11 +101,11 @@ def whole_folder(folder: Path, shown: str, mode: int = 0o777) -> Iterator[Path]:
 
 def create(topology: Topology, directory: Path | None) -> RunFolder:
     """Return a new folder for a run of the resolved `topology`: `directory`, new or empty, or one in runs/."""
-    made = directory is not None and not directory.exists()
     try:
+        made = directory is not None and not directory.exists()
         if directory is not None:
             new_folder(directory, f"--run-dir {directory}")
-            folder = RunFolder(directory.resolve())
+            folder = RunFolder(real_path(directory))
         else:
             folder = _new_in(Path("runs"), topology.name)
             made = True
@@ -152,10 +156,10 @@ def reserve(name: str) -> RunFolder:
 
 
 def begun_or_withdrawn(folder: RunFolder, begin: Callable[[], T]) -> T:
-    """Return `begin()`; if it raises HedgerowError, or a signal ends it, undo `create` first."""
+    """Return `begin()`; if the system or a HedgerowError refuses it, or a signal ends it, undo `create` first."""
     try:
         return begin()
-    except (HedgerowError, KeyboardInterrupt):
+    except (HedgerowError, OSError, KeyboardInterrupt):
         withdraw(folder)
         raise
 
@@ -190,7 +194,7 @@ def _new_in(runs: Path, name: str) -> RunFolder:
     stamp = time.strftime("%Y%m%d-%H%M%S")
     number = 1
     while True:
-        path = runs.resolve() / f"{name}-{stamp}{f'-{number}' if number > 1 else ''}"
+        path = real_path(runs) / f"{name}-{stamp}{f'-{number}' if number > 1 else ''}"
         try:
             path.mkdir()
         except FileExistsError:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from hedgerow.orchestrator.runs.files import read_verdict
 from hedgerow.topologies.errors import Code, HedgerowError, UserError
+from hedgerow.topologies.paths import real_path
 
 RECENT_S = 3600.0
 """A folder without a verdict that changed less than this ago may belong to a `simulate` that still runs."""
@@ -52,7 +53,7 @@ def listed(directory: Path, running: Collection[str]) -> list[Listed]:
         return []
     except OSError as error:
         raise UserError(f"{directory}: {error.strerror}. Name another folder.", code=Code.FILE_MISSING) from None
-    found = [_listed(path, str(path.resolve()) in running) for path in folders]
+    found = [_listed(path, str(real_path(path)) in running) for path in folders]
     return sorted(found, key=lambda one: (one.began, one.run), reverse=True)
 
 

@@ -74,7 +74,7 @@ class RecordedRows:
 
     @cached_property
     def T(self) -> int:  # noqa: N802 (the paper's name)
-        """Return the number of steps with recorded inputs and next states: the last row of `x` is x(T)."""
+        """Return T, the number of recorded steps. The arrays of inputs have T rows. The arrays of states have T + 1."""
         steps, edges = self.recorded, len(self.edges)
         if not edges or not len(steps):
             return int(steps[-1]) if len(steps) else 0

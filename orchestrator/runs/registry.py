@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import hashlib
 import json
 import os
 import stat
@@ -68,7 +69,8 @@ def _directory() -> Path:
 
 def entry_path(run: str) -> Path:
     """Return the path of the entry for a run of that name by this process."""
-    return _directory() / f"{run}-{os.getpid()}.json"
+    digest = hashlib.sha256(os.fsencode(run)).hexdigest()[:16]  # the name may be as long as a file's may be
+    return _directory() / f"{digest}-{os.getpid()}.json"
 
 
 def secrets_of(listed: Path) -> Path:

@@ -125,9 +125,9 @@ class Run(RecordedRows):
     edge_open = flags("open")
     """True if an edge carried flow, (T, E)."""
     i_hears = flags("i_hears")
-    """True if the message of node j arrived at node i in its own step, (T, E)."""
+    """True if node i received the message of node j in the step in which j sent it, for each edge (i, j), (T, E)."""
     j_hears = flags("j_hears")
-    """True if the message of node i arrived at node j in its own step, (T, E)."""
+    """True if node j received the message of node i in the step in which i sent it, for each edge (i, j), (T, E)."""
 
     @cached_property
     def regret(self) -> Array:
@@ -249,10 +249,11 @@ class Run(RecordedRows):
         return self._observed[1].summary()
 
     def first_difference(self) -> Finding | None:
-        """Replay the tables by the file and the law, and return the first difference; None if there is none.
+        """Replay the tables by the file, the law and the observer, and return the first difference, None without one.
 
-        This loads and runs the code of the law. The tables do not hold the received messages, so those are not
-        compared. Raises UserError if the law cannot be loaded, and HedgerowError if a row is lost or the law fails.
+        The number of steps must be that of the verdict. This loads and runs the code of the law. The tables do not hold
+        the received messages, so those are not compared. Raises UserError if the law cannot be loaded, and
+        HedgerowError if a row is lost or the law fails.
         """
         return replayed.first_difference(self)
 
@@ -272,7 +273,7 @@ class Run(RecordedRows):
 
     def estimates_at(self, t: int) -> Estimates:
         """Return the estimate of every node at step t, from the samples of earlier steps, as a dict by node."""
-        if not 0 <= t < self.T:
+        if not isinstance(t, int | np.integer) or not 0 <= t < self.T:
             raise UserError(f"estimates_at({t}): the run has steps 0 to {self.T - 1}", code=Code.OPTION)
         return Estimates(self, t)
 

@@ -13,8 +13,9 @@ from hedgerow.orchestrator.ground import laws
 from hedgerow.orchestrator.ground.assignment import layout, truth_of, views_of
 from hedgerow.orchestrator.launch.fault_verbs import FaultVerbs
 from hedgerow.orchestrator.launch.live import checked
-from hedgerow.orchestrator.launch.recording import Recording, Watching
+from hedgerow.orchestrator.launch.recording import Recording
 from hedgerow.orchestrator.launch.running import Running, run_to_the_end
+from hedgerow.orchestrator.launch.watching import Watching
 from hedgerow.orchestrator.metrics.verdict import Ending
 from hedgerow.orchestrator.runs import reference
 from hedgerow.orchestrator.runs.folder import create
@@ -22,8 +23,8 @@ from hedgerow.orchestrator.runs.reader import load_run
 from hedgerow.orchestrator.runs.run import Run
 from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.faults import Fault
-from hedgerow.topologies.load import parse
-from hedgerow.topologies.named import Named, text_of
+from hedgerow.topologies.named import Given, Named
+from hedgerow.topologies.named import given as as_given
 from hedgerow.topologies.record import Record
 from hedgerow.topologies.resolve import resolve
 from hedgerow.topologies.schema import Topology
@@ -42,30 +43,25 @@ class Scenario(FaultVerbs["Scenario"]):
     Steps of faults are steps of the run. A mistake that a file would be refused for raises UserError at once.
     """
 
-    text: bytes = field(repr=False)
-    """the topology file"""
-    name: str
-    """its name in messages"""
-    folder: Path = field(repr=False)
-    """the folder of its CSV files"""
+    given: Given
+    """the network with its settings, before its numbers are drawn"""
     new_folder: Callable[[str], Path] = field(repr=False, compare=False)
     """makes an empty folder for a run with a similar name"""
     on_result: Callable[[Run], None] = field(repr=False, compare=False, default=lambda _: None)
     """called with every result"""
-    settings: tuple[str, ...] = ()
     faults: tuple[Fault, ...] = ()
 
     @cached_property
     def topology(self) -> Topology:
         """Return the resolved network, with all rows recorded."""
         with crash.reported():
-            read = parse(self.text, self.name, self.folder, self.settings)
-            drawn = resolve(read.model_copy(update={"record": Record(nodes="all")}), self.folder)
+            read = self.given.parse()
+            drawn = resolve(read.model_copy(update={"record": Record(nodes="all")}), self.given.folder)
             return laws.checked(resolve(drawn.model_copy(update={"faults": (*drawn.faults, *self.faults)})))
 
     def set(self, *settings: str) -> Scenario:
         """Return a copy with values of the file replaced: `path=value`, as for `--set` on the command line."""
-        return _now(replace(self, settings=(*self.settings, *settings)))
+        return _now(replace(self, given=self.given.with_overrides(*settings)))
 
     def inject(self, fault: Fault | Mapping[str, Any]) -> Scenario:
         """Return a copy with one more fault: a model of `hedgerow.topologies.faults`, or a mapping as a file spells
@@ -165,5 +161,4 @@ class Networks:
 
         settings: `path=value`, as for `--set` on the command line. Raise UserError for a mistake.
         """
-        text, name, folder = text_of(network)
-        return _now(Scenario(text, name, folder, self.new_folder, self.on_result, settings))
+        return _now(Scenario(as_given(network).with_overrides(*settings), self.new_folder, self.on_result))

@@ -8,13 +8,15 @@ import os
 import sys
 import time
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
-from hedgerow.orchestrator.metrics.observer import Batch
-from hedgerow.orchestrator.metrics.verdict import Verdict
 from hedgerow.orchestrator.views.outlet import Outlet, left_behind
 from hedgerow.topologies.escape import echo
 from hedgerow.topologies.schema import Topology
+
+if TYPE_CHECKING:
+    from hedgerow.orchestrator.metrics.observer import Batch
+    from hedgerow.orchestrator.metrics.verdict import Verdict
 
 LINE_EVERY_S = 2.0
 

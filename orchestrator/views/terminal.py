@@ -9,7 +9,7 @@
     edges down: 2-4, 3-5
     links down: 1->2, 3-5
     5 of 7 estimates right, 8 missing inputs, 32 lost messages, regret D 0.9384 (nominal 4.367),
-    cost regret +1.734, gain 9.271 (less V(x(0)): 0; gamma* 2.974 is the oracle's without faults)
+    cost regret +1.734, gain 9.271 with x(0) (limits without x(0): oracle 2.974 without faults)
     step 30: cut 2-4 from step 30 to 60 (fault 2)
 
 A wrong model is marked by a word and by a colour. Dead nodes come first, then nodes without an input, then nodes with a

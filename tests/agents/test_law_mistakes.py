@@ -223,7 +223,7 @@ def test_a_parameter_of_another_type_is_refused_and_never_converted(name: str) -
 def test_a_parameter_by_position_is_refused_with_the_fix() -> None:
     with pytest.raises(UserError) as refused:
         hg.testing.check_law("mistaken_laws:ByPosition(decay=0.5)")
-    assert "*, decay" in str(refused.value)
+    assert "decay" in str(refused.value)
 
 
 def test_booleans_and_null_are_read_as_in_yaml_too() -> None:

@@ -143,8 +143,8 @@ def test_messages_answered_without_numpy_are_those_of_the_general_path(processes
     quietly = 0
     for _ in range(30):
         world.begin()
-        told, said, inputs = world.states(), [], []
-        for view, (one, other), (state, _) in zip(views, pairs, told, strict=True):
+        given_rows, sent, inputs = world.states(), [], []
+        for view, (one, other), (state, _) in zip(views, pairs, given_rows, strict=True):
             assert state is not None
             other.answer(state)
             general = [encode_link(link, other.peers[peers[0]].sends) for peers, link in other.send(state)]
@@ -156,8 +156,8 @@ def test_messages_answered_without_numpy_are_those_of_the_general_path(processes
                 assert answer == general
                 quietly += 1
             inputs.append(other.u)
-            said += [(view, peer, link) for peers, link in other.send(state) for peer in peers]
-        for view, peer, link in said:
+            sent += [(view, peer, link) for peers, link in other.send(state) for peer in peers]
+        for view, peer, link in sent:
             receiver = view.peers[peer].shard
             back = [other.shard for other in views[receiver].peers].index(view.shard)
             for shard in pairs[receiver]:

@@ -26,12 +26,13 @@ import zenoh
 from hedgerow.agents.plant_watch import PlantWatch
 from hedgerow.agents.process import Joined
 from hedgerow.agents.standalone import PlaceRequest
-from hedgerow.topologies.errors import HedgerowError, UserError
+from hedgerow.topologies.errors import Code, HedgerowError
 from hedgerow.wire import keys
 from hedgerow.wire.config import Config
 from hedgerow.wire.handshake import room
 from hedgerow.wire.session import direct, open_client, open_router
 from tests.tools.processes import DEADLINE_S, Orchestrator, gone, orchestrator, parquet_bytes, run_here
+from tests.tools.refusals import refusal
 
 UP = ("--viewer", "none", "--no-record", "--verify")
 
@@ -47,8 +48,8 @@ class Started:
 
     def wait(self) -> tuple[int, str]:
         """Its exit code and its log, once it has ended."""
-        _, said = self.process.communicate(timeout=DEADLINE_S)
-        return self.process.returncode, said
+        _, printed = self.process.communicate(timeout=DEADLINE_S)
+        return self.process.returncode, printed
 
     def wait_for(self, text: str) -> None:
         """Read its log until this text."""
@@ -91,7 +92,6 @@ def test_two_agents_started_elsewhere_change_nothing(here: Path, endpoint: str, 
     agents = [start("agents", "--config", f"lab/agent-{name}.toml") for name in (3, 5)]
     with Orchestrator("up", "paper7", "--external", "3, agent-5", "--listen", endpoint, *UP) as network:
         assert network.wait() == 0, network.output
-        assert "waiting for agent-3, agent-5" in network.output
         assert network.children.keys() == {"plant", *(f"agent-{name}" for name in (1, 2, 4, 6, 7))}
     assert verdict()["checks"]["reference"]["ok"]
     assert [agent.wait()[0] for agent in agents] == [0, 0]
@@ -158,10 +158,10 @@ def test_another_release_and_another_network_are_refused_at_both_ends(here: Path
     )
     with Orchestrator("up", "paper7", "--external", "3", "--listen", endpoint, "--wait", "30", *UP) as network:
         network.wait_for("waiting for agent-3")
-        code, said = start("agents", "--config", "lab/agent-3.toml").wait()
+        code, printed = start("agents", "--config", "lab/agent-3.toml").wait()
         assert code == 2
-        assert "the plant refuses agent-3: network " in said
-        assert "one `orchestrator bundle` of one file, seed and --set" in said
+        assert "agent-3: network " in printed
+        assert "`orchestrator bundle`" in printed, "the fix is a command"
         done = subprocess.run(
             [sys.executable, "-P", "-c", old, "--config", "lab/agent-3.toml"],
             capture_output=True,
@@ -169,8 +169,7 @@ def test_another_release_and_another_network_are_refused_at_both_ends(here: Path
             check=False,
         )
         assert done.returncode == 2
-        assert "hedgerow 0.0.1 there, " in done.stderr
-        assert "install the same release on both machines" in done.stderr
+        assert "hedgerow 0.0.1" in done.stderr
         network.wait_for("agent 3 is refused: hedgerow 0.0.1 there, ")
         network.send(signal.SIGINT)
         network.wait()
@@ -187,9 +186,8 @@ def test_an_agent_that_a_killed_run_left_behind_makes_room_for_the_next(here: Pa
         network.wait()
     assert gone(children)
     with Orchestrator(*command) as network:
-        code, said = left_behind.wait()
+        code = left_behind.wait()[0]
         assert code == 3
-        assert "another run has begun here, and we are of the one before; start us again with the next run" in said
         again = start("agents", "--config", "lab/agent-3.toml")
         assert network.wait() == 0, network.output
         assert again.wait()[0] == 0
@@ -261,9 +259,8 @@ def test_a_new_plant_ignores_agents_of_the_run_before(here: Path, endpoint: str,
             others = [start(*plant), start(*agent)]
             assert network.wait() == 0, network.output
             assert [other.wait()[0] for other in others] == [0, 0]
-        code, said = left_behind.wait()
-    assert code == 3
-    assert "another run has begun here" in said
+        code, printed = left_behind.wait()
+    assert code == 3, printed
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)], ids=["int", "term"])
@@ -297,7 +294,7 @@ def test_a_second_plant_waits_for_the_end_of_the_first(here: Path, endpoint: str
             second.send(signal.SIGINT)
             by_hand.process.kill()
             assert second.wait() != 0
-            assert "stopped at step 0: Ctrl-C" in second.output
+            assert "Ctrl-C" in second.output
             assert orchestrator("rate", "0").returncode == 0
             assert first.wait() == 0, first.output
             assert agent.wait()[0] == 0
@@ -309,19 +306,19 @@ def test_a_plant_that_stays_has_its_place_to_itself(here: Path, endpoint: str, m
     with open_router(endpoint), open_client(endpoint, "here") as one, open_client(endpoint, "here") as other:
         token = one.liveliness().declare_token(keys.alive(keys.PLANT, 7))
         with (
-            pytest.raises(UserError, match="another plant already runs at here; end that run, or give another --name"),
+            refusal(Code.REFUSED),
             room(other, "here", list[str]().append),
         ):
             raise AssertionError("the block was entered")
-        told: list[str] = []
+        messages: list[str] = []
         monkeypatch.setattr("hedgerow.wire.handshake.LEASE_S", DEADLINE_S)
 
         def say(text: str) -> None:
-            told.append(text)
-            token.undeclare()  # type: ignore[no-untyped-call]
+            messages.append(text)
+            token.undeclare()
 
         with room(other, "here", say):
-            assert told == ["another plant already runs at here; waiting up to 60 s for its end"]
+            assert messages == ["another plant already runs at here; waiting up to 60 s for its end"]
 
 
 def test_of_simultaneous_plants_one_starts_and_the_next_follows(endpoint: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -434,9 +431,9 @@ def test_an_agent_leaves_for_another_plant_only_once_its_own_is_gone(
 @pytest.mark.parametrize(("form", "protocol"), [((), "tcp"), (("--secure",), "tls")], ids=["open", "secure"])
 def test_a_bundle_uses_one_port_for_operator_and_agents(here: Path, form: tuple[str, ...], protocol: str) -> None:
     bundle(f"{protocol}/localhost:8123", *form)
-    said = Path("lab/README.md").read_text()
-    assert said.count(f"--listen {protocol}/0.0.0.0:8123") == 2
-    assert "7447" not in said
+    printed = Path("lab/README.md").read_text()
+    assert printed.count(f"--listen {protocol}/0.0.0.0:8123") == 2
+    assert "7447" not in printed
 
 
 @pytest.mark.parametrize(
@@ -458,7 +455,7 @@ def test_a_certificate_names_no_address_in_brackets(here: Path) -> None:
     """Zenoh would try for ever."""
     done = run_here("keys", "paper7", "--out", "lab", "--router", "tls/[::1]:7447")
     assert done.returncode == 2
-    assert "tls/[::1]:7447: Zenoh takes no IPv6 address for the name in a certificate; write a name\n" in done.stderr
+    assert done.stderr.startswith("error: --router tls/[::1]:7447: ")
     assert [*here.glob("[!.]*")] == []
 
 
@@ -504,50 +501,50 @@ def test_seconds_and_rates_are_numbers_that_can_be_waited_for(
 ) -> None:
     if module in ("up", "compose"):
         done = run_here(module, "paper7", option, number)
-        code, said = done.returncode, done.stderr
+        code, printed = done.returncode, done.stderr
     else:
-        code, said = start(module, option, number).wait()
+        code, printed = start(module, option, number).wait()
     least = "from 0" if option == "--rate" else "above 0"
-    assert (code, said) == (2, f"error: {option} {number}: give a number {least}, and at most 1e+09\n")
+    assert (code, printed) == (2, f"error: {option} {number}: give a number {least}, and at most 1e+09\n")
     assert [*here.glob("[!.]*")] == []
 
 
 def test_a_missing_process_is_named(here: Path, endpoint: str) -> None:
     with Orchestrator("up", "paper7", "--external", "3,5", "--listen", endpoint, "--wait", "2", *UP) as network:
         assert network.wait() == 3, network.output
-    assert "agent 3, agent 5 not " in network.output, network.output
+    assert "agent 3, agent 5" in network.output
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "named"),
     [
-        (("--external", "9"), "there is no 9; name nodes, `plant` or `all`; the processes are plant, agent-1"),
-        (("--external", "3"), "--external: the separate processes need an address. --listen tcp/0.0.0.0:7447"),
-        (("--external", "plant"), "--external plant: give its router"),
+        (("--external", "9"), "--external 9: "),
+        (("--external", "3"), "--listen tcp/0.0.0.0:7447"),
+        (("--external", "plant"), "--external plant: "),
         (("--listen", "tcp/0.0.0.0:7447"), "--external"),
     ],
 )
-def test_impossible_options_are_refused_at_once(here: Path, arguments: tuple[str, ...], said: str) -> None:
+def test_impossible_options_are_refused_at_once(here: Path, arguments: tuple[str, ...], named: str) -> None:
     done = run_here("up", "paper7", *arguments)
     assert done.returncode == 2
-    assert said in done.stderr
+    assert named in done.stderr
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "named"),
     [
-        ("", "lab.toml: lacks process, namespace, router, network"),
-        ("a = ", "lab.toml: is not TOML"),
-        ('process = "agent-3"\nnamespace = "h"\nrouter = "tcp/x:1"\nnetwork = "0"\n', "config of agent-3: KeyError"),
-        ('process = "plant"\nnamespace = "h"\nrouter = "tcp/x:1"\nnetwork = "0"\n', "start it with `hedgerow-plant`"),
-        (None, "lab.toml: No such file or directory; `orchestrator bundle` writes it"),
+        ("", "lab.toml: "),
+        ("a = ", "lab.toml: "),
+        ('process = "agent-3"\nnamespace = "h"\nrouter = "tcp/x:1"\nnetwork = "0"\n', "config of agent-3: "),
+        ('process = "plant"\nnamespace = "h"\nrouter = "tcp/x:1"\nnetwork = "0"\n', "`hedgerow-plant`"),
+        (None, "`orchestrator bundle`"),
     ],
 )
-def test_a_wrong_file_is_a_mistake_and_no_traceback(here: Path, start: Any, text: str | None, said: str) -> None:
+def test_a_wrong_file_is_a_mistake_and_no_traceback(here: Path, start: Any, text: str | None, named: str) -> None:
     if text is not None:
         Path("lab.toml").write_text(text)
     for check in ((), ("--check",)):
         code, log = start("agents", "--config", "lab.toml", *check).wait()
         assert code == 2, log
-        assert said in log
+        assert named in log
         assert "Traceback" not in log

@@ -29,7 +29,7 @@ from hedgerow.orchestrator.metrics.observer import Batch, Observer
 from hedgerow.orchestrator.views import palette
 from hedgerow.orchestrator.views.layout import positions
 from hedgerow.orchestrator.views.palette import packed, state_colors
-from hedgerow.orchestrator.views.rerun.fault_timeline import LANES, MISTAKEN, OF_NODE, Lanes, of_edge
+from hedgerow.orchestrator.views.rerun.fault_timeline import LANES, MISTAKEN, OF_NODE, FaultTimeline, of_edge
 from hedgerow.orchestrator.views.rerun.heatmap import COLUMNS, HeatMap
 from hedgerow.orchestrator.views.rerun.network_picture import Picture, decaying_peak
 from hedgerow.orchestrator.views.rerun.panels import DOWN, LARGE
@@ -175,13 +175,13 @@ def test_the_lanes_are_the_schedule(tmp_path: Path) -> None:
     codes[cuts.row, cuts.target] += 4
     begun = set()
     for k, (i, j) in enumerate(topology.pairs):
-        says = column(path, f"link/{i}-{j}", "StateChange:state")
+        shows = column(path, f"link/{i}-{j}", "StateChange:state")
         now, shown = ["ok"], []
         for t in range(topology.steps):
-            now = says.get(t, now)
+            now = shows.get(t, now)
             shown += now
         assert shown == [of_edge(str(i), str(j))[code][0] for code in codes[:, k]], (i, j)
-        if says:
+        if shows:
             begun.add((i, j))
     assert begun == {(2, 4), (3, 5)}
 
@@ -198,11 +198,11 @@ def test_a_lane_of_a_node_shows_death_silence_and_wrong_models() -> None:
         ],
     )
     _, batch = observe(topology, simulate(topology))
-    codes = Lanes(topology, models=True).codes(batch)[:, len(topology.edges) :]
-    said = [[OF_NODE[code][0] for code in row] for row in codes]
-    assert [t for t, row in enumerate(said) if row[3] == "dead"] == [10, 11, 12]
-    assert [t for t, row in enumerate(said) if row[0] == "no input"] == [15, 16]
-    assert [t for t, row in enumerate(said) if row[1] == "a jumps"] == [20]
+    codes = FaultTimeline(topology, models=True).codes(batch)[:, len(topology.edges) :]
+    labels_of = [[OF_NODE[code][0] for code in row] for row in codes]
+    assert [t for t, row in enumerate(labels_of) if row[3] == "dead"] == [10, 11, 12]
+    assert [t for t, row in enumerate(labels_of) if row[0] == "no input"] == [15, 16]
+    assert [t for t, row in enumerate(labels_of) if row[1] == "a jumps"] == [20]
     wrong = (batch.ahat != batch.a) & ~np.isnan(batch.u) & (batch.t > 0)[:, None]
     wrong[20, 1] = False
     np.testing.assert_array_equal(codes == MISTAKEN, wrong)
@@ -373,7 +373,7 @@ def test_a_link_is_drawn_as_broken_only_while_it_is(
     def whole() -> bool:
         return look().whole
 
-    options = [f"--set=faults={json.dumps(faults)}", "--rate=50", "--steps=100000", "--no-record"]
+    options = [f"--set=faults={json.dumps(faults)}", "--rate=10", "--steps=100000", "--no-record"]
     with Orchestrator("up", "paper7", "--viewer", watched.url, *options) as up:
         up.wait_for("running")
         until(broken, every_s=0.5)  # a picture costs more than the network

@@ -106,7 +106,7 @@ def test_messages_of_steps_with_gaps_are_those_of_the_general_path(processes: in
     in_floats = 0
     for _ in range(60):
         world.begin()
-        said, inputs = [], []
+        sent, inputs = [], []
         for view, one, other, (state, _) in zip(views, ours, others, world.states(), strict=True):
             assert state is not None
             message = encode_state(*state)
@@ -116,9 +116,9 @@ def test_messages_of_steps_with_gaps_are_those_of_the_general_path(processes: in
             other.step(own)
             links, answer = one.messages(own)
             assert (links, answer) == other.messages(own)
-            said += [(view, peer, link) for peers, link in links for peer in peers]
+            sent += [(view, peer, link) for peers, link in links for peer in peers]
             inputs.append(answer)
-        for view, peer, link in said:
+        for view, peer, link in sent:
             receiver = view.peers[peer].shard
             back = [other.shard for other in views[receiver].peers].index(view.shard)
             for shards in (ours, others):

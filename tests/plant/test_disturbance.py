@@ -66,16 +66,16 @@ def test_the_node_moves_as_if_the_candidate_were_the_truth(candidate: float | st
     topology = network(f"{{kind: confuse, candidate: {candidate}}}", seed=seed, faults=fault)
     ran = simulate(topology)
     (group,) = topology.network.disturbance
-    told: Array = group.values["candidate"]
+    drawn: Array = group.values["candidate"]
     a = topology.network.a.copy()
     for t, x, w in zip(range(30), ran.x, ran.w, strict=False):
         if jumps and t == 12:
             a[2] = topology.faults[0].a  # type: ignore[union-attr]
-        assert w.tobytes() == ((told - a) * x).tobytes()
+        assert w.tobytes() == ((drawn - a) * x).tobytes()
     if candidate == "random":
-        assert all(a in node.candidates and a != node.a for a, node in zip(told, topology.nodes.values(), strict=True))  # type: ignore[operator]
+        assert all(a in node.candidates and a != node.a for a, node in zip(drawn, topology.nodes.values(), strict=True))  # type: ignore[operator]
     assert simulate(topology, [range(5)]).same_bits(ran)
-    assert read(to_yaml(topology)).network.disturbance[0].values["candidate"].tobytes() == told.tobytes()
+    assert read(to_yaml(topology)).network.disturbance[0].values["candidate"].tobytes() == drawn.tobytes()
 
 
 def test_there_is_no_confusion_at_rest() -> None:

@@ -12,8 +12,8 @@ from matplotlib.patches import StepPatch
 from numpy.typing import NDArray
 
 from hedgerow.orchestrator.ground.assignment import layout
-from hedgerow.orchestrator.launch.recording import Watching
 from hedgerow.orchestrator.launch.simulation import simulate_into
+from hedgerow.orchestrator.launch.watching import Watching
 from hedgerow.orchestrator.report.figures import FIGURES
 from hedgerow.orchestrator.report.style import look
 from hedgerow.orchestrator.runs.folder import create

@@ -40,8 +40,8 @@ import typer.main
 from hedgerow.agents.view import View
 from hedgerow.orchestrator.cli import main as cli
 from hedgerow.orchestrator.ground.assignment import layout, truth_of, views_of
-from hedgerow.orchestrator.launch.recording import Watching
 from hedgerow.orchestrator.launch.simulation import simulate_into
+from hedgerow.orchestrator.launch.watching import Watching
 from hedgerow.orchestrator.metrics.observer import Observer
 from hedgerow.orchestrator.runs.files import load_resolved
 from hedgerow.orchestrator.runs.folder import create

@@ -26,7 +26,7 @@ from hedgerow.orchestrator.cli import main as cli
 from hedgerow.orchestrator.experiments.sweep.folder import SweepFolder
 from hedgerow.orchestrator.experiments.sweep.plan import plan
 from hedgerow.orchestrator.experiments.sweep.runs import METRICS
-from hedgerow.orchestrator.ground.assignment import layout, places, views_of
+from hedgerow.orchestrator.ground.assignment import layout, places, truth_of, views_of
 from hedgerow.orchestrator.launch.certificates import carried
 from hedgerow.orchestrator.runs import registry
 from hedgerow.orchestrator.runs.export import export
@@ -34,6 +34,7 @@ from hedgerow.orchestrator.runs.files import load_events, load_resolved, read_ve
 from hedgerow.orchestrator.runs.reader import load_run
 from hedgerow.orchestrator.views.rerun.watch import Trail
 from hedgerow.plant import request as requests
+from hedgerow.plant.fault_entry import FaultEntries
 from hedgerow.plant.truth import Truth
 from hedgerow.topologies import budget
 from hedgerow.topologies.errors import HedgerowError
@@ -401,20 +402,17 @@ class Requests(Inputs):
         file.write_text(FAULTY)
         topology = resolve(load(str(file)))
         self._graph = topology.graph
-        effect = {
-            "kind": "drop",
-            "targets": [0, 1],
-            "start": 3,
-            "stop": 9,
-            "probability": 0.5,
-            "by": 0,
-            "table": {"3": [1]},
-        }
+        truth = truth_of(topology, layout(topology, None))
+        self._entries = FaultEntries(topology.graph, truth.ids, truth.shards, truth.candidates)
         entry = {"kind": "drop", "link": [1, "hub"], "steps": [3, 9], "at": {"3": 1}}
         self._texts = [
             json.dumps(one).encode()
             for one in (
-                {"effects": [effect], "entry": entry, "name": "it"},
+                {"entry": entry, "name": "it"},
+                {"entry": {"kind": "drop", "link": [1, "hub"], "steps": [3, 9], "probability": 0.5}},
+                {"entry": {"kind": "drop", "at": {"3": [[1, "hub"]], "5": []}}},
+                {"entry": {"kind": "jump", "node": 1, "at": 3, "a": 0.5}},
+                {"entry": {"kind": "partition", "groups": [[1], ["hub"]], "cut": True}},
                 {"rate": 50, "steps": 3, "fault": 1},
                 {"event": "kill", "shard": 1, "life": 0},
                 {"process": "agent-1", "number": 5, "release": "1", "network": "x"},
@@ -436,8 +434,7 @@ class Requests(Inputs):
             codec.decode_event(codec.encode_event(3, {})[: codec._SIZE] + payload)
         request = requests.read(payload, self._graph)
         for reads in (
-            lambda: requests.effects(request, self._graph, 1),
-            lambda: requests.entry(request),
+            lambda: self._entries.effects(requests.entry(request), 1),
             lambda: requests.integer(request, "steps", 0, 10**9),
             lambda: requests.number(request, "rate", 0.0, 1e9),
             lambda: requests.text(request, "name"),

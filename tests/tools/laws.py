@@ -23,8 +23,8 @@ class Curious:
 
     def learn(self, x: Array, flow: Array, x_next: Array, sample: Received) -> None:
         known = np.isfinite(x * flow * x_next) & sample.nodes
-        told = self.local.sums(np.nan_to_num(sample.x) + 2 * np.nan_to_num(sample.u) + sample.step)
-        self.memory[0] = np.where(known, 0.9 * self.memory[0] + told + sample.t, self.memory[0])
+        summed = self.local.sums(np.nan_to_num(sample.x) + 2 * np.nan_to_num(sample.u) + sample.step)
+        self.memory[0] = np.where(known, 0.9 * self.memory[0] + summed + sample.t, self.memory[0])
         self.memory[1] += known
 
     def report(self) -> Array:

@@ -34,6 +34,9 @@ MODULES = (
     "matplotlib.figure",
     "matplotlib.backends.backend_agg",
     "numpy",
+    "pandas",
+    "pyarrow.ipc",
+    "pyarrow.parquet",
     "rich.console",
     "rich.live",
     "rich.table",
@@ -41,16 +44,28 @@ MODULES = (
     "scipy.sparse.csgraph",
     "scipy.stats",
     "hedgerow.orchestrator.cli.main",
+    "hedgerow.orchestrator.experiments.bounds",
+    "hedgerow.orchestrator.experiments.compare",
+    "hedgerow.orchestrator.experiments.compare.figure",
+    "hedgerow.orchestrator.experiments.compare.statistics",
+    "hedgerow.orchestrator.experiments.sweep",
+    "hedgerow.orchestrator.experiments.sweep.boxes",
+    "hedgerow.orchestrator.experiments.worst",
     "hedgerow.orchestrator.launch.live",
     "hedgerow.orchestrator.launch.recording",
     "hedgerow.orchestrator.launch.simulation",
     "hedgerow.orchestrator.launch.up",
     "hedgerow.orchestrator.metrics.guarantee",
     "hedgerow.orchestrator.metrics.summary",
+    "hedgerow.orchestrator.report.figures",
+    "hedgerow.orchestrator.report.page",
+    "hedgerow.orchestrator.runs.export",
     "hedgerow.topologies.load",
     "hedgerow.topologies.resolve",
 )
-"""modules that many commands load, except those that start a thread (pyarrow)"""
+"""modules that many commands load, except those that start a thread (rerun)"""
+WITHOUT_THREADS = {"JE_ARROW_MALLOC_CONF": "background_thread:false"}
+"""variables with which those modules start no thread: the memory pool of pyarrow has one, which only tidies up"""
 OF_THE_START = ("PYTHON", "LC_", "LANG", "LD_", "RERUN", "OPENBLAS", "OMP", "MPL")
 """variables that take effect when Python or a library loads, by how they begin"""
 SERVER = f"import sys; sys.path.append({str(ROOT)!r}); from tests.tools.preloaded import serve; serve(sys.argv[1])"
@@ -70,7 +85,7 @@ with connection.makefile() as answers:
     code = int(answers.read())
 os.kill(os.getpid(), -code) if code < 0 else os._exit(code)
 """
-"""the programs `orchestrator`, and `program FILE`, for a shell: they order a process, and exit with the code of that"""
+"""the programs `orchestrator`, and `program FILE …`, for a shell: they order a process, and exit with its code"""
 
 
 class Process:
@@ -132,6 +147,7 @@ class Server:
                     stdin=subprocess.PIPE,
                     stdout=subprocess.PIPE,
                     cwd="/",
+                    env=os.environ | WITHOUT_THREADS,
                     start_new_session=True,
                 )
                 assert self._process.stdout is not None
@@ -291,12 +307,12 @@ def accept(listening: socket.socket, connections: dict[int, socket.socket]) -> N
     connection.sendall(f"{pid}\n".encode())
 
 
-def run_program(file: str) -> NoReturn:
-    """Run a Python program as `python -W error FILE` does."""
+def run_program(file: str, *arguments: str) -> NoReturn:
+    """Run a Python program as `python -W error FILE …` does."""
     code = 0
     signal.signal(signal.SIGINT, signal.default_int_handler)
     warnings.simplefilter("error")
-    sys.argv = [file]
+    sys.argv = [file, *arguments]
     sys.path.insert(0, str(Path(file).parent.absolute()))
     try:
         runpy.run_path(file, run_name="__main__")

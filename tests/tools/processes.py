@@ -94,7 +94,7 @@ class Orchestrator:
             stdout = open(reads, encoding="utf-8")  # noqa: SIM115 (the end of the block closes it)
             self._process = preloaded.SESSION.start(arguments, (0, writes, writes), new_session=True, stdout=stdout)
             os.close(writes)
-        self._said = ""
+        self._output = ""
         self._changed = threading.Condition()
         self._ended = False
         self._listener = threading.Thread(target=self._listen, daemon=True)
@@ -104,7 +104,7 @@ class Orchestrator:
         assert self._process.stdout is not None
         for line in self._process.stdout:
             with self._changed:
-                self._said += line
+                self._output += line
                 self._changed.notify_all()
         with self._changed:
             self._ended = True
@@ -113,13 +113,13 @@ class Orchestrator:
     @property
     def output(self) -> str:
         """Return the output so far, of both streams."""
-        return self._said
+        return self._output
 
     def wait_for(self, text: str) -> None:
         """Wait until `text` appears."""
         with self._changed:
-            assert self._changed.wait_for(lambda: text in self._said or self._ended, DEADLINE_S), self._said
-            assert text in self._said, self._said
+            assert self._changed.wait_for(lambda: text in self._output or self._ended, DEADLINE_S), self._output
+            assert text in self._output, self._output
 
     def wait_until(self, is_true: Callable[[], bool]) -> None:
         """Wait until a condition outside the program is true."""
@@ -226,7 +226,7 @@ class Orchestrator:
 
 def _events(kind: str = "") -> list[dict[str, Any]]:
     """The events of the latest run, all or those of one kind."""
-    told = Path(os.getcwd()) / "runs/latest/events.jsonl"
-    lines = told.read_text(encoding="utf-8").splitlines() if told.exists() else []
+    log_file = Path(os.getcwd()) / "runs/latest/events.jsonl"
+    lines = log_file.read_text(encoding="utf-8").splitlines() if log_file.exists() else []
     events = [json.loads(line) for line in lines if line.endswith("}")]
     return [event for event in events if kind in ("", event["event"])]

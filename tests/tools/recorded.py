@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from hedgerow.orchestrator.ground.assignment import layout
-from hedgerow.orchestrator.launch.recording import Watching
 from hedgerow.orchestrator.launch.simulation import simulate_into
+from hedgerow.orchestrator.launch.watching import Watching
 from hedgerow.orchestrator.metrics.observer import Batch, Observer
 from hedgerow.orchestrator.runs.folder import create
 from hedgerow.orchestrator.runs.reader import load_run

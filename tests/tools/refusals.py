@@ -11,8 +11,12 @@ from hedgerow.topologies.errors import Code, HedgerowError
 
 
 @contextlib.contextmanager
-def refusal(code: Code) -> Iterator[pytest.ExceptionInfo[HedgerowError]]:
-    """Check that the block raises an error of this code."""
+def refusal(code: Code, at: str = "") -> Iterator[pytest.ExceptionInfo[HedgerowError]]:
+    """Check that the block raises an error of this code.
+
+    `at` is the first field of its text: the option or the place.
+    """
     with pytest.raises(HedgerowError) as raised:
         yield raised
     assert raised.value.code == code, raised.value
+    assert str(raised.value).startswith(f"{at}: " if at else ""), raised.value

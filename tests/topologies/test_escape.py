@@ -111,9 +111,9 @@ def test_a_shell_reads_the_words_of_a_command() -> None:
         "\x1b[2J",
     ]
     words += ["a\nb", "\t", "\x7f7", "\x011", "caf\udce9", "\u202e'\\", "{a,b}", "\x9b2J"]
-    said = command(["printf", "%s\\0", *words])
-    assert not {ord(one) for one in said} & ACTS
-    read = subprocess.run(["bash", "-c", said], capture_output=True, check=True, timeout=60).stdout
+    printed = command(["printf", "%s\\0", *words])
+    assert not {ord(one) for one in printed} & ACTS
+    read = subprocess.run(["bash", "-c", printed], capture_output=True, check=True, timeout=60).stdout
     assert read == b"".join(word.encode(errors="surrogateescape") + b"\0" for word in words)
 
 
@@ -128,9 +128,9 @@ def test_markdown_has_no_mark_of_a_text() -> None:
 
 @given(MANY)
 def test_every_mark_of_markdown_is_escaped(text: str) -> None:
-    said = markdown(text)
-    assert not {ord(one) for one in said} & ACTS
-    assert not set("|*_<>[]`") & set(re.sub(r"\\.", "", said))
+    printed = markdown(text)
+    assert not {ord(one) for one in printed} & ACTS
+    assert not set("|*_<>[]`") & set(re.sub(r"\\.", "", printed))
 
 
 def test_only_echo_prints() -> None:

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from hedgerow.topologies.effects import FOREVER, Effect
-from hedgerow.topologies.errors import TopologyError
+from hedgerow.topologies.errors import Code, TopologyError
 from hedgerow.topologies.faults import (
     KINDS,
     Actuator,
@@ -34,6 +34,7 @@ from hedgerow.topologies.load import load, parse
 from hedgerow.topologies.resolve import resolve, to_yaml
 from hedgerow.topologies.rules import broken_faults
 from hedgerow.topologies.schema import Topology
+from tests.tools.refusals import refusal
 
 # The star of the tests: 2 is the hub of 1, 3 and 4. A node has the position id - 1. Incidences (receiver <- sender):
 #   0: 1 <- 2    1: 2 <- 1    2: 2 <- 3    3: 2 <- 4    4: 3 <- 2    5: 4 <- 2
@@ -196,102 +197,101 @@ def test_faults_of_python_are_checked_on_resolving() -> None:
     """There is no file and no line; the network's name is in their place."""
     network = parse(HEAD.encode(), "star.yaml", Path())
     wrong = network.model_copy(update={"faults": (Drop(link=(1, 4)), Sensor(node=9))})
-    assert [str(problem) for problem in broken_faults(wrong)] == [
-        "fault 1: link: 1 and 4 are not neighbours; the neighbours of 1 are 2",
-        "fault 2: node: 9 is no node; the nodes are 1, 2, 3, 4",
-    ]
-    with pytest.raises(TopologyError, match="star: fault 1: link: 1 and 4 are not neighbours"):
+    assert [problem.place for problem in broken_faults(wrong)] == ["fault 1: link", "fault 2: node"]
+    with refusal(Code.TOPOLOGY) as refused:
         resolve(wrong)
+    assert isinstance(refused.value, TopologyError)
+    assert [problem.place for problem in refused.value.problems] == ["fault 1: link", "fault 2: node"]
 
 
 # Mistakes.
 
 
 @pytest.mark.parametrize(
-    ("fault", "said"),
+    ("fault", "place"),
     [
-        ("5", "fault 2: 5 is not a mapping; write {kind: …}"),
-        ("~", "fault 2: ~ is not a mapping"),
-        ("{link: [2, 4]}", "fault 2: `kind:` is missing; kinds are drop, delay, cut, partition, sensor, actuator,"),
-        ("{kind: dorp}", 'fault 2: kind: "dorp" is no kind of fault; did you mean `drop`? kinds are drop, delay'),
-        ("{kind: [1]}", "fault 2: kind: [1] is no kind of fault; kinds are drop"),
-        ("{kind: ~}", "fault 2: kind: ~ is no kind of fault; kinds are drop"),
+        ("5", "fault 2"),
+        ("~", "fault 2"),
+        ("{link: [2, 4]}", "fault 2"),
+        ("{kind: dorp}", "fault 2: kind"),
+        ("{kind: [1]}", "fault 2: kind"),
+        ("{kind: ~}", "fault 2: kind"),
         (
             "{kind: drop, link: [2, 4], step: [1, 2]}",
-            "fault 2: unknown key `step`; did you mean `steps`? known keys are kind, link, from, to, at, steps, prob",
+            "fault 2",
         ),
-        ("{kind: cut, link: [2, 4]}", "unknown key `link`; known keys are kind, edge, at, steps, probability"),
-        ("{kind: sensor, node: 2, ~: 1}", "fault 2: ~ is no key; known keys are kind, node, steps, probability"),
-        ("{kind: drop}", "fault 2: takes `link:`, or `from:` with `to:`, or `at:`; give exactly one of them (found"),
-        ("{kind: drop, from: 2}", "takes `link:`, or `from:` with `to:`, or `at:`; give exactly one"),
-        ("{kind: drop, from: 2, to: 4, link: [2, 4]}", "give exactly one of them"),
-        ("{kind: drop, to: 4, link: [2, 4]}", "give exactly one of them"),
-        ("{kind: drop, at: {1: [[2, 4]]}, steps: [1, 2]}", "names every step with `at:`; remove `steps:` and"),
-        ("{kind: cut, at: {1: [[2, 4]]}, probability: 0.5}", "names every step with `at:`; remove `steps:` and"),
-        ("{kind: drop, link: [2]}", "fault 2: link: [2] has too few members; a pair has two"),
-        ("{kind: drop, link: [2, 4, 3]}", "fault 2: link: [2, 4, 3] has too many members; at most 2"),
-        ("{kind: drop, link: 24}", "fault 2: link: 24 is not a list"),
-        ("{kind: drop, link: [2, 4], steps: 3}", "fault 2: steps: 3 is not a list"),
-        ("{kind: drop, link: [2, 4], steps: [3]}", "fault 2: steps: [3] has too few members"),
-        ("{kind: drop, link: [2, 4], steps: [3, 3]}", "fault 2: steps: [3, 3] holds no step; write [from, to): the"),
-        ("{kind: drop, link: [2, 4], steps: [4, 3]}", "fault 2: steps: [4, 3] holds no step"),
-        ("{kind: drop, link: [2, 4], steps: [-1, 3]}", "fault 2: steps: 0: -1 is below 0"),
-        ("{kind: drop, link: [2, 4], steps: [1, 3.0]}", "fault 2: steps: 1: 3.0 is not a whole number"),
-        ("{kind: drop, link: [2, 4], steps: [1, 9223372036854775807]}", "is above 4.61169e+18"),
-        ("{kind: drop, link: [2, 4], probability: 1.5}", "fault 2: probability: 1.5 is above 1"),
-        ("{kind: drop, link: [2, 4], probability: -1}", "fault 2: probability: -1 is below 0"),
-        ("{kind: drop, link: [2, 4], probability: .nan}", "fault 2: probability: .nan is not a finite number"),
-        ("{kind: drop, link: [2, 4], probability: yes}", 'fault 2: probability: "yes" is not a number'),
-        ("{kind: drop, at: 5}", "fault 2: at: 5 is not a mapping"),
-        ("{kind: drop, at: {}}", "fault 2: at: {} has too few members"),
-        ("{kind: drop, at: {x: [[2, 4]]}}", 'fault 2: at: x: "x" is not a whole number'),
-        ("{kind: drop, at: {1.5: [[2, 4]]}}", "fault 2: at: 1.5: 1.5 is not a whole number"),
-        ("{kind: drop, at: {-1: [[2, 4]]}}", "fault 2: at: -1: -1 is below 0"),
-        ("{kind: drop, at: {1: [2, 4]}}", "fault 2: at: 1: 0: 2 is not a list"),
-        ("{kind: drop, link: [3, 4]}", "fault 2: link: 3 and 4 are not neighbours; the neighbours of 3 are 2"),
-        ("{kind: drop, link: [2, 2]}", "link: 2 and 2 are not neighbours; the neighbours of 2 are 1, 3, 4"),
-        ("{kind: drop, link: [2, 9]}", "fault 2: link: 9 is no node; the nodes are 1, 2, 3, 4"),
-        ("{kind: drop, from: 1, to: 3}", "fault 2: to: 1 and 3 are not neighbours; the neighbours of 1 are 2"),
-        ("{kind: drop, from: 9, to: 3}", "fault 2: from: 9 is no node"),
-        ("{kind: drop, from: 3, to: x}", "fault 2: to: 'x' is no node"),
-        ("{kind: drop, at: {1: [[2, 4], [1, 4]]}}", "fault 2: at: 1: 1: 1 and 4 are not neighbours"),
-        ("{kind: delay, link: [2, 4]}", "fault 2: `by:` is missing; add `by: …`"),
-        ("{kind: delay, link: [2, 4], by: 0}", "fault 2: by: 0 is below 1"),
-        ("{kind: delay, link: [2, 4], by: 1000001}", "fault 2: by: 1000001 is above 1e+06"),
-        ("{kind: delay, at: {1: [[2, 4]]}, by: 1}", "fault 2: unknown key `at`"),
-        ("{kind: cut, edge: [1, 3]}", "fault 2: edge: 1 and 3 are not neighbours"),
-        ("{kind: cut, at: {1: [[1, 3]]}}", "fault 2: at: 1: 0: 1 and 3 are not neighbours"),
-        ("{kind: partition}", "fault 2: `groups:` is missing"),
-        ("{kind: partition, groups: [[1, 2]]}", "fault 2: groups: [[1, 2]] has too few members; at least 2"),
-        ("{kind: partition, groups: [[1, 2], []]}", "fault 2: groups: 1: [] has too few members"),
-        ("{kind: partition, groups: [[1, 2], [3, 2]]}", "fault 2: groups: node 2 is in the groups twice"),
-        ("{kind: partition, groups: [[1], [2, 9]]}", "fault 2: groups: 1: 1: 9 is no node"),
-        ("{kind: partition, groups: [[1], [2]], cut: yes}", 'fault 2: cut: "yes" is neither true nor false'),
-        ("{kind: partition, groups: [[1], [2]], probability: 0.5}", "fault 2: unknown key `probability`"),
-        ("{kind: sensor}", "fault 2: `node:` is missing"),
-        ("{kind: sensor, node: 9}", "fault 2: node: 9 is no node; the nodes are 1, 2, 3, 4"),
-        ("{kind: actuator, node: 1.5}", "fault 2: node: 1.5 is not a whole number"),
-        ("{kind: crash, at: 3}", "fault 2: takes `node:`, or `process:`; give exactly one of them"),
-        ("{kind: crash, node: 2, process: 0, at: 3}", "fault 2: takes `node:`, or `process:`; give exactly one"),
-        ("{kind: crash, node: 2}", "fault 2: `at:` is missing"),
-        ("{kind: crash, node: 2, at: 3, restart_after: 0}", "fault 2: restart_after: 0 is below 1"),
-        ("{kind: crash, process: 4, at: 3}", "fault 2: process: there is no process 4; they are 0 to 3"),
-        ("{kind: crash, process: -1, at: 3}", "fault 2: process: -1 is below 0"),
-        ("{kind: jump, node: 2, at: 3}", "fault 2: `a:` is missing"),
-        ("{kind: jump, node: 2, at: 3, a: drawn}", 'fault 2: a: "drawn" is neither a number nor `random`'),
+        ("{kind: cut, link: [2, 4]}", "fault 2"),
+        ("{kind: sensor, node: 2, ~: 1}", "fault 2"),
+        ("{kind: drop}", "fault 2"),
+        ("{kind: drop, from: 2}", "fault 2"),
+        ("{kind: drop, from: 2, to: 4, link: [2, 4]}", "fault 2"),
+        ("{kind: drop, to: 4, link: [2, 4]}", "fault 2"),
+        ("{kind: drop, at: {1: [[2, 4]]}, steps: [1, 2]}", "fault 2"),
+        ("{kind: cut, at: {1: [[2, 4]]}, probability: 0.5}", "fault 2"),
+        ("{kind: drop, link: [2]}", "fault 2: link"),
+        ("{kind: drop, link: [2, 4, 3]}", "fault 2: link"),
+        ("{kind: drop, link: 24}", "fault 2: link"),
+        ("{kind: drop, link: [2, 4], steps: 3}", "fault 2: steps"),
+        ("{kind: drop, link: [2, 4], steps: [3]}", "fault 2: steps"),
+        ("{kind: drop, link: [2, 4], steps: [3, 3]}", "fault 2: steps"),
+        ("{kind: drop, link: [2, 4], steps: [4, 3]}", "fault 2: steps"),
+        ("{kind: drop, link: [2, 4], steps: [-1, 3]}", "fault 2: steps: 0"),
+        ("{kind: drop, link: [2, 4], steps: [1, 3.0]}", "fault 2: steps: 1"),
+        ("{kind: drop, link: [2, 4], steps: [1, 9223372036854775807]}", "fault 2: steps: 1"),
+        ("{kind: drop, link: [2, 4], probability: 1.5}", "fault 2: probability"),
+        ("{kind: drop, link: [2, 4], probability: -1}", "fault 2: probability"),
+        ("{kind: drop, link: [2, 4], probability: .nan}", "fault 2: probability"),
+        ("{kind: drop, link: [2, 4], probability: yes}", "fault 2: probability"),
+        ("{kind: drop, at: 5}", "fault 2: at"),
+        ("{kind: drop, at: {}}", "fault 2: at"),
+        ("{kind: drop, at: {x: [[2, 4]]}}", "fault 2: at: x"),
+        ("{kind: drop, at: {1.5: [[2, 4]]}}", "fault 2: at: 1.5"),
+        ("{kind: drop, at: {-1: [[2, 4]]}}", "fault 2: at: -1"),
+        ("{kind: drop, at: {1: [2, 4]}}", "fault 2: at: 1: 0"),
+        ("{kind: drop, link: [3, 4]}", "fault 2: link"),
+        ("{kind: drop, link: [2, 2]}", "fault 2: link"),
+        ("{kind: drop, link: [2, 9]}", "fault 2: link"),
+        ("{kind: drop, from: 1, to: 3}", "fault 2: to"),
+        ("{kind: drop, from: 9, to: 3}", "fault 2: from"),
+        ("{kind: drop, from: 3, to: x}", "fault 2: to"),
+        ("{kind: drop, at: {1: [[2, 4], [1, 4]]}}", "fault 2: at: 1: 1"),
+        ("{kind: delay, link: [2, 4]}", "fault 2"),
+        ("{kind: delay, link: [2, 4], by: 0}", "fault 2: by"),
+        ("{kind: delay, link: [2, 4], by: 1000001}", "fault 2: by"),
+        ("{kind: delay, at: {1: [[2, 4]]}, by: 1}", "fault 2"),
+        ("{kind: cut, edge: [1, 3]}", "fault 2: edge"),
+        ("{kind: cut, at: {1: [[1, 3]]}}", "fault 2: at: 1: 0"),
+        ("{kind: partition}", "fault 2"),
+        ("{kind: partition, groups: [[1, 2]]}", "fault 2: groups"),
+        ("{kind: partition, groups: [[1, 2], []]}", "fault 2: groups: 1"),
+        ("{kind: partition, groups: [[1, 2], [3, 2]]}", "fault 2: groups"),
+        ("{kind: partition, groups: [[1], [2, 9]]}", "fault 2: groups: 1: 1"),
+        ("{kind: partition, groups: [[1], [2]], cut: yes}", "fault 2: cut"),
+        ("{kind: partition, groups: [[1], [2]], probability: 0.5}", "fault 2"),
+        ("{kind: sensor}", "fault 2"),
+        ("{kind: sensor, node: 9}", "fault 2: node"),
+        ("{kind: actuator, node: 1.5}", "fault 2: node"),
+        ("{kind: crash, at: 3}", "fault 2"),
+        ("{kind: crash, node: 2, process: 0, at: 3}", "fault 2"),
+        ("{kind: crash, node: 2}", "fault 2"),
+        ("{kind: crash, node: 2, at: 3, restart_after: 0}", "fault 2: restart_after"),
+        ("{kind: crash, process: 4, at: 3}", "fault 2: process"),
+        ("{kind: crash, process: -1, at: 3}", "fault 2: process"),
+        ("{kind: jump, node: 2, at: 3}", "fault 2"),
+        ("{kind: jump, node: 2, at: 3, a: drawn}", "fault 2: a"),
         (
             "{kind: jump, node: 2, at: 3, a: 0.4}",
-            "fault 2: a: 0.4 is not among the candidates of node 2; they are 0.3, 0.6, 0.8",
+            "fault 2: a",
         ),
     ],
 )
-def test_a_mistake_is_reported_with_its_line_and_its_fix(fault: str, said: str) -> None:
+def test_a_mistake_is_reported_with_its_line_and_its_fix(fault: str, place: str) -> None:
     """It is the second of three faults; the others are good."""
     text = f"{HEAD}faults:\n  - {{kind: sensor, node: 1}}\n  - {fault}\n  - {{kind: sensor, node: 1}}\n"
     with pytest.raises(TopologyError) as caught:
         parse(text.encode(), "star.yaml", Path())
     found = caught.value.problems
-    assert any(said in str(problem) for problem in found), [str(problem) for problem in found]
+    assert place in [problem.place for problem in found]
     assert all(problem.line == 9 and problem.place.startswith("fault 2") for problem in found)
 
 
@@ -350,8 +350,9 @@ def test_a_fault_is_not_blamed_for_an_edge_that_was_refused() -> None:
 
 def test_a_node_without_neighbours_has_no_link_to_drop() -> None:
     text = "{name: n, b: 0.1, steps: 3, nodes: [1, 2], faults: [{kind: cut, edge: [1, 2]}]}"
-    with pytest.raises(TopologyError, match="edge: 1 and 2 are not neighbours; 1 has no neighbours"):
+    with pytest.raises(TopologyError) as refused:
         parse(text.encode(), "n.yaml", Path())
+    assert [problem.place for problem in refused.value.problems] == ["fault 1: edge"]
 
 
 def test_an_override_reaches_into_a_fault() -> None:

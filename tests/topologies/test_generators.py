@@ -14,12 +14,13 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from hedgerow.orchestrator.ground.assignment import layout
-from hedgerow.orchestrator.launch.recording import Watching, same_tables
+from hedgerow.orchestrator.launch.recording import same_tables
 from hedgerow.orchestrator.launch.simulation import simulate_into
+from hedgerow.orchestrator.launch.watching import Watching
 from hedgerow.orchestrator.runs.folder import create
 from hedgerow.orchestrator.views.screen import Quiet
 from hedgerow.topologies import hinf, resolve
-from hedgerow.topologies.errors import TopologyError
+from hedgerow.topologies.errors import Code, TopologyError
 from hedgerow.topologies.generators import GENERATORS, Generator, GraphRule
 from hedgerow.topologies.graph import Graph, Index
 from hedgerow.topologies.load import load
@@ -28,6 +29,7 @@ from hedgerow.topologies.partition import _levelled, cut, partition
 from hedgerow.topologies.schema import Topology
 from tests.tools.examples import examples
 from tests.tools.networks import read, simulate
+from tests.tools.refusals import refusal
 
 RULE: TypeAdapter[Generator] = TypeAdapter(GraphRule)
 HEAD = "name: n\nb: 0.05\nsteps: 4\nseed: 5\n"
@@ -122,34 +124,33 @@ def test_chance_has_the_shape_that_its_name_promises() -> None:
 
 
 @pytest.mark.parametrize(
-    ("graph", "said"),
+    ("graph", "place"),
     [
-        ("{kind: rign, nodes: 5}", "a graph has `kind:` line, ring, star"),
-        ("{kind: ring}", "`nodes:` is missing"),
-        ("{kind: ring, nodes: 2}", "needs 3 nodes or more"),
-        ("{kind: ring, nodes: 1.5}", "1.5 is not a whole number"),
-        ("{kind: ring, nodes: 9, max_degree: 1}", "has nodes of 2 neighbours, more than its `max_degree:`"),
-        ("{kind: random_regular, nodes: 9, degree: 3}", "has an odd number of ends of edges"),
-        ("{kind: random_regular, nodes: 3, degree: 3}", "has fewer nodes than neighbours"),
-        ("{kind: small_world, nodes: 9, degree: 3}", "3"),
-        ("{kind: random_tree, nodes: 9, max_degree: 1}", "is no tree"),
-        ("{kind: grid, nodes: 9, colums: 3}", "did you mean `columns`?"),
-        ("{kind: line, nodes: 9}\nedges: [[0, 1]]", "edges: conflicts with `graph:`"),
-        ("{kind: line, nodes: 9}\nnodes: {9: {x0: 1}}", "9 is none of its nodes; they are 0 to 8"),
-        ("{kind: line, nodes: 9}\nnodes: {a: {x0: 1}}", "'a' is none of its nodes"),
-        ("{kind: line, nodes: 9}\nfaults: [{kind: cut, edge: [2, 4]}]", "the neighbours of 2 are 1, 3"),
-        ("{kind: line, nodes: 9}\nfaults: [{kind: sensor, node: 9}]", "9 is no node"),
-        ("{kind: star, nodes: 99}", "node 0: 8 b² d = 1.96 is not below 1 (b = 0.05, degree 98)"),
-        ("{kind: line, nodes: 9}\ndefaults: {candidates: [0.5, 0.999]}", "outside (0.0101"),
-        ("{kind: line, nodes: 9}\nprocesses: some", "is neither a number nor one of auto and per-node"),
-        ("{kind: line, nodes: 9}\nprocesses: 10", "10 are too many for 9 nodes"),
+        ("{kind: rign, nodes: 5}", "graph: kind"),
+        ("{kind: ring}", "graph"),
+        ("{kind: ring, nodes: 2}", "graph"),
+        ("{kind: ring, nodes: 1.5}", "graph: nodes"),
+        ("{kind: ring, nodes: 9, max_degree: 1}", "graph"),
+        ("{kind: random_regular, nodes: 9, degree: 3}", "graph"),
+        ("{kind: random_regular, nodes: 3, degree: 3}", "graph"),
+        ("{kind: small_world, nodes: 9, degree: 3}", "graph: degree"),
+        ("{kind: random_tree, nodes: 9, max_degree: 1}", "graph"),
+        ("{kind: grid, nodes: 9, colums: 3}", "graph"),
+        ("{kind: line, nodes: 9}\nedges: [[0, 1]]", "edges"),
+        ("{kind: line, nodes: 9}\nnodes: {9: {x0: 1}}", "node 9"),
+        ("{kind: line, nodes: 9}\nnodes: {a: {x0: 1}}", "node a"),
+        ("{kind: line, nodes: 9}\nfaults: [{kind: cut, edge: [2, 4]}]", "fault 1: edge"),
+        ("{kind: line, nodes: 9}\nfaults: [{kind: sensor, node: 9}]", "fault 1: node"),
+        ("{kind: star, nodes: 99}", "node 0"),
+        ("{kind: line, nodes: 9}\ndefaults: {candidates: [0.5, 0.999]}", "node 1: candidates"),
+        ("{kind: line, nodes: 9}\nprocesses: some", "processes"),
+        ("{kind: line, nodes: 9}\nprocesses: 10", "processes"),
     ],
 )
-def test_a_rule_that_is_none_is_refused(graph: str, said: str) -> None:
+def test_a_rule_that_is_none_is_refused(graph: str, place: str) -> None:
     with pytest.raises(TopologyError) as refused:
         read(f"{HEAD}graph: {graph}\n")
-    assert said in str(refused.value)
-    assert len(refused.value.problems) == 1, refused.value.problems
+    assert [problem.place for problem in refused.value.problems] == [place]
 
 
 @given(st.sampled_from([*GENERATORS]), st.integers(0, 9))
@@ -261,31 +262,30 @@ PAIR = np.array([[0, 1]])
 
 
 @pytest.mark.parametrize(
-    ("columns", "said"),
+    ("columns", "code"),
     [
-        ({"a": [0.5]}, "has no `edges`"),
-        ({"edges": [[0, 0]]}, "has a self-loop, in row 0"),
-        ({"edges": [[0, 1], [1, 0]]}, "one of them twice"),
-        ({"edges": [[0, 3]], "x0": [1, 2]}, "leads to a node that is none of the 2"),
-        ({"edges": [[0.0, 1.0]], "x0": [1, 2]}, "of whole numbers"),
-        ({"edges": PAIR, "ids": [1, 1]}, "`ids` has one of them twice"),
-        ({"edges": PAIR, "ids": ["a b", "c"]}, "`ids` are not a list of names"),
-        ({"edges": PAIR, "a": [0.5, np.nan]}, "`a` holds a number that is not finite, or beyond 1e+100, in row 1"),
-        ({"edges": PAIR, "a": [0.5, 0.999]}, "`a` breaks condition (3) at node 1, of degree 1"),
-        ({"edges": PAIR, "ids": [1, 2], "a": [0.5]}, "`a` has the shape (1,)"),
-        ({"edges": PAIR, "candidates": [[0.5], [np.nan]]}, "a list that is empty"),
-        ({"edges": PAIR, "candidates": [[0.5], [0.4]], "a": [0.5, 0.5]}, "the truth of node 1 is not among"),
-        ({"edges": PAIR, "c": [1]}, "has a column `c`"),
-        ({"edges": PAIR, "w 0 white stdd": [1, 2]}, "has a column"),
-        ({"edges": PAIR, "w 0 white nodes": [1]}, "has no `w 0 white std`"),
-        ({"edges": PAIR, "w 0 samples values": [[1.0], [2.0]]}, "1 samples are too few for 4 steps"),
-        ({"edges": np.array([{"x": 1}])}, "`edges` is an array of Python objects"),
+        ({"a": [0.5]}, Code.FILE_FORMAT),
+        ({"edges": [[0, 0]]}, Code.FILE_FORMAT),
+        ({"edges": [[0, 1], [1, 0]]}, Code.FILE_FORMAT),
+        ({"edges": [[0, 3]], "x0": [1, 2]}, Code.FILE_FORMAT),
+        ({"edges": [[0.0, 1.0]], "x0": [1, 2]}, Code.FILE_FORMAT),
+        ({"edges": PAIR, "ids": [1, 1]}, Code.FILE_FORMAT),
+        ({"edges": PAIR, "ids": ["a b", "c"]}, Code.FILE_FORMAT),
+        ({"edges": PAIR, "a": [0.5, np.nan]}, Code.FILE_FORMAT),
+        ({"edges": PAIR, "a": [0.5, 0.999]}, Code.TOPOLOGY),
+        ({"edges": PAIR, "ids": [1, 2], "a": [0.5]}, Code.FILE_FORMAT),
+        ({"edges": PAIR, "candidates": [[0.5], [np.nan]]}, Code.FILE_FORMAT),
+        ({"edges": PAIR, "candidates": [[0.5], [0.4]], "a": [0.5, 0.5]}, Code.TOPOLOGY),
+        ({"edges": PAIR, "c": [1]}, Code.FILE_FORMAT),
+        ({"edges": PAIR, "w 0 white stdd": [1, 2]}, Code.FILE_FORMAT),
+        ({"edges": PAIR, "w 0 white nodes": [1]}, Code.FILE_FORMAT),
+        ({"edges": PAIR, "w 0 samples values": [[1.0], [2.0]]}, Code.TOPOLOGY),
+        ({"edges": np.array([{"x": 1}])}, Code.FILE_FORMAT),
     ],
 )
-def test_a_table_that_is_none_is_refused(tmp_path: Path, columns: dict[str, Any], said: str) -> None:
-    with pytest.raises(TopologyError) as refused:
+def test_a_table_that_is_none_is_refused(tmp_path: Path, columns: dict[str, Any], code: Code) -> None:
+    with refusal(code):
         table(tmp_path, **columns)
-    assert said in str(refused.value)
 
 
 @pytest.mark.parametrize("file", ["../t.npz", "/etc/passwd", "inner/../../t.npz", "link.npz"])
@@ -294,7 +294,7 @@ def test_a_table_is_beside_its_file(tmp_path: Path, file: str) -> None:
     folder = tmp_path / "folder"
     folder.mkdir()
     (folder / "link.npz").symlink_to("../t.npz")
-    with pytest.raises(TopologyError, match="lies outside the topology's own folder"):
+    with pytest.raises(TopologyError):
         read(f"{HEAD}table: {file}\n", folder=folder)
 
 

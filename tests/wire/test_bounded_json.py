@@ -60,9 +60,11 @@ def test_text_that_is_not_utf_8_is_refused(encoding: str) -> None:
 
 
 def test_bytes_and_values_are_bounded_before_the_text_is_parsed() -> None:
-    with pytest.raises(ValueError, match="bytes"):
+    assert bounded_json.decode(b"[1, 2]", most_bytes=6) == [1, 2]
+    with pytest.raises(ValueError):
         bounded_json.decode(b"[1, 2]", most_bytes=5)
-    with pytest.raises(ValueError, match="values"):
+    assert len(bounded_json.decode(b"[" + b"1," * (bounded_json.MOST_VALUES - 2) + b"1]")) < bounded_json.MOST_VALUES
+    with pytest.raises(ValueError):
         bounded_json.decode(b"[" + b"1," * bounded_json.MOST_VALUES + b"1]")
     with pytest.raises(MessageError):
         codec.decode_event(HEADER + b'{"event": "counted"}', most_bytes=8)
@@ -80,7 +82,7 @@ def test_a_decoded_message_encodes_to_the_same_bytes(event: dict[str, Any]) -> N
     try:
         decoded = codec.decode_event(codec.encode_event(3, event))
     except MessageError:
-        with pytest.raises(ValueError, match="nested"):
+        with pytest.raises(ValueError):
             bounded_json.decode(json.dumps(event).encode())
         return
     assert decoded == {**event, "step": 3}

@@ -77,8 +77,8 @@ def messages(draw: st.DrawFn) -> Message:
 
     def state() -> Message:
         spans = st.builds(Span, st.integers(0, e - 1), U32, U32, U32, U32) if e else st.nothing()
-        said = flags(e).tobytes() if draw(st.booleans()) else b""
-        sent = State(t, array(n), said, draw(st.lists(spans, max_size=3)) if said else [])
+        used_flags = flags(e).tobytes() if draw(st.booleans()) else b""
+        sent = State(t, array(n), used_flags, draw(st.lists(spans, max_size=3)) if used_flags else [])
         raw = codec.encode_state(*sent)
         return Message(raw, sent, lambda m: codec.decode_state(m, n, e), lambda size: state_fits(size, n, e))
 

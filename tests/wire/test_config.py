@@ -33,9 +33,9 @@ def same(one: Any, other: Any) -> bool:
     return bool(one == other)
 
 
-def through_text(told: dict[str, Any]) -> dict[str, Any]:
+def through_text(content: dict[str, Any]) -> dict[str, Any]:
     """Return the data after its way through a text."""
-    text = Config("agent-3", "hedgerow/x", "tcp/bench:7447", "f00", told).to_toml()
+    text = Config("agent-3", "hedgerow/x", "tcp/bench:7447", "f00", content).to_toml()
     config = Config.parse(text, "here")
     assert (config.process, config.namespace, config.router, config.network) == (
         "agent-3",

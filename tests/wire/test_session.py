@@ -27,7 +27,7 @@ def test_listeners_that_come_one_after_another_have_one_deadline(tmp_path: Path)
         coming = threading.Thread(target=come)
         coming.start()
         try:
-            with pytest.raises(DeadlineError, match=r"key/\d has no subscriber after 1 s"):
+            with pytest.raises(DeadlineError):
                 wait_for_listeners(publishers, 1.0)
         finally:
             over.set()

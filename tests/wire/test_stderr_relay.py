@@ -25,14 +25,16 @@ def stderr_of(text: str, first: Callable[[], object] | None = None) -> bytes:
 
 
 def test_a_panic_is_escaped_while_the_process_runs() -> None:
-    said = stderr_of(f"with StderrRelay():\n os.write(2, {HOSTILE.encode()!r})\n print({HOSTILE!r}, file=sys.stderr)")
-    assert not set(said.decode()) & {"\x1b", "\x07", "\x9b", "\u202e", "\x7f"}
-    assert said.count(b"owned") == 2
+    printed = stderr_of(
+        f"with StderrRelay():\n os.write(2, {HOSTILE.encode()!r})\n print({HOSTILE!r}, file=sys.stderr)"
+    )
+    assert not set(printed.decode()) & {"\x1b", "\x07", "\x9b", "\u202e", "\x7f"}
+    assert printed.count(b"owned") == 2
 
 
 def test_a_long_text_arrives_completely_and_standard_error_is_restored() -> None:
-    said = stderr_of("with StderrRelay():\n os.write(2, 'ü'.encode() * 10**5)\nos.write(2, b'after')")
-    assert said.decode() == "ü" * 10**5 + "after"
+    printed = stderr_of("with StderrRelay():\n os.write(2, 'ü'.encode() * 10**5)\nos.write(2, b'after')")
+    assert printed.decode() == "ü" * 10**5 + "after"
 
 
 @pytest.mark.parametrize("first", [lambda: os.close(2), lambda: os.closerange(0, 3)])
@@ -57,8 +59,8 @@ def test_the_last_words_before_an_abort_arrive() -> None:
     read, write = os.pipe()
     with subprocess.Popen([sys.executable, "-P", "-c", BEGIN + text], stderr=write) as aborted:
         os.close(write)
-        with open(read, "rb") as said:
-            assert said.read().count(b"owned") == 1
+        with open(read, "rb") as printed:
+            assert printed.read().count(b"owned") == 1
         assert aborted.wait(60) == -signal.SIGABRT
 
 

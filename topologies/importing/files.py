@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,8 @@ from typing import Any
 from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.importing.found import Found, refuse
 from hedgerow.topologies.importing.options import Options
-from hedgerow.topologies.regular_file import open_regular, read_regular
+from hedgerow.topologies.json_file import read_json
+from hedgerow.topologies.regular_file import open_regular
 
 _TEXT = (".csv", ".tsv", ".txt", ".edges", ".edgelist", ".edge", ".dat", ".adj")
 _BY_ENDING: dict[str, tuple[str, str, str | None]] = {
@@ -28,6 +28,18 @@ _BY_ENDING: dict[str, tuple[str, str, str | None]] = {
     **dict.fromkeys(_TEXT, ("tables", "read", None)),
 }
 """by ending: the module, its function, and the kind of file"""
+
+
+_CONVERTED = {
+    **dict.fromkeys((".dot", ".gv"), "Convert it to GML, with `gv2gml` of Graphviz"),
+    **dict.fromkeys((".xlsx", ".xls", ".ods"), "Save the sheet as CSV"),
+    ".npy": "Save the matrix with numpy.savetxt as .csv, or with scipy.sparse.save_npz",
+    **dict.fromkeys((".pkl", ".pickle", ".gpickle"), "Write the graph with networkx.write_graphml: a pickle is code"),
+    **dict.fromkeys((".parquet", ".feather", ".arrow"), "Write the table as CSV"),
+    **dict.fromkeys((".gz", ".zip", ".bz2", ".xz"), "Unpack the file first"),
+    **dict.fromkeys((".yaml", ".yml"), "A topology needs no import: give it to `orchestrator check`"),
+}
+"""by the ending of a common kind of file without a reader: the way to one with a reader"""
 
 
 def read(path: Path, options: Options) -> Found:
@@ -53,14 +65,12 @@ def _reader(path: Path, head: bytes) -> tuple[str, str, str | None]:
     if head.startswith(b"%%MatrixMarket"):
         return _BY_ENDING[".mtx"]
     known = ", ".join(sorted([*_BY_ENDING, ".json"]))
-    raise refuse(path, "no reader knows this ending", f"Known endings are {known}", Code.OPTION)
+    cure = f"{_CONVERTED[ending]}. " if ending in _CONVERTED else ""
+    raise refuse(path, "no reader knows this ending", f"{cure}Known endings are {known}", Code.OPTION)
 
 
 def _json(path: Path) -> tuple[str, str, str | None]:
-    try:
-        content = json.loads(read_regular(path, growth=15))
-    except (ValueError, RecursionError) as error:
-        raise refuse(path, f"is no JSON: {error}", "Check its format") from None
+    content = read_json(path)
     if isinstance(content, dict) and content.get("_class") == "pandapowerNet":
         return "power", "read_pandapower", None
     return "graphs", "read", "JSON"

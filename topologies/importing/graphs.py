@@ -10,8 +10,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
 
+from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.foreign import not_text
 from hedgerow.topologies.importing.found import Found, pairs, places, refuse, storage_of, weights_of
 from hedgerow.topologies.importing.options import Options
+from hedgerow.topologies.json_file import loads
 from hedgerow.topologies.regular_file import read_regular
 
 if TYPE_CHECKING:
@@ -34,14 +37,27 @@ def read(path: Path, options: Options, kind: str) -> Found:
         "gexf": lambda: nx.read_gexf(io.BytesIO(data)),
         "pajek": lambda: _pajek(data),
         "edgelist": lambda: nx.parse_edgelist(data.decode("utf-8-sig").splitlines(), data=True),
-        "JSON": lambda: _json_graph(json.loads(data)),
+        "JSON": lambda: _json_graph(loads(path, data)),
     }
     try:
         graph = readers[kind]()
+    except UserError:
+        raise
     except Exception as error:  # each reader of networkx passes on the errors of its parser
-        text = " ".join(str(error).strip("\"'\n").split()) or type(error).__name__
-        raise refuse(path, f"is no {kind} file that networkx can read: {text[:200]}", "Check its format") from None
+        if why := not_text(data, error if isinstance(error, UnicodeDecodeError) else None):
+            raise refuse(path, why, "Name a file of the kind of its ending") from None
+        raise refuse(path, f"is no {kind} file that networkx can read: {_why(error)}", "Check its format") from None
     return of_networkx(graph, options, str(path))
+
+
+def _why(error: Exception) -> str:
+    """Return the cause of an error of a parser, in our words where its own name a part of Python."""
+    if isinstance(error, RecursionError):
+        return "it is nested too deep"
+    if "int_max_str_digits" in str(error):
+        return "a number has more than 4300 digits"
+    text = str(error.args[0]) if isinstance(error, KeyError) and error.args else str(error)
+    return " ".join(text.split()).rstrip(".")[:200] or type(error).__name__
 
 
 def _gml(data: bytes) -> Any:

@@ -24,6 +24,7 @@ from hedgerow.topologies.importing import matrices
 from hedgerow.topologies.importing.found import Found, as_number, places, refuse, storage_of
 from hedgerow.topologies.importing.options import Options
 from hedgerow.topologies.importing.simple import only
+from hedgerow.topologies.paths import real_path
 from hedgerow.topologies.regular_file import read_regular
 
 if TYPE_CHECKING:
@@ -60,7 +61,7 @@ def read_m(path: Path, options: Options) -> Found:
     except ImportError:
         raise missing("matpowercaseframes", "power") from None
     try:
-        case = CaseFrames(str(path.resolve()))
+        case = CaseFrames(str(real_path(path)))
         bus, branch = case.bus, case.branch
         names = getattr(case, "bus_name", None)
     except Exception as error:  # the reader passes on all errors of its expressions and of pandas

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from hedgerow.topologies.base import node_id
+from hedgerow.topologies.foreign import csv_problem, not_text
 from hedgerow.topologies.graph import Array, Index
 from hedgerow.topologies.importing.found import Found, as_number, refuse, weights_of
 from hedgerow.topologies.importing.options import Options
@@ -50,10 +51,13 @@ def read(path: Path, options: Options) -> Found:
 
 def _rows(path: Path) -> list[tuple[int, list[str]]]:
     """Return the rows of a file, without comments, and their lines."""
+    data = read_regular(path, growth=GROWTH)
+    if why := not_text(data[:64]):
+        raise refuse(path, why, "Save the file as text in UTF-8")
     try:
-        text = read_regular(path, growth=GROWTH).decode("utf-8-sig")
+        text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise refuse(path, f"byte {error.start} is not UTF-8 text", "Save the file as UTF-8") from None
+        raise refuse(path, not_text(error.object, error), "Save the file as text in UTF-8") from None
     # Other line ends of Unicode may be part of a name.
     lines = list(enumerate(text.replace("\r\n", "\n").replace("\r", "\n").split("\n"), 1))
     lines = [(k, line.rstrip()) for k, line in lines if line.strip() and not line.lstrip().startswith(COMMENTS)]
@@ -70,7 +74,7 @@ def _rows(path: Path) -> list[tuple[int, list[str]]]:
             rows.append((lines[first][0], [cell.strip() for cell in row]))
             first = reader.line_num
     except csv.Error as error:
-        raise refuse(path, f"is no table: {error}", "Write an edge per row") from None
+        raise refuse(path, f"is no table: {csv_problem(error)}", "Write an edge per row") from None
     return rows
 
 

@@ -13,11 +13,11 @@ from hedgerow.orchestrator.experiments.sweep.plan import Plan, Setting, split
 from hedgerow.orchestrator.ground import laws as law_checks
 from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.law_choice import NAMES
-from hedgerow.topologies.load import parse
-from hedgerow.topologies.named import Named, text_of
+from hedgerow.topologies.named import Given, Named, given
 from hedgerow.topologies.nodes import Nodes
 from hedgerow.topologies.override import Override
-from hedgerow.topologies.schema import Topology
+from hedgerow.topologies.plain import plain
+from hedgerow.topologies.schema import Defaults, Topology
 
 BESIDE = ("hinf", "nominal")
 """laws that every comparison has: the oracle, and the nominal controller"""
@@ -36,6 +36,7 @@ PRESETS: dict[str, Any] = {
     "none": {"kind": "none"},
 }
 """By name: a disturbance of every node, its numbers drawn by the seed; names joined by + are added."""
+_ONE_NODE = b"{name: disturbance, b: 0.1, steps: 1, nodes: [0]}"
 
 
 @dataclass(frozen=True)
@@ -69,18 +70,19 @@ def comparison(
     """
     if not seeds:
         raise UserError("seeds: there is none. Give a range such as 0:50.", code=Code.OPTION)
-    text, name, folder = text_of(network)
+    undrawn = given(network)
     chosen = [name for law in laws for name in (NAMES if law == "all" else (law,))]
     chosen = list(dict.fromkeys([*(law for law in chosen if law not in BESIDE), *BESIDE]))
     settings = []
-    for given in disturbances:
+    for disturbance in disturbances:
         for law in chosen:
-            own = parse(text, name, folder, [*sets, Override.of_option("law", law), *_override(given)])
-            topology = law_checks.checked(_of_every_node(own) if given != AS_FILE else own)
-            settings.append(Setting((_name(given), law), topology))
+            own = undrawn.with_overrides(*sets, Override.of_option("law", law)).parse()
+            if disturbance != AS_FILE:
+                own = _under(own, _defaults(disturbance, undrawn.folder))
+            settings.append(Setting((_name(disturbance), law), law_checks.checked(own)))
     if len({one.values for one in settings}) < len(settings):
         raise UserError("disturbances: one is given twice. Give each once.", code=Code.OPTION)
-    return Comparison(("disturbance", "law"), tuple(settings), seeds, "in-process", folder)
+    return Comparison(("disturbance", "law"), tuple(settings), seeds, "in-process", undrawn.folder)
 
 
 def disturbances_of(text: str) -> list[str]:
@@ -92,25 +94,25 @@ def _name(given: Any) -> str:
     return given if isinstance(given, str) else json.dumps(given)
 
 
-def _override(given: Any) -> list[str]:
-    """Return the setting that makes a disturbance the default one."""
-    if given == AS_FILE:
-        return []
-    if isinstance(given, str) and not given.lstrip().startswith(("{", "[")):
-        names = given.split("+")
+def _defaults(disturbance: Any, folder: Path) -> Defaults:
+    """Return `defaults:` with a disturbance and nothing else. Raises UserError for one that a file cannot have."""
+    value = disturbance if isinstance(disturbance, str) else json.dumps(plain(disturbance, "disturbance: "))
+    if not value.lstrip().startswith(("{", "[")):
+        names = value.split("+")
         if strange := [name for name in names if name not in PRESETS]:
             raise UserError(
-                f"--disturbances {given}: {strange[0]} is no disturbance. Choose of {', '.join((*PRESETS, AS_FILE))},"
+                f"--disturbances {value}: {strange[0]} is no disturbance. Choose of {', '.join((*PRESETS, AS_FILE))},"
                 " join some by +, or write one as in a file.",
                 code=Code.OPTION,
             )
         parts = [PRESETS[name] for name in names]
-        return [f"defaults.disturbance={json.dumps(parts if len(parts) > 1 else parts[0])}"]
-    return [f"defaults.disturbance={given if isinstance(given, str) else json.dumps(given)}"]
+        value = json.dumps(parts if len(parts) > 1 else parts[0])
+    # A network of one node: its own disturbances would hide the default one.
+    return Given(_ONE_NODE, "disturbance", folder, (f"defaults.disturbance={value}",)).parse().defaults
 
 
-def _of_every_node(topology: Topology) -> Topology:
-    """Return a topology with no disturbance except the default one."""
+def _under(topology: Topology, defaults: Defaults) -> Topology:
+    """Return a topology with the default disturbance of `defaults` and no other."""
     table = topology.given
     if isinstance(topology.nodes, Nodes) or (table is not None and table.disturbance is not None):
         raise UserError(
@@ -119,4 +121,5 @@ def _of_every_node(topology: Topology) -> Topology:
             code=Code.OPTION,
         )
     nodes = {node: own.model_copy(update={"disturbance": None}) for node, own in topology.nodes.items()}
-    return topology.model_copy(update={"nodes": nodes, "disturbance": None})
+    own = topology.defaults.model_copy(update={"disturbance": defaults.disturbance})
+    return topology.model_copy(update={"nodes": nodes, "disturbance": None, "defaults": own})

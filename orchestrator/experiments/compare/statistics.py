@@ -8,10 +8,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
 
 from hedgerow.orchestrator.experiments.compare.plan import Comparison
 from hedgerow.orchestrator.experiments.compare.runs import METRICS
+from hedgerow.orchestrator.experiments.sweep import summary
 from hedgerow.orchestrator.experiments.sweep.runs import Row
 from hedgerow.topologies.graph import Array
 
@@ -47,6 +47,8 @@ class Cell:
         """Return half the width of the interval of the mean, by Student's t over seeds; NaN for one seed."""
         if self.n < 2:
             return float("nan")
+        from scipy import stats  # noqa: PLC0415 (a second, and every `import hedgerow` would pay it)
+
         error = float(np.nanstd(self.values, ddof=1)) / self.n**0.5
         return float(stats.t.ppf(0.5 + LEVEL / 2, self.n - 1) * error)
 
@@ -73,17 +75,29 @@ class Paired:
 
 
 def cells(plan: Comparison, rows: Sequence[Sequence[Row]]) -> list[Cell]:
-    """Return every cell; `rows` are the runs of each setting, by seed."""
+    """Return every cell; `rows` are the runs of each setting, by seed.
+
+    If the seeds of a disturbance repeat one run, it counts once: a test would take the copies for evidence.
+    """
+    once = repeats(plan, rows)
     return [
         Cell(
             setting.values[0],
             setting.values[1],
             metric,
-            np.array([np.nan if row[metric] is None else row[metric] for row in own], float),
+            np.array([np.nan if row[metric] is None else row[metric] for row in own], float)[
+                : 1 if setting.values[0] in once else None
+            ],
         )
         for setting, own in zip(plan.settings, rows, strict=True)
         for metric in METRICS
     ]
+
+
+def repeats(plan: Comparison, rows: Sequence[Sequence[Row]]) -> list[str]:
+    """Return the disturbances under which every law gave the same run for all seeds."""
+    drawn = {setting.values[0] for setting, own in zip(plan.settings, rows, strict=True) if not summary.repeated(own)}
+    return [disturbance for disturbance in plan.disturbances if disturbance not in drawn]
 
 
 def paired(found: Sequence[Cell]) -> list[Paired]:
@@ -100,6 +114,8 @@ def paired(found: Sequence[Cell]) -> list[Paired]:
 
 
 def _tested(one: Cell, other: Cell) -> Paired:
+    from scipy import stats  # noqa: PLC0415
+
     apart = one.values - other.values
     apart = apart[np.isfinite(apart)]
     sign = 1.0 if one.metric in HIGHER_IS_BETTER else -1.0

@@ -19,6 +19,7 @@ from hedgerow.orchestrator.runs.folder import write_json
 from hedgerow.topologies import budget
 from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.json_file import read_json
+from hedgerow.topologies.paths import beside
 from hedgerow.topologies.regular_file import check_regular
 
 
@@ -98,7 +99,9 @@ class SweepFolder:
                 f"--out {self.path}: sweep.json does not belong to a sweep; name a new folder", code=Code.FILE_FORMAT
             )
         if other := _difference(there, wanted):
-            raise UserError(f"--out {self.path}: holds another sweep: {other}; name another folder", code=Code.OUTPUT)
+            raise UserError(
+                f"--out {self.path}: holds a sweep with other settings: {other}; name another folder", code=Code.OUTPUT
+            )
 
     def _read(self) -> None:
         """Read the finished runs; remove an incomplete last line."""
@@ -155,7 +158,7 @@ class SweepFolder:
             columns[name] = pa.array([row.get(name) for row in rows], kind)
         for name in ("verdict", "reasons"):
             columns[name] = pa.array([row[name] for row in rows], pa.string())
-        part = self.table.with_name(self.table.name + ".part")
+        part = beside(self.table)
         try:
             pq.write_table(pa.table(columns), spelled(part))
             part.replace(self.table)
@@ -198,13 +201,14 @@ def _difference(there: dict[str, Any], wanted: dict[str, Any]) -> str:
     for key in dict.fromkeys((*wanted, *there)):
         one, other = there.get(key), wanted.get(key)
         if one != other and key not in ("set", "versions", "networks", "laws"):
-            apart = f"its {key} is {_said(one)}, not {_said(other)}"
-            return f"only one of the two sets {key}" if None in (one, other) else apart
+            if None in (one, other):
+                return f"only {'this command' if one is None else 'that sweep'} sets {key}"
+            return f"{key} is {_said(one)} there, and {_said(other)} in this command"
     if there.get("laws") != wanted.get("laws"):
-        return "the source of its law was another, which it keeps in the folder law"
+        return "the source of the law has changed since; the folder law keeps the old source"
     if there["versions"] != wanted["versions"]:
-        return "other versions made it"
-    return "its topology file was another" if there["networks"] != wanted["networks"] else ""
+        return "other versions of Hedgerow or its packages made it"
+    return "the topology file has changed since" if there["networks"] != wanted["networks"] else ""
 
 
 def _said(value: Any) -> str:

@@ -15,7 +15,7 @@ from hedgerow.orchestrator.ground.law_source import LawSource, source_of
 from hedgerow.orchestrator.ground.versions import versions
 from hedgerow.orchestrator.runs import batch
 from hedgerow.topologies.errors import Code, TopologyError, UserError
-from hedgerow.topologies.load import find, load
+from hedgerow.topologies.named import Given, Named, given
 from hedgerow.topologies.override import split_setting
 from hedgerow.topologies.resolve import resolve, to_yaml
 from hedgerow.topologies.schema import Topology
@@ -66,6 +66,11 @@ class Plan:
         """Return the number of runs."""
         return len(self.settings) * len(self.seeds)
 
+    @property
+    def law_in_script(self) -> bool:
+        """Return True if a law is defined in the script or notebook that runs, so that only this process has it."""
+        return any(str(setting.topology.law).startswith("__main__:") for setting in self.settings)
+
     def label(self, setting: int) -> str:
         """Return a setting in words."""
         values = self.settings[setting].values
@@ -114,14 +119,15 @@ class Plan:
                 yield Chunk(k, seeds)
 
 
-def plan(file: str, seeds: str, sets: Sequence[str], engine: str) -> Plan:
+def plan(network: Named, seeds: str, sets: Sequence[str], engine: str) -> Plan:
     """Return the plan of a command line; raise UserError for a mistake in it, TopologyError for one in the file."""
     if engine not in ENGINES:
         raise UserError(f"--engine {engine}: is neither {' nor '.join(ENGINES)}; choose one of them")
     asked, values = seeds_of(seeds), _values(sets)
-    load(file)
+    undrawn = given(network)
+    undrawn.parse()
     settings = [
-        Setting(combination, _with(file, dict(zip(values, combination, strict=True))))
+        Setting(combination, _with(undrawn, dict(zip(values, combination, strict=True))))
         for combination in itertools.product(*values.values())
     ]
     if len(settings) * len(asked) > MAX_RUNS:
@@ -130,7 +136,7 @@ def plan(file: str, seeds: str, sets: Sequence[str], engine: str) -> Plan:
             code=Code.OPTION,
         )
     settings = [Setting(setting.values, laws.checked(setting.topology)) for setting in settings]
-    return Plan(tuple(values), tuple(settings), asked, engine, find(file).parent)
+    return Plan(tuple(values), tuple(settings), asked, engine, undrawn.folder)
 
 
 def seeds_of(text: str) -> range:
@@ -149,19 +155,19 @@ def seeds_of(text: str) -> range:
 def _values(sets: Sequence[str]) -> dict[str, list[str]]:
     """Return the values of each key."""
     values: dict[str, list[str]] = {}
-    for given in sets:
-        key, text = split_setting(given)
+    for setting in sets:
+        key, text = split_setting(setting)
         if not key:
-            raise UserError(f"--set {given}: is not path=value,value; for example --set defaults.x0=0,15")
+            raise UserError(f"--set {setting}: is not path=value,value; for example --set defaults.x0=0,15")
         if key == "seed":
-            raise UserError(f"--set {given}: seeds are given with --seeds FIRST:STOP")
+            raise UserError(f"--set {setting}: seeds are given with --seeds FIRST:STOP")
         if key in values:
-            raise UserError(f"--set {given}: {key} is set twice; give all its values at once, with commas")
+            raise UserError(f"--set {setting}: {key} is set twice; give all its values at once, with commas")
         values[key] = split(text)
         for value in values[key]:
             if not value or values[key].count(value) > 1:
                 what = f"{value} is there twice" if value else "a value is empty"
-                raise UserError(f"--set {given}: {what}; give each value once, with commas between them")
+                raise UserError(f"--set {setting}: {what}; give each value once, with commas between them")
     return values
 
 
@@ -181,14 +187,14 @@ def split(text: str) -> list[str]:
     return [part.strip() for part in parts]
 
 
-def _with(file: str, values: dict[str, str]) -> Topology:
+def _with(undrawn: Given, values: dict[str, str]) -> Topology:
     """Return the topology with some values replaced; raise UserError, in one line, for an invalid value."""
     try:
-        topology = load(file, [f"{key}={value}" for key, value in values.items()])
-        resolve(topology, find(file).parent)
+        topology = undrawn.with_overrides(*(f"{key}={value}" for key, value in values.items())).parse()
+        resolve(topology, undrawn.folder)
     except TopologyError as error:
-        given = " ".join(f"--set {key}={value}" for key, value in values.items())
-        raise UserError(f"{given}: {error.problems[0]}", code=Code.TOPOLOGY) from None
+        sets = " ".join(f"--set {key}={value}" for key, value in values.items())
+        raise UserError(f"{sets}: {error.problems[0]}", code=Code.TOPOLOGY) from None
     return topology
 
 

@@ -45,6 +45,14 @@ def spread(values: Array) -> Spread:
     return Spread(n, float(values.mean()), error, *np.quantile(values, [0.25, 0.5, 0.75]).tolist())
 
 
+REPEATED = "every seed gave the same run, because nothing in this network is drawn by its seed"
+
+
+def repeated(rows: Sequence[Row]) -> bool:
+    """Return True if the runs of several seeds are one run, so that their number means nothing."""
+    return len(rows) > 1 and all({**row, "seed": 0} == {**rows[0], "seed": 0} for row in rows)
+
+
 def varied(plan: Plan) -> list[int]:
     """Return the places of the keys with more than one value."""
     return [k for k in range(len(plan.keys)) if len({one.values[k] for one in plan.settings}) > 1]

@@ -10,11 +10,13 @@ import contextlib
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 from collections import deque
-from collections.abc import Callable, Generator, Iterable
+from collections.abc import Callable, Generator, Iterable, Iterator
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
+from types import ModuleType
 
 from hedgerow.orchestrator.experiments.sweep.plan import Chunk, Plan
 from hedgerow.orchestrator.experiments.sweep.runs import Answer, Failure, answer
@@ -39,7 +41,8 @@ class _Worker:
         resource_tracker.ensure_running()
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
-            self.process.start()
+            with _without_script():
+                self.process.start()
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
         theirs.close()
@@ -59,10 +62,18 @@ class _Worker:
 def over_processes(
     plan: Plan, chunks: Iterable[Chunk], jobs: int, answer: Answering = answer
 ) -> Generator[Answer | None, None, None]:
-    """Yield the answer to each chunk, in any order; None if there is none for a while.
+    """Return a generator of the answers to the chunks, in any order; it gives None if there is none for a while.
 
-    No process outlives this call.
+    No process outlives the generator. A law of the script or notebook that runs needs this process: no other has it.
     """
+    if plan.law_in_script:
+        return (answer(plan, chunk) for chunk in chunks)
+    return _over_processes(plan, chunks, jobs, answer)
+
+
+def _over_processes(
+    plan: Plan, chunks: Iterable[Chunk], jobs: int, answer: Answering
+) -> Generator[Answer | None, None, None]:
     waiting, again = iter(chunks), deque[tuple[Chunk, int]]()
     workers: dict[Connection, _Worker] = {}
 
@@ -108,6 +119,19 @@ def over_processes(
             worker.process.join(END_DEADLINE_S)
             worker.process.kill()
             worker.close()
+
+
+@contextlib.contextmanager
+def _without_script() -> Iterator[None]:
+    """Hide the script of the user while a worker starts.
+
+    A worker would execute the script otherwise, and without `if __name__ == "__main__":` begin the same sweep again.
+    """
+    script, sys.modules["__main__"] = sys.modules["__main__"], ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = script
 
 
 def _died(plan: Plan, worker: _Worker, again: deque[tuple[Chunk, int]]) -> Answer | None:

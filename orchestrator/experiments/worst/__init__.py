@@ -54,6 +54,10 @@ class Found:
     seconds: float
     """of search, those before an interruption included"""
 
+    def __repr__(self) -> str:
+        above = "" if self.ceiling is None else f", at most {self.ceiling:.4g}"
+        return f"<Found {self.topology.name}: gain {self.gain:.4g}{above}, law {self.law}, {self.seconds:.1f} s>"
+
     @property
     def gain(self) -> float:
         """Return the gain of a run of `topology`, sqrt(sum cost / sum |w|^2)."""
@@ -224,7 +228,9 @@ def guarantee_of(topology: Topology, method: Method | None = None) -> Guarantee:
         counted = learning(plant, network.candidates)
     except HedgerowError as error:
         counted = str(error)
-    return replace(guarantee(plant, network.gamma_star, method), learning=counted)
+    found = guarantee(plant, network.gamma_star, method)
+    missing = {"learning": counted} if isinstance(counted, str) else {}
+    return replace(found, learning=counted, not_computed={**found.not_computed, **missing})
 
 
 def at_least(plant: Plant, folder: Path) -> float | None:

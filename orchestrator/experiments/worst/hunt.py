@@ -19,8 +19,10 @@ from hedgerow.orchestrator.experiments.worst.search import Island, Kind
 from hedgerow.orchestrator.metrics.guarantee import fingerprint, plant_of
 from hedgerow.topologies import archive
 from hedgerow.topologies.errors import Code, HedgerowError, UserError
+from hedgerow.topologies.faults import Cut, Drop, FaultModel
 from hedgerow.topologies.graph import Array
 from hedgerow.topologies.load import parse
+from hedgerow.topologies.paths import beside
 from hedgerow.topologies.resolve import resolve, to_yaml
 from hedgerow.topologies.schema import Topology
 
@@ -304,13 +306,13 @@ class Hunt:
                 else {"kind": "samples", "values": value.tolist()}
             )
         graph, ids = self.scene.graph, self.topology.ids
-        raw["faults"] = [
-            {"kind": "cut", "edge": [ids[k] for k in graph.edges[e].tolist()], "steps": [first, attack.steps]}
-            for e, first in attack.breaks.cuts
-        ] + [
-            {"kind": "drop", "from": ids[graph.neighbour[k]], "to": ids[graph.node[k]], "steps": [first, attack.steps]}
-            for k, first in attack.breaks.drops
-        ]
+        faults: list[FaultModel] = []
+        for e, first in attack.breaks.cuts:
+            i, j = graph.edges[e].tolist()
+            faults.append(Cut(edge=(ids[i], ids[j]), steps=(first, attack.steps)))
+        for k, first in attack.breaks.drops:
+            faults.append(Drop(from_=ids[graph.neighbour[k]], to=ids[graph.node[k]], steps=(first, attack.steps)))
+        raw["faults"] = [fault.written() for fault in faults]
         text = json.dumps(raw)
         return resolve(parse(text.encode(), "worst.yaml", Path()))
 
@@ -332,7 +334,7 @@ class Hunt:
             "seconds": self.state.seconds,
             "rng": self.rng.bit_generator.state,
         }
-        part = file.with_name(file.name + ".part")
+        part = beside(file)
         archive.write(part, {"worst": head}, arrays)
         part.rename(file)
 

@@ -102,8 +102,8 @@ def _entity(kind: str, name: str) -> str:
     return f"{kind}/{rr.escape_entity_path_part(name.replace(' ', '_'))}"
 
 
-class Lanes:
-    """The detector of changes from step to step."""
+class FaultTimeline:
+    """The lanes of failures, and their changes from step to step."""
 
     def __init__(self, topology: Topology, models: bool) -> None:
         """Prepare the lanes; `models` adds wrong models to the faults."""

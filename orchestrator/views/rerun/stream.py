@@ -29,7 +29,7 @@ import rerun as rr
 
 from hedgerow.orchestrator.runs.selection import selection
 from hedgerow.orchestrator.views.event_texts import Now, about
-from hedgerow.orchestrator.views.rerun.fault_timeline import Changes, Lanes
+from hedgerow.orchestrator.views.rerun.fault_timeline import Changes, FaultTimeline
 from hedgerow.orchestrator.views.rerun.feed import Feeder, Write
 from hedgerow.orchestrator.views.rerun.heatmap import HeatMap
 from hedgerow.orchestrator.views.rerun.network_picture import Frames, Picture
@@ -227,7 +227,7 @@ class RerunStream:
         self._picture = Picture(topology)
         group = self._picture.groups.size if self._picture.groups is not None else 1
         self._about = about(topology, observer, large, PICTURES_HZ_LARGE if large else PICTURES_HZ, group)
-        self._timeline = Lanes(topology, models=not large)
+        self._timeline = FaultTimeline(topology, models=not large)
         self._now = Now(topology, observer)
         self._undrawn: tuple[Batch, NDArray[np.float64]] | None = None
         self._heatmap, self._heatmap_due = HeatMap(len(topology.ids)) if large else None, False

@@ -54,9 +54,9 @@ def test_a_topology_of_others(here: Path, capsys: pytest.CaptureFixture[str], ca
     (here / "n.yaml").write_text(FILES[case], encoding="utf-8")
     (here / "w.csv").write_text(f"p,q{HOSTILE}\n1,2\n1,2\n1,2\n", encoding="utf-8")
     assert run(command, "n.yaml", "--no-record" if command == "simulate" else "--import-law") == 2
-    said = capsys.readouterr()
-    assert said.err
-    assert_harmless(said.out, said.err)
+    printed = capsys.readouterr()
+    assert printed.err
+    assert_harmless(printed.out, printed.err)
 
 
 @pytest.mark.parametrize(
@@ -78,9 +78,9 @@ def test_a_topology_of_others(here: Path, capsys: pytest.CaptureFixture[str], ca
 )
 def test_words_of_a_command(capsys: pytest.CaptureFixture[str], words: tuple[str, ...]) -> None:
     assert run(*words) == 2
-    said = capsys.readouterr()
-    assert said.err
-    assert_harmless(said.out, said.err)
+    printed = capsys.readouterr()
+    assert printed.err
+    assert_harmless(printed.out, printed.err)
 
 
 def test_a_hostile_folder_and_verdict(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -91,8 +91,8 @@ def test_a_hostile_folder_and_verdict(here: Path, capsys: pytest.CaptureFixture[
     (folder / "verdict.json").write_text(json.dumps(changed), encoding="utf-8")
     run("export", str(folder), "--to", "csv", "--out", str(here / f"out{HOSTILE}"))
     run("export", str(folder), "--to", "csv", "--out", str(here / f"out{HOSTILE}"))
-    said = capsys.readouterr()
-    assert_harmless(said.out, said.err)
+    printed = capsys.readouterr()
+    assert_harmless(printed.out, printed.err)
 
 
 def test_a_processs_own_streams(here: Path) -> None:
@@ -115,6 +115,6 @@ def test_commands_for_copy_and_paste(here: Path, capsys: pytest.CaptureFixture[s
     namespace = name.replace("#", "+").replace("$", "+")
     assert run("bundle", "paper7", "--out", str(here / name), "--router", "tcp/h:7447", "--namespace", namespace) == 0
     readme = (here / name / "README.md").read_text(encoding="utf-8")
-    told = next(line for line in readme.splitlines() if "--namespace" in line)
-    assert shlex.split(told)[-1] == namespace
+    noted = next(line for line in readme.splitlines() if "--namespace" in line)
+    assert shlex.split(noted)[-1] == namespace
     assert str(here / name) in capsys.readouterr().out

@@ -99,10 +99,10 @@ def test_a_terminal_that_closes_under_a_viewer_is_no_mistake_of_the_users(here: 
         preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),  # noqa: PLW1509
     ) as up:  # fmt: skip
         os.close(terminal)
-        said, events = b"", here / "run/events.jsonl"
+        printed, events = b"", here / "run/events.jsonl"
         while not (events.exists() and "first_step" in events.read_text()):
-            said += os.read(leader, 4096) if select.select([leader], [], [], 0.05)[0] else b""
-            assert up.poll() is None, said
+            printed += os.read(leader, 4096) if select.select([leader], [], [], 0.05)[0] else b""
+            assert up.poll() is None, printed
         os.close(leader)
         assert up.wait(DEADLINE_S) == Exit.UNKNOWN
     assert (here / "run/verdict.json").is_file()

@@ -21,7 +21,7 @@ from tests.tools.processes import COMMAND, Orchestrator
 PAIR = {"name": "pair", "b": 0.1, "steps": 6, "seed": 3, "nodes": ["p", "q"], "edges": [["p", "q"]]}
 
 
-def said(capsys: pytest.CaptureFixture[str], *words: str) -> str:
+def output_of(capsys: pytest.CaptureFixture[str], *words: str) -> str:
     assert run_to_exit_code(lambda: app([*words], standalone_mode=False) or 0) == 0
     return capsys.readouterr().out
 
@@ -31,14 +31,14 @@ def test_runs_are_listed_with_their_verdicts(here: Path, capsys: pytest.CaptureF
     (here / "runs" / "empty").mkdir()
     (killed := hg.simulate(PAIR, run_dir="runs/killed").folder / "verdict.json").unlink()
     (damaged := hg.simulate(PAIR, run_dir="runs/damaged").folder / "verdict.json").write_text("{")
-    found = {one["run"]: one for one in json.loads(said(capsys, "runs", "--json"))}
+    found = {one["run"]: one for one in json.loads(output_of(capsys, "runs", "--json"))}
     assert len(found) == 3
     assert found[killed.parent.name]["verdict"] == "none"
     assert found[damaged.parent.name]["verdict"] == "unreadable"
     whole = next(one for one in found.values() if one["verdict"] == "valid")
     assert (whole["network"], whole["law"], whole["steps_done"], whole["steps"]) == ("pair", "minimax", 6, 6)
     assert whole["size"] > 1000
-    lines = said(capsys, "runs").splitlines()
+    lines = output_of(capsys, "runs").splitlines()
     assert {line.split()[0] for line in lines} == {"valid", "none", "unreadable"}
 
 
@@ -47,20 +47,20 @@ def test_older_runs_are_removed_when_asked(here: Path, capsys: pytest.CaptureFix
     for age, folder in enumerate(reversed(folders)):
         for path in (folder, *folder.rglob("*")):
             os.utime(path, (1e9 - 60 * age, 1e9 - 60 * age))
-    assert "2 of 3" in said(capsys, "runs", "--keep", "1", "--dry-run")
+    assert "2 of 3" in output_of(capsys, "runs", "--keep", "1", "--dry-run")
     assert all(folder.exists() for folder in folders)
-    said(capsys, "runs", "--keep", "1")
+    output_of(capsys, "runs", "--keep", "1")
     assert [folder.exists() for folder in folders] == [False, False, True]
-    said(capsys, "runs", "--keep", "0")
+    output_of(capsys, "runs", "--keep", "0")
     assert not [*Path("runs").iterdir()], "runs/latest must not point to a removed run"
 
 
 def test_a_running_network_is_never_removed(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with Orchestrator("up", "paper7", "--steps", "1000000", "--viewer", "none", "--no-record") as network:
         network.wait_for_event("first_step")
-        (one,) = json.loads(said(capsys, "runs", "--json"))
+        (one,) = json.loads(output_of(capsys, "runs", "--json"))
         assert one["verdict"] == "running"
-        said(capsys, "runs", "--keep", "0")
+        output_of(capsys, "runs", "--keep", "0")
         assert Path(one["folder"]).exists()
 
 
@@ -90,11 +90,11 @@ def test_quiet_prints_no_progress(
 
 
 def test_the_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) -> None:
-    assert said(capsys, "--version") == f"hedgerow {hg.__version__}\n"
+    assert output_of(capsys, "--version") == f"hedgerow {hg.__version__}\n"
 
 
 def test_every_command_is_in_a_panel_and_no_text_is_cut(capsys: pytest.CaptureFixture[str]) -> None:
-    text = said(capsys, "--help")
+    text = output_of(capsys, "--help")
     panels = re.findall(r"^(\S.*):$", text, re.MULTILINE)
     assert panels == ["Options", "Run", "Watch and control", "Inspect", "Experiment", "Deploy"]
     assert "..." not in text.split("Options:")[1]
@@ -116,7 +116,7 @@ def test_help_fits_80_columns_and_shows_all_options(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...]
 ) -> None:
     monkeypatch.setenv("COLUMNS", "80")
-    text = said(capsys, *words, "--help")
+    text = output_of(capsys, *words, "--help")
     assert max(map(len, text.splitlines())) <= 80
     assert all(option in text for parameter in COMMANDS[words].params for option in parameter.opts if option[0] == "-")
     assert not [line for line in text.splitlines()[1:] if line.endswith("...")]

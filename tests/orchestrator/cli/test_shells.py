@@ -17,6 +17,7 @@ import pytest
 from hedgerow.orchestrator.launch.plant_event import checked
 from hedgerow.topologies.errors import Code, Exit, TopologyError
 from hedgerow.topologies.load import parse
+from hedgerow.wire import first, start
 from hedgerow.wire.limits import limit_reached
 from hedgerow.wire.message import MessageError
 from tests.tools.processes import COMMAND, DEADLINE_S
@@ -80,15 +81,11 @@ def test_a_process_of_a_run_ignores_signals_that_were_ignored_at_the_start() -> 
     assert (done.returncode, done.stdout) == (0, b"alive\n")
 
 
-def test_a_ctrl_c_while_modules_load_is_quiet(here: Path) -> None:
+def test_a_ctrl_c_while_modules_load_is_one_line(here: Path) -> None:
     (here / "slow.py").write_text("import os, signal\nos.kill(os.getpid(), signal.SIGINT)\n")
     text = "import sys\nsys.path.insert(0, '.')\nfrom hedgerow.wire import start\nstart.begin()\nimport slow"
     done = run(command=(sys.executable, "-c", text))
-    assert (done.returncode, done.stderr) == (start_code(), b"")
-
-
-def start_code() -> int:
-    return 128 + signal.SIGINT
+    assert (done.returncode, done.stderr) == (start.INTERRUPTED, first.LINE.format("Ctrl-C").encode())
 
 
 @pytest.mark.slow
@@ -127,10 +124,10 @@ def test_a_reader_that_has_left_has_read_enough() -> None:
     assert (done.returncode, done.stderr) == (0, b"")
 
 
-def traceback_of(said: bytes) -> str:
+def traceback_of(printed: bytes) -> str:
     """The traceback in the file that the one line on standard error names."""
-    assert said.count(b"\n") == 1, said
-    return Path(said.decode().strip().rpartition(" ")[2].rstrip(")")).read_text()
+    assert printed.count(b"\n") == 1, printed
+    return Path(printed.decode().strip().rpartition(" ")[2].rstrip(")")).read_text()
 
 
 def test_a_defect_of_a_command_is_one_line_and_exit_code_70(here: Path) -> None:
@@ -230,8 +227,8 @@ def test_an_event_that_no_plant_sends_is_refused(event: dict[str, object]) -> No
 
 
 def test_an_event_is_rebuilt_from_known_fields() -> None:
-    told = {"event": "revive", "shard": 2, "step": 4, "strange": "x"}
-    assert checked(told, 3, 0) == {"event": "revive", "shard": 2, "step": 4}
+    strange = {"event": "revive", "shard": 2, "step": 4, "strange": "x"}
+    assert checked(strange, 3, 0) == {"event": "revive", "shard": 2, "step": 4}
 
 
 def test_a_report_of_files_of_two_runs_is_refused() -> None:

@@ -9,11 +9,18 @@ from pathlib import Path
 import pytest
 
 from hedgerow.topologies.errors import Exit
+from hedgerow.wire import first, start
 from tests.orchestrator.cli.test_shells import code, run
+from tests.tools.processes import DEADLINE_S
 
 SIGNALS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
 PAIR = '{"name": "pair", "b": 0.1, "steps": 6, "seed": 3, "nodes": ["p", "q"], "edges": [["p", "q"]]}'
 LAW = "import os\nos.kill(os.getpid(), {})\nfrom hedgerow.agents.law import Minimax as Law\n"
+
+
+def line(number: int) -> bytes:
+    """The line of a command that a signal ended."""
+    return first.LINE.format(start.name_of(number)).encode()
 
 
 def names(folder: Path) -> set[str]:
@@ -35,7 +42,7 @@ def test_a_report_leaves_nothing_half_written(here: Path, number: signal.Signals
     save = planted("matplotlib.backends.backend_agg", "FigureCanvasAgg.print_png", number)
     done = run("report", "done", "--figures", "gain", command=save)
     assert done.returncode == 128 + number, done.stderr
-    assert done.stderr == b""
+    assert done.stderr == line(number)
     assert names(here) == before
 
 
@@ -45,7 +52,7 @@ def test_a_signal_while_the_law_loads_leaves_no_run(here: Path, number: signal.S
     (here / "pair.yaml").write_text(json.dumps(json.loads(PAIR) | {"law": "slow:Law"}))
     done = run("simulate", "pair.yaml", "--no-record")
     assert done.returncode == 128 + number, done.stderr
-    assert done.stderr == b""
+    assert done.stderr == line(number)
     assert names(here) == {"slow.py", "pair.yaml"}
 
 
@@ -62,3 +69,34 @@ def test_a_refused_run_leaves_no_folder(here: Path, command: str) -> None:
     (here / "pair.yaml").write_text(PAIR)
     assert run(command, "pair.yaml", "--viewer", "nowhere").returncode == Exit.USER_MISTAKE
     assert names(here) == {"pair.yaml"}
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+def test_a_signal_that_arrives_in_a_destructor_is_not_lost(here: Path, number: signal.Signals) -> None:
+    """Python reports what a destructor raises, and continues."""
+    (here / "slow.py").write_text(
+        f"import os, time\nclass Gone:\n def __del__(self):\n  os.kill(os.getpid(), {int(number)})\n  time.sleep(0.1)\n"
+    )
+    (here / "pair.yaml").write_text(PAIR)
+    text = (
+        "import sys, time\nsys.path.insert(0, '.')\nimport slow, hedgerow.orchestrator.metrics.summary as c\n"
+        f"def table(_):\n slow.Gone()\n time.sleep({DEADLINE_S})\nc.table = table"
+    )
+    done = run("check", "pair.yaml", command=code(text))
+    assert (done.returncode, done.stdout, done.stderr) == (128 + number, b"", line(number))
+
+
+def test_a_search_that_is_stopped_in_a_run_names_the_signal(here: Path) -> None:
+    text = planted("hedgerow.orchestrator.launch.up", "Network._observe", signal.SIGTERM)
+    done = run("chaos", command=text)
+    assert (done.returncode, done.stdout, done.stderr) == (Exit.UNKNOWN, b"", line(signal.SIGTERM))
+
+
+def test_the_line_about_a_signal_is_written_once(here: Path) -> None:
+    (here / "pair.yaml").write_text(PAIR)
+    text = (
+        "import os, hedgerow.orchestrator.metrics.summary as c\n"
+        "def table(_):\n try:\n  os.kill(os.getpid(), 2)\n finally:\n  os.kill(os.getpid(), 15)\nc.table = table"
+    )
+    done = run("check", "pair.yaml", command=code(text))
+    assert (done.returncode, done.stderr) == (128 + signal.SIGTERM, line(signal.SIGTERM))

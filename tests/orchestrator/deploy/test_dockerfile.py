@@ -67,8 +67,8 @@ def test_copied_files_exist_and_are_sent_to_the_engine(stages: dict[str, list[In
 
 def needed(name: str, extras: set[str], found: set[str]) -> set[str]:
     """Return `found` and the further requirements of a package with some extras, from the installed metadata."""
-    for said in metadata.distribution(name).requires or ():
-        one = Requirement(said)
+    for printed in metadata.distribution(name).requires or ():
+        one = Requirement(printed)
         other = canonicalize_name(one.name)
         if other not in found and (
             one.marker is None or any(one.marker.evaluate({"extra": extra}) for extra in extras | {""})

@@ -57,14 +57,16 @@ def test_every_name_of_the_manifests_is_valid_and_unique(name: str, ids: list[st
     for job in (one for one in documents if one["kind"] == "Job"):
         spec = job["spec"]["template"]["spec"]
         assert all(is_label(one["name"]) for one in (*spec["containers"], *spec["volumes"]))
-        told = next(one for one in spec["volumes"] if one["name"] == "config")
-        assert ("ConfigMap", told["configMap"]["name"]) in {(one["kind"], one["metadata"]["name"]) for one in documents}
+        config = next(one for one in spec["volumes"] if one["name"] == "config")
+        assert ("ConfigMap", config["configMap"]["name"]) in {
+            (one["kind"], one["metadata"]["name"]) for one in documents
+        }
 
 
 def test_a_changed_name_is_kept_in_an_annotation() -> None:
     documents = manifests("pilot_", ["A" * 58, "b" * 58])
     jobs = [one["metadata"] for one in documents if one["kind"] == "Job"]
     assert all(one["annotations"]["hedgerow/network"] == "pilot_" for one in jobs)
-    said = [one["annotations"].get("hedgerow/process", "") for one in jobs]
-    assert any("A" * 58 in one for one in said)
-    assert any("b" * 58 in one for one in said)
+    noted = [one["annotations"].get("hedgerow/process", "") for one in jobs]
+    assert any("A" * 58 in one for one in noted)
+    assert any("b" * 58 in one for one in noted)

@@ -21,10 +21,10 @@ def test_every_drawn_network_runs_to_its_end_and_equals_the_reference(seeds: ran
     """There is no hang, no lost row and no remaining process; every check holds, and the reference is equal bit for
     bit.
     """
-    said: list[str] = []
-    finding = hunt(seeds, 12, here, said.append)
-    assert finding is None, said[-2:]
-    assert len(said) == len(seeds)
+    messages: list[str] = []
+    finding = hunt(seeds, 12, here, messages.append)
+    assert finding is None, messages[-2:]
+    assert len(messages) == len(seeds)
 
 
 def test_a_trial_is_a_function_of_its_seed() -> None:

@@ -30,8 +30,8 @@ LOW = np.linspace(1.0, 1.2, 30)
 
 
 def words(*cells: Cell) -> str:
-    (said,) = (one for one in findings(cells, paired(cells), "white") if "undefined" not in one)
-    return said
+    (sentence,) = (one for one in findings(cells, paired(cells), "white") if "undefined" not in one)
+    return sentence
 
 
 def test_a_law_that_beats_all_others_is_best() -> None:
@@ -40,10 +40,10 @@ def test_a_law_that_beats_all_others_is_best() -> None:
 
 def test_a_law_that_ties_with_another_is_not_called_best() -> None:
     noise = np.random.default_rng(1).normal(size=30)
-    said = words(cell("low", LOW), cell("near", LOW + 1e-3 * noise), cell("high", LOW + 5))
-    assert "is best" not in said
-    assert "better than high" in said
-    assert "not distinguishable from" in said
+    sentence = words(cell("low", LOW), cell("near", LOW + 1e-3 * noise), cell("high", LOW + 5))
+    assert "is best" not in sentence
+    assert "better than high" in sentence
+    assert "not distinguishable from" in sentence
 
 
 def test_laws_with_the_same_values_are_equal() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import errno
 import json
 import math
 import os
@@ -152,12 +153,12 @@ def test_a_law_that_fails_makes_its_runs_unknown_and_no_others(here: Path) -> No
         "        if sample.t == 20: raise RuntimeError('tired')\n",
         encoding="utf-8",
     )
-    said = orchestrator("sweep", "paper7", "--seeds", "0:2", "--set", "law=minimax,mine:Tired", "--out", "out")
-    assert said.returncode == 3, said.stderr
+    swept = orchestrator("sweep", "paper7", "--seeds", "0:2", "--set", "law=minimax,mine:Tired", "--out", "out")
+    assert swept.returncode == 3, swept.stderr
     table = rows(here / "out")
     assert [row["verdict"] for row in table] == ["valid", "valid", "unknown", "unknown"]
     assert "tired" in table[2]["reasons"]
-    assert said.stdout.splitlines()[-1].startswith("unknown (first seed 0, law=mine:Tired: ")
+    assert swept.stdout.splitlines()[-1].startswith("unknown (first seed 0, law=mine:Tired: ")
 
 
 # Interruption, kill and continuation.
@@ -183,7 +184,7 @@ def test_a_stopped_and_killed_sweep_continues_to_the_same_bytes(here: Path, undi
         assert sweeping.wait() == 3, sweeping.output
         assert gone(below)
     there = lines(out)
-    assert f"stopped: Ctrl-C: {there} of 48 runs are done; the same command continues" in sweeping.output
+    assert f"{there} of 48" in sweeping.output
     assert "Traceback" not in sweeping.output
     assert not (out / "sweep.parquet").exists()
     with Orchestrator(*command) as sweeping:
@@ -192,13 +193,11 @@ def test_a_stopped_and_killed_sweep_continues_to_the_same_bytes(here: Path, undi
         sweeping.send(signal.SIGKILL)
         assert sweeping.wait() == -signal.SIGKILL
         assert gone(below)
-    assert f"; {there} were there" in sweeping.output
     with (out / "runs.jsonl").open("a", encoding="utf-8") as file:
         file.write('{"setting": 0, "se')  # as if it had been killed while it wrote
     there = lines(out)
-    said = orchestrator(*command)
-    assert said.returncode == 0, said.stderr
-    assert f"; {there} were there" in said.stdout
+    swept = orchestrator(*command)
+    assert swept.returncode == 0, swept.stderr
     assert (out / "sweep.parquet").read_bytes() == undisturbed
 
 
@@ -221,7 +220,6 @@ def test_ctrl_c_finds_a_worker_deaf_from_its_first_instruction_on(here: Path) ->
             pause.wait(0.001)
         os.killpg(sweeping.pid, signal.SIGINT)  # as a terminal does
         assert sweeping.wait() == 3, sweeping.output
-    assert "the same command continues" in sweeping.output
     assert "Traceback" not in sweeping.output
 
 
@@ -243,10 +241,9 @@ def test_a_sweep_with_dying_workers_is_reported(here: Path) -> None:
         "        super().learn(x, flow, x_next)\n",
         encoding="utf-8",
     )
-    said = orchestrator("sweep", "paper7", "--seeds", "0:2", "--set", "law=deadly:Deadly", "--jobs", "1")
-    assert said.returncode == 3
-    assert said.stderr.startswith("error: seed 0")
-    assert "law=deadly:Deadly: the process died 3 times, the last by signal 9" in said.stderr
+    swept = orchestrator("sweep", "paper7", "--seeds", "0:2", "--set", "law=deadly:Deadly", "--jobs", "1")
+    assert swept.returncode == 3
+    assert swept.stderr.startswith("error: seed 0, law=deadly:Deadly: ")
 
 
 def test_seeds_may_grow(tmp_path: Path) -> None:
@@ -263,44 +260,45 @@ def test_seeds_may_grow(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("seeds", "sets", "says"),
+    ("seeds", "sets", "code", "at"),
     [
-        ("5:2", [], "holds no seed; put the smaller number first"),
-        ("7", [], "write for example 0:1000"),
-        ("-3:2", [], "write for example 0:1000"),
-        ("0:2", ["stepz=3"], "did you mean|known keys are"),
-        ("0:2", ["defaults.x1=3,4"], "did you mean `x0`"),
-        ("0:2", ["b=0.1,3"], "the largest b that fits all nodes"),
-        ("0:2", ["law=minimax,guess"], "a law is minimax, hinf, nominal"),
-        ("0:2", ["law=minimax,minimax"], "is there twice; give each value once"),
-        ("0:2", ["law=minimax,"], "a value is empty; give each value once"),
-        ("0:2", ["law=hinf", "law=minimax"], "give all its values at once"),
-        ("0:2", ["seed=1,2"], "--seeds FIRST:STOP"),
-        ("0:2", ["law"], "for example --set"),
-        ("0:20000000", [], "ask for fewer"),
+        ("5:2", [], Code.OPTION, "--seeds 5:2"),
+        ("7", [], Code.OPTION, "--seeds 7"),
+        ("-3:2", [], Code.OPTION, "--seeds -3:2"),
+        ("0:2", ["stepz=3"], Code.TOPOLOGY, "--set stepz=3"),
+        ("0:2", ["defaults.x1=3,4"], Code.TOPOLOGY, "--set defaults.x1=3"),
+        ("0:2", ["b=0.1,3"], Code.TOPOLOGY, "--set b=3"),
+        ("0:2", ["law=minimax,guess"], Code.TOPOLOGY, "--set law=guess"),
+        ("0:2", ["law=minimax,minimax"], Code.OPTION, "--set law=minimax,minimax"),
+        ("0:2", ["law=minimax,"], Code.OPTION, "--set law=minimax,"),
+        ("0:2", ["law=hinf", "law=minimax"], Code.OPTION, "--set law=minimax"),
+        ("0:2", ["seed=1,2"], Code.OPTION, "--set seed=1,2"),
+        ("0:2", ["law"], Code.OPTION, "--set law"),
+        ("0:20000000", [], Code.OPTION, ""),
     ],
 )
-def test_a_mistake_is_one_line_with_a_fix(seeds: str, sets: list[str], says: str) -> None:
-    with pytest.raises(UserError, match=says) as mistake:
+def test_a_mistake_is_one_line_with_a_fix(seeds: str, sets: list[str], code: Code, at: str) -> None:
+    with refusal(code, at) as mistake:
         plan("paper7", seeds, sets, "in-process")
     assert "\n" not in str(mistake.value)
     assert not isinstance(mistake.value, TopologyError)
 
 
 @pytest.mark.parametrize(
-    ("other", "says"),
+    ("other", "differs"),
     [
-        (of("steps=3,5"), r"its `steps` is 3, 4, not 3, 5; name another folder"),
-        (of("law=minimax"), "only one of the two sets `law`"),
-        (of("steps=3,4", engine="zenoh"), "its engine is in-process, not zenoh"),
-        (plan("ring6", "0:2", ["steps=3,4"], "in-process"), "its name is paper7, not ring6"),
+        (of("steps=3,5"), "steps"),
+        (of("law=minimax"), "law"),
+        (of("steps=3,4", engine="zenoh"), "engine"),
+        (plan("ring6", "0:2", ["steps=3,4"], "in-process"), "name"),
     ],
 )
-def test_a_folder_holds_one_sweep(tmp_path: Path, other: Plan, says: str) -> None:
+def test_a_folder_holds_one_sweep(tmp_path: Path, other: Plan, differs: str) -> None:
     with SweepFolder(of("steps=3,4"), tmp_path / "out"):
         pass
-    with pytest.raises(UserError, match=says), SweepFolder(other, tmp_path / "out"):
+    with refusal(Code.OUTPUT, f"--out {tmp_path / 'out'}") as refused, SweepFolder(other, tmp_path / "out"):
         pass
+    assert differs in str(refused.value)
 
 
 def test_a_changed_file_is_a_new_sweep(tmp_path: Path) -> None:
@@ -340,7 +338,7 @@ def test_a_full_disk_keeps_the_finished_runs_and_the_same_command_continues(here
     command = (*LONG, "--jobs", "1", "--out", "out")
     done = orchestrator(*command, largest=10_000)
     assert done.returncode == 2
-    assert "File too large; free space, then the same command continues" in done.stderr
+    assert os.strerror(errno.EFBIG) in done.stderr
     assert "Traceback" not in done.stderr
     assert orchestrator(*command).returncode == 0
     assert (here / "out/sweep.parquet").read_bytes() == undisturbed
@@ -359,7 +357,6 @@ def test_a_seed_with_an_impossible_network_is_named() -> None:
     failed = answer(what, Chunk(0, (1, 2)))
     assert isinstance(failed, Failure)
     assert failed.text.startswith("seed 2, faults=[")
-    assert "is not among the candidates of node 1" in failed.text
     assert isinstance(failed.error(), UserError)
 
 
@@ -386,19 +383,19 @@ def test_metrics_do_not_depend_on_how_telemetry_was_batched(monkeypatch: pytest.
 
 
 def test_the_summary_and_the_boxes_are_the_quartiles_of_the_table(here: Path) -> None:
-    said = orchestrator(
+    swept = orchestrator(
         "sweep", "paper7", "--seeds", "0:9", "--set", "steps=4,12", "--set", "law=minimax", "--out", "o"
     )
-    assert said.returncode == 0, said.stderr
+    assert swept.returncode == 0, swept.stderr
     by_steps = {steps: [row for row in rows(here / "o") if row["steps"] == steps] for steps in (4, 12)}
     with (here / "o/summary.csv").open(encoding="utf-8", newline="") as file:
         found = {(line["steps"], line["metric"]): line for line in csv.DictReader(file)}
     for steps, own in by_steps.items():
         regret = values_of(own, "regret")
         assert float(found[str(steps), "regret"]["median"]) == np.median(regret)
-        assert f"{np.median(regret):.3g} [" in said.stdout
+        assert f"{np.median(regret):.3g} [" in swept.stdout
         assert float(found[str(steps), "share_right"]["error"]) == spread(values_of(own, "share_right")).error
-    heading = next(line for line in said.stdout.splitlines() if "nodes right" in line)
+    heading = next(line for line in swept.stdout.splitlines() if "nodes right" in line)
     assert heading.split()[:2] == ["steps", "runs"], "a key with one value needs no column"
     figure = boxes.draw(of("steps=4,12", "law=minimax", seeds="0:9"), list(by_steps.values()))
     for axis, metric in zip(figure.axes, boxes.PANELS, strict=True):

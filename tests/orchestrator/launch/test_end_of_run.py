@@ -11,7 +11,8 @@ from typing import Any
 import pytest
 
 from hedgerow.orchestrator.launch.comparison import compare, first_difference
-from hedgerow.orchestrator.launch.recording import Recording, Watching
+from hedgerow.orchestrator.launch.recording import Recording
+from hedgerow.orchestrator.launch.watching import Watching
 from hedgerow.orchestrator.metrics.verdict import Ending
 from hedgerow.orchestrator.runs.folder import create
 from hedgerow.orchestrator.runs.reader import load_run

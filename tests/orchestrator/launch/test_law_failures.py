@@ -71,7 +71,7 @@ def test_the_deadline_names_the_line_of_a_law_that_hangs(here: Path) -> None:
         *("--deadline=3", "--no-record", "--viewer=none"),
     )
     assert done.returncode == Exit.UNKNOWN, done.stdout + done.stderr
-    assert "law failing_laws:Hangs has been running for" in done.stdout
+    assert "failing_laws:Hangs" in done.stdout
     assert "failing_laws.py:1" in done.stdout
 
 

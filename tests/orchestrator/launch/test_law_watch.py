@@ -23,7 +23,7 @@ class Law:
 
 @pytest.fixture
 def law(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
-    monkeypatch.setattr(law_watch, "SLOW_S", 0.05)
+    monkeypatch.setattr(law_watch, "REPORT_AFTER_S", 0.05)
     monkeypatch.setattr(law_watch, "LOOK_EVERY_S", 0.01)
     file = tmp_path / "hanging_law.py"
     file.write_text(LAW)
@@ -35,22 +35,22 @@ def law(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
 
 
 def test_a_call_that_does_not_end_is_named(law: Any) -> None:
-    said, heard = list[str](), threading.Event()
+    messages, heard = list[str](), threading.Event()
 
     def say(text: str) -> None:
-        said.append(text)
+        messages.append(text)
         heard.set()
 
     with law_watch.LawWatch(law, "hanging_law:Law", say):
         assert law().act(lambda: heard.wait(30))
-    assert len(said) == 1
-    assert "hanging_law.py:4: law hanging_law:Law: " in said[0]
+    assert len(messages) == 1
+    assert "hanging_law.py:4: law hanging_law:Law: " in messages[0]
 
 
 def test_many_short_calls_are_not_one_long_call(law: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(law_watch, "SLOW_S", 1.0)
-    said, looks = list[str](), threading.Event()
-    with law_watch.LawWatch(law, "hanging_law:Law", said.append):
+    monkeypatch.setattr(law_watch, "REPORT_AFTER_S", 1.0)
+    messages, looks = list[str](), threading.Event()
+    with law_watch.LawWatch(law, "hanging_law:Law", messages.append):
         for _ in range(60):
             law().often(lambda: looks.wait(0.02))
-    assert said == []
+    assert messages == []

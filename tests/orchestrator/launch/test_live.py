@@ -42,17 +42,9 @@ def test_two_nodes_are_named_as_a_person_names_them(text: str, meant: tuple[Any,
     assert pair(text, read(LINE)) == meant
 
 
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("2-9", "2-9: 9 is no node; the nodes are 1, 2, 3, a-b, c"),
-        ("2,9", "2,9: 9 is no node"),
-        ("a-x-c", "a-x-c: names no two nodes, as 2-4 does; the nodes are"),
-        ("12", "12: names no two nodes"),
-    ],
-)
-def test_an_unknown_name_is_reported(text: str, said: str) -> None:
-    with pytest.raises(UserError, match=said):
+@pytest.mark.parametrize("text", ["2-9", "2,9", "a-x-c", "12"])
+def test_an_unknown_name_is_reported(text: str) -> None:
+    with refusal(Code.OPTION, text):
         pair(text, read(LINE))
 
 
@@ -143,8 +135,8 @@ def test_a_mistake_of_a_file_has_the_same_message_in_a_live_fault(entry: dict[st
     with pytest.raises(TopologyError) as there:
         resolve(load("paper7", ["nodes.4={a: 0.6, candidates: [0.3, 0.6]}", f"faults={json.dumps([entry])}"]))
     kind = entry.get("kind", "fault")
-    said = [str(problem).removeprefix("fault 1").removeprefix(": ") for problem in there.value.problems]
-    assert str(here.value).splitlines() == [f"{kind}: {one}" for one in said]
+    printed = [str(problem).removeprefix("fault 1").removeprefix(": ") for problem in there.value.problems]
+    assert str(here.value).splitlines() == [f"{kind}: {one}" for one in printed]
 
 
 # Over a real network.
@@ -167,7 +159,7 @@ def say(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
     return capsys.readouterr().out
 
 
-def told(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, Any]:
+def json_of(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, Any]:
     answer: dict[str, Any] = json.loads(say(capsys, *arguments, "--json"))
     return answer
 
@@ -176,7 +168,7 @@ def listed(capsys: pytest.CaptureFixture[str], key: str, wanted: list[Any], with
     """One thing of every fault in the list, once it is as wanted: the file is written a moment after the answer."""
     until = time.monotonic() + within_s
     pause = threading.Event()
-    while (found := [fault[key] for fault in told(capsys, "fault", "list")["faults"]]) != wanted:
+    while (found := [fault[key] for fault in json_of(capsys, "fault", "list")["faults"]]) != wanted:
         if time.monotonic() > until:
             break
         pause.wait(0.05)
@@ -215,13 +207,13 @@ def test_every_fault_comes_by_command_and_the_run_can_be_repeated(
     """Each is acknowledged with its number and step, listed, and written to the file; the folder gives the same run."""
     expected = []
     for number, (command, entry) in enumerate(INJECTED, start=1):
-        answer = told(capsys, "fault", *command.split())
+        answer = json_of(capsys, "fault", *command.split())
         assert answer["fault"] == number
         begins = entry["at"] if "at" in entry else entry.get("steps", [0])[0]
         expected.append(shifted(entry, answer["step"] - begins))
         assert answer["entry"] == expected[-1]
     steps = [entry["at"] if "at" in entry else entry["steps"][0] for entry in expected]
-    healed = told(capsys, "heal", "4")
+    healed = json_of(capsys, "heal", "4")
     assert healed["faults"] == [4]
     expected[3]["steps"][1] = healed["step"]
     with Live() as live:
@@ -231,8 +223,8 @@ def test_every_fault_comes_by_command_and_the_run_can_be_repeated(
         expected[1]["steps"][1] = rest.step
         live.wait_for_step(rest.step + 10)
     assert listed(capsys, "entry", expected) == expected
-    said = say(capsys, "fault", "list")
-    assert f"\n  6  over     sensor 3 from step {steps[5]} to {steps[5] + 4}\n" in said
+    (line,) = [line.split() for line in say(capsys, "fault", "list").splitlines() if line.split()[0] == "6"]
+    assert {"over", "sensor", "3", f"{steps[5]}", f"{steps[5] + 4}"} <= set(line)
 
     stopped = orchestrator("stop")
     assert stopped.returncode == 0, stopped.stderr
@@ -249,10 +241,10 @@ def test_every_fault_comes_by_command_and_the_run_can_be_repeated(
 def test_a_command_reports_its_effect_or_its_refusal(
     running: Orchestrator, here: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    said = say(capsys, "fault", "drop", "2-4", "--for", "50000", "--run", "paper7")
-    run, step = said.partition(":")[0], int(said.split()[-3])
+    printed = say(capsys, "fault", "drop", "2-4", "--for", "50000", "--run", "paper7")
+    run, step = printed.partition(":")[0], int(printed.split()[-3])
     assert run == Path("runs/latest").resolve().name
-    assert said == f"{run}: fault 1: drop 2-4 from step {step} to {step + 50000}\n"
+    assert printed == f"{run}: fault 1: drop 2-4 from step {step} to {step + 50000}\n"
     assert say(capsys, "fault", "heal", "1").startswith(f"{run}: fault 1 healed from step ")
     assert say(capsys, "heal") == f"{run}: no fault to heal\n"
     with refusal(Code.FAULT):
@@ -261,9 +253,9 @@ def test_a_command_reports_its_effect_or_its_refusal(
         say(capsys, "fault", "drop", "2-5")
     with refusal(Code.FAULT):
         say(capsys, "fault", "jump", "4", "--to", "0.4")
-    with pytest.raises(UserError, match=run) as unknown:
+    with refusal(Code.NETWORK_MISSING) as unknown:
         say(capsys, "fault", "list", "--run", "nobody")
-    assert unknown.value.code == Code.NETWORK_MISSING
+    assert run in str(unknown.value), "it lists the runs that exist"
     say(capsys, "fault", "cut", "2-4", "--after", "100000")
     say(capsys, "fault", "actuator", "3")
     assert listed(capsys, "when", now := ["over", "to come", "now"]) == now
@@ -276,10 +268,10 @@ def test_a_command_reports_its_effect_or_its_refusal(
 def test_the_clock_is_held_and_let_go(running: Orchestrator, here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A paused network makes only the requested steps; a wait for more has a deadline, and then names the network."""
     assert say(capsys, "rate", "0").endswith("\n")
-    at = told(capsys, "pause")["step"]
+    at = json_of(capsys, "pause")["step"]
     with Live() as live:
         live.wait_for_step(at)
-        assert told(capsys, "step", "5")["run"] == live.run
+        assert json_of(capsys, "step", "5")["run"] == live.run
         assert live.wait_for_step(at + 5) == at + 5
         with refusal(Code.DEADLINE):
             live.wait_for_step(at + 6, deadline_s=0.2)
@@ -296,13 +288,13 @@ def test_the_clock_is_held_and_let_go(running: Orchestrator, here: Path, capsys:
 
 def test_commands_without_a_running_network(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for command in ("pause", "resume", "step", "heal", "rate 5", "fault list", "fault drop 1-2"):
-        with pytest.raises(UserError, match="no network is running"):
+        with refusal(Code.NETWORK_MISSING):
             say(capsys, *command.split())
 
 
 def test_a_future_fault_cannot_be_healed(running: Orchestrator, here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The fault is in the file as it was given, and the file can be read."""
-    cut = told(capsys, "fault", "cut", "2-4", "--after", "500000")
+    cut = json_of(capsys, "fault", "cut", "2-4", "--after", "500000")
     with Live() as live:
         with refusal(Code.FAULT):
             live.heal(1)

@@ -43,8 +43,8 @@ class Network:
     def __init__(self, lab: Machines, steps: int, *options: str, secure: bool = False) -> None:
         self._lab = lab
         endpoint = "tls/router:7447" if secure else "tcp/router:7447"
-        told = ("paper7", "--steps", str(steps), "--router", endpoint)
-        done = orchestrator("bundle", *told, *(["--secure"] if secure else []), "--out", "lab")
+        common = ("paper7", "--steps", str(steps), "--router", endpoint)
+        done = orchestrator("bundle", *common, *(["--secure"] if secure else []), "--out", "lab")
         assert done.returncode == 0, done.stderr
         router = (SECURE_ROUTER, "--config=zenohd.json5") if secure else (ROUTER, "tcp/0.0.0.0:7447")
         words = (sys.executable, "-c", *router)

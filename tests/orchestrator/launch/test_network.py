@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
 import os
 import shlex
@@ -24,8 +25,8 @@ from hedgerow.agents.view import View
 from hedgerow.orchestrator.ground.assignment import layout
 from hedgerow.orchestrator.launch.fork_client import ForkClient
 from hedgerow.orchestrator.launch.options import Options
-from hedgerow.orchestrator.launch.recording import Watching
 from hedgerow.orchestrator.launch.up import Network
+from hedgerow.orchestrator.launch.watching import Watching
 from hedgerow.orchestrator.runs.folder import create
 from hedgerow.orchestrator.runs.reader import load_run
 from hedgerow.orchestrator.views.screen import Quiet
@@ -171,7 +172,6 @@ def test_an_agent_is_a_process_that_knows_its_own_view_only(here: Path, paper7: 
 def test_ctrl_c_ends_cleanly_with_the_recorded_steps(here: Path, paper7: Orchestrator) -> None:
     paper7.send(signal.SIGINT)
     assert paper7.wait() == 3
-    assert "unknown (stopped at step" in paper7.output
     assert "Ctrl-C" in paper7.output
     folder = here / "runs/latest"
     verdict = verdict_of(folder)
@@ -264,8 +264,7 @@ def test_a_killed_agent_returns_with_its_knowledge(here: Path) -> None:
         network.wait_for("running")
         os.kill(network.children["agent-4"], signal.SIGKILL)
         assert network.wait() == 0, network.output
-        assert "going on without agent 4: its process died" in network.output
-        assert "agent 4 is back" in network.output
+        assert [network.wait_for_event(kind)["who"] for kind in ("lost", "back")] == ["agent 4"] * 2
         assert gone(network.children)
     assert verdict_of(here / "runs/latest")["restarts"] == 1
     assert repeats_from_its_folder(here)
@@ -289,7 +288,8 @@ def test_an_agent_that_stays_down_before_the_first_step_ends_the_run_with_its_na
         network.wait_for_event("start")
         network.kill_until_it_stays_down("agent-4")
         assert network.wait() == 3
-    assert "stopped at step 0: agent-4 was killed by SIGKILL" in network.output
+    assert "agent-4 was killed by SIGKILL" in str(verdict_of(here / "runs/latest")["reasons"])
+    assert "agent-3" not in str(verdict_of(here / "runs/latest")["reasons"])
 
 
 def test_a_network_without_agents_waits_for_them(here: Path) -> None:
@@ -317,7 +317,7 @@ def test_all_agents_killed_at_once_come_back(here: Path) -> None:
 def test_a_killed_plant_is_named(here: Path, paper7: Orchestrator) -> None:
     os.kill(paper7.children["plant"], signal.SIGKILL)
     assert paper7.wait() == 3
-    assert "plant was killed by SIGKILL" in paper7.output
+    assert "plant was killed by SIGKILL" in str(verdict_of(here / "runs/latest")["reasons"])
     assert gone(paper7.children)
 
 
@@ -489,7 +489,7 @@ def test_steps_before_a_failure_of_the_law_are_recorded(here: Path, command: str
 
 
 @pytest.mark.parametrize(
-    ("law", "code", "said"),
+    ("law", "code", "named"),
     [
         ("no.such:Law", 2, "law no.such:Law: cannot be loaded"),
         ("laws:Missing", 2, "has no attribute 'Missing'"),
@@ -498,19 +498,19 @@ def test_steps_before_a_failure_of_the_law_are_recorded(here: Path, command: str
         ("laws:Tired", 2, "I am tired"),
     ],
 )
-def test_a_failing_law_is_refused_with_its_reason(here: Path, law: str, code: int, said: str) -> None:
+def test_a_failing_law_is_refused_with_its_reason(here: Path, law: str, code: int, named: str) -> None:
     (here / "laws.py").write_text(LAWS + "LAWS = 3\n")
     for command in (("up", "paper7", *QUIET), ("simulate", "paper7", "--no-record")):
         done = orchestrator(*command, "--law", law)
         assert done.returncode == code
-        assert said in done.stdout + done.stderr
+        assert named in done.stdout + done.stderr
         assert "Traceback" not in done.stdout + done.stderr
 
 
 def test_a_missing_router_is_a_mistake_of_the_user(here: Path) -> None:
     done = orchestrator("up", "paper7", *QUIET, "--router", "tcp/127.0.0.1:1")
     assert done.returncode == 3
-    assert "no router at tcp/127.0.0.1:1" in done.stdout + done.stderr
+    assert "tcp/127.0.0.1:1" in done.stdout + done.stderr
 
 
 def test_a_run_dir_that_is_in_use_is_refused(here: Path) -> None:
@@ -518,7 +518,7 @@ def test_a_run_dir_that_is_in_use_is_refused(here: Path) -> None:
     (here / "full" / "thesis.tex").write_text("precious")
     done = orchestrator("simulate", "paper7", "--no-record", "--run-dir", "full")
     assert done.returncode == 2
-    assert "holds something already" in done.stderr
+    assert done.stderr.startswith("error: --run-dir full: ")
     assert [path.name for path in (here / "full").iterdir()] == ["thesis.tex"]
 
 
@@ -534,7 +534,7 @@ def test_a_full_disk_ends_the_run_with_a_message(here: Path) -> None:
     try:
         done = orchestrator("simulate", "paper7", "--no-record", "--steps", "100000", "--run-dir", str(disk / "run"))
         assert done.returncode == 3
-        assert "No space left on device" in done.stdout + done.stderr
+        assert os.strerror(errno.ENOSPC) in done.stdout + done.stderr
         assert "Traceback" not in done.stderr
     finally:
         subprocess.run(["umount", str(disk)], check=True)

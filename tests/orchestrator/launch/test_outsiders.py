@@ -21,6 +21,7 @@ from hypothesis import strategies as st
 
 from hedgerow.orchestrator.ground.assignment import layout, places, truth_of, views_of
 from hedgerow.orchestrator.launch.endpoints import Connection
+from hedgerow.orchestrator.launch.fork_client import Order
 from hedgerow.orchestrator.launch.restarts import RESTARTS, UNREACHED_S
 from hedgerow.orchestrator.launch.supervisor import Processes
 from hedgerow.orchestrator.metrics.message_audit import audit
@@ -55,9 +56,10 @@ class Started:
         self.pids: dict[str, int] = {}
         self.codes: dict[str, int] = {}
 
-    def fork(self, name: str, *_: Any) -> None:
-        self.codes.pop(name, None)
-        self.pids[name] = 1
+    def fork(self, *orders: Order) -> None:
+        for order in orders:
+            self.codes.pop(order.name, None)
+            self.pids[order.name] = 1
 
     def kill(self, name: str) -> None:
         self.codes[name] = -9
@@ -73,7 +75,7 @@ class Lives:
         (folder / "processes").mkdir(parents=True)
         (folder / "logs").mkdir()
         self.processes = Processes(self.fork_client, RunFolder(folder), Connection("tcp/x:1", "n", listens=True))  # type: ignore[arg-type]
-        self.processes.start_agent(VIEWS[0])
+        self.processes.start_agents([VIEWS[0]])
 
     def end(self, reached: bool | None) -> list[str]:
         """End the life at hand and wait for the next; the kinds of events."""
@@ -172,9 +174,9 @@ def test_a_refused_process_is_named_by_its_key_and_each_cause_is_reported_once(s
     scene.ask(keys.join(0), process="agent-7", **{**theirs, "hedgerow": "agent-7 is refused"})
     for k in range(20):
         scene.ask(keys.join(0), process="agent-7", **{**theirs, "hedgerow": f"9.{k}"})
-    told = [event for event in scene.events if event["event"] == "refused"]
-    assert {event["who"] for event in told} == {"agent 1"}
-    causes = [event["cause"] for event in told]
+    reported = [event for event in scene.events if event["event"] == "refused"]
+    assert {event["who"] for event in reported} == {"agent 1"}
+    causes = [event["cause"] for event in reported]
     assert len(set(causes)) == len(causes) <= 4
     assert not any("agent-7" in cause for cause in causes)
 
@@ -289,9 +291,9 @@ def test_every_pod_is_confined_too() -> None:
 
 def test_a_connection_without_a_handshake_is_no_refused_certificate() -> None:
     logged = "zenoh_link_tls::unicast: tls handshake eof. Hint: increase the system open file limit."
-    said = refused(f"2026-11-28T02:45:58Z  WARN acc-0 {logged}")
-    assert said is not None
-    assert "certificate" not in said
+    notice = refused(f"2026-11-28T02:45:58Z  WARN acc-0 {logged}")
+    assert notice is not None
+    assert "certificate" not in notice
 
 
 @pytest.mark.slow

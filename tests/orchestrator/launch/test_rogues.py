@@ -22,6 +22,7 @@ from hedgerow.orchestrator.ground.assignment import layout, places, views_of
 from hedgerow.orchestrator.launch.certificates import Authority, for_this_run
 from hedgerow.orchestrator.runs.reader import load_run
 from hedgerow.plant.request import BYTES_PER_INCIDENCE, LEAST_BYTES
+from hedgerow.topologies.errors import Code
 from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import resolve
 from hedgerow.wire import keys
@@ -92,9 +93,9 @@ class Heard:
         callback = zenoh.handlers.Callback(take, indirect=False)
         return [session.declare_subscriber(key, callback, allowed_origin=zenoh.Locality.REMOTE) for key in on]
 
-    def wait(self, name: str, said: set[tuple[str, str]]) -> None:
+    def wait(self, name: str, sent: set[tuple[str, str]]) -> None:
         with self._changed:
-            assert self._changed.wait_for(lambda: said <= self.what[name], DEADLINE_S), said - self.what[name]
+            assert self._changed.wait_for(lambda: sent <= self.what[name], DEADLINE_S), sent - self.what[name]
 
 
 def test_of_all_pairs_of_writer_key_and_reader_exactly_the_allowed_ones_succeed(secure: Secure) -> None:
@@ -232,8 +233,9 @@ def test_a_client_without_a_certificate_of_the_run_is_refused(secure: Secure, tm
     (tmp_path / "other").mkdir()
     Authority().issue(tmp_path / "other/agent-1", "agent-1")
     for credentials in (None, tmp_path / "other/agent-1"):
-        with pytest.raises(WireError, match=r"no router|it is of another authority"):
+        with pytest.raises(WireError) as refused:
             secure.client(credentials)
+        assert refused.value.code == (Code.REFUSED if credentials else Code.WIRE)
 
 
 def test_an_unknown_name_has_no_rights(secure: Secure, tmp_path: Path) -> None:
@@ -445,14 +447,14 @@ def test_flooding_of_its_own_channels_delays_no_process(victim: Callable[..., Vi
     rogue = running.rogue("agent-1")
     assert orchestrator("rate", "4").returncode == 0
     assert orchestrator("resume").returncode == 0
-    before, began, said = running.step(), time.monotonic(), 0
+    before, began, sent = running.step(), time.monotonic(), 0
     for key in (keys.link(0, 1), keys.input_(0)):
         flood = rogue.declare_publisher(key, congestion_control=zenoh.CongestionControl.BLOCK)
         flood.put(bytes(64 * 2**20))
         until = time.monotonic() + FLOOD_S
         while time.monotonic() < until:
             flood.put(b"")
-            said += 1
+            sent += 1
     running.wait_for_refusal("agent-2", keys.link(0, 1))
     running.wait_for_refusal("plant", keys.input_(0))
     steps, took_s = running.step() - before, time.monotonic() - began
@@ -466,7 +468,7 @@ def test_flooding_of_its_own_channels_delays_no_process(victim: Callable[..., Vi
     assert verdict["missing_inputs"] == 0
     refused = {one["key"]: one["refused"] for one in verdict["information"]["channels"] if one["refused"]}
     assert refused.keys() == {keys.link(0, 1), keys.input_(0)}
-    assert max(refused.values()) < min(MOST_PER_S * took_s, said / 2)
+    assert max(refused.values()) < min(MOST_PER_S * took_s, sent / 2)
     assert running.named() == {keys.link(0, 1): 1, keys.input_(0): 1}
 
 

@@ -110,9 +110,9 @@ def test_keys_are_their_users_alone_short_lived_and_in_no_log(here: Path, networ
             assert certificate.subject.rfc4514_string() == f"CN={path.parent.name}"
             assert timedelta() < now - certificate.not_valid_before_utc - SLACK < timedelta(minutes=2)
             assert certificate.not_valid_after_utc - now < timedelta(days=LIFE_DAYS)
-    said = contents(here / "runs") + network.output.encode()
-    assert b"PRIVATE KEY" not in said
-    assert not any(path.read_text().splitlines()[1].encode() in said for path in files if path.name == "key.pem")
+    printed = contents(here / "runs") + network.output.encode()
+    assert b"PRIVATE KEY" not in printed
+    assert not any(path.read_text().splitlines()[1].encode() in printed for path in files if path.name == "key.pem")
     # The operator has separate keys.
     assert orchestrator("status").returncode == 0
     assert orchestrator("fault", "drop", "2-4", "--for", "5").returncode == 0
@@ -172,13 +172,13 @@ def test_a_separate_router_has_the_same_rules(here: Path) -> None:
                 network.wait_for("running")
                 assert orchestrator("stop").returncode == 0
                 assert network.wait() == 3
-            assert "keys/observer/key.pem: every user of this machine can read it" in network.output
+            assert "keys/observer/key.pem: " in network.output
         finally:
             router.kill()
     assert (here / "keys/agent-1/key.pem").exists()  # these belong to their creator
     other = orchestrator("up", "ring6", "--secure", "--keys", "keys", *QUIET)
     assert other.returncode == 2
-    assert "made for another network" in other.stderr
+    assert other.stderr.startswith("error: --keys keys: ")
 
 
 def test_the_command_that_uses_keys_can_be_copied(here: Path) -> None:
@@ -187,20 +187,20 @@ def test_the_command_that_uses_keys_can_be_copied(here: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "named"),
     [
-        (("--secure", "--router", "tcp/127.0.0.1:7447"), "needs a router that speaks TLS: tls/HOST:PORT"),
-        (("--secure", "--router", "tls/127.0.0.1:7447"), "makes its configuration and the keys of all processes"),
-        (("--secure", "--keys", "nowhere"), "no folder of keys"),
-        (("--keys", "nowhere"), "give --secure too"),
+        (("--secure", "--router", "tcp/127.0.0.1:7447"), "tls/HOST:PORT"),
+        (("--secure", "--router", "tls/127.0.0.1:7447"), "--keys"),
+        (("--secure", "--keys", "nowhere"), "--keys nowhere: "),
+        (("--keys", "nowhere"), "--secure"),
     ],
 )
 def test_an_insecure_combination_is_refused_before_anything_runs(
-    here: Path, options: tuple[str, ...], said: str
+    here: Path, options: tuple[str, ...], named: str
 ) -> None:
     done = run_here("up", "paper7", *options, *QUIET)
     assert done.returncode == 2
-    assert said in done.stderr
+    assert named in done.stderr
     assert not (here / "runs").exists()
 
 
@@ -221,4 +221,4 @@ def test_a_folder_of_another_user_is_not_trusted(here: Path) -> None:
     (here / f"hedgerow-{os.getuid()}").chmod(0o777)
     done = orchestrator("up", "paper7", "--secure", *QUIET)
     assert done.returncode == 2
-    assert "must be a folder that only you can read" in done.stderr
+    assert f"hedgerow-{os.getuid()}" in done.stderr

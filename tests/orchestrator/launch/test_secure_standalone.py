@@ -14,19 +14,20 @@ import yaml
 from cryptography import x509
 
 from hedgerow.orchestrator.launch.certificates import Authority, to_carry
-from hedgerow.topologies.errors import Exit, UserError
+from hedgerow.topologies.errors import Code, Exit
 from hedgerow.wire.access import access_control
 from hedgerow.wire.credentials import CA, CERTIFICATE, PRIVATE_KEY
 from hedgerow.wire.handshake import room
 from hedgerow.wire.ports import free_port
 from hedgerow.wire.refusal import refused
-from hedgerow.wire.session import WireError, close, open_client, open_router
+from hedgerow.wire.session import close, open_client, open_router
 from hedgerow.wire.standalone import wait_for
 from tests.agents.test_standalone import UP, start, verdict
 from tests.orchestrator.launch.test_rogues import PLACES
 from tests.orchestrator.launch.test_secure import ROUTER
 from tests.tools.machines import Program
 from tests.tools.processes import DEADLINE_S, Orchestrator, orchestrator, parquet_bytes, run_here
+from tests.tools.refusals import refusal
 
 __all__ = ["start"]
 
@@ -60,10 +61,10 @@ def test_every_folder_has_only_its_own_keys(here: Path, port: int) -> None:
         assert folder.stat().st_mode & 0o777 == 0o700
         files = [*folder.iterdir()]
         assert {path.stat().st_mode & 0o777 for path in files} == {0o600}
-        said = "".join(path.read_text() for path in files)
-        assert [one for one, secret in secrets.items() if secret.splitlines()[1] in said] == [name]
+        printed = "".join(path.read_text() for path in files)
+        assert [one for one, secret in secrets.items() if secret.splitlines()[1] in printed] == [name]
         if name in agents:
-            known = {f"agent-{node}" for node in truth if all(str(a) in said for a in truth[node]["candidates"])}
+            known = {f"agent-{node}" for node in truth if all(str(a) in printed for a in truth[node]["candidates"])}
             assert known == {name}
         certificate = x509.load_pem_x509_certificate((folder / CERTIFICATE).read_bytes())
         assert certificate.subject.rfc4514_string() == f"CN={name}"
@@ -71,7 +72,7 @@ def test_every_folder_has_only_its_own_keys(here: Path, port: int) -> None:
     assert "PRIVATE KEY" not in (Path("lab/README.md").read_text() + Path("lab/topology.yaml").read_text())
     again = orchestrator("bundle", "paper7", "--secure", "--out", "lab", "--router", f"tls/localhost:{port}")
     assert again.returncode == 2
-    assert "holds something already" in again.stderr
+    assert again.stderr.startswith("error: lab: ")
 
 
 def test_separate_agents_join_with_their_keys_and_change_nothing(here: Path, port: int, start: Any) -> None:
@@ -79,9 +80,9 @@ def test_separate_agents_join_with_their_keys_and_change_nothing(here: Path, por
     bundle(port)
     shutil.copytree("lab/agent-6", "keys-of-6")
     (here / "lab/agent-6/key.pem").unlink()
-    told: list[tuple[str, ...]] = [("--config", "lab/agent-3"), ("--config", "lab/agent-5.toml")]
-    told.append(("--config", "lab/agent-6/config.toml", "--credentials", "keys-of-6"))
-    agents = [start("agents", *words) for words in told]
+    configs: list[tuple[str, ...]] = [("--config", "lab/agent-3"), ("--config", "lab/agent-5.toml")]
+    configs.append(("--config", "lab/agent-6/config.toml", "--credentials", "keys-of-6"))
+    agents = [start("agents", *words) for words in configs]
     with up(port, "--external", "3,5,6") as network:
         assert network.wait() == 0, network.output
         assert network.children.keys() == {"plant", *(f"agent-{name}" for name in (1, 2, 4, 7))}
@@ -114,9 +115,9 @@ def test_plant_and_observer_may_see_the_token_of_a_plant(here: Path, port: int, 
         first = start("plant", "--config", "lab/plant")
         with open_client(f"tls/localhost:{port}", "hedgerow/paper7", Path("lab/observer"), DEADLINE_S) as session:
             wait_for(session, "plant", DEADLINE_S)
-            told: list[str] = []
-            with room(session, "hedgerow/paper7", told.append, lambda: bool(told)):
-                assert told
+            configs: list[str] = []
+            with room(session, "hedgerow/paper7", configs.append, lambda: bool(configs)):
+                assert configs
         start("plant", "--config", "lab/plant").wait_for("another plant already runs at hedgerow/paper7")
         assert first.process.poll() is None
     finally:
@@ -126,10 +127,9 @@ def test_plant_and_observer_may_see_the_token_of_a_plant(here: Path, port: int, 
 def test_a_plant_elsewhere_is_the_router_with_the_routers_keys(here: Path, port: int, start: Any) -> None:
     bundle(port, "--processes", "2", "--steps", "20")
     listen = ("--listen", f"tls/127.0.0.1:{port}")
-    code, said = start("plant", "--config", "lab/plant", *listen).wait()
+    code, printed = start("plant", "--config", "lab/plant", *listen).wait()
     assert code == 3
-    assert "no keys of a router" in said
-    assert "give the complete folder `router`" in said
+    assert "--credentials" in printed
     plant = start("plant", "--config", "lab/plant", *listen, "--credentials", "lab/router")
     agents = [start("agents", "--config", f"lab/shard-{p}") for p in (0, 1)]
     with Orchestrator("up", "lab/topology.yaml", "--external", "plant,all", "--keys", "lab", *UP) as network:
@@ -152,26 +152,25 @@ def test_wrong_keys_are_reported_at_both_ends(here: Path, port: int, start: Any)
     in_place_of_agent_3("foreign", "issued", CERTIFICATE, PRIVATE_KEY)  # the router refuses it
     in_place_of_agent_3("distrusting", "issued", CA)  # it refuses the router
     in_place_of_agent_3("swapped", "lab/agent-5", CERTIFICATE, PRIVATE_KEY)
-    said = {}
+    printed = {}
     with up(port, "--external", "3") as network:
         network.wait_for("waiting for agent-3")
         wrong = {name: start("agents", "--config", name) for name in ("foreign", "distrusting", "swapped")}
         wrong["open"] = start("agents", "--config", "lab/agent-3", "--router", f"tcp/localhost:{port}")
         for name, agent in wrong.items():
-            code, said[name] = agent.wait()
-            assert code in (Exit.USER_MISTAKE, Exit.UNKNOWN), said[name]
-            assert "Traceback" not in said[name]
+            code, printed[name] = agent.wait()
+            assert code in (Exit.USER_MISTAKE, Exit.UNKNOWN), printed[name]
+            assert "Traceback" not in printed[name]
         network.wait_for("our router refused a certificate: it is of another authority")
         network.wait_for("a client refused our certificate: it is of another authority")
         right = start("agents", "--config", "lab/agent-3")
         assert network.wait() == 0, network.output
         assert right.wait()[0] == 0
     refuses = f"the router at tls/localhost:{port} refuses the certificate in foreign: it is of another authority"
-    assert refuses in said["foreign"]
-    assert f"we refuse the certificate of the router at tls/localhost:{port}" in said["distrusting"]
-    assert "take keys that were made together with the router's" in said["distrusting"]
-    assert "check that the keys are those of agent-3" in said["swapped"]
-    assert "needs a router that speaks TLS" in said["open"]
+    assert refuses in printed["foreign"]
+    assert f"tls/localhost:{port}" in printed["distrusting"]
+    assert "agent-3" in printed["swapped"]
+    assert f"tcp/localhost:{port}" in printed["open"]
 
 
 def test_an_observer_with_wrong_keys_does_not_wait(here: Path, port: int) -> None:
@@ -184,8 +183,7 @@ def test_an_observer_with_wrong_keys_does_not_wait(here: Path, port: int) -> Non
             assert network.wait() == 3, network.output
     finally:
         close(router)
-    assert f"we refuse the certificate of the router at tls/localhost:{port}: it is of another" in network.output
-    assert "tried for" not in network.output
+    assert f"the router at tls/localhost:{port}: " in network.output
 
 
 @pytest.mark.parametrize(
@@ -198,9 +196,7 @@ def test_an_observer_with_wrong_keys_does_not_wait(here: Path, port: int) -> Non
 def test_a_router_without_rules_does_not_open(here: Path, rules: str) -> None:
     Authority().issue(Path("router"), "router", host="localhost")
     Path("router/access.json").write_text(rules)
-    with pytest.raises(
-        UserError, match=r"access.json: permits messages outside its rules .*; give the complete folder"
-    ):
+    with refusal(Code.FILE_FORMAT, "router/access.json"):
         open_router(f"tls/127.0.0.1:{free_port()}", "here", Path("router"))
 
 
@@ -212,7 +208,7 @@ def test_expired_keys_are_reported_at_both_ends(here: Path, port: int, capfd: py
     authority.issue(Path("agent-3"), "agent-3")
     router = open_router(f"tls/127.0.0.1:{port}", "here", Path("router"))
     try:
-        with pytest.raises(WireError, match="refuses the certificate in agent-3: it has expired"):
+        with refusal(Code.REFUSED):
             open_client(f"tls/localhost:{port}", "here", Path("agent-3"))
     finally:
         close(router)
@@ -221,29 +217,29 @@ def test_expired_keys_are_reported_at_both_ends(here: Path, port: int, capfd: py
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "named"),
     [
         (("paper7", "--secure", "--listen", "tls/0.0.0.0:1"), "`orchestrator bundle FILE --secure --router"),
-        (("lab/topology.yaml", "--listen", "tcp/0.0.0.0:1", "--keys", "lab"), "--listen tcp/0.0.0.0:1: a secure"),
-        (("lab/topology.yaml", "--keys", "lab", "--namespace", "x"), "were made for hedgerow/paper7; leave the"),
-        (("lab/topology.yaml", "--keys", "old"), "--keys old: they held until "),
-        (("ring6", "--secure", "--keys", "lab"), "made for another network"),
+        (("lab/topology.yaml", "--listen", "tcp/0.0.0.0:1", "--keys", "lab"), "--listen tcp/0.0.0.0:1: "),
+        (("lab/topology.yaml", "--keys", "lab", "--namespace", "x"), "hedgerow/paper7"),
+        (("lab/topology.yaml", "--keys", "old"), "--keys old: "),
+        (("ring6", "--secure", "--keys", "lab"), "--keys lab: "),
     ],
-)  # fmt: skip
-def test_impossible_options_are_refused_at_once(here: Path, arguments: tuple[str, ...], said: str) -> None:
+)
+def test_impossible_options_are_refused_at_once(here: Path, arguments: tuple[str, ...], named: str) -> None:
     if "old" in arguments:
         to_carry(Path("old"), PLACES, "hedgerow/paper7", "tls/localhost:1", days=-0.001)
     bundle(1)
     done = run_here("up", *arguments, "--external", "3", *UP)
     assert done.returncode == 2, done.stdout + done.stderr
-    assert said in done.stderr
+    assert named in done.stderr
     assert not (here / "runs").exists()
 
 
 def test_without_keys_no_process_may_join(here: Path, start: Any) -> None:
     bundle(1)
-    told = Path("lab/agent-3/config.toml")
-    told.write_text(told.read_text().replace('credentials = "."\n', ""))
-    code, said = start("agents", "--config", "lab/agent-3").wait()
+    configs = Path("lab/agent-3/config.toml")
+    configs.write_text(configs.read_text().replace('credentials = "."\n', ""))
+    code, printed = start("agents", "--config", "lab/agent-3").wait()
     assert code == 2
-    assert "--credentials" in said
+    assert "--credentials" in printed

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from hedgerow.orchestrator.testing.scenario import Scenario
+from hedgerow.topologies.named import Given
 from tests.tools.networks import VECTORS, from_vector, vector_file
 
 (W1,) = (path for path in VECTORS if path.stem == "w1_path3")
@@ -27,7 +28,7 @@ def scenario(folder: Path, *settings: str) -> Scenario:
         made.mkdir()
         return made
 
-    return Scenario(text.encode(), "w1", folder, new_folder, settings=settings)
+    return Scenario(Given(text.encode(), "w1", folder, settings), new_folder)
 
 
 def test_the_vector_over_zenoh(tmp_path: Path) -> None:

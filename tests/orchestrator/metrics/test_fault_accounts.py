@@ -18,8 +18,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hedgerow.agents.law import control
-from hedgerow.orchestrator.launch.recording import Recording, Watching
+from hedgerow.orchestrator.launch.recording import Recording
 from hedgerow.orchestrator.launch.simulation import simulate_into
+from hedgerow.orchestrator.launch.watching import Watching
 from hedgerow.orchestrator.metrics.observer import Observer
 from hedgerow.orchestrator.metrics.verdict import Ending, Verdict, judge
 from hedgerow.orchestrator.runs.folder import create
@@ -95,9 +96,9 @@ class Recount:
     _delay = _drop
 
     def _cut(self, t: int, e: int) -> list[str]:
-        said = {self.label(c, t, Flag.OPEN) for c, edge in enumerate(self.graph.edge) if edge == e} - {None}
+        reported = {self.label(c, t, Flag.OPEN) for c, edge in enumerate(self.graph.edge) if edge == e} - {None}
         fired = ["fired"] if not self.rows[t].edge_open[e] else []
-        return fired + (["seen"] if said == {False} else [])
+        return fired + (["seen"] if reported == {False} else [])
 
     def _sensor(self, t: int, i: int) -> list[str]:
         if self.absent(i, t):
@@ -108,9 +109,9 @@ class Recount:
         if self.absent(i, t) or i in self.plain.struck("sensor", t):
             return ["masked"]
         edges = set(self.graph.edge[self.graph.node == i])
-        told = {self.label(c, t, Flag.OPEN) for c, e in enumerate(self.graph.edge) if e in edges} - {None}
+        reports = {self.label(c, t, Flag.OPEN) for c, e in enumerate(self.graph.edge) if e in edges} - {None}
         fired = ["fired"] if np.isnan(self.rows[t].u[i]) else []
-        return fired + (["seen"] if told == {False} else [])
+        return fired + (["seen"] if reports == {False} else [])
 
     def _crash(self, t: int, i: int) -> list[str]:
         if self.absent(i, t - 1):
@@ -458,8 +459,8 @@ def test_a_faulty_run_leaves_nulls_where_there_was_nothing(tmp_path: Path) -> No
     from_4, to_4 = {(t, 4, j) for t in range(10, 14) for j in near}, {(t, j, 4) for t in range(10, 14) for j in near}
     assert lost == {(25, 2, 3)} | from_4 | to_4
 
-    told = [json.loads(line) for line in folder.events.read_text().splitlines()]
-    assert [(one["fault"], one["entry"]["kind"]) for one in told if one["event"] == "fault"] == [
+    reports = [json.loads(line) for line in folder.events.read_text().splitlines()]
+    assert [(one["fault"], one["entry"]["kind"]) for one in reports if one["event"] == "fault"] == [
         (1, "crash"), (2, "sensor"), (3, "drop"),
     ]  # fmt: skip
 

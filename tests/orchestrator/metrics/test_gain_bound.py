@@ -165,10 +165,10 @@ def test_storage_is_that_of_p() -> None:
 
 def test_the_facade_and_the_json_hold_the_same_numbers() -> None:
     found = hg.bound("paper7", full=True)
-    told = json.loads(json.dumps(found.to_dict()))
-    assert told["gamma_star"] == found.gamma_star == pytest.approx(2.974, abs=5e-4)
-    assert told["bounds"]["estimates"]["gain"] == found.bounds[Premise.ESTIMATES].gain
-    assert np.shape(told["bounds"]["edges"]["p"]) == (7, 7)
+    document = json.loads(json.dumps(found.to_dict()))
+    assert document["gamma_star"] == found.gamma_star == pytest.approx(2.974, abs=5e-4)
+    assert document["bounds"]["estimates"]["gain"] == found.bounds[Premise.ESTIMATES].gain
+    assert np.shape(document["bounds"]["edges"]["p"]) == (7, 7)
     assert "3.5878" in found.text()
 
 

@@ -18,8 +18,8 @@ from hedgerow.agents.law import Minimax, control
 from hedgerow.agents.laws import LAWS
 from hedgerow.orchestrator.ground.assignment import layout
 from hedgerow.orchestrator.launch import recording
-from hedgerow.orchestrator.launch.recording import Watching
 from hedgerow.orchestrator.launch.simulation import simulate_into
+from hedgerow.orchestrator.launch.watching import Watching
 from hedgerow.orchestrator.metrics.checks import Worst
 from hedgerow.orchestrator.metrics.gain_bound import Method, Premise, bound
 from hedgerow.orchestrator.metrics.gain_certificate import GainCertificate
@@ -190,24 +190,24 @@ def test_a_run_leaves_its_bounds_and_their_slack(tmp_path: Path) -> None:
     content = folder_run(read(TEXT), tmp_path / "run")
     assert content["verdict"] == VALID
     for premise in ("estimates", "edges"):
-        told, check = content["gain_bounds"]["bounds"][premise], content["checks"][f"gain_{premise}"]
-        assert told["held"]
-        assert check["steps"] == told["steps"] == 40
-        assert told["slack"] > 0 > check["excess"]
-        assert len(told["p"]) == 3
+        written, check = content["gain_bounds"]["bounds"][premise], content["checks"][f"gain_{premise}"]
+        assert written["held"]
+        assert check["steps"] == written["steps"] == 40
+        assert written["slack"] > 0 > check["excess"]
+        assert len(written["p"]) == 3
 
 
 def test_a_recorded_run_has_the_bound_and_the_slack_of_every_step(tmp_path: Path) -> None:
     topology = with_faults(read(TEXT), [{"kind": "cut", "edge": [1, 2], "steps": [20, 22]}])
     content = folder_run(topology, tmp_path / "run")
     run = load_run(tmp_path / "run")
-    told = content["gain_bounds"]["bounds"]
-    np.testing.assert_array_equal(run.ceiling[:20], told["estimates"]["gain"])
-    np.testing.assert_array_equal(run.ceiling[20:], told["edges"]["gain"])
+    written = content["gain_bounds"]["bounds"]
+    np.testing.assert_array_equal(run.ceiling[:20], written["estimates"]["gain"])
+    np.testing.assert_array_equal(run.ceiling[20:], written["edges"]["gain"])
     slack = {premise: run.certificate_slack(premise) for premise in Premise}
     assert np.isnan(slack[Premise.ESTIMATES][20:]).all()
-    assert slack[Premise.ESTIMATES][19] == pytest.approx(told["estimates"]["slack"])
-    assert slack[Premise.EDGES][-1] == pytest.approx(told["edges"]["slack"])
+    assert slack[Premise.ESTIMATES][19] == pytest.approx(written["estimates"]["slack"])
+    assert slack[Premise.EDGES][-1] == pytest.approx(written["edges"]["slack"])
     assert (slack[Premise.EDGES] > 0).all()
     claimed = np.concatenate([slack[Premise.ESTIMATES][:20], slack[Premise.EDGES][20:]])
     np.testing.assert_array_equal(run.ceiling_slack, claimed)
@@ -231,8 +231,8 @@ def test_a_network_past_the_solver_is_certified_by_the_closed_forms(tmp_path: Pa
     ring = {"name": "ring", "b": 0.1, "steps": 3, "seed": 1, "graph": {"kind": "ring", "nodes": SOLVED + 1}}
     content = folder_run(read(json.dumps(ring | {"defaults": {"candidates": [0.2, 0.5, 0.8]}})), tmp_path / "run")
     assert content["verdict"] == VALID
-    told = content["gain_bounds"]["bounds"]
-    assert {told[premise]["method"] for premise in Premise} == {Method.UNIFORM}
+    written = content["gain_bounds"]["bounds"]
+    assert {written[premise]["method"] for premise in Premise} == {Method.UNIFORM}
     assert {content["checks"][f"gain_{premise}"]["steps"] for premise in Premise} == {3}
 
 

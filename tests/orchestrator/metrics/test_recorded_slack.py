@@ -9,8 +9,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from hedgerow.orchestrator.ground.assignment import layout
-from hedgerow.orchestrator.launch.recording import Watching, same_tables
+from hedgerow.orchestrator.launch.recording import same_tables
 from hedgerow.orchestrator.launch.simulation import simulate_into
+from hedgerow.orchestrator.launch.watching import Watching
 from hedgerow.orchestrator.metrics.gain_certificate import GainCertificate
 from hedgerow.orchestrator.metrics.gain_plant import Plant
 from hedgerow.orchestrator.metrics.guarantee import guarantee, plant_of

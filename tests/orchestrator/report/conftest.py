@@ -47,4 +47,4 @@ def written(paper: Run, folder: Path) -> dict[str, Path]:
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """Figures take time only if they are wanted."""
-    monkeypatch.setattr("hedgerow.orchestrator.report.style.save", lambda *_: b"<svg/>")
+    monkeypatch.setattr("hedgerow.orchestrator.report.style.save_and_embed", lambda *_: b"<svg/>")

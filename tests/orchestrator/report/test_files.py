@@ -15,7 +15,7 @@ from PIL import Image
 
 from hedgerow.orchestrator.report import report
 from hedgerow.orchestrator.report.figures import FIGURES
-from hedgerow.orchestrator.report.style import save
+from hedgerow.orchestrator.report.style import save_and_embed
 from hedgerow.orchestrator.runs.run import Run
 from hedgerow.topologies.errors import Code
 from tests.tools.figures import DRAWN
@@ -103,9 +103,9 @@ def test_a_report_is_complete_or_absent(paper: Run, tmp_path: Path, monkeypatch:
         if done:
             raise OSError(28, "No space left on device")
         done.append(name)
-        return save(figure, folder, name, title, formats)
+        return save_and_embed(figure, folder, name, title, formats)
 
-    monkeypatch.setattr("hedgerow.orchestrator.report.style.save", full)
+    monkeypatch.setattr("hedgerow.orchestrator.report.style.save_and_embed", full)
     with refusal(Code.OUTPUT):
         report([paper], out, "cost,gain", force=True)
     assert [path.name for path in tmp_path.rglob("*")] == ["out", "report.html"]

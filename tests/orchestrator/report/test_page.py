@@ -30,13 +30,13 @@ def test_the_page_has_the_numbers_of_the_verdict(paper: Run, written: dict[str, 
     (verdict,) = (text for text in shown.text if text.startswith('{\n  "verdict"'))
     assert json.loads(verdict) == paper.verdict.content
     text = " ".join(shown.text)
-    for said in (
+    for sentence in (
         "Verdict: valid.",
         "6 of 7 estimates are the truth after 30 steps",
         "does not bound the gain",
         "numpy",
     ):
-        assert said in text
+        assert sentence in text
 
 
 def test_the_page_asks_for_nothing(written: dict[str, Path]) -> None:
@@ -67,7 +67,7 @@ def test_the_file_in_the_page_repeats_the_run(paper: Run, written: dict[str, Pat
 
 def test_the_repetition_of_a_stopped_run_stops_at_the_same_step(paper: Run, folder: Path) -> None:
     longer = paper.topology.model_copy(update={"steps": 1000})
-    path, *_ = report([replace(paper, topology=longer)], folder / "stopped-report", "gain")
+    path, *_ = report([replace(paper, topology=longer)], folder / "stopped-report", "gain", formats=["svg"])
     assert "orchestrator simulate paper.yaml --steps 30\n" in "".join(page(path).text)
 
 
@@ -78,7 +78,7 @@ def test_names_are_text(paper: Run, folder: Path) -> None:
     run = load_run(folder / name)
     verdict = run.folder / "verdict.json"
     verdict.write_text(verdict.read_text().replace('"valid"', '"INVALID"').replace("[]", '["</pre><script>"]', 1))
-    path, *_ = report([load_run(folder / name), paper], folder / "escaped", "gain")
+    path, *_ = report([load_run(folder / name), paper], folder / "escaped", "gain", formats=["svg"])
     shown = page(path)
     assert "script" not in {tag for tag, _ in shown.elements}
     assert f"A: {name}. " in shown.text
@@ -88,7 +88,7 @@ def test_names_are_text(paper: Run, folder: Path) -> None:
 
 def test_faults_and_their_effects(faulty: Run, folder: Path) -> None:
     """Each fault has its account, and the part of D from its steps."""
-    path, *_ = report([faulty], folder / "faulty-report", "faults")
+    path, *_ = report([faulty], folder / "faulty-report", "faults", formats=["svg"])
     shown = page(path)
     D = faulty.regret_sum
     for fault, (start, stop) in zip(faulty.verdict.content["faults"], ((0, 12), (22, 32), (42, 52)), strict=True):
@@ -99,7 +99,7 @@ def test_faults_and_their_effects(faulty: Run, folder: Path) -> None:
 def test_a_run_without_a_verdict_is_reported_so_far(paper: Run, folder: Path) -> None:
     """`up` was killed, or still runs: the numbers are computed again, and the page does not claim validity."""
     shutil.copytree(paper.folder, folder / "killed", ignore=shutil.ignore_patterns("verdict.json"))
-    path, *_ = report([load_run(folder / "killed")], folder / "killed-report", "4")
+    path, *_ = report([load_run(folder / "killed")], folder / "killed-report", "4", formats=["svg"])
     shown = page(path)
     assert "Verdict: none yet." in shown.text
     assert shown.row(METRICS["regret"]) == [number(paper.verdict.content["metrics"]["regret"])]

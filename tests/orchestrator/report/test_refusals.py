@@ -14,20 +14,23 @@ from hedgerow.orchestrator import report as reports
 from hedgerow.orchestrator.report import report
 from hedgerow.orchestrator.report.figures import FIGURES
 from hedgerow.orchestrator.runs.run import Run
-from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.errors import Code
+from tests.tools import preloaded
 from tests.tools.figures import ROOT
+from tests.tools.processes import orchestrator
+from tests.tools.refusals import refusal
 
 
 @pytest.mark.parametrize(
-    ("figures", "said"),
+    "figures",
     [
-        ("9", "there is no figure 9; choose of 1, 2, 3, 4, 5, paper, estimates, regret, cost, gain, slack, faults"),
-        ("2,", "there is no figure without a name; choose of 1"),
-        ("faults", "there is nothing to show of faults in paper; leave it out"),
+        "9",
+        "2,",  # a name is missing
+        "faults",  # the run has none
     ],
 )
-def test_a_figure_that_there_is_not(paper: Run, tmp_path: Path, figures: str, said: str) -> None:
-    with pytest.raises(UserError, match=re.escape(said)):
+def test_a_figure_that_does_not_exist_is_refused(paper: Run, tmp_path: Path, figures: str) -> None:
+    with refusal(Code.OPTION, f"--figures {figures}"):
         report([paper], tmp_path / "out", figures)
     assert [*tmp_path.iterdir()] == []
 
@@ -41,24 +44,17 @@ def test_without_matplotlib_the_message_names_the_package(
     for name in ("figures", "page", "style"):
         monkeypatch.delattr(reports, name)
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    with pytest.raises(UserError, match=re.escape("pip install matplotlib")):
+    with refusal(Code.DEPENDENCY) as refused:
         report([paper], tmp_path / "out")
+    assert "pip install matplotlib" in str(refused.value), "the fix is a command"
 
 
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (["nowhere"], "error: nowhere: there is no such run; name its folder, or its name in runs/"),
-        ([], "error: runs/latest: there is no such run"),
-        (["empty"], "error: empty: is no folder of a run: there is no topology.yaml in it"),
-    ],
-)
-def test_a_run_that_there_is_not(tmp_path: Path, arguments: list[str], said: str) -> None:
-    (tmp_path / "empty").mkdir()
-    command = [sys.executable, "-P", "-m", "hedgerow.orchestrator", "report", *arguments]
-    tried = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+@pytest.mark.parametrize(("arguments", "at"), [(["nowhere"], "nowhere"), ([], "runs/latest"), (["empty"], "empty")])
+def test_a_run_that_does_not_exist_is_refused(here: Path, arguments: list[str], at: str) -> None:
+    (here / "empty").mkdir()
+    tried = orchestrator("report", *arguments)
     assert (tried.returncode, tried.stdout) == (2, "")
-    assert tried.stderr.startswith(said)
+    assert tried.stderr.startswith(f"error: {at}: ")
 
 
 def test_every_figure_is_in_report_md() -> None:
@@ -69,14 +65,8 @@ def test_every_figure_is_in_report_md() -> None:
 
 def test_the_pictures_in_the_documents_are_fresh(paper: Run, tmp_path: Path) -> None:
     """docs/make_report_images.py draws the pictures; those in the documents show the same numbers, and are small."""
-    command = [
-        sys.executable,
-        "-W",
-        "error",
-        str(ROOT / "docs/make_report_images.py"),
-        str(tmp_path),
-        "report-authors7",
-    ]
+    program = str(preloaded.SESSION.programs / "program")
+    command = [program, str(ROOT / "docs/make_report_images.py"), str(tmp_path), "report-authors7"]
     made = subprocess.run(command, capture_output=True, text=True, check=False)
     assert made.returncode == 0, made.stderr
     metrics = paper.verdict.content["metrics"]

@@ -21,7 +21,7 @@ from hedgerow.orchestrator.ground import laws
 from hedgerow.orchestrator.runs import batch
 from hedgerow.topologies.law_choice import NAMES
 from hedgerow.topologies.load import parse
-from tests.agents.test_heard_values import CHECKS
+from tests.agents.test_received_values import CHECKS
 
 
 class Draws(Minimax):

@@ -58,12 +58,12 @@ READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
     "sweep.json": ("sweep.json", sweep),
     "runs.jsonl": ("runs.jsonl", sweep),
     "verdict.json": ("verdict.json", lambda folder: json_file.read_json(folder / "verdict.json", folder)),
-    "run.rrd": ("run.rrd", lambda folder: _said(_unreadable([folder / "run.rrd"]))),
+    "run.rrd": ("run.rrd", lambda folder: _raise(_unreadable([folder / "run.rrd"]))),
     "telemetry.arrows": ("telemetry.arrows", lambda folder: ArrowTail(folder / "telemetry.arrows")),
 }
 
 
-def _said(why: str) -> None:
+def _raise(why: str) -> None:
     if why:
         raise UserError(why)
 

@@ -59,12 +59,12 @@ def test_the_page_names_every_attribute() -> None:
 def test_the_examples_agree(paper7: Run, here: Path) -> None:
     """All print the same of the same run; that for MATLAB too, where there is an Octave to run it."""
     page = list(blocks(ROOT / "docs/data.md"))
-    said = [(code, text) for code, text in itertools.pairwise(page) if text.text.startswith("node ")]
-    assert [code.language for code, _ in said] == ["python", "python", "python", "matlab"]
-    assert len({text.text for _, text in said}) == 1
+    pairs = [(code, text) for code, text in itertools.pairwise(page) if text.text.startswith("node ")]
+    assert [code.language for code, _ in pairs] == ["python", "python", "python", "matlab"]
+    assert len({text.text for _, text in pairs}) == 1
     if octave := shutil.which("octave-cli"):
         export(paper7, "mat", Path("run.mat"))
-        program, shown = said[-1]
+        program, shown = pairs[-1]
         command = [octave, "--norc", "--eval", program.text]
         assert subprocess.run(command, capture_output=True, text=True, check=True).stdout == shown.text
 

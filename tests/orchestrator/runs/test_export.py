@@ -41,8 +41,8 @@ def test_frames_equal_the_table(run: Run) -> None:
 
 def test_to_record_a_run_loads_no_library_of_frames(here: Path) -> None:
     """An import would take half a second of the first steps."""
-    told = [sys.executable, "-X", "importtime", *COMMAND[1:], "simulate", "paper7", "--no-record"]
-    done = subprocess.run(told, capture_output=True, text=True, check=True, timeout=DEADLINE_S)
+    timed = [sys.executable, "-X", "importtime", *COMMAND[1:], "simulate", "paper7", "--no-record"]
+    done = subprocess.run(timed, capture_output=True, text=True, check=True, timeout=DEADLINE_S)
     loaded = {line.rpartition("|")[2].strip() for line in done.stderr.splitlines() if line.startswith("import time")}
     assert "hedgerow.orchestrator.runs.writer" in loaded
     assert not {"pandas", "polars"} & loaded
@@ -73,10 +73,10 @@ def test_csv_is_read_back_to_the_bit(run: Run, tmp_path: Path) -> None:
         with file.open(encoding="utf-8", newline="") as lines:
             rows = list(csv.DictReader(lines))
         for name in arrow.schema.names:
-            said = [None if row[name] == "" else row[name] for row in rows]
+            printed = [None if row[name] == "" else row[name] for row in rows]
             if pa.types.is_floating(arrow.schema.field(name).type):
-                said = [None if one is None else float(one).hex() for one in said]
-                assert said == [None if one is None else one.hex() for one in arrow[name].to_pylist()]
+                printed = [None if one is None else float(one).hex() for one in printed]
+                assert printed == [None if one is None else one.hex() for one in arrow[name].to_pylist()]
 
 
 @pytest.mark.parametrize("value", [5e-324, -0.0, 0.1, 1e16, 1e22, 123456789.0, 2**53 + 1.0, 1.7976931348623157e308])

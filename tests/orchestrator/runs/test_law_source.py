@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 import sys
@@ -23,6 +24,7 @@ from hedgerow.orchestrator.ground.law_source import LawSource
 from hedgerow.orchestrator.launch.external_agents import configs
 from hedgerow.topologies.errors import Code, UserError
 from tests.tools.processes import orchestrator
+from tests.tools.refusals import refusal
 
 LAW = """
 from hedgerow.agents.law import Minimax
@@ -164,7 +166,7 @@ def test_a_sweep_does_not_resume_with_another_source(here: Path) -> None:
     assert json.loads((here / "out" / "sweep.json").read_text())["laws"]
     assert swept() == 0
     edit(here, 0.7)
-    with pytest.raises(UserError, match="source of its law"):
+    with refusal(Code.OUTPUT, f"--out {here / 'out'}"):
         swept()
 
 
@@ -182,3 +184,15 @@ def test_a_wrong_edit_is_refused_at_its_line(here: Path) -> None:
     with pytest.raises(UserError) as refused:
         hg.simulate("paper7", law="kept_law:Mine", steps=3)
     assert refused.value.code == Code.LAW
+
+
+def test_agents_find_a_law_beside_the_script_that_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The script is started from elsewhere, so the law is not in the working directory."""
+    scripts, elsewhere = tmp_path / "scripts", tmp_path / "elsewhere"
+    scripts.mkdir()
+    elsewhere.mkdir()
+    (scripts / "law_beside.py").write_text("import hedgerow as hg\n\nclass Mine(hg.Minimax):\n    pass\n")
+    monkeypatch.syspath_prepend(scripts)
+    monkeypatch.chdir(elsewhere)
+    law = importlib.import_module("law_beside").Mine
+    assert hg.run("paper7", law=law, steps=3, processes=1).verdict.verdict == "valid"

@@ -94,7 +94,6 @@ def test_a_sleeping_agent_has_the_longest_answer_time(here: Path) -> None:
         network.wait_for_log("plant", "repeated, still without shards [2]")
         os.kill(network.children["agent-3"], signal.SIGCONT)
         assert network.wait() == 0, network.output
-        assert "round trips, median/99 %/most [ms], the slowest of 7: agent-" in network.output
     trips = json.loads(Path("runs/latest/verdict.json").read_text())["round_trips"]
     assert list(trips) == [f"agent-{k}" for k in range(1, 8)]
     assert all(one["answers"] == 400 for one in trips.values())

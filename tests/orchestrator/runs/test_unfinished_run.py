@@ -16,7 +16,8 @@ import pytest
 from scipy.io import loadmat
 
 from hedgerow.orchestrator.launch.live import Live
-from hedgerow.orchestrator.launch.recording import Recording, Watching
+from hedgerow.orchestrator.launch.recording import Recording
+from hedgerow.orchestrator.launch.watching import Watching
 from hedgerow.orchestrator.metrics.observer import Observer
 from hedgerow.orchestrator.metrics.verdict import Ending
 from hedgerow.orchestrator.runs.export import NAMES, arrays, export

@@ -19,8 +19,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hedgerow.orchestrator.ground.assignment import layout
-from hedgerow.orchestrator.launch.recording import Watching
 from hedgerow.orchestrator.launch.simulation import simulate_into
+from hedgerow.orchestrator.launch.watching import Watching
 from hedgerow.orchestrator.metrics.verdict import Verdict
 from hedgerow.orchestrator.report import report
 from hedgerow.orchestrator.runs.export import export
@@ -48,7 +48,7 @@ def ran(topology: Topology, folder: Path, record: Any = None) -> Verdict:
     return simulate_into(topology, create(topology, folder), layout(topology, 1), Watching(record=False), Quiet())
 
 
-def said(verdict: Verdict) -> dict[str, Any]:
+def metrics_of(verdict: Verdict) -> dict[str, Any]:
     """All of a verdict but its name and how long it took."""
     return {
         key: value
@@ -73,7 +73,7 @@ def test_the_recorded_part_changes_only_the_amount_of_data(topology: Topology, d
         record["nodes"] = [topology.ids[k] for k in record["nodes"]]
     with tempfile.TemporaryDirectory() as scratch:
         whole, some = Path(scratch) / "whole", Path(scratch) / "some"
-        assert said(ran(topology, whole, {"nodes": "all"})) == said(ran(topology, some, record))
+        assert metrics_of(ran(topology, whole, {"nodes": "all"})) == metrics_of(ran(topology, some, record))
         what = selection(topology.model_copy(update={"record": Record.model_validate(record)}))
         T, ids = topology.steps, [topology.ids[k] for k in what.nodes]
         steps = [t for t in range(T) if t % record["every"] == 0 or t == T - 1]
@@ -192,18 +192,18 @@ def test_of_a_large_network_a_sample_has_rows(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("override", "said"),
+    ("override", "place"),
     [
-        ("record={nodes: [1, 99]}", "record: nodes: 1: 99 is no node; the nodes are 1, 2, 3, 4, 5, 6, 7"),
-        ("record={nodes: some}", "is neither `all`, nor how many, nor a list of node ids"),
-        ("record={evry: 2}", "unknown key `evry`; did you mean `every`?"),
-        ("record.every=0", "0 is below 1"),
+        ("record={nodes: [1, 99]}", "record: nodes: 1"),
+        ("record={nodes: some}", "record: nodes"),
+        ("record={evry: 2}", "record"),
+        ("record.every=0", "record: every"),
     ],
 )
-def test_mistakes_are_refused(override: str, said: str) -> None:
+def test_mistakes_are_refused(override: str, place: str) -> None:
     with pytest.raises(TopologyError) as refused:
         load("paper7", [override])
-    assert said in str(refused.value)
+    assert [problem.place for problem in refused.value.problems] == [place]
 
 
 @pytest.mark.parametrize("kind", ["ring", "grid", "scale_free"])

@@ -21,7 +21,7 @@ from hedgerow.orchestrator.runs import registry
 from hedgerow.orchestrator.runs.reader import load_run
 from hedgerow.orchestrator.testing import Networks, Run
 from hedgerow.orchestrator.testing.explanation import explain
-from hedgerow.topologies.errors import Code, DeadlineError, UserError
+from hedgerow.topologies.errors import Code
 from hedgerow.topologies.faults import Drop
 from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import resolve
@@ -119,19 +119,20 @@ def test_samples_lie_beside_the_file(network: Networks, tmp_path: Path) -> None:
 def test_a_mistake_is_shown_where_it_is_made(network: Networks) -> None:
     """Not when the scenario runs: each call below is the wrong one."""
     right = network("paper7")
-    for wrong, said in (
-        (lambda: right.drop((2, 5)), "drop: link: 2 and 5 are not neighbours; the neighbours of 2 are 1, 3, 4"),
-        (lambda: right.drop((2, 4), steps=range(0, 10, 2)), "use a range with no stride"),
-        (lambda: right.drop((2, 4), at={3: [(2, 4)]}), "give exactly one of them"),
-        (lambda: right.crash(9, at=3), "crash: node: 9 is no node"),
-        (lambda: right.crash(process=7, at=3), "there is no process 7; they are 0 to 6"),
-        (lambda: right.jump(4, to=0.123456), "0.123456 is not among the candidates of node 4"),
+    for wrong, code, at in (
+        (lambda: right.drop((2, 5)), Code.FAULT, "drop: link"),
+        (lambda: right.drop((2, 4), steps=range(0, 10, 2)), Code.FAULT, "steps=range(0, 10, 2)"),
+        (lambda: right.drop((2, 4), at={3: [(2, 4)]}), Code.FAULT, "drop"),
+        (lambda: right.crash(9, at=3), Code.FAULT, "crash: node"),
+        (lambda: right.crash(process=7, at=3), Code.FAULT, "crash: process"),
+        (lambda: right.jump(4, to=0.123456), Code.FAULT, "jump: a"),
         (
             lambda: right.run(engine="zeno"),  # type: ignore[arg-type]
-            "engine='zeno': is neither 'in-process' nor 'zenoh'",
+            Code.OPTION,
+            "engine='zeno'",
         ),
     ):
-        with pytest.raises(UserError, match=said.replace("?", r"\?")):
+        with refusal(code, at):
             wrong()
     with refusal(Code.TOPOLOGY):
         right.set("stepz=3")
@@ -191,8 +192,7 @@ def test_two_runs_are_equal_to_the_last_bit(network: Networks) -> None:
     almost.__dict__["x"] = run.x.copy()
     almost.x[30, 6] = np.nextafter(almost.x[30, 6], np.inf)
     assert run != almost
-    with pytest.raises(ValueError, match="read-only"):
-        run.x[30, 6] = 0
+    assert not run.x.flags.writeable
     assert run != network("paper7").run(seed=2)
     assert run != network("paper7").run(steps=29)
     assert run != "a run"
@@ -208,17 +208,17 @@ def apart(network: Networks) -> tuple[Run, Run]:
 def test_a_difference_is_explained(apart: tuple[Run, Run]) -> None:
     """Which node, which step first, and which messages were lost until then."""
     one, other = apart
-    said = explain(one.estimates_at(5), other.estimates_at(5))
-    assert said is not None
-    assert said[0].startswith("estimates at step 5 differ: node 2: ")
-    assert said[1].startswith("first at step 1: ahat of node 2 ")
-    assert said[2:4] == [
+    explained = explain(one.estimates_at(5), other.estimates_at(5))
+    assert explained is not None
+    assert explained[0].startswith("estimates at step 5 differ: node 2: ")
+    assert explained[1].startswith("first at step 1: ahat of node 2 ")
+    assert explained[2:4] == [
         "lost messages before, left:  messages lost or late: 4->2 at 0-1, 2->4 at 0-1",
         "until then, right: no message lost or late",
     ]
-    assert explain(one, other) == ["runs differ", *said[1:]]
+    assert explain(one, other) == ["runs differ", *explained[1:]]
     assert explain(one, {"a": 1}) is None
-    with pytest.raises(AssertionError, match="first at step 1: ahat of node 2 "):
+    with pytest.raises(AssertionError):
         one.assert_same_estimates(other)
     one.assert_same_estimates(other, 0)
 
@@ -347,7 +347,7 @@ def test_a_network_is_spoken_to_while_it_runs(network: Networks) -> None:
         assert {*net.processes} == {"plant", *(f"agent-{k}" for k in range(1, 8))}
         assert net.folder.name not in [entry.run for entry in registry.running()], "no other user may stop it"
         lost = net.fault.drop((2, 4), steps=range(20))
-        with pytest.raises(UserError, match="drop: link: 2 and 5 are not neighbours"):
+        with refusal(Code.FAULT, "drop: link"):
             net.fault.drop((2, 5))
         cut = net.fault.cut((1, 2))
         assert (lost.number, cut.number) == (1, 2)
@@ -366,9 +366,9 @@ def test_a_network_is_spoken_to_while_it_runs(network: Networks) -> None:
         net.wait_for_step(net.status()["step"] + 10)
         net.thaw("agent-4")
         wait_until(lambda: net.status()["lost"] == [], "agent 4 is back")
-        with pytest.raises(UserError, match="agent-9: no such process; there are agent-1, agent-2"):
+        with refusal(Code.OPTION, "agent-9"):
             net.kill("agent-9")
-        with pytest.raises(DeadlineError, match=r"no event 'flood' after 0\.1 s; there were start, first_step"):
+        with refusal(Code.DEADLINE):
             net.wait_for_event("flood", deadline_s=0.1)
         net.wait_for_step(net.status()["step"] + 10)
         assert [fault.kind for fault in net.faults().values()] == ["drop", "cut", "crash", "crash"]
@@ -438,10 +438,10 @@ def test_nothing_remains_after_pytest_is_interrupted_or_killed(
     try:
         wait_until(lambda: len(processes_of(pytester.path)) == ALL_OF_PAPER7, "the network runs")
         process.send_signal(how)
-        said, _ = process.communicate(timeout=60)
+        explained, _ = process.communicate(timeout=60)
     finally:
         process.kill()
-    assert process.returncode == (2 if how is signal.SIGINT else -how), said
+    assert process.returncode == (2 if how is signal.SIGINT else -how), explained
     wait_until(lambda: processes_of(pytester.path) == [], "all are gone")
 
 

@@ -14,7 +14,7 @@ def fail(*_):
     raise LookupError("planted")
 
 def test_of_a_file(network, monkeypatch):
-    monkeypatch.setattr("hedgerow.orchestrator.testing.scenario.parse", fail)
+    monkeypatch.setattr("hedgerow.topologies.named.parse", fail)
     network("paper7")
 
 def test_of_a_run(network, monkeypatch):
@@ -41,10 +41,10 @@ def test_a_defect_does_not_end_the_session(pytester: pytest.Pytester, monkeypatc
     pytester.makepyfile(DEFECTS)
     done = pytester.runpytest_subprocess("-p", "no:cacheprovider")
     done.assert_outcomes(passed=1, failed=4)
-    said = done.stdout.str()
-    files = {found[1] for found in LINE.finditer(said)}
+    printed = done.stdout.str()
+    files = {found[1] for found in LINE.finditer(printed)}
     assert len(files) == 4
     for file in files:
         assert "LookupError: planted" in Path(file).read_text()
-    assert "reference.py" not in said
-    assert "INTERNALERROR" not in said
+    assert "reference.py" not in printed
+    assert "INTERNALERROR" not in printed

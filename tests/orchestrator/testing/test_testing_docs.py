@@ -56,7 +56,7 @@ def test_every_method_is_in_a_table() -> None:
 
 
 _INSIDE = {
-    testing.Scenario: {"text", "name", "folder", "new_folder", "on_result", "settings", "faults", "topology"},
+    testing.Scenario: {"given", "new_folder", "on_result", "faults", "topology"},
     testing.Running: {"topology", "folder"},
 }
 """Methods that a test does not need."""

@@ -33,12 +33,13 @@ from rerun.experimental import ViewerClient
 from hedgerow.orchestrator.metrics.observer import Batch, Observer
 from hedgerow.orchestrator.views.rerun.stream import RerunStream
 from hedgerow.orchestrator.views.rerun.viewer import Viewer, choose, listening, native, start
-from hedgerow.topologies.errors import HedgerowError, UserError
+from hedgerow.topologies.errors import Code
 from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import resolve
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire.ports import free_port
 from tests.tools.networks import simulate
+from tests.tools.refusals import refusal
 from tests.tools.schedules import with_faults
 
 Array = NDArray[np.float64]
@@ -159,7 +160,7 @@ def test_the_recording_holds_every_step_bit_for_bit(tmp_path: Path) -> None:
         "cost_regret": ran.cost_regret[:, None],
         "cost_ratio": ran.ratio[:, None],
         "gain": np.stack(
-            [ran.gain(), ran.gain(float(observer.v0)), np.full(len(steps), observer.gamma_star), ran.ceiling], axis=1
+            [ran.gain(), ran.ceiling, np.full(len(steps), observer.gamma_star), ran.gain(float(observer.v0))], axis=1
         ),
     }
     for entity, values in expected.items():
@@ -259,7 +260,7 @@ def test_events_stand_at_their_steps(tmp_path: Path) -> None:
 
 def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     observer = Observer(paper7())
-    with pytest.raises(HedgerowError, match=r"missing/run\.rrd: is not complete"):
+    with refusal(Code.UNKNOWN, str(tmp_path / "missing/run.rrd")):
         RerunStream(observer.topology, observer, "story", tmp_path / "missing" / "run.rrd", None)
 
 
@@ -388,7 +389,7 @@ def test_our_viewer_never_is_a_stranger_on_its_port(stranger: tuple[socket.socke
     ["", "nativ", "rerun+http://127.0.0.1/proxy", "rerun+http://127.0.0.1:99999/proxy", "http://127.0.0.1:9876/proxy"],
 )
 def test_an_address_that_is_not_a_viewer_is_refused(asked: str) -> None:
-    with pytest.raises(UserError, match="none of auto, native, web, none"):
+    with refusal(Code.OPTION, f"--viewer {asked}"):
         choose(asked)
 
 
@@ -397,7 +398,7 @@ def test_a_window_needs_a_display(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     assert choose("auto") == "none"
-    with pytest.raises(UserError, match="there is no display"):
+    with refusal(Code.OPTION, "--viewer native"):
         choose("native")
     monkeypatch.setenv("DISPLAY", ":0")
     assert choose("auto") == "native"

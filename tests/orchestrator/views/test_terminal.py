@@ -96,8 +96,8 @@ def test_the_table_shows_progress_and_costs() -> None:
     assert f"{standing.right[-1]} of 7 estimates right" in sums
     assert f"regret D {standing.regret_sum[-1]:.4g} (nominal {standing.nominal_regret_sum[-1]:.4g})" in sums
     assert f"cost regret {standing.cost_regret[-1]:+.4g}" in sums
-    gamma_star = f"gamma* {Observer(topology).gamma_star:.4g} is the oracle's"
-    assert f"gain {standing.gain()[-1]:.4g} (less V(x(0)): 0; {gamma_star})" in sums
+    assert f"gain {standing.gain()[-1]:.4g} " in sums
+    assert f"{Observer(topology).gamma_star:.4g}" in sums
 
 
 def test_a_wrong_model_is_a_word_as_well_as_a_colour() -> None:

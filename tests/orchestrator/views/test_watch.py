@@ -28,8 +28,8 @@ from PIL import Image
 from rerun.chunk import RrdReader
 
 from hedgerow.orchestrator.ground.assignment import layout
-from hedgerow.orchestrator.launch.recording import Watching
 from hedgerow.orchestrator.launch.simulation import simulate_into
+from hedgerow.orchestrator.launch.watching import Watching
 from hedgerow.orchestrator.metrics.observer import Observer
 from hedgerow.orchestrator.runs.folder import create
 from hedgerow.orchestrator.runs.reader import load_run
@@ -42,7 +42,7 @@ from hedgerow.orchestrator.views.rerun.viewer import Viewer, executable, start
 from hedgerow.orchestrator.views.rerun.viewer_version import compare
 from hedgerow.orchestrator.views.rerun.watch import ArrowTail, Trail
 from hedgerow.orchestrator.views.screen import Quiet
-from hedgerow.topologies.errors import HedgerowError, UserError
+from hedgerow.topologies.errors import Code
 from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import resolve
 from hedgerow.wire.ports import free_port
@@ -50,6 +50,7 @@ from tests.agents.test_view import Seen
 from tests.orchestrator.views.test_rerun_stream import begin_headless, draws, kill, last_step, until
 from tests.tools.networks import simulate
 from tests.tools.processes import Orchestrator, orchestrator
+from tests.tools.refusals import refusal
 
 pytestmark = pytest.mark.filterwarnings("ignore:RRD file has no footer")  # its writer was ended
 
@@ -245,7 +246,6 @@ def test_a_late_watcher_sees_the_whole_run(saver: Saver) -> None:
             assert orchestrator("stop").returncode == 0
             assert one.wait() == 0, one.output
             assert two.wait() == 0, two.output
-            assert "unknown (stopped at step" in one.output
         assert up.wait() == 3, up.output
     saver.close()
     files = list(saver.stores().values())
@@ -257,8 +257,8 @@ def test_a_late_watcher_sees_the_whole_run(saver: Saver) -> None:
         for chunk in RrdReader(files[0]).stream().filter(content="/events")
         for (text,) in chunk.to_record_batch().column("TextLog:text").to_pylist()
     ]
-    assert any("fault 1 begins" in text for text in texts), texts
-    assert any("unknown (stopped" in text for text in texts), texts
+    assert any("fault 1" in text for text in texts), texts
+    assert any("unknown" in text for text in texts), texts
 
 
 @pytest.mark.slow
@@ -273,7 +273,7 @@ def test_a_watcher_reports_a_closed_viewer_and_the_run_continues() -> None:
                 until(lambda: draws(viewer) and last_step(viewer.url) > 0)
                 kill(viewer)
                 assert watching.wait() == 3
-                assert "no viewer listens there; start a viewer" in watching.output
+                assert viewer.url in watching.output
             before = json.loads(orchestrator("status", "--json").stdout)["step"]
             up.wait_for_step(before + 1)
     finally:
@@ -313,36 +313,36 @@ def test_a_viewer_of_another_version_is_reported_with_a_fix(monkeypatch: pytest.
     """Both commands name the two versions and continue; for a viewer too old to answer, they report that."""
     ours = rr.__version__
     monkeypatch.setattr(rr, "__version__", "0.99.0")
-    viewer, said = begin_headless(), list[str]()
+    viewer, messages = begin_headless(), list[str]()
     stranger = Viewer(viewer.url)
     expected = f"the viewer at {viewer.url} is Rerun {ours}, and this is 0.99.0: its display may be wrong."
     expected += " Install rerun-sdk==0.99.0 there"
     topology = resolve(load("paper7"))
     observer, run = Observer(topology), simulate(topology)
     try:
-        stream = RerunStream(topology, observer, "story", None, stranger, warn=said.append)
+        stream = RerunStream(topology, observer, "story", None, stranger, warn=messages.append)
         stream.log(observer.take(run.rows))
-        until(lambda: said == [expected])
+        until(lambda: messages == [expected])
         assert stream.close(60.0)
         until(lambda: last_step(viewer.url) == 29)
         ran("run")
-        open_runs(["run"], viewer.url, said.append)
-        assert said[1] == expected
+        open_runs(["run"], viewer.url, messages.append)
+        assert messages[1] == expected
     finally:
         kill(viewer)
 
 
 def test_a_viewer_without_a_version_is_reported() -> None:
     """Neither a viewer before 0.41 nor a page's server reports its version."""
-    server, said = start("web"), list[str]()
+    server, messages = start("web"), list[str]()
     assert server is not None
     try:
         server.wait_until_it_listens()
-        compare(Viewer(server.url), said.append).join()
-        assert said[0].startswith(f"the viewer at {server.url} does not report its version: it is old")
-        assert f"install rerun-sdk=={rr.__version__} there" in said[0]
-        compare(server, said.append).join()
-        assert len(said) == 1, "we know what we have started"
+        compare(Viewer(server.url), messages.append).join()
+        assert messages[0].startswith(f"the viewer at {server.url} does not report its version: it is old")
+        assert f"install rerun-sdk=={rr.__version__} there" in messages[0]
+        compare(server, messages.append).join()
+        assert len(messages) == 1, "we know what we have started"
     finally:
         server.end()
 
@@ -361,13 +361,11 @@ def test_a_page_on_a_port_that_is_in_use_is_refused_before_the_run_begins() -> N
 def test_watch_needs_a_running_network_and_a_display() -> None:
     alone = orchestrator("watch")
     assert alone.returncode == 2
-    assert "no network is running" in alone.stderr
-    assert "`orchestrator open`" in alone.stderr
+    assert "`orchestrator open`" in alone.stderr, "the fix is a command"
     with Orchestrator("up", "line5", *LONG) as up:
         up.wait_for("running")
         refused = orchestrator("watch")
         assert refused.returncode == 2
-        assert "there is no display" in refused.stderr
         assert "--viewer web" in refused.stderr
 
 
@@ -452,7 +450,7 @@ def test_a_deleted_part_causes_no_error(tmp_path: Path) -> None:
 
 
 def test_a_part_that_cannot_be_written_is_named(tmp_path: Path) -> None:
-    with pytest.raises(HedgerowError, match=r"missing/run\.rrd: is not complete"):
+    with refusal(Code.UNKNOWN, str(tmp_path / "missing/run.rrd")):
         RrdFile(tmp_path / "missing" / "run.rrd", streams)
 
 
@@ -474,11 +472,11 @@ def test_a_run_opens_from_its_recording_or_its_tables_alike(saver: Saver) -> Non
     content = bytearray((folders[2] / "run.rrd").read_bytes())
     content[4:8] = struct.pack("4B", 0, 99, 0, 0)
     (folders[2] / "run.rrd").write_bytes(content)
-    said: list[str] = []
+    messages: list[str] = []
     for folder in folders:
-        open_runs([str(folder)], saver.url, said.append)
+        open_runs([str(folder)], saver.url, messages.append)
     saver.close()
-    assert [line for line in said if "tables" in line] == [
+    assert [line for line in messages if "tables" in line] == [
         "without: there is no run.rrd: shown from its tables",
         f"newer: run.rrd was written by Rerun 0.99, newer than {rr.__version__} here: shown from its tables",
     ]
@@ -518,7 +516,7 @@ def test_runs_without_a_node_in_common_are_refused() -> None:
     ran("one")
     Path("other.yaml").write_text("{name: other, b: 0.1, steps: 5, nodes: [north, south], edges: [[north, south]]}")
     ran("other", "other.yaml")
-    with pytest.raises(UserError, match=r"no node in common.*one has 1, 2, 3, 4, …, other has north, south"):
+    with refusal(Code.OPTION):
         common_nodes([load_run("one"), load_run("other")])
     assert labels([load_run("one"), load_run("other")]) == ["one", "other"]
     refused = orchestrator("open", "one", "other", "--viewer", "rerun+http://127.0.0.1:1/proxy")
@@ -529,11 +527,12 @@ def test_a_viewer_that_is_not_there_is_named_with_its_cure() -> None:
     folder = ran("run")
     nobody = orchestrator("open", "run")
     assert nobody.returncode == 2
-    assert "there is no display" in nobody.stderr
     assert f"copy {folder / 'run.rrd'}" in nobody.stderr
     port = free_port()
-    with pytest.raises(HedgerowError, match=rf"no viewer listens there; start a viewer .* `rerun --port {port}"):
-        Viewer(f"rerun+http://127.0.0.1:{port}/proxy").wait_until_it_listens(0.1)
+    url = f"rerun+http://127.0.0.1:{port}/proxy"
+    with refusal(Code.UNKNOWN, url) as refused:
+        Viewer(url).wait_until_it_listens(0.1)
+    assert f"`rerun --port {port}" in str(refused.value), "the fix is a command"
 
 
 # ---- the page
