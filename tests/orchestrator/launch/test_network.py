@@ -333,7 +333,7 @@ def test_a_run_continues_without_a_frozen_agent_and_takes_it_back(here: Path) ->
 
 
 def test_a_network_with_silent_agents_ends_with_their_names(here: Path) -> None:
-    with Orchestrator(*LONG, "--deadline", "3", "--processes", "2") as network:
+    with Orchestrator(*LONG, "--deadline", "1", "--processes", "2") as network:
         network.wait_for("running")
         assert orchestrator("pause").returncode == 0  # otherwise one of them would be late a step before the other
         for name in ("shard-0", "shard-1"):

@@ -16,6 +16,7 @@ import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
 from threading import Event
 from typing import Any
@@ -31,14 +32,19 @@ from tests.tools.refusals import refusal
 
 HAVE_RAY = importlib.util.find_spec("ray") is not None
 needs_ray = pytest.mark.skipif(not HAVE_RAY, reason="Ray is not installed: pip install 'hedgerow[ray]'")
-START = (sys.executable, "-c", "from ray.scripts.scripts import main; main()", "start", "--block", "--num-cpus", "1")
-MEMORY = ("--object-store-memory", "80000000")
+START = (sys.executable, "-c", "from ray.scripts.scripts import main; main()", "start", "--block")
+# Each program of Ray that a machine does without is a second of processor time less.
+SMALL = ("--object-store-memory", "80000000", "--include-log-monitor", "false")
+HEAD = ("--include-dashboard", "false", "--no-monitor")
 ENVIRONMENT = {
     "RAY_USAGE_STATS_ENABLED": "0",
     # A user's token for other clusters is not for ours, which no other program can reach.
     "RAY_AUTH_MODE": "disabled",
     # Ray's server for clients starts processes; gRPC, in between fork and exec, may abort them otherwise.
     "GRPC_ENABLE_FORK_SUPPORT": "0",
+    # A worker that starts before a task needs it is not used here.
+    "RAY_enable_worker_prestart": "0",
+    "RAY_prestart_worker_first_driver": "0",
     # The silence after which Ray counts a machine as gone; by default that takes more than half a minute.
     "RAY_health_check_period_ms": "500",
     "RAY_health_check_timeout_ms": "2000",
@@ -64,29 +70,46 @@ def kept_by_ray() -> Iterator[Path]:
         yield Path(folder)
 
 
+@dataclass
+class Cluster:
+    """Two machines of a cluster, `head` and `other`; and `bench`, outside of the cluster."""
+
+    lab: Machines
+    other: Program
+
+    @property
+    def address(self) -> dict[str, str]:
+        return self.lab.address
+
+    def on(self, name: str) -> tuple[str, ...]:
+        return self.lab.on(name)
+
+
 @pytest.fixture(scope="module")
-def cluster(tmp_path_factory: pytest.TempPathFactory, kept_by_ray: Path) -> Iterator[Machines]:
-    """Provide two machines, `head` and `other`; `spare`, which a test may add; and `bench`, outside of the cluster."""
+def cluster(tmp_path_factory: pytest.TempPathFactory, kept_by_ray: Path) -> Iterator[Cluster]:
+    """Provide the cluster; `head` has two CPUs, and so has room for the agents of `other`."""
     place = tmp_path_factory.mktemp("ray")
     with ExitStack() as stack:
         head = ("--head", "--port", "6379", "--ray-client-server-port", "10001", "--temp-dir", str(kept_by_ray))
-        lab = stack.enter_context(machines("head", "other", "spare", "bench"))
-        for name, how in (("head", head), ("other", ())):
-            stack.callback(ended, joined(lab, name, place, *how))
-        yield lab
+        lab = stack.enter_context(machines("head", "other", "bench"))
+        stack.callback(ended, joined(lab, "head", place, "--num-cpus", "2", *head, *HEAD))
+        other = joined(lab, "other", place, "--num-cpus", "1", "--address", f"{lab.address['head']}:6379")
+        stack.callback(ended, other)
+        yield Cluster(lab, other)
 
 
 def joined(lab: Machines, name: str, place: Path, *how: str) -> Program:
     """A machine's part of the cluster, once it runs."""
-    how = how or ("--address", f"{lab.address['head']}:6379")
-    words = (*START, *how, *MEMORY, "--node-ip-address", lab.address[name])
+    words = (*START, *how, *SMALL, "--node-ip-address", lab.address[name])
     program = Program(lab.on(name), words, place / name, ENVIRONMENT)
     runs(program)
     return program
 
 
 def ended(program: Program) -> None:
-    """End a machine's part of the cluster: SIGTERM ends all of its processes."""
+    """End a machine's part of the cluster, unless it has died: SIGTERM ends all of its processes."""
+    if program.process.poll() == -signal.SIGKILL:
+        return
     assert program.process.poll() is None, program.log.read_text()
     children = {str(one.pid): one.pid for one in psutil.Process(program.process.pid).children(recursive=True)}
     program.process.terminate()
@@ -123,13 +146,12 @@ def events(kind: str) -> list[dict[str, Any]]:
 
 @needs_ray
 @pytest.mark.slow
-@pytest.mark.parametrize("how", [(), ("--secure",)], ids=["open", "secure"])
 def test_agents_on_two_machines_of_a_cluster_change_nothing(
-    cluster: Machines, kept_by_ray: Path, environment: None, how: tuple[str, ...]
+    cluster: Cluster, kept_by_ray: Path, environment: None
 ) -> None:
-    with Orchestrator(
-        "up", "paper7", "--processes", "3", "--on", "ray://head:10001", *UP, *how, inside=cluster.on("bench")
-    ) as network:
+    """The network is secure; the next test has an open one."""
+    arguments = ("paper7", "--processes", "3", "--secure", "--on", "ray://head:10001")
+    with Orchestrator("up", *arguments, *UP, inside=cluster.on("bench")) as network:
         assert network.wait() == 0, network.output
         assert network.children.keys() == {"plant"}
     assert verdict()["verdict"] == "valid"
@@ -141,7 +163,7 @@ def test_agents_on_two_machines_of_a_cluster_change_nothing(
         assert "end: 30 steps answered, 0 messages refused" in log, log
     assert orchestrator("simulate", "paper7", "--run-dir", "local", "--no-record").returncode == 0
     assert parquet_bytes(Path("local")) == parquet_bytes(Path("runs/latest"))
-    assert events("start")[0]["endpoint"].startswith("tls/" if how else "tcp/")
+    assert events("start")[0]["endpoint"].startswith("tls/")
     written = [path for path in kept_by_ray.rglob("*") if path.is_file()]
     assert len(written) > 10
     assert [path for path in written if b"PRIVATE KEY" in path.read_bytes()] == []
@@ -149,66 +171,10 @@ def test_agents_on_two_machines_of_a_cluster_change_nothing(
 
 @needs_ray
 @pytest.mark.slow
-def test_an_agent_that_is_killed_on_a_cluster_is_started_again_by_ray(
-    cluster: Machines, environment: None, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("RAY_ADDRESS", f"{cluster.address['head']}:6379")
-    arguments = ("paper7", "--processes", "2", "--steps", "3000", "--rate", "50", "--on", "ray")
-    with Orchestrator("up", *arguments, *UP, inside=cluster.on("head")) as network:
-        network.wait_for("Ray has placed")
-        victim = events("placed")[0]
-        network.wait_for_log(victim["process"], "ready: shard")  # its log comes through Ray, with a delay
-        network.wait_for("running: first step")
-        os.kill(victim["pid"], signal.SIGKILL)
-        network.wait_for("going on without shard")
-        network.wait_for("is back")
-        assert network.wait_for_event("restarted")["process"] == victim["process"]
-        printed = Program(
-            cluster.on("head"), (sys.executable, "-P", "-m", "hedgerow.orchestrator", "rate", "0"), Path("rate")
-        )
-        assert printed.process.wait() == 0, printed.log.read_text()
-        assert network.wait() == 0, network.output
-    assert verdict()["verdict"] == "valid"
-    assert verdict()["restarts"] == 1
-    assert verdict()["checks"]["reference"]["ok"]
-    log = Path(f"runs/latest/logs/{victim['process']}.log").read_text()
-    assert log.count("looking for") == 2, log
-
-
-@needs_ray
-@pytest.mark.slow
-def test_agents_of_a_lost_machine_restart_on_other_machines(
-    cluster: Machines, environment: None, tmp_path: Path
-) -> None:
-    """All processes of the machine are killed at once, Ray's included, without a farewell message."""
-    spare = joined(cluster, "spare", tmp_path)
-    # Two of the four fit on a machine: the other two machines have room for all.
-    arguments = ("paper7", "--processes", "4", "--steps", "3000", "--rate", "50", "--deadline", "2", "--secure")
-    up = Orchestrator("up", *arguments, "--on", "ray://head:10001", *UP, inside=cluster.on("bench"))
-    with up as network:
-        network.wait_for("Ray has placed")
-        lost = {event["process"] for event in events("placed") if event["machine"] == cluster.address["spare"]}
-        assert lost
-        network.wait_for_event("first_step")  # an agent that dies before is waited for, and never lost
-        cut_off(spare)
-        network.wait_for_event("back", times=len(lost))
-        printed = Program(
-            cluster.on("bench"), (sys.executable, "-P", "-m", "hedgerow.orchestrator", "rate", "0"), tmp_path / "rate"
-        )
-        assert printed.process.wait() == 0, printed.log.read_text()
-        assert network.wait() == 0, network.output
-    assert verdict()["verdict"] == "valid"
-    assert verdict()["checks"]["reference"]["ok"]
-    again = {event["process"]: event["machine"] for event in events("restarted")}
-    assert again.keys() == lost
-    assert cluster.address["spare"] not in again.values()
-
-
-@needs_ray
-@pytest.mark.slow
-def test_the_sweep_on_that_cluster_is_the_same_table(cluster: Machines, environment: None) -> None:
-    command = ("sweep", "paper7", "--seeds", "0:60", "--set", "law=minimax,nominal")
-    on = Orchestrator(*command, "--out", "there", "--on", "ray://head:10001", inside=cluster.on("bench"))
+def test_the_sweep_on_that_cluster_is_the_same_table(cluster: Cluster, environment: None) -> None:
+    command = ("sweep", "paper7", "--seeds", "0:12", "--set", "law=minimax,nominal")
+    where = ("--out", "there", "--on", "ray://head:10001", "--jobs", "2")
+    on = Orchestrator(*command, *where, inside=cluster.on("bench"))
     with on as sweep:
         assert sweep.wait() == 0, sweep.output
     assert orchestrator(*command, "--out", "here").returncode == 0
@@ -217,9 +183,52 @@ def test_the_sweep_on_that_cluster_is_the_same_table(cluster: Machines, environm
 
 @needs_ray
 @pytest.mark.slow
+def test_ray_restarts_a_killed_agent_and_those_of_a_lost_machine(
+    cluster: Cluster, environment: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All processes of the machine are killed at once, Ray's included, without a farewell message.
+
+    This test is the last of the cluster, which then has one machine left.
+    """
+    monkeypatch.setenv("RAY_ADDRESS", f"{cluster.address['head']}:6379")
+    arguments = ("paper7", "--processes", "2", "--steps", "3000", "--rate", "50", "--deadline", "2", "--on", "ray")
+    with Orchestrator("up", *arguments, *UP, inside=cluster.on("head")) as network:
+        network.wait_for("Ray has placed")
+        victim = next(event for event in events("placed") if event["machine"] == cluster.address["head"])
+        network.wait_for_log(victim["process"], "ready: shard")  # its log comes through Ray, with a delay
+        network.wait_for_event("first_step")  # an agent that dies before is waited for, and never lost
+        os.kill(victim["pid"], signal.SIGKILL)
+        network.wait_for("going on without shard")
+        network.wait_for_event("back")
+        assert network.wait_for_event("restarted")["process"] == victim["process"]
+        place = {event["process"]: event["machine"] for event in (*events("placed"), *events("restarted"))}
+        lost = {process for process, machine in place.items() if machine == cluster.address["other"]}
+        assert len(lost) == 1
+        assert victim["process"] not in lost
+        cut_off(cluster.other)
+        network.wait_for_event("back", times=1 + len(lost))
+        printed = Program(
+            cluster.on("head"), (sys.executable, "-P", "-m", "hedgerow.orchestrator", "rate", "0"), Path("rate")
+        )
+        assert printed.process.wait() == 0, printed.log.read_text()
+        assert network.wait() == 0, network.output
+    assert verdict()["verdict"] == "valid"
+    assert verdict()["checks"]["reference"]["ok"]
+    assert events("start")[0]["endpoint"].startswith("tcp/")
+    first, *rest = events("restarted")
+    assert first["process"] == victim["process"]
+    assert {event["process"] for event in rest} == lost
+    assert {event["machine"] for event in rest} == {cluster.address["head"]}
+    assert verdict()["restarts"] == 1 + len(lost)
+    log = Path(f"runs/latest/logs/{victim['process']}.log").read_text()
+    assert log.count("looking for") == 2, log
+
+
+@needs_ray
+@pytest.mark.slow
 def test_ctrl_c_leaves_nothing_of_a_cluster_that_we_started(environment: None) -> None:
     with Orchestrator(
-        "up", "paper7", "--processes", "2", "--steps", "100000", "--rate", "50", "--on", "ray", *UP
+        "up", "paper7", "--processes", "1", "--steps", "100000", "--rate", "50", "--on", "ray", *UP
     ) as up:
         up.wait_for("Ray has placed")
         up.wait_for("running: first step")
