@@ -69,6 +69,9 @@ def _cure_of_name(module: str, attribute: str) -> str:
         return f"Write {module[:-3]}:{attribute}."
     loaded = sys.modules.get(module)
     if loaded is None:
+        own = [file.stem for file in Path().glob("*.py")]
+        if near := difflib.get_close_matches(module, own, 1):
+            return f"Did you mean {near[0]}:{attribute}?"
         return "Give package.module:Class, importable here (docs/laws.md)."
     file = getattr(loaded, "__file__", None)
     place = f"{module} is {file}" if file else f"{module} is a module of Python"

@@ -63,9 +63,24 @@ def find(name: str) -> FilePath:
         ) from None
     if name in bundled():
         return _bundled_file(name)
-    near = difflib.get_close_matches(name, bundled(), 1)
+    near = _beside(path) or difflib.get_close_matches(name, bundled(), 1)
     hint = f"did you mean {near[0]}? " if near else ""
     raise UserError(f"{name}: no such file; {hint}bundled names are {', '.join(bundled())}", code=Code.FILE_MISSING)
+
+
+_MOST_NAMES = 1000
+"""files of a folder that are compared with a name"""
+
+
+def _beside(path: FilePath) -> list[str]:
+    """Return the topology file in the same folder whose name is like that of a missing one, if there is one."""
+    found = []
+    with contextlib.suppress(OSError):
+        for one in islice(path.parent.iterdir(), _MOST_NAMES):
+            if one.suffix in (".yaml", ".yml", ".json", ".toml") and not one.name.startswith("."):
+                found.append(one)
+    same = sorted(str(one) for one in found if one.stem in (path.name, path.stem))
+    return same[:1] or difflib.get_close_matches(str(path), sorted(map(str, found)), 1)
 
 
 def _bundled_file(name: str) -> FilePath:

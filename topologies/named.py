@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from hedgerow.topologies.errors import UserError
+from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.load import content, find, parse
 from hedgerow.topologies.plain import plain
 from hedgerow.topologies.resolve import resolve, to_yaml
@@ -48,7 +48,7 @@ class Given(NamedTuple):
 
 
 def given(network: Named) -> Given:
-    """Return a network as it was given, for other seeds: a Topology of `hg.load` is drawn anew from its file.
+    """Return a network as it was given, for other seeds: a Topology of `hg.load` is drawn again from its file.
 
     A changed copy of a Topology, and one of a run folder, have the numbers that they show, for every seed.
     """
@@ -71,6 +71,11 @@ def text_of(network: Named) -> tuple[bytes, str, Path]:
         return json.dumps(plain(network)).encode(), "network", getattr(network, "folder", None) or Path()
     if isinstance(network, str) and ("\n" in network or network.lstrip().startswith("{")):
         return network.encode(), "network", Path()
+    if not isinstance(network, str | Path):
+        raise UserError(
+            f"{type(network).__name__}: is no network. Give a name, a path, a text, a dictionary or a Topology.",
+            code=Code.TOPOLOGY,
+        )
     path = find(str(network))
     return content(path), str(path), path.parent
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import io
+import os
 import select
 import sys
 from collections.abc import Callable
@@ -76,11 +77,22 @@ def _unexpected(error: BaseException) -> int:
             echo(shown.getvalue(), error=True, end="")
         return Exit.USER_MISTAKE
     reached = limit_reached(error)
-    if reached is None and isinstance(error, OSError) and error.errno in OF_PATHS and error.filename is not None:
-        _complain(f"error: {error.filename!s}: {error.strerror}. Name another path, or correct its permissions.")
+    if reached is None and isinstance(error, OSError) and (mistake := _mistake_of_path(error)):
+        _complain(f"error: {mistake}")
         return Exit.USER_MISTAKE
     _complain(f"error: {reached or crash.report(error)}")
     return Exit.CRASH if reached is None else Exit.UNKNOWN
+
+
+def _mistake_of_path(error: OSError) -> str:
+    """Return the problem and the fix of a path that the user chose, or an empty text for another error."""
+    try:
+        os.getcwd()
+    except FileNotFoundError:
+        return "the working directory was removed. Change to a folder that exists."
+    if error.errno not in OF_PATHS or error.filename is None:
+        return ""
+    return f"{error.filename!s}: {error.strerror}. Name another path, or correct its permissions."
 
 
 def _nobody_reads() -> bool:

@@ -101,8 +101,8 @@ def whole_folder(folder: Path, shown: str, mode: int = 0o777) -> Iterator[Path]:
 
 def create(topology: Topology, directory: Path | None) -> RunFolder:
     """Return a new folder for a run of the resolved `topology`: `directory`, new or empty, or one in runs/."""
-    made = directory is not None and not directory.exists()
     try:
+        made = directory is not None and not directory.exists()
         if directory is not None:
             new_folder(directory, f"--run-dir {directory}")
             folder = RunFolder(real_path(directory))
