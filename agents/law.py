@@ -16,6 +16,7 @@ from typing import ClassVar, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from hedgerow.topologies import fast
 from hedgerow.topologies.fast import kernels_for, unequal_kernels_for
 from hedgerow.topologies.graph import FEW, Gain, all_finite
 
@@ -50,7 +51,7 @@ class Law(Protocol):
 
 def control(b: Gain, x: Array, ahat: Array) -> Array:
     """Return the inputs u = b x / (ahat - 1), all (k,); equations (6) and (8). `b` is one number or (k,)."""
-    if x.ndim == 1 and (kernels := _kernels_for(b, len(x))) is not None:
+    if x.ndim == 1 and len(x) >= fast.LARGE and (kernels := _kernels_for(b, len(x))) is not None:
         return kernels.control(b, x, ahat)  # type: ignore[no-any-return]
     return b * x / (ahat - 1.0)
 

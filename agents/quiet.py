@@ -1,11 +1,11 @@
 """The step of a few nodes in Python's floats: equations (6) and (7) without numpy.
 
 A step is quiet if every edge is open, every message of the step before is there, and nothing is learned late. Almost
-every step is. An array of one number costs as much as one of a hundred, so a shard of a few nodes makes its quiet steps
-here: those of the paper's law below, those of the other laws of the project in agents.quiet_laws. With the law of the
-paper, it also makes the steps in which messages are dropped or late here (agents.waiting). Other steps, and laws of
-other classes, use the general path (agents.samples and the law itself); `settle` passes everything to it. Both ways
-give the same bits, because they do the same operations in the same order.
+every step is. An array of one number costs as much as one of a hundred. So a shard of a few nodes makes its quiet steps
+here. The paper's law is below, and the other laws of the project are in agents.quiet_laws. With the law of the paper,
+steps with dropped or late messages are made here too (agents.waiting). Other steps, and laws of other classes, use the
+general path (agents.samples and the law itself). `settle` passes everything to the general path. Both ways give the
+same bits, because they do the same operations in the same order.
 """
 
 from __future__ import annotations

@@ -390,6 +390,8 @@ class Shard:
 
     def _send_now(self) -> list[tuple[Sequence[int], Link]]:
         """Return messages with the row of this step alone, for every peer."""
+        if not self.audience:
+            return []
         t, x, u = self.t, self.x, self.u
         return [
             (

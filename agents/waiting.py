@@ -31,8 +31,11 @@ class Row(NamedTuple):
 
 
 Arrival = tuple[int, int, Sequence[float]]
-"""An incidence, the delay of its link, and the inputs of the neighbour in the rows that arrive over it: those of all
-missing rows up to that of t - 1 - delay. There are no inputs if the neighbour is one of our own nodes."""
+"""An incidence, the delay of its link, and the inputs of the neighbour in the rows that arrive over it.
+
+The rows are all missing ones up to that of t - 1 - delay. There are no inputs if the neighbour is one of our own
+nodes.
+"""
 
 
 class _Sender(NamedTuple):
@@ -72,8 +75,8 @@ class Waiting:
     ) -> list[Arrival] | None:
         """Return what arrives with the state of step `past` + 1; None if the general path has to take it.
 
-        That is so if an edge is closed, if other rows arrive than the missing ones, if a number is not finite, and if
-        a sample has waited too long.
+        The general path takes it if an edge is closed, other rows arrive than the missing ones, a number is not
+        finite, or a sample has waited too long.
         """
         if self.most >= MOST_WAITING:
             return None

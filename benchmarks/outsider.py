@@ -6,6 +6,7 @@ python -m benchmarks.outsider --rounds 5 --steps 5000
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import os
 import statistics
@@ -13,6 +14,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -91,6 +93,24 @@ def joins(session: zenoh.Session, until: float, count: dict[str, int]) -> None:
     _ask(session, keys.join(0), asked, until, count)
 
 
+def tokens(session: zenoh.Session, until: float, count: dict[str, int]) -> None:
+    """Show and withdraw tokens of further lives of agent 1, as fast as the session accepts them."""
+    shown: list[Any] = []
+    while time.monotonic() < until:
+        shown.append(session.liveliness().declare_token(keys.alive(keys.shard_name(0), 1000 + count["shown"])))
+        count["shown"] += 1
+        if len(shown) > 200:
+            shown.pop(0).undeclare()
+
+
+def strange_tokens(session: zenoh.Session, until: float, count: dict[str, int]) -> None:
+    """Show tokens that no process of the run has, and leave all of them."""
+    shown: list[Any] = []
+    while time.monotonic() < until:
+        shown.append(session.liveliness().declare_token(f"alive/stranger-{count['shown']}/0"))
+        count["shown"] += 1
+
+
 def _ask(session: zenoh.Session, key: str, asked: dict[str, Any], until: float, count: dict[str, int]) -> None:
     while time.monotonic() < until:
         for waiting in [session.get(key, payload=json.dumps(asked), timeout=2.0) for _ in range(200)]:
@@ -99,7 +119,21 @@ def _ask(session: zenoh.Session, key: str, asked: dict[str, Any], until: float, 
                 count["refused" if "too often" in str(answer.get("error")) else "answered"] += 1
 
 
-def flood(attack: Callable[[zenoh.Session, float, dict[str, int]], None] | None) -> dict[str, float]:
+def memory(root: int) -> int:
+    """Return the resident memory of a process and all of its descendants [bytes]."""
+    parents, resident = {}, {}
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            fields = stat.read_text(encoding="utf-8").rpartition(")")[2].split()
+            parents[int(stat.parent.name)] = int(fields[1])
+            resident[int(stat.parent.name)] = int(fields[21]) * os.sysconf("SC_PAGE_SIZE")
+    family = {root}
+    while more := {one for one, parent in parents.items() if parent in family} - family:
+        family |= more
+    return sum(resident.get(one, 0) for one in family)
+
+
+def flood(attack: Callable[[zenoh.Session, float, dict[str, int]], None] | None) -> dict[str, Any]:
     """Attack a run of paper7 at 50 steps/s for five seconds; return the rates of the attack and of the run."""
     with tempfile.TemporaryDirectory() as folder:
         run, steps = Path(folder) / "run", int(RATE * (FLOOD_S + 2))
@@ -114,17 +148,23 @@ def flood(attack: Callable[[zenoh.Session, float, dict[str, int]], None] | None)
                 events = [json.loads(line) for line in log_file.read_text().splitlines()] if log_file.exists() else []
             start = next(event for event in events if event["event"] == "start")
             session = open_client(start["endpoint"], start["namespace"], None, 5.0)
-            count = {"answered": 0, "refused": 0}
-            if attack is not None:
+            count = Counter[str]()
+            before = memory(up.pid)
+            if attack is None:
+                time.sleep(FLOOD_S)
+            else:
                 attack(session, time.monotonic() + FLOOD_S, count)
+            grown = memory(up.pid) - before
             up.wait()
             close(session)
         found = verdict(run)
     return {
         "sent per s": sum(count.values()) / FLOOD_S,
+        "growth of all processes [MB]": round(grown / 2**20, 1),
         "refused per s": count["refused"] / FLOOD_S,
         "steps per s": found["steps_per_s"],
         "missing inputs": found["missing_inputs"],
+        "verdict": found["verdict"],
     }
 
 
@@ -137,7 +177,7 @@ def main() -> None:
     known = parser.parse_args()
     if known.only != "floods":
         print(json.dumps({"replay": replay(known.rounds, known.steps)}), flush=True)
-    for attack in (None, commands, joins) if known.only != "replay" else ():
+    for attack in (None, commands, joins, tokens, strange_tokens) if known.only != "replay" else ():
         print(json.dumps({getattr(attack, "__name__", "nothing"): flood(attack)}), flush=True)
 
 

@@ -71,14 +71,15 @@ def network_of(kind: str, nodes: int, steps: int, folder: Path, unequal: bool = 
     return resolve(load(str(file)), folder)
 
 
-def engine(truth: Truth, views: Sequence[View]) -> tuple[float, Array]:
-    """Return the steps per second of the in-process engine, and the last state."""
-    began, x = 0.0, truth.x0
+def engine(truth: Truth, views: Sequence[View]) -> tuple[float, Array, float]:
+    """Return the steps per second of the in-process engine, the last state, and its CPU time per step [ms]."""
+    began, spent, x = 0.0, 0.0, truth.x0
     for row in reference.run(truth, views):
         if row.t == WARM_UP - 1 and isinstance(row, Telemetry):
-            began = time.monotonic()
+            began, spent = time.monotonic(), time.process_time()
         x = row.x
-    return (truth.steps - WARM_UP) / (time.monotonic() - began), x
+    steps = truth.steps - WARM_UP
+    return steps / (time.monotonic() - began), x, 1e3 * (time.process_time() - spent) / steps
 
 
 class Apart(NamedTuple):
@@ -178,18 +179,20 @@ def measure(nodes: int, processes: int, rounds: int) -> dict[str, float]:
         network = network_of("ring", nodes, steps, folder)
         whole, parts = ([range(nodes)], partition(network.graph, processes))
         for _ in range(rounds):
-            alone, x = engine(truth_of(network, whole), views_of(network, whole))
+            alone, x, cpu_alone = engine(truth_of(network, whole), views_of(network, whole))
             apart = shards(truth_of(network, parts), views_of(network, parts), folder)
             if x.tobytes() != apart.x.tobytes():
                 raise SystemExit(f"{nodes} nodes: the trajectories differ")
             plant, *agents, observer = apart.cpu_ms
-            runs.append((alone, apart.steps_per_s, plant, statistics.mean(agents), observer))
-    alone, together, *cpu_ms = (statistics.median(each) for each in zip(*runs, strict=True))
+            by_cpu = sum(apart.cpu_ms) / cpu_alone
+            runs.append((alone, apart.steps_per_s, by_cpu, plant, statistics.mean(agents), observer))
+    alone, together, by_cpu, *cpu_ms = (statistics.median(each) for each in zip(*runs, strict=True))
     return {
         "nodes": nodes,
         "in one process [steps/s]": alone,
         f"in {processes} [steps/s]": together,
         "ratio": statistics.median(other / one for one, other, *_ in runs),
+        "CPU, ratio to one process": by_cpu,
         "ns a node and step": 1e9 / together / nodes,
         **dict(zip(("plant [ms of CPU]", "an agent [ms of CPU]", "observer [ms of CPU]"), cpu_ms, strict=True)),
     }

@@ -33,6 +33,8 @@ FAULTS = [
 SIZE = (1280, 720)
 CROP = (0, 36, 1280, 690)
 """the viewer's window without its bars"""
+PANEL = (0, 500, 400, 640)
+"""the panel *Now*, which is blank on the welcome page"""
 WIDTH = 960
 EVERY = 2
 """the steps between two frames: a frame takes about 40 kB, because the axes of the panels move"""
@@ -51,16 +53,16 @@ def pictures(folder: Path, rate: float) -> list[Image.Image]:
         options = [f"--set=faults={json.dumps(FAULTS)}", f"--steps={STEPS}", f"--rate={rate}", "--no-record"]
         command = [sys.executable, "-m", "hedgerow.orchestrator", "up", "paper7", "--viewer", viewer.url, *options]
         found: list[Image.Image] = []
-        printed = folder / "printed"
-        with printed.open("w") as out, subprocess.Popen(command, cwd=folder, stdout=out, stderr=out) as up:
-            # Before the first step, the viewer shows its own welcome page.
-            while up.poll() is None and "first step" not in printed.read_text():
-                time.sleep(0.1)
+        client.save_screenshot(str(folder / "frame.png"))
+        welcome = Image.open(folder / "frame.png").convert("RGB").crop(CROP).crop(PANEL).tobytes()
+        with subprocess.Popen(command, cwd=folder) as up:
             while up.poll() is None:
                 began = time.monotonic()
                 client.save_screenshot(str(folder / "frame.png"))
                 frame = Image.open(folder / "frame.png").convert("RGB").crop(CROP)
-                if not found or frame.tobytes() != found[-1].tobytes():
+                # Before the first step, the viewer shows its own welcome page.
+                begun = bool(found) or frame.crop(PANEL).tobytes() != welcome
+                if begun and (not found or frame.tobytes() != found[-1].tobytes()):
                     found.append(frame)
                 time.sleep(max(0.0, 1 / rate - (time.monotonic() - began)))
         if up.returncode:

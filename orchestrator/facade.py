@@ -144,7 +144,7 @@ def sweep(
 ) -> pa.Table:
     """Run a network under every seed and every combination of values, and return one row per run.
 
-    `network` is that of `load`; a Topology of `load` is drawn anew by each seed, and that of a run folder is not. Each
+    `network` is that of `load`; a Topology of `load` is drawn again by each seed, and that of a run folder is not. Each
     setting is `path=values`, as for `--set` on the command line: `"nodes.2.x0=1,2"`. Each keyword is a top-level key
     with a value or a list of values: `law=["minimax", "nominal"]`. `seeds` is a range with stride 1. Runs in `out` are
     not repeated; the default is a folder in sweeps/. `jobs` is the number of processes, by default one per core. If a

@@ -180,7 +180,7 @@ class Control:
         return {"fault": number + 1, "step": start, "entry": entry}
 
     def _heal(self, request: Request) -> Reply:
-        """End a fault, by its number from 1, or all active faults. A crashed agent needs one step to learn of it."""
+        """End a fault, by its number from 1, or all active faults. A crashed agent returns one step later."""
         plant, at = self._plant, self._next
         wanted = None if request.get("fault") is None else requests.integer(request, "fault", 1, FOREVER)
         if wanted is not None and wanted > plant.world.fault_count:

@@ -79,13 +79,21 @@ class Disturbance:
 def _sinusoid(amplitude: Array, omega: Array, phase: Array, t: int) -> Array:
     """Return amplitude * sin(omega * t + phase), computed in place block by block within the cache."""
     w = np.empty_like(omega)
-    for start in range(0, len(w), BLOCK):
-        some = slice(start, start + BLOCK)
-        part = np.multiply(omega[some], t, out=w[some])
-        part += phase[some]
-        np.sin(part, out=part)
-        part *= amplitude[some]
+    if len(w) <= BLOCK:
+        _fill(w, amplitude, omega, phase, t)
+    else:
+        for start in range(0, len(w), BLOCK):
+            some = slice(start, start + BLOCK)
+            _fill(w[some], amplitude[some], omega[some], phase[some], t)
     return w
+
+
+def _fill(w: Array, amplitude: Array, omega: Array, phase: Array, t: int) -> None:
+    """Write amplitude * sin(omega * t + phase) into w, all (k,)."""
+    np.multiply(omega, t, out=w)
+    w += phase
+    np.sin(w, out=w)
+    w *= amplitude
 
 
 def _confuse(nodes: Index, candidate: Array, _: int, x: Array | None, a: Array | None) -> Array:

@@ -7,7 +7,6 @@ import re
 import subprocess
 import sys
 import tomllib
-import zipfile
 from importlib import metadata
 from pathlib import Path
 
@@ -71,21 +70,6 @@ def test_the_plugin_loads_nothing_large_in_a_project_that_does_not_use_it(here: 
         env=plain,
     )
     assert done.returncode == 0, done.stdout + done.stderr
-
-
-@pytest.mark.slow
-def test_a_wheel_holds_one_package(tmp_path: Path) -> None:
-    command = (sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "--wheel-dir", str(tmp_path), str(ROOT))
-    done = run(*command)
-    assert done.returncode == 0, done.stderr
-    (wheel,) = tmp_path.glob("*.whl")
-    with zipfile.ZipFile(wheel) as archive:
-        names = archive.namelist()
-        (place,) = (name for name in names if name.endswith(".dist-info/METADATA"))
-        shown = archive.read(place).decode()
-    assert [link for link in re.findall(r"\]\(([^)]*)\)", shown) if not link.startswith("https://")] == []
-    assert {name.split("/")[0].partition("-")[0] for name in names} == {"hedgerow"}
-    assert {"hedgerow/topologies/paper7.yaml", "hedgerow/orchestrator/report/report.css"} <= set(names)
 
 
 def test_an_installation_adds_no_command_with_a_general_name() -> None:

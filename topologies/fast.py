@@ -10,16 +10,26 @@ from types import ModuleType
 LOG = logging.getLogger("topologies")
 LARGE = 4096
 """From this number of nodes on, compiled loops save more time than loading the compiler takes."""
+WORTH = 10**7
+"""From this number of steps times (150 + nodes) on, they save at least a second; loading them takes less."""
+_in_long_runs = False
+"""True in a process that makes long runs of small networks"""
+
+
+def prepare(nodes: int, steps: int) -> None:
+    """Have this process use compiled loops for networks of all sizes if so long a run repays the time to load them."""
+    global _in_long_runs  # noqa: PLW0603 (the loops stay loaded as long as the process)
+    _in_long_runs |= steps * (150 + nodes) >= WORTH
 
 
 def kernels_for(nodes: int) -> ModuleType | None:
     """Return `hedgerow.topologies.kernels` if it is faster and available; otherwise None."""
-    return _kernels() if nodes >= LARGE else None
+    return _kernels() if _in_long_runs or nodes >= LARGE else None
 
 
 def unequal_kernels_for(nodes: int) -> ModuleType | None:
     """Return `hedgerow.topologies.unequal_kernels`, for gains or weights that differ; otherwise as `kernels_for`."""
-    return _kernels("unequal_kernels") if nodes >= LARGE else None
+    return _kernels("unequal_kernels") if _in_long_runs or nodes >= LARGE else None
 
 
 @functools.cache

@@ -9,7 +9,7 @@
     crash       a node's agent, or a process with all its agents, dies, and may come back
     jump        a node's true a becomes another of its candidates
 
-Steps are half-open as of Python's range, and nodes are named by their ids.
+A window of steps includes its first step and excludes its last, as Python's range does. Nodes are named by their ids.
 """
 
 from __future__ import annotations

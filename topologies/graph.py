@@ -18,13 +18,17 @@ Gain = float | Array
 
 FEW = 32
 """up to this many numbers, a sum without numpy is faster"""
+MANY = 10_000
+"""Up to this many numbers, a sum of squares is the fastest sum. For more of them, OpenBLAS may start threads."""
 LARGEST = 1e100
 """the largest number in a file: sums of squares up to it do not overflow"""
 
 
 def all_finite(values: Array) -> bool:
-    """Return True if all values are finite; it may return False if only their sum overflows."""
-    return math.isfinite(sum(values.tolist()) if values.size <= FEW else np.add.reduce(values))
+    """Return True if all values (n,) are finite; it may return False if only their sum or a square overflows."""
+    if values.size <= FEW:
+        return math.isfinite(sum(values.tolist()))
+    return math.isfinite(values.dot(values) if values.size <= MANY else np.add.reduce(values))
 
 
 def starts(node: Index, n: int) -> Index:

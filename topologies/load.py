@@ -73,7 +73,7 @@ _MOST_NAMES = 1000
 
 
 def _beside(path: FilePath) -> list[str]:
-    """Return the topology file with the name most like that of a missing one in the same folder, if there is one."""
+    """Return the topology file with a name like that of a missing one in the same folder, if there is one."""
     found = []
     with contextlib.suppress(OSError):
         for one in islice(path.parent.iterdir(), _MOST_NAMES):

@@ -48,7 +48,7 @@ class Given(NamedTuple):
 
 
 def given(network: Named) -> Given:
-    """Return a network as it was given, for other seeds: a Topology of `hg.load` is drawn anew from its file.
+    """Return a network as it was given, for other seeds: a Topology of `hg.load` is drawn again from its file.
 
     A changed copy of a Topology, and one of a run folder, have the numbers that they show, for every seed.
     """

@@ -109,12 +109,17 @@ def _levelled(graph: Graph, home: Index, processes: int) -> Index:
 
 
 def pieces(graph: Graph) -> Index:
-    """Return one node of each connected piece of the graph."""
-    from scipy.sparse.csgraph import connected_components  # noqa: PLC0415
-
-    _, piece = connected_components(_beside(graph), directed=False)
-    _, first = np.unique(piece, return_index=True)
-    return first
+    """Return the first node of each connected piece of the graph, ascending."""
+    # Not scipy: it takes a fifth of a second to load, and every `check` would pay that.
+    first = np.arange(graph.n)
+    while True:
+        ends = np.sort(first[graph.edges], axis=1)
+        low, high = ends[ends[:, 0] < ends[:, 1]].T
+        if not len(low):
+            return np.unique(first)
+        np.minimum.at(first, high, low)
+        while (first[first] < first).any():
+            first = first[first]
 
 
 def _beside(graph: Graph, roots: Index | None = None) -> Any:

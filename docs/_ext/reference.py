@@ -14,7 +14,7 @@ from sphinx.application import Sphinx
 
 PAGE = "commands.md"
 _CODE = re.compile(r"(?<![`:\w])`([^`]+)`(?![`\w])")
-_OPTION = re.compile(r"(?<![`\w-])--[a-z][a-z-]*(?![`\w])")
+_OPTION = re.compile(r"(?<![`\w-])--[a-z][a-z-]*(?: (?:native|web|none)\b)?(?![`\w])")
 _BRACES = re.compile(r"\{([^{}]+)\}")
 """a required argument, as some releases of Typer print it"""
 _SPECIAL = re.compile(r"(?<!\w)([|*])(?=\S)|(?<=\w)_(?=\W|$)")

@@ -126,9 +126,9 @@ class UpProcess:
 
 
 def _paths(topology: Topology) -> dict[str, str]:
-    """Return the variable with which processes find a law of the user wherever this process found it.
+    """Return the variable with which processes find a law of the user where this process found it.
 
-    The law may lie beside the script that runs, or in a folder of tests, and import what lies elsewhere.
+    The law may be a file beside the script that runs, or in a folder of tests. It may import files of other folders.
     """
     if ":" not in topology.law:
         return {}

@@ -1,7 +1,8 @@
-"""The outcome of every fault: one account each, from telemetry and from the schedule of the faults.
+"""The accounts of faults: how often each fault was scheduled, took effect and was observed.
 
-An *instance* of a fault is one target at one step. It *fired* if it took effect, and was *masked* if there was nothing
-to lose. It was *seen* if the process that must miss something reports it:
+The accounts compare the telemetry with the schedule of the faults. An *instance* of a fault is one target at one step.
+It *fired* if it took effect. It was *masked* if there was nothing to lose. It was *seen* if the process that lacks
+something reports so. The table gives the evidence of each kind:
 
     kind         fired                    masked                            seen
     drop, delay  the row did not cross    no sender, or no receiver          the receiver lacks it
@@ -11,7 +12,8 @@ to lose. It was *seen* if the process that must miss something reports it:
     crash        no input came            agent absent the step before      no report arrives
     jump         (1) holds under it                                         not visible
 
-Telemetry reports the used inputs of a step in the next row, so a step is judged when that row is here.
+Telemetry reports in each row the inputs that the agents used one step earlier. So a step is judged when the next row
+has arrived.
 """
 
 from __future__ import annotations
@@ -57,7 +59,10 @@ class Observed(NamedTuple):
 
 
 class Judged(NamedTuple):
-    """The outcome of K instances, one mask per question; `visible` is True if the process that sees it has reported."""
+    """The outcome of K instances, one mask per question.
+
+    `visible` is True if the process that would see the effect has reported.
+    """
 
     fired: Mask
     masked: Mask

@@ -74,12 +74,6 @@ class Union:
         """Return the number of steps of every part."""
         return self.topology.steps
 
-    @property
-    def history(self) -> int:
-        """Return the number of past steps stored for back-filling; 0 if no message can be missing."""
-        lossy = any(effect.lossy for effect in self.effects)
-        return history_of(self.topology) if lossy else 0
-
     @cached_property
     def words(self) -> lots.Words:
         """Return the seed of each node, (S n,)."""
@@ -100,7 +94,7 @@ class Union:
             shards=[np.arange(self.S * self.n)],
             effects=[effect.to_dict() for effect in self.effects],
             faults=len(self.topology.faults),
-            history=self.history,
+            history=history_of(self.topology),
         )
 
     def view(self) -> View:
@@ -116,7 +110,7 @@ class Union:
             weights=self.graph.weight,
             peers=[],
             outside=id_array([]),
-            history=self.history,
+            history=history_of(self.topology),
             seed=np.repeat(self.law_seeds, self.n),
         )
 

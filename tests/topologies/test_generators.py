@@ -126,7 +126,7 @@ def test_chance_has_the_shape_that_its_name_promises() -> None:
 @pytest.mark.parametrize(
     ("graph", "place"),
     [
-        ("{kind: rign, nodes: 5}", "graph"),
+        ("{kind: rign, nodes: 5}", "graph: kind"),
         ("{kind: ring}", "graph"),
         ("{kind: ring, nodes: 2}", "graph"),
         ("{kind: ring, nodes: 1.5}", "graph: nodes"),

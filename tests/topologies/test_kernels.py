@@ -33,6 +33,18 @@ def test_the_compiled_loops_are_to_be_had() -> None:
     assert fast.kernels_for(fast.LARGE - 1) is None
 
 
+def test_a_long_run_of_a_small_network_loads_the_compiled_loops() -> None:
+    pytest.importorskip("numba")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(fast, "_in_long_runs", False)
+        fast.prepare(nodes=100, steps=30)
+        assert fast.kernels_for(100) is None
+        fast.prepare(nodes=100, steps=fast.WORTH)
+        fast.prepare(nodes=100, steps=30)
+        assert fast.kernels_for(100) is not None
+        assert fast.unequal_kernels_for(100) is not None
+
+
 @given(topology=faulty(), past=st.sampled_from([1, 2, 5, 100_000]), data=st.data())
 def test_a_large_network_runs_as_a_small_one_does(topology: Topology, past: int, data: st.DataObject) -> None:
     topology = topology.model_copy(update={"history": past})

@@ -157,29 +157,31 @@ def test_a_million_mistakes_are_counted_in_bounded_memory() -> None:
 
 
 BIG = """
+import resource
 import sys
 from pathlib import Path
 from hedgerow.topologies.errors import TopologyError
 from hedgerow.topologies.load import parse
+resource.setrlimit(resource.RLIMIT_CPU, (15, 15))  # s, also on a busy machine
 head = "name: n\\nb: 0.01\\nsteps: 3\\nnodes: [1, 2]\\n"
 rows = {"edges": "- [1, {}5]\\n", "faults": "- {{kind: sensr, node: {}}}\\n", "pairs": "- [a b, {}]\\n"}[sys.argv[1]]
 key = "faults" if sys.argv[1] == "faults" else "edges"
-text = head + key + ":\\n" + "".join(rows.format(k) for k in range(50_000))
+text = head + key + ":\\n" + "".join(rows.format(k) for k in range(20_000))
 try:
     parse(text.encode(), "bad.yaml", Path())
 except TopologyError as error:
-    assert error.count >= 50_000, error.count
+    assert error.count >= 20_000, error.count
     assert len(str(error)) < 5_000, len(str(error))
     peak = next(line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmHWM"))
-    assert int(peak.split()[1]) < 500_000, peak  # kB
+    assert int(peak.split()[1]) < 200_000, peak  # kB
     sys.exit(7)
 """
 
 
 @pytest.mark.parametrize("kind", ["edges", "faults", "pairs"])
 def test_very_many_mistakes_take_bounded_time_and_memory(kind: str) -> None:
-    """Quadratic work would take minutes, and one line for each mistake 4 MB."""
-    done = subprocess.run([sys.executable, "-c", BIG, kind], timeout=60, check=False)
+    """Quadratic work would take far more than the limit of CPU time, and one line for each mistake 2 MB."""
+    done = subprocess.run([sys.executable, "-c", BIG, kind], timeout=180, check=False)
     assert done.returncode == 7
 
 

@@ -2,59 +2,16 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
-import time
-from collections.abc import Iterator, Sequence
-from importlib import resources
 from pathlib import Path
-from typing import Any
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from hedgerow.topologies import rules
-from hedgerow.topologies.errors import Code, Problem, TopologyError, UserError
-from hedgerow.topologies.header import Header
-from hedgerow.topologies.load import bundled, load, parse
+from hedgerow.topologies.errors import Code, TopologyError, UserError
+from hedgerow.topologies.load import load, parse
 from hedgerow.topologies.resolve import resolve, to_yaml
-from hedgerow.topologies.samples import columns
-from hedgerow.topologies.schema import Topology
-from tests.tools.examples import examples
 from tests.tools.refusals import refusal
-
-GOOD = """\
-name: pair
-b: 0.1
-steps: 3
-seed: 4
-defaults: {x0: 1, candidates: [0.3, 0.6]}
-nodes:
-  1: {}
-  2: {a: 0.6}
-edges:
-  - [1, 2]
-"""
-HEAD = "name: n\nb: 0.1\nsteps: 3\n"
-
-
-def problems(text: str | bytes, *overrides: str, folder: Path = Path()) -> list[Problem]:
-    """Return the mistakes of a file with this text."""
-    text = text.encode() if isinstance(text, str) else text
-    with pytest.raises(TopologyError) as caught:
-        parse(text, "bad.yaml", folder, overrides)
-    return list(caught.value.problems)
-
-
-def only(text: str | bytes, *overrides: str, folder: Path = Path()) -> Problem:
-    """Return the only mistake of a file."""
-    (problem,) = problems(text, *overrides, folder=folder)
-    return problem
-
-
-def good(text: str, *overrides: str, folder: Path = Path()) -> Topology:
-    return parse(text.encode(), "good.yaml", folder, overrides)
+from tests.tools.topology_texts import GOOD, HEAD, good, only, problems
 
 
 def test_all_mistakes_are_reported_with_their_lines_and_fixes() -> None:
@@ -199,7 +156,7 @@ def test_a_network_has_nodes(wrong: str) -> None:
         ("{kind: sinusoid, amplitude: 1}", "node 1: disturbance"),
         ("{kind: sinusoid, amplitude: 1, omega: 1, std: 1}", "node 1: disturbance"),
         ("[none, {kind: white, std: 1, sdt: 1}]", "node 1: disturbance: 1"),
-        ("{kind: wave}", "node 1: disturbance"),
+        ("{kind: wave}", "node 1: disturbance: kind"),
         ("{value: 1}", "node 1: disturbance"),
         ("5", "node 1: disturbance"),
         ("{kind: constant, value: .inf}", "node 1: disturbance: value"),
@@ -235,7 +192,7 @@ def test_the_network_or_its_nodes_have_disturbances() -> None:
         (b"hello", 1),
         (b"- 1\n- 2\n", 1),
         (b"name: n\nb: [1, 2\nsteps: 3\n", 3),
-        (b"name: n\nb: 'x\n", 3),
+        (b"name: n\nb: 'x\n", 2),
         (b"name: n\nnodes:\n\t- 1\n", 3),
         (b"name: n\n# caf\xe9\n", 2),
         ("name: n\n".encode("utf-16"), 1),
@@ -401,212 +358,3 @@ def test_an_override_of_a_shared_anchor_changes_one_place() -> None:
 def test_overrides_that_lead_nowhere(override: str, code: Code) -> None:
     with refusal(code):
         parse(GOOD.encode(), "bad.yaml", Path(), [override])
-
-
-# Samples in CSV files.
-
-TABLE = "nodes: [a, b]\ndefaults: {disturbance: {kind: samples, file: w.csv}}\n"
-
-
-@pytest.mark.parametrize(
-    ("content", "at"),
-    [
-        (None, "w.csv:"),
-        ("", "w.csv:"),
-        ("1,2,3\n" * 3, "w.csv:1:"),
-        ("1,2\n1\n1,2\n", "w.csv:2:"),
-        ("1,2\n1,x\n1,2\n", "w.csv:2:"),
-        ("1,2\n1,nan\n1,2\n", "w.csv:2:"),
-        ("1,2\n1,-1e101\n1,2\n", "w.csv:2:"),
-        ("1,2\n1,2\n", ""),
-        ("a,b\n1,2\n1,2\n", ""),
-        ("a\n1\n1\n1\n", "w.csv"),
-        ("a,c\n1,2\n1,2\n1,2\n", "w.csv:1:"),
-        ("1,\0\n" * 3, "w.csv:1:"),
-    ],
-)
-def test_a_table_of_samples_can_be_wrong(content: str | None, at: str, tmp_path: Path) -> None:
-    """Missing, ragged, short or no numbers; the line is that of the disturbance in the topology."""
-    if content is not None:
-        (tmp_path / "w.csv").write_text(content)
-    problem = only(HEAD + TABLE, folder=tmp_path)
-    assert (problem.line, problem.place) == (5, "defaults: disturbance")
-    assert problem.what.startswith(at)
-
-
-@pytest.mark.parametrize("file", ["../w.csv", "/etc/hostname", "inside/../../w.csv"])
-def test_a_table_is_beside_the_topology(file: str, tmp_path: Path) -> None:
-    (tmp_path / "w.csv").write_text("1,2\n" * 3)
-    (tmp_path / "own").mkdir()
-    problem = only(HEAD + TABLE.replace("w.csv", file), folder=tmp_path / "own")
-    assert (problem.place, problem.code) == ("defaults: disturbance", Code.FILE_FORMAT)
-
-
-def test_a_link_out_of_the_folder_is_outside_it(tmp_path: Path) -> None:
-    (tmp_path / "w.csv").write_text("1,2\n" * 3)
-    (tmp_path / "own").mkdir()
-    (tmp_path / "own" / "w.csv").symlink_to(tmp_path / "w.csv")
-    assert only(HEAD + TABLE, folder=tmp_path / "own").place == "defaults: disturbance"
-
-
-@pytest.mark.parametrize(
-    ("table", "of_a"),
-    [("1,2\n3,4\n5,6\n", (1.0, 3.0, 5.0)), ("b,a\n1,2\n3,4\n5,6\n7,8\n", (2.0, 4.0, 6.0))],
-    ids=["without a header: in node order", "a header names the columns"],
-)
-def test_a_table_gives_each_node_its_column(table: str, of_a: tuple[float, ...], tmp_path: Path) -> None:
-    (tmp_path / "w.csv").write_text(table)
-    topology = resolve(good(HEAD + TABLE, folder=tmp_path), tmp_path)
-    disturbance = topology.nodes["a"].disturbance
-    assert disturbance is not None
-    assert getattr(disturbance, "values", None) == of_a
-
-
-def test_a_table_that_each_node_names_is_read_once_to_be_checked(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The table is as wide as the network: to read it for each node would be work of the third order."""
-    reads = []
-
-    def counted(
-        file: str, folder: Path, ids: Sequence[int | str], header: Header | None, *more: Any
-    ) -> dict[int | str, list[float]]:
-        reads.append(file)
-        return columns(file, folder, ids, header, *more)
-
-    monkeypatch.setattr(rules, "columns", counted)
-    nodes = "".join(f"  {k}: {{disturbance: {{kind: samples, file: w.csv}}}}\n" for k in range(5))
-    (tmp_path / "w.csv").write_text("1.5,2,3,4,5\n" * 3)
-    assert len(good(f"{HEAD}nodes:\n{nodes}", folder=tmp_path).ids) == 5
-    assert len(reads) == 1
-    (tmp_path / "w.csv").write_text("1.5,2,3,4,x\n" * 3)
-    assert {problem.place for problem in problems(f"{HEAD}nodes:\n{nodes}", folder=tmp_path)} == {
-        f"node {k}: disturbance" for k in range(5)
-    }
-    assert len(reads) == 2
-
-
-def test_quoted_ids_cost_about_the_same_as_bare_ones() -> None:
-    """Every id of a JSON file is quoted; each was looked for among all lines, which took 30 times as long here."""
-
-    def cost_s(quote: str) -> float:
-        nodes = ", ".join(f"{quote}{k}{quote}: {{x0: 1}}" for k in range(4000))
-        began = time.process_time()
-        assert good(f"{HEAD}nodes: {{{nodes}}}\n").ids[-1] == 3999
-        return time.process_time() - began
-
-    assert cost_s('"') < 8 * cost_s("")
-
-
-# Draw any text.
-
-FAULTY = b"""\
-name: faulty
-b: 0.1
-steps: 20
-processes: 2
-defaults: {candidates: {random: 3}}
-nodes: [1, 2, hub, 4]
-edges: [[1, hub], [hub, 2], [4, hub]]
-faults:
-  - {kind: drop, link: [1, hub], steps: [3, 9], probability: 0.5}
-  - {kind: drop, from: hub, to: 2}
-  - kind: drop
-    at:
-      5: [[4, hub], [hub, 1]]
-      7: [[2, hub]]
-  - {kind: delay, from: hub, to: 4, by: 3}
-  - {kind: cut, edge: [2, hub], steps: [0, 5]}
-  - {kind: partition, groups: [[1, hub], [2, 4]], cut: true}
-  - {kind: sensor, node: 1, steps: [5, 9]}
-  - {kind: actuator, node: hub, probability: 0.1}
-  - {kind: crash, process: 1, at: 4, restart_after: 5}
-  - {kind: jump, node: 4, at: 15, a: random}
-"""
-GOOD_FILES = [FAULTY, *((resources.files("hedgerow.topologies") / f"{name}.yaml").read_bytes() for name in bundled())]
-PIECES = st.one_of(
-    st.sampled_from([b"\n", b" ", b"\t", b":", b": ", b"- ", b"[", b"]", b"{", b"}", b"#", b"&a "]),
-    st.sampled_from([b"*a", b"!!x ", b"---\n", b"'", b'"', b"-1", b"1e400", b".nan", b"~", b"true"]),
-    st.sampled_from([b"random", b"nodes", b"\0", b"\xff", "é".encode(), b"|\n", b"5", b"0.5", b"no"]),
-)
-
-
-@st.composite
-def mutated(draw: st.DrawFn) -> bytes:
-    """The text of a good file after a few slips of the hand."""
-    text = draw(st.sampled_from(GOOD_FILES))
-    for _ in range(draw(st.integers(1, 4))):
-        if draw(st.booleans()):
-            start = draw(st.integers(0, len(text)))
-            end = start + draw(st.integers(0, 3))
-            text = text[:start] + draw(st.one_of(st.just(b""), PIECES)) + text[end:]
-        else:
-            lines = text.splitlines(keepends=True) or [b""]
-            k = draw(st.integers(0, len(lines) - 1))
-            other = draw(st.sampled_from(lines))
-            lines[k : k + 1] = draw(st.sampled_from([[], [lines[k], other], [other]]))
-            text = b"".join(lines)
-    return text
-
-
-@contextlib.contextmanager
-def briefly() -> Iterator[None]:
-    """Fail if the block computes for long; the time that other processes take does not count."""
-    began = time.process_time()
-    try:
-        yield
-    finally:
-        assert time.process_time() - began < 5
-
-
-@given(mutated())
-@settings(max_examples=examples(500))
-def test_no_slip_of_the_hand_shows_a_traceback(text: bytes) -> None:
-    """A file is refused in words, or it is good all the way to the folder of its run."""
-    try:
-        with briefly():
-            resolved = resolve(parse(text, "slip.yaml", Path()))
-    except TopologyError as error:
-        found = error.problems
-    else:
-        assert parse(to_yaml(resolved).encode(), "again.yaml", Path()) == resolved
-        return
-    last = text.count(b"\n") + 2
-    assert found
-    assert all(0 <= problem.line <= last and problem.what for problem in found)
-
-
-STEPS = st.sampled_from(
-    [
-        *("name", "b", "steps", "seed", "law", "defaults", "nodes", "edges", "disturbance", "faults"),
-        *("a", "candidates", "x0", "nominal", "kind", "amplitude", "values", "file", "random"),
-        *("0", "1", "2", "-1", "7", "hub", "west", "3", "null", ""),
-        *("link", "from", "at", "groups", "cut", "node", "process", "backfill", "history", "processes"),
-    ]
-)
-VALUES = st.one_of(
-    st.sampled_from(["", "~", "no", "random", "worst_case", "none", ".nan", "1e400", "-1", "0", "2"]),
-    st.sampled_from(["[]", "{}", "[[1, 2]]", "{-1}", "{random: [0, 1]}", "{random: 3}", "[{}]"]),
-    st.sampled_from(["[0.5]", "0.5", "{kind: white, std: 1}", "{kind: samples}", "{kind: [x]}"]),
-    st.sampled_from(["{kind: samples, file: ../x}", "{kind: samples, values: [0]}", "{energy: 2}"]),
-    st.sampled_from(["[{kind: drop, link: [1, 2]}]", "[{kind: cut, at: {1: [[1, 2]]}}]", "[{kind: drop}, 5]", "true"]),
-    st.sampled_from(["[{kind: jump, node: 1, at: 2, a: random}]", "[{kind: jump, node: 2, at: 1, a: 0.5}]"]),
-    st.sampled_from(["[{kind: partition, groups: [[1], [2]]}]", "[{kind: crash, process: 1, at: 2}]", "{1: {2: 3}}"]),
-    st.text("[]{}:,-&*!|>'\"# \n0aé", max_size=8),
-)
-SETTINGS = st.builds(lambda path, value: f"{'.'.join(path)}={value}", st.lists(STEPS, max_size=4), VALUES)
-
-
-@given(st.sampled_from(bundled()), st.lists(SETTINGS, min_size=1, max_size=3))
-@settings(max_examples=examples(400))
-def test_no_override_shows_a_traceback(name: str, overrides: list[str]) -> None:
-    """Any value at any path: refused in words, or good all the way to the folder of its run."""
-    try:
-        with briefly():
-            resolved = resolve(load(name, overrides))
-    except UserError as error:
-        found = str(error)
-    else:
-        assert parse(to_yaml(resolved).encode(), "again.yaml", Path()) == resolved
-        return
-    assert found.strip()

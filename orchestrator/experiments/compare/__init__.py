@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import csv
 from collections import Counter
 from collections.abc import Generator, Sequence
@@ -16,11 +15,10 @@ from hedgerow.orchestrator.experiments.compare.runs import METRICS, answer
 from hedgerow.orchestrator.experiments.compare.statistics import Cell, Paired, cells, paired, repeats
 from hedgerow.orchestrator.experiments.sweep import cores
 from hedgerow.orchestrator.experiments.sweep.folder import SweepFolder
-from hedgerow.orchestrator.experiments.sweep.progress import progress
-from hedgerow.orchestrator.experiments.sweep.runs import Answer, Failure, Row
+from hedgerow.orchestrator.experiments.sweep.progress import collect
+from hedgerow.orchestrator.experiments.sweep.runs import Answer, Row
 from hedgerow.orchestrator.experiments.sweep.summary import REPEATED
 from hedgerow.orchestrator.experiments.sweep.workers import over_processes
-from hedgerow.orchestrator.ground.signals import Interrupts
 from hedgerow.orchestrator.metrics.verdict import EXIT_CODES, INVALID, UNKNOWN, VALID
 from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.escape import echo
@@ -85,7 +83,9 @@ class Compared:
 
 
 def compare(plan: Comparison, out: Path | None = None, jobs: int | None = None, quiet: bool = False) -> Compared | None:
-    """Make the missing runs, then table, findings and figure; None if it was stopped, with the finished runs saved.
+    """Make the missing runs, then the table, the findings and the figure.
+
+    Return None if the comparison was stopped; the finished runs are saved.
 
     `jobs` is the number of processes, all cores by default; with 1, the runs are made in this process. Raise UserError
     for a mistake, and HedgerowError if a run cannot be made.
@@ -113,20 +113,7 @@ def _run(plan: Comparison, folder: SweepFolder, jobs: int, quiet: bool) -> str:
     chunks = plan.chunks(frozenset(folder.rows))
     answers: Generator[Answer | None, None, None]
     answers = over_processes(plan, chunks, jobs, answer) if jobs > 1 else (answer(plan, chunk) for chunk in chunks)
-    with (
-        Interrupts() as interrupts,
-        contextlib.closing(progress(folder.there, plan.runs, quiet)) as shown,
-        contextlib.closing(answers),
-    ):
-        for rows in answers:
-            if isinstance(rows, Failure):
-                raise rows.error()
-            if rows:
-                folder.append(rows)
-                shown.advance(len(rows))
-            if interrupts.count:
-                return interrupts.name
-    return ""
+    return collect(answers, folder, plan.runs, quiet)
 
 
 def _write(found: Compared) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 from collections import Counter
 from collections.abc import Callable
@@ -12,10 +11,8 @@ from typing import NamedTuple
 from hedgerow.orchestrator.experiments.sweep import summary
 from hedgerow.orchestrator.experiments.sweep.folder import SweepFolder, default_out
 from hedgerow.orchestrator.experiments.sweep.plan import Plan
-from hedgerow.orchestrator.experiments.sweep.progress import progress
-from hedgerow.orchestrator.experiments.sweep.runs import Failure
+from hedgerow.orchestrator.experiments.sweep.progress import collect
 from hedgerow.orchestrator.experiments.sweep.workers import over_processes
-from hedgerow.orchestrator.ground.signals import Interrupts
 from hedgerow.orchestrator.metrics.verdict import EXIT_CODES, INVALID, UNKNOWN, VALID
 from hedgerow.topologies.errors import Code, Exit, UserError
 from hedgerow.topologies.escape import echo
@@ -69,20 +66,7 @@ def _run(plan: Plan, folder: SweepFolder, jobs: int | None, on: str | None, quie
         answers = over_ray(plan, chunks, on, jobs)
     else:
         answers = over_processes(plan, chunks, jobs or (1 if plan.engine == "zenoh" else cores()))
-    with (
-        Interrupts() as interrupts,
-        contextlib.closing(progress(folder.there, plan.runs, quiet)) as shown,
-        contextlib.closing(answers),
-    ):
-        for rows in answers:
-            if isinstance(rows, Failure):
-                raise rows.error()
-            if rows:
-                folder.append(rows)
-                shown.advance(len(rows))
-            if interrupts.count:
-                return interrupts.name
-    return ""
+    return collect(answers, folder, plan.runs, quiet)
 
 
 def cores() -> int:

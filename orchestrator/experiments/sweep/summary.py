@@ -49,7 +49,7 @@ REPEATED = "every seed gave the same run, because nothing in this network is dra
 
 
 def repeated(rows: Sequence[Row]) -> bool:
-    """Return True if the runs of several seeds are one run, so that their number says nothing."""
+    """Return True if the runs of several seeds are one run, so that their number means nothing."""
     return len(rows) > 1 and all({**row, "seed": 0} == {**rows[0], "seed": 0} for row in rows)
 
 

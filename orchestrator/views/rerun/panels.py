@@ -117,8 +117,9 @@ def totals(topology: Topology, observer: Observer) -> list[Quantity]:
     limit = topology.network.gamma_star_now
 
     def gains(batch: Batch) -> Matrix:
+        # From the top line to the lowest in most runs, so that the legend has their order.
         gamma_star = np.full(len(batch.t), limit)
-        return np.stack([batch.gain(), batch.gain(float(observer.v0)), gamma_star, batch.ceiling], axis=1)
+        return np.stack([batch.gain(), batch.ceiling, gamma_star, batch.gain(float(observer.v0))], axis=1)
 
     def sums(batch: Batch) -> Matrix:
         return np.stack([batch.regret_sum, batch.nominal_regret_sum], axis=1)
@@ -128,7 +129,7 @@ def totals(topology: Topology, observer: Observer) -> list[Quantity]:
         Quantity("regret_sum", sums, [topology.law, "nominal"], [BLUE, ORANGE], 2.0),
         Quantity("cost_regret", lambda batch: batch.cost_regret, ["R"], [BLUE], 2.0),
         Quantity("cost_ratio", lambda batch: batch.ratio, ["cost / oracle's cost"], [BLUE], 2.0),
-        Quantity("gain", gains, ["gain", "less x(0)", "γ*", "at most"], [ORANGE, BLUE, GREY, VERMILLION], 2.0),
+        Quantity("gain", gains, ["gain", "at most", "γ*", "less x(0)"], [ORANGE, VERMILLION, GREY, BLUE], 2.0),
         Quantity("ceiling_slack", lambda batch: batch.ceiling_slack, ["slack"], [VERMILLION], 2.0),
     ]
 

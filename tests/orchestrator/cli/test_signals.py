@@ -73,7 +73,7 @@ def test_a_refused_run_leaves_no_folder(here: Path, command: str) -> None:
 
 @pytest.mark.parametrize("number", SIGNALS)
 def test_a_signal_that_arrives_in_a_destructor_is_not_lost(here: Path, number: signal.Signals) -> None:
-    """Python reports what a destructor raises, and goes on."""
+    """Python reports what a destructor raises, and continues."""
     (here / "slow.py").write_text(
         f"import os, time\nclass Gone:\n def __del__(self):\n  os.kill(os.getpid(), {int(number)})\n  time.sleep(0.1)\n"
     )

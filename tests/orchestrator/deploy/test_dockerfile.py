@@ -8,6 +8,8 @@ import re
 import shutil
 import subprocess
 import sys
+import zipfile
+from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -97,11 +99,15 @@ def build(stages: dict[str, list[Instruction]], root: Path) -> dict[str, str]:
             else:
                 to.mkdir(parents=True, exist_ok=True)
                 shutil.copy(ROOT / source, to)
-    subprocess.run([sys.executable, "-m", "venv", str(root / "python")], check=True)
+    commands = root / "python/bin"
+    commands.mkdir(parents=True)
+    for name, module in (("python", ""), ("pip", "-m pip ")):
+        (commands / name).write_text(f'#!/bin/sh\nexec "{sys.executable}" {module}"$@"\n')
+        (commands / name).chmod(0o755)
     hidden = ("PYTHONPATH", "VIRTUAL_ENV")
     environment = {key: value for key, value in os.environ.items() if key not in hidden}
     environment["PIP_NO_COMPILE"] = "1"
-    environment["PATH"] = f"{root / 'python/bin'}{os.pathsep}{os.environ['PATH']}"
+    environment["PATH"] = f"{commands}{os.pathsep}{os.environ['PATH']}"
     for run in values(stages["build"], "RUN"):
         # Downloads are cached: here in the machine's cache, not in a layer.
         words = re.sub(r"(?<=[ (])/(wheels|opt)\b", rf"{root}/\1", run).replace(" --no-cache-dir", "")
@@ -115,18 +121,42 @@ def build(stages: dict[str, list[Instruction]], root: Path) -> dict[str, str]:
     return environment
 
 
+@dataclass(frozen=True)
+class Image:
+    """The files of the built images, and the environment of their programs."""
+
+    root: Path
+    environment: dict[str, str]
+
+
+@pytest.fixture(scope="module")
+def image(stages: dict[str, list[Instruction]], tmp_path_factory: pytest.TempPathFactory) -> Image:
+    root = tmp_path_factory.mktemp("image")
+    return Image(root, build(stages, root))
+
+
 @pytest.mark.slow
-def test_its_steps_make_an_agent_of_numpy_and_zenoh_and_no_more(
-    here: Path, stages: dict[str, list[Instruction]]
-) -> None:
-    environment = build(stages, here / "image")
-    where = {name: here / "image/opt" / name / "bin" for name in ("agent", "orchestrator")}
+def test_its_wheel_holds_one_package(image: Image) -> None:
+    (wheel,) = (image.root / "wheels").glob("*.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        names = archive.namelist()
+        (place,) = (name for name in names if name.endswith(".dist-info/METADATA"))
+        shown = archive.read(place).decode()
+    assert [link for link in re.findall(r"\]\(([^)]*)\)", shown) if not link.startswith("https://")] == []
+    assert {name.split("/")[0].partition("-")[0] for name in names} == {"hedgerow"}
+    assert {"hedgerow/topologies/paper7.yaml", "hedgerow/orchestrator/report/report.css"} <= set(names)
+
+
+@pytest.mark.slow
+def test_its_steps_make_an_agent_of_numpy_and_zenoh_and_no_more(here: Path, image: Image) -> None:
+    environment = image.environment
+    where = {name: image.root / "opt" / name / "bin" for name in ("agent", "orchestrator")}
 
     def run(*words: str) -> subprocess.CompletedProcess[str]:
         return subprocess.run(words, env=environment, capture_output=True, text=True, check=False)
 
     listed = run(
-        str(here / "image/python/bin/pip"), "--python", str(where["agent"] / "python"), "list", "--format=json"
+        str(image.root / "python/bin/pip"), "--python", str(where["agent"] / "python"), "list", "--format=json"
     )
     there = {one["name"]: one["version"] for one in json.loads(listed.stdout)}
     assert there.keys() == {"hedgerow", "eclipse-zenoh", "numpy"}
