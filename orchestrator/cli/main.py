@@ -61,6 +61,7 @@ from hedgerow.wire.start import loading
 if TYPE_CHECKING:
     from hedgerow.orchestrator.ground.assignment import Layout
     from hedgerow.orchestrator.launch.external_agents import External
+    from hedgerow.orchestrator.metrics.verdict import Verdict
     from hedgerow.orchestrator.runs.folder import RunFolder
     from hedgerow.orchestrator.views.screen import Screen
     from hedgerow.topologies.schema import Topology
@@ -231,8 +232,12 @@ def up(
 
     with stack:
         fork_client = stack.enter_context(contextlib.closing(_FORK_CLIENT or ForkClient()))
-        begin = functools.partial(Network, topology, folder, shards, options, display, fork_client, _BEGAN)
-        return code_of_run(folders.begun_or_withdrawn(folder, begin).run(on_first_step, stack), display)
+
+        def begin() -> Verdict:
+            network = Network(topology, folder, shards, options, display, fork_client, _BEGAN)
+            return network.run(on_first_step, stack)
+
+        return code_of_run(folders.begun_or_withdrawn(folder, begin), display)
 
 
 def _keeps(keep: bool | None, display: Screen) -> bool:

@@ -7,6 +7,7 @@ a file that can be locked belongs to a dead run.
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
 import hashlib
 import json
@@ -97,10 +98,18 @@ def announced(
     entry = Entry(
         run, str(folder), os.getpid(), endpoint, namespace, time.time(), own, [*map(str, traces)], _working_directory()
     )
-    with path.open("w", encoding="utf-8") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
-        file.write(json.dumps(asdict(entry)))
-        file.flush()
+    with path.open("wb", buffering=0) as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX)
+            content = json.dumps(asdict(entry)).encode()
+            if file.write(content) < len(content):
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        except OSError as error:
+            path.unlink(missing_ok=True)
+            raise UserError(
+                f"{path.parent}: the run cannot be listed: {error.strerror}. Free space, or set XDG_RUNTIME_DIR.",
+                code=Code.OUTPUT,
+            ) from None
         try:
             yield path
         finally:

@@ -163,10 +163,11 @@ class SweepFolder:
             pq.write_table(pa.table(columns), spelled(part))
             part.replace(self.table)
         except OSError as error:
-            part.unlink(missing_ok=True)
             raise UserError(
                 f"{self.table}: {error.strerror}; free space, then the same command continues", code=Code.OUTPUT
             ) from None
+        finally:
+            part.unlink(missing_ok=True)
 
 
 _GROWTH = 4

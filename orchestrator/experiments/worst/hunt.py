@@ -335,8 +335,11 @@ class Hunt:
             "rng": self.rng.bit_generator.state,
         }
         part = beside(file)
-        archive.write(part, {"worst": head}, arrays)
-        part.rename(file)
+        try:
+            archive.write(part, {"worst": head}, arrays)
+            part.rename(file)
+        finally:
+            part.unlink(missing_ok=True)
 
     def resume(self, file: Path) -> bool:
         """Continue a stopped search of the same network, law and seed; return False for another search.

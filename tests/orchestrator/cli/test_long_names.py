@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 import pytest
@@ -81,6 +82,25 @@ def test_a_run_that_the_system_refuses_leaves_no_folder(pair: Path) -> None:
     done = run("up", "pair.yaml", "--viewer", "none", command=code(f"{text}up.Launch = refuse"))
     assert done.returncode == Exit.USER_MISTAKE, done.stderr
     assert not any((pair / "runs").iterdir())
+
+
+@pytest.mark.parametrize("command", ["up", "worst"])
+def test_a_full_disk_leaves_no_temporary_file(pair: Path, command: str) -> None:
+    """No file grows past one byte: neither the list of running networks, nor the state of a search."""
+    words = {"up": ("--viewer", "none", "--run-dir", "run"), "worst": ("--budget", "0.1s")}[command]
+    text = (
+        "import resource, hedgerow.orchestrator.runs.registry as r, hedgerow.orchestrator.experiments.worst.hunt as h\n"
+        "def full(whole):\n"
+        " def limited(*a, **k):\n"
+        "  resource.setrlimit(resource.RLIMIT_FSIZE, (1, 1))\n"
+        "  return whole(*a, **k)\n"
+        " return limited\n"
+        "r.asdict, h.archive.write = full(r.asdict), full(h.archive.write)\n"
+    )
+    done = run(command, "pair.yaml", *words, command=code(text))
+    assert done.returncode == Exit.USER_MISTAKE, done.stdout + done.stderr
+    assert {path.name for path in pair.iterdir()} - {f"hedgerow-{os.getuid()}"} == {"pair.yaml"}
+    assert not list(pair.glob("hedgerow-*/*"))
 
 
 def test_a_soak_replaces_no_file_of_the_users(pair: Path) -> None:

@@ -95,7 +95,7 @@ def test_two_networks_of_one_name_are_distinguished_by_their_folders(
     folders = [tmp_path / "a" / "bench", tmp_path / "b" / "bench"]
     for folder in folders:
         announce(listed, monkeypatch, "pair-1", folder)
-        entry = next(iter(tmp_path.glob("hedgerow-*/pair-1-*.json")))
+        entry = registry.entry_path("pair-1")
         entry.rename(entry.with_name(f"{folder.parent.name}.json"))  # as of two processes
     monkeypatch.chdir(tmp_path)
     error = refused("pair-1")
@@ -110,7 +110,7 @@ def test_an_entry_of_an_older_release_is_still_found(
     listed: contextlib.ExitStack, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     announce(listed, monkeypatch, "pair-1", tmp_path / "a")
-    entry = next(iter(tmp_path.glob("hedgerow-*/pair-1-*.json")))
+    entry = registry.entry_path("pair-1")
     content = json.loads(entry.read_text(encoding="utf-8"))
     del content["directory"]
     entry.write_text(json.dumps(content), encoding="utf-8")
