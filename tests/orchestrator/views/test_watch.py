@@ -139,7 +139,7 @@ def assert_shows(files: list[Path] | Path, folder: Path, done: int | None = None
     """Every column of telemetry.parquet is there, each step and node of it to the bit; up to `done` steps, or all."""
     x, x_oracle, x_nominal = (recorded(folder, name)[:done] for name in ("x", "x_oracle", "x_nominal"))
     for entity, expected in {"regret": np.abs(x - x_oracle), "nominal_gap": np.abs(x_oracle - x_nominal)}.items():
-        np.testing.assert_array_equal(shown(files, entity)[1], expected, err_msg=entity)
+        np.testing.assert_array_equal(shown(files, entity)[1][:done], expected, err_msg=entity)
     step, node, *columns = pq.read_schema(folder / "telemetry.parquet").names
     assert (step, node) == ("step", "node")
     assert {"x", "u", "w", "ahat", "index", "margin", "x_oracle", "x_nominal"} == {*columns}
@@ -149,7 +149,7 @@ def assert_shows(files: list[Path] | Path, folder: Path, done: int | None = None
         table = recorded(folder, column)
         if not column.startswith("x"):
             table = table[:-1] if done is None else table  # no input acts at the last step
-        steps, values = shown(files, column)
+        steps, values = (rows[:done] for rows in shown(files, column))
         expected = table[:done]
         np.testing.assert_array_equal(steps, np.arange(len(expected)), err_msg=column)
         assert bits(values) == bits(expected), column
@@ -161,11 +161,13 @@ def bits(values: Array) -> bytes:
 
 
 def series(files: list[Path] | Path, entity: str) -> list[list[str]]:
-    """The names of the series of an entity, in each recording."""
+    """The names of the series of an entity, in each recording; a part that was killed at its start has none."""
     return [
         chunk.to_record_batch().column("SeriesLines:names").to_pylist()[0]
         for file in ([files] if isinstance(files, Path) else files)
-        for chunk in RrdReader(file).stream().filter(content=f"/{entity}", is_static=True)
+        for reader in (RrdReader(file),)
+        for store in reader.recordings()
+        for chunk in reader.stream(store=store).filter(content=f"/{entity}", is_static=True)
     ]
 
 
@@ -372,6 +374,23 @@ def test_watch_needs_a_running_network_and_a_display() -> None:
 # ---- run.rrd, whichever way a run ends
 
 
+def complete_steps(files: list[Path]) -> int:
+    """Return how many steps all entities have; Rerun writes one entity after the other."""
+    entities = ("x", "u", "w", "ahat", "index", "margin", "x_oracle", "x_nominal", "regret", "nominal_gap")
+    return min(len(shown(files, entity)[0]) for entity in entities)
+
+
+def is_recorded(path: Path, least_parts: int) -> bool:
+    """Return True once a recording that grows has that many parts, and all of 200 steps."""
+    files = parts(path)
+    if len(files) < least_parts:
+        return False
+    try:
+        return complete_steps(files) > 200
+    except (RuntimeError, ValueError):  # Rerun writes the last piece just now
+        return False
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("ending", "split"), [("end", ()), ("Ctrl-C", SPLIT), ("SIGKILL", ()), ("SIGKILL", SPLIT)], ids=str
@@ -384,18 +403,19 @@ def test_run_rrd_equals_the_tables(ending: str, split: tuple[str, ...]) -> None:
     ) as up:
         up.wait_for("running")
         if ending != "end":
-            up.wait_for_step(1500)  # Rerun has loaded by then
+            until(partial(is_recorded, Path("runs/latest/run.rrd"), 1 + bool(split)), every_s=0.1)
             up.send(signal.SIGINT if ending == "Ctrl-C" else signal.SIGKILL)
         up.wait()
     folder = Path("runs/latest").resolve()
     files = parts(folder / "run.rrd")
     assert (len(files) > 1) == bool(split)
     if ending != "SIGKILL":
+        assert len(series(files, "x")) == len(files)
         assert_shows(files, folder)
         return
     for name in ("telemetry", "edges"):
         to_parquet(folder / f"{name}.arrows", folder / f"{name}.parquet")
-    kept, done = len(recorded(folder, "x")), len(shown(files, "x")[0])
+    kept, done = len(recorded(folder, "x")), complete_steps(files)
     assert kept - done <= LOST_S * rate, (kept, done)
     assert_shows(files, folder, min(kept, done))
 
