@@ -58,7 +58,7 @@ class SweepFolder:
         except OSError:
             self._file.close()
             raise UserError(
-                f"--out {self.path}: a sweep is writing there; wait for it, or name another", code=Code.OUTPUT
+                f"--out {self.path}: another command is writing there; wait for it, or name another", code=Code.OUTPUT
             ) from None
         try:
             if not self._about.exists():
