@@ -54,8 +54,7 @@ def given(network: Named) -> Given:
     """
     if isinstance(network, Topology) and isinstance(network.given_as, Given):
         return network.given_as
-    own_files = tuple(_files(network)) if isinstance(network, Mapping) else ()
-    return Given(*text_of(network), own_files=own_files)
+    return Given(*text_of(network), own_files=_own_files(network))
 
 
 def text_of(network: Named) -> tuple[bytes, str, Path]:
@@ -82,14 +81,18 @@ def text_of(network: Named) -> tuple[bytes, str, Path]:
 
 def resolved(network: Named, overrides: Sequence[str] = ()) -> Topology:
     """Return a network with all numbers drawn; arguments and errors as in `text_of` and `load.load`."""
-    own_files = tuple(_files(network)) if isinstance(network, Mapping) else ()
-    drawn = Given(*text_of(network), own_files=own_files).with_overrides(*overrides).draw()
+    drawn = Given(*text_of(network), own_files=_own_files(network)).with_overrides(*overrides).draw()
     if isinstance(network, Topology) and isinstance(network.given_as, Given):
         undrawn = network.given_as.with_overrides(*overrides)
         with contextlib.suppress(UserError):  # a setting that names a drawn value has no place in the text
             undrawn.parse()
             drawn.with_given(undrawn)
     return drawn
+
+
+def _own_files(network: Named) -> tuple[str, ...]:
+    """Return the whole paths that a dictionary gives for samples: it is the user's own, and so are they."""
+    return tuple(_files(network)) if isinstance(network, Mapping) else ()
 
 
 def _files(content: Any) -> Iterator[str]:
