@@ -43,7 +43,7 @@ def test_an_exception_a_hang_and_a_death_are_findings() -> None:
     assert [(one.number, one.what.partition(":")[0]) for one in findings] == [
         (1, "KeyError"),
         (2, "SlowError"),
-        (3, "the process died, or hung"),
+        (3, "the process died with exit code -11"),
     ]
     assert counts == {"good": 3, "finding": 3}
 

@@ -453,7 +453,8 @@ def fuzz(kind: str, seed: int, numbers: Sequence[int]) -> tuple[Counter[str], li
     while left:
         with tempfile.TemporaryDirectory(prefix="hedgerow-fuzz-") as scratch:
             begun: int | None = None
-            for number, *ended in _lines(kind, seed, left[:WORKER_CASES], Path(scratch)):
+            exit_codes: list[int | None] = []
+            for number, *ended in _lines(kind, seed, left[:WORKER_CASES], Path(scratch), exit_codes.append):
                 begun = number
                 if ended:
                     counts[ended[0]] += 1
@@ -462,7 +463,9 @@ def fuzz(kind: str, seed: int, numbers: Sequence[int]) -> tuple[Counter[str], li
                     left.remove(number)
                     begun = None
             if begun is not None:
-                findings.append(Finding(kind, begun, "the process died, or hung"))
+                (code,) = exit_codes
+                how = "hung" if code is None else f"died with exit code {code}"
+                findings.append(Finding(kind, begun, f"the process {how}"))
                 counts["finding"] += 1
                 left.remove(begun)
             elif left and left == [*numbers]:
@@ -470,8 +473,11 @@ def fuzz(kind: str, seed: int, numbers: Sequence[int]) -> tuple[Counter[str], li
     return counts, findings
 
 
-def _lines(kind: str, seed: int, numbers: Sequence[int], scratch: Path) -> Iterator[list[Any]]:
-    """Yield the lines of a worker, until it ends or is silent for too long."""
+def _lines(
+    kind: str, seed: int, numbers: Sequence[int], scratch: Path, on_end: Callable[[int | None], None]
+) -> Iterator[list[Any]]:
+    """Yield the lines of a worker, until it ends or is silent for too long; `on_end` gets its exit code, or None."""
+    silent = False
     words = [
         sys.executable,
         "-P",
@@ -495,6 +501,8 @@ def _lines(kind: str, seed: int, numbers: Sequence[int], scratch: Path) -> Itera
     worker.stdin.close()
 
     def give_up(_: int, frame: FrameType | None) -> None:
+        nonlocal silent
+        silent = True
         worker.kill()
 
     before = signal.signal(signal.SIGALRM, give_up)
@@ -508,8 +516,11 @@ def _lines(kind: str, seed: int, numbers: Sequence[int], scratch: Path) -> Itera
         signal.alarm(0)
         signal.signal(signal.SIGALRM, before)
         worker.stdout.close()
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            worker.wait(1)  # its output ends a moment before it does
         worker.kill()
-        worker.wait()
+        code = worker.wait()
+        on_end(None if silent else code)
 
 
 def main() -> None:
