@@ -194,7 +194,7 @@ def gain_text(gain: float, less: float, gamma_star: float, faultless: bool, at_m
         shown, limits = f"gain {gain:.4g} with x(0)", "limits without x(0)"
     of = [] if math.isnan(gamma_star) else [f"oracle {gamma_star:.4g}{'' if faultless else ' without faults'}"]
     if not math.isnan(at_most):
-        of.append(f"law {rounded_up(at_most, 4)}")
+        of.append(f"law {rounded_up(at_most)}")
     return shown + (f" ({limits}: {', '.join(of)})" if of else "")
 
 

@@ -84,7 +84,7 @@ class Found:
     def sandwich(self) -> str:
         """Return the bounds on both sides in one line."""
         above = self.ceiling
-        most = f"at most {rounded_up(above, 4)}" if above is not None else "no upper bound is known"
+        most = f"at most {rounded_up(above)}" if above is not None else "no upper bound is known"
         if not self.attack.within:
             most = "no upper bound holds, because it acts outside the lists"
         return f"oracle {self.guarantee.gamma_star:.4g} <= {self.law}: at least {rounded_down(self.limit)}, {most}"
@@ -233,12 +233,15 @@ def guarantee_of(topology: Topology, method: Method | None = None) -> Guarantee:
     return replace(found, learning=counted, not_computed={**found.not_computed, **missing})
 
 
-def at_least(plant: Plant, folder: Path) -> float | None:
-    """Return the gain that `worst` found for minimax on a network without faults, by a worst.json; None if none."""
+def at_least(plant: Plant, folder: Path) -> tuple[float, float] | None:
+    """Return the gain that `worst` found for minimax on a network without faults, by a worst.json; None if none.
+
+    The first number is the gain that longer runs come near, the second is the gain of the finished run.
+    """
     try:
         found = read_json((folder / NAME).with_suffix(".json"))
         if found["network"] == fingerprint(plant) and found["law"] == "minimax" and not found["faulty"]:
-            return float(found["limit"])
+            return float(found["limit"]), float(found["gain"])
     except (UserError, OSError, ValueError, KeyError, TypeError):
         pass
     return None

@@ -342,9 +342,9 @@ class Hunt:
             part.unlink(missing_ok=True)
 
     def resume(self, file: Path) -> bool:
-        """Continue a stopped search of the same network, law and seed; return False for another search.
+        """Continue a stopped search of the same network, law and options; return False for other options.
 
-        Raises UserError for a file that `save` did not write.
+        Raises UserError for a file that `save` did not write, or that holds an attack on another network or law.
         """
         settings, arrays = archive.read(file)
         with archive.reading(file):
@@ -353,7 +353,15 @@ class Hunt:
                     f"{file}: exists and is no state of `worst`. Choose another --out.", code=Code.FILE_FORMAT
                 )
             head = settings["worst"]
-            if head["key"] != self._key:
+            there = str(head["key"])
+            # A new search replaces the file: an attack on another network or law would be lost.
+            if _attacked(there) != _attacked(self._key):
+                raise UserError(
+                    f"{file}: holds an attack on another network or law, {_attacked(there).partition(' ')[2]}."
+                    " Choose another --out.",
+                    code=Code.OUTPUT,
+                )
+            if there != self._key:
                 return False
             self.state = self._state(head, arrays)
             self.rng.bit_generator.state = head["rng"]
@@ -378,6 +386,11 @@ class Hunt:
         if len(state.stale) != len(state.islands) or not 0 <= state.seconds < np.inf:
             raise ValueError("it has other numbers")
         return state
+
+
+def _attacked(key: str) -> str:
+    """Return the network and the law of the key of a search, without its seed and options."""
+    return key.rsplit(" ", 3)[0]
 
 
 def _numbers(array: Array, shape: Sequence[int | None]) -> Array:
