@@ -39,6 +39,8 @@ STALE = 120
 """The number of generations without a better gain after which a new island replaces an old one."""
 STEPS, LEAST_STEPS, FEW = 10_000, 4_000, 100
 """Steps of the run of a disturbance that holds its last value: for up to FEW nodes, and for more."""
+SILENT_S = 10.0
+"""The time without a larger gain after which the search reports it; then after twice the time, and so on [s]."""
 LARGEST = 2_000
 """Number of nodes up to which a disturbance is sought."""
 SAME = 1e-9
@@ -118,18 +120,22 @@ class Hunt:
         """number of single faults that there are"""
 
     def run(self, budget_s: float, say: Say, quit_now: Quit = lambda: False) -> None:
-        """Search for so long; `say` gets a line for every gain that is larger than before."""
+        """Search for so long; `say` gets a line for every gain that is larger than before, and for long pauses."""
         began = time.monotonic()
         until = began + budget_s * (1 - BROKEN_SHARE if self.faults else 1.0)
         best = self.best_score()
+        found, silent = began, SILENT_S
         for island in self._turns():
             # One generation is always made: the constant that is worst for the oracle is in it.
             if best > 0 and (time.monotonic() >= until or quit_now()):
                 break
             self._evolve(island, NONE, until, quit_now)
             if self.best_score() > best * (1 + 1e-4):
-                best = self.best_score()
+                best, found, silent = self.best_score(), time.monotonic(), SILENT_S
                 say(f"gain {best**0.5:.4f}")
+            elif (waited := time.monotonic() - found) >= silent:
+                silent *= 2
+                say(f"gain {best**0.5:.4f}, and none larger for {waited:.0f} s")
         if self.faults:
             self._break(max(began + budget_s, time.monotonic()), say, quit_now)
         self.state.seconds += time.monotonic() - began

@@ -167,12 +167,36 @@ def test_the_command_that_repeats_an_attack_has_the_gain_of_its_run(
     assert line.endswith(f" {gain:.4g}")
 
 
+def test_a_search_without_a_larger_gain_reports_the_pause(monkeypatch: pytest.MonkeyPatch) -> None:
+    messages: list[str] = []
+    hunt = Hunt(EAGER, steps=200)
+    hunt.run(0.3, messages.append)
+    hunt.state.champions = {key: (w, 1e9, steps) for key, (w, _, steps) in hunt.state.champions.items()}
+    messages.clear()
+    hunt.run(0.3, messages.append)
+    assert not messages
+    monkeypatch.setattr("hedgerow.orchestrator.experiments.worst.hunt.SILENT_S", 0.01)
+    hunt.run(0.3, messages.append)
+    assert len(messages) >= 1
+
+
+def test_a_search_with_another_seed_reports_that_it_replaces_an_attack(tmp_path: Path) -> None:
+    counts = []
+    for seed in (0, 1):
+        messages: list[str] = []
+        worst(EAGER, 0.1, seed=seed, steps=200, out=tmp_path / "worst.yaml", say=messages.append)
+        counts.append(sum("worst.yaml" in message for message in messages))
+    assert counts == [0, 1]
+
+
 def test_faults_are_part_of_the_network_that_repeats_the_gain(tmp_path: Path) -> None:
     found = hg.worst(EAGER, budget=3.0, faults=True, out=tmp_path / "w.yaml")
     content = run_here(hg.load(tmp_path / "w.yaml"))
     assert content["verdict"] == "valid"
     assert content["metrics"]["gain"] == pytest.approx(found.gain, rel=1e-9)
     assert found.faults
+    assert found.attack_faults == [fault["what"] for fault in content["faults"]]
+    assert all(fault in found.text() for fault in found.attack_faults)
     assert len(content["faults"]) == len(found.attack.breaks)
 
 
