@@ -13,7 +13,7 @@ from hedgerow.orchestrator.cli.names import EXPERIMENT
 from hedgerow.orchestrator.cli.numbers import whole
 from hedgerow.orchestrator.cli.options import AsJson, File, Law, NoProgress, Sets
 from hedgerow.topologies.errors import Code, UserError
-from hedgerow.topologies.escape import echo
+from hedgerow.topologies.escape import command, echo
 from hedgerow.topologies.paths import user_path
 
 Full = Annotated[bool, typer.Option("--full", help="a full storage matrix P, for networks of up to 30 nodes")]
@@ -86,7 +86,9 @@ def worst(
             return is_stopped
 
         found = search(topology, seconds, faults, seed, steps, out, progress.say, quit_now)
-    echo(json.dumps(found.to_dict()) if as_json else f"{found.text()}\nagain with: orchestrator up {out}")
+    # A comment of the shell, so that the line can be copied. The run of the file may be shorter than the claim needs.
+    again = f"again with: {command(['orchestrator', 'up', out])}  # gain {found.gain:.4g}"
+    echo(json.dumps(found.to_dict()) if as_json else f"{found.text()}\n{again}")
     return 0
 
 

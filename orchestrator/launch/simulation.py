@@ -10,6 +10,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from hedgerow.agents.loading import LawError, law_class
 from hedgerow.orchestrator.ground.assignment import Layout, law_of, layout, truth_of, views_of
 from hedgerow.orchestrator.ground.law_source import FOLDER, differs, kept_law
@@ -78,7 +80,8 @@ def simulate_into(
     watch: contextlib.AbstractContextManager[Any] = contextlib.nullcontext()
     if ":" in (law := law_of(topology)):
         watch = LawWatch(law_class(LawChoice.parse(law).name), law, screen.say)
-    with Interrupts() as interrupts, watch:
+    # A run that diverges overflows in the law and the plant: the verdict reports it.
+    with np.errstate(over="ignore", invalid="ignore"), Interrupts() as interrupts, watch:
         try:
             for rows in _batches(telemetry, run.rows_at_once):
                 if steps := [row for row in rows if isinstance(row, Telemetry)]:

@@ -115,7 +115,8 @@ class GainCertificate:
     def finish(self) -> None:
         """Check the rows that still wait."""
         if self.known is not None:
-            self._catch_up(self.known)
+            with np.errstate(over="ignore", invalid="ignore"):  # as in the observer
+                self._catch_up(self.known)
 
     def _premises(self, t: Index, x: Array, u: Array, is_open: Mask, a: Mapping[int, Array]) -> dict[Premise, int]:
         """Return how many of the rows each premise covers, from the first on."""

@@ -44,6 +44,8 @@ class Guarantee:
     """the reason for each missing bound, by premise or, for the bound that counts what the law learns, `learning`"""
     at_least: float | None = None
     """the gain of the worst disturbance that `orchestrator worst` found"""
+    reached: float | None = None
+    """the gain of a finished run of that disturbance; smaller than `at_least` if longer runs come nearer to it"""
     learning: Learning | str | None = None
     """the bound that counts what the law (7) learns, or why there is none; None if it was not asked for"""
 
@@ -76,7 +78,7 @@ class Guarantee:
         elif self.learning is not None:
             listed["learning"] = {"not_computed": self.learning}
         gamma_star = self.gamma_star if math.isfinite(self.gamma_star) else None
-        return {"gamma_star": gamma_star, "at_least": self.at_least, "bounds": listed}
+        return {"gamma_star": gamma_star, "at_least": self.at_least, "reached": self.reached, "bounds": listed}
 
     def text(self) -> str:
         """Return the guarantee in words, one line per number."""
@@ -85,9 +87,10 @@ class Guarantee:
             " of the adaptive law"
         ]
         if self.at_least is not None:
-            lines.append(
-                f"at least    {rounded_down(self.at_least):>8}  reached by a disturbance of `orchestrator worst`"
-            )
+            shown = rounded_down(self.at_least)
+            is_reached = self.reached is not None and self.reached >= float(shown)
+            how = "reached by a run" if is_reached else "approached by longer runs"
+            lines.append(f"at least    {shown:>8}  {how} of a disturbance of `orchestrator worst`")
         if isinstance(self.learning, Learning):
             lines.append(f"at most     {rounded_up(self.learning.gain):>8}  under {LEARNING}")
         elif self.learning is not None:
@@ -171,7 +174,7 @@ def _figure(value: float) -> str:
     return f"{value:.4g}" if math.isfinite(value) else "unknown"
 
 
-def rounded_up(value: float, digits: int = 5) -> str:
+def rounded_up(value: float, digits: int = 4) -> str:
     """Return an upper bound in some digits, rounded up."""
     places = digits - 1 - math.floor(math.log10(value)) if value > 0 else 0
     return f"{math.ceil(value * 10**places) / 10**places:.{max(0, places)}f}"

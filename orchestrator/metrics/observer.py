@@ -33,6 +33,9 @@ ROWS = 512
 BATCH_BYTES, ROW_BYTES = 2**26, 256
 """the maximum size of a batch, and the approximate size of a row per node [bytes]"""
 
+QUIET = np.errstate(over="ignore", invalid="ignore")
+"""Metrics of a run that diverges overflow; the verdict reports it, so numpy's warnings must not."""
+
 
 @dataclass(frozen=True)
 class Batch:
@@ -210,6 +213,7 @@ class Observer:
                 step = row.t + 1
         return following
 
+    @QUIET
     def take(self, rows: Sequence[Telemetry]) -> Batch:
         """Return the metrics of some rows, at least one, which must follow the recorded ones."""
         for row in rows:
@@ -261,6 +265,7 @@ class Observer:
             ceiling=ceiling, ceiling_slack=ceiling_slack,
         )  # fmt: skip
 
+    @QUIET
     def finish(self, end: End) -> None:
         """Record the final state, and finish the last checks."""
         self.end = end

@@ -32,6 +32,8 @@ from hedgerow.topologies.schema import Topology
 from hedgerow.wire import crash
 from hedgerow.wire.limits import limit_reached
 
+DIVERGED = 1e12
+"""The ratio of the cost to the oracle's above which a run has diverged."""
 VALID, INVALID, UNKNOWN = "valid", "INVALID", "unknown"
 EXIT_CODES = {VALID: Exit.VALID, INVALID: Exit.INVALID, UNKNOWN: Exit.UNKNOWN}
 
@@ -134,6 +136,8 @@ class Verdict:
         """Return the last line on the screen."""
         c, m = self.content, self.content["metrics"]
         numbers = [f"{c['steps_done']} of {c['steps']} steps"]
+        if c["diverged"]:
+            numbers.append(f"diverged (cost above {DIVERGED:.0e} times the oracle's)")
         if c["steps_per_s"]:
             numbers.append(f"{c['steps_per_s']:.0f} steps/s")
         for what, thing in (
@@ -194,7 +198,7 @@ def gain_text(gain: float, less: float, gamma_star: float, faultless: bool, at_m
         shown, limits = f"gain {gain:.4g} with x(0)", "limits without x(0)"
     of = [] if math.isnan(gamma_star) else [f"oracle {gamma_star:.4g}{'' if faultless else ' without faults'}"]
     if not math.isnan(at_most):
-        of.append(f"law {rounded_up(at_most, 4)}")
+        of.append(f"law {rounded_up(at_most)}")
     return shown + (f" ({limits}: {', '.join(of)})" if of else "")
 
 
@@ -257,6 +261,7 @@ def judge(topology: Topology, observer: Observer, ending: Ending) -> Verdict:
     verdict = UNKNOWN if ending.crashed else INVALID if failed else UNKNOWN if doubts else VALID
     done = observer.end.t if observer.end is not None else observer.next_step
     elapsed_s = observer.end.elapsed_s if observer.end is not None else None
+    metrics = observer.summary() if done else {}
     content = {
         "verdict": verdict,
         "exit_code": _exit_code(verdict, ending),
@@ -289,7 +294,8 @@ def judge(topology: Topology, observer: Observer, ending: Ending) -> Verdict:
         "checks": checks,
         "information": ending.audit.to_dict() if ending.audit is not None else None,
         "gain_bounds": {"not_computed": observer.not_certified} if adaptive is None else adaptive.to_dict(done),
-        "metrics": {name: _finite(value) for name, value in observer.summary().items()} if done else {},
+        "diverged": _diverged(metrics),
+        "metrics": {name: _finite(value) for name, value in metrics.items()},
         "versions": versions(),
     }
     return Verdict(verdict, content, ending.error)
@@ -402,6 +408,14 @@ def _check(name: str, worst: Worst, topology: Topology) -> dict[str, Any]:
         "excess": _finite(worst.excess),
         **named,
     }
+
+
+def _diverged(metrics: Mapping[str, float | int | None]) -> bool:
+    """Return True if the cost left the range of floats, or of what a law may cost, and the oracle's cost did not."""
+    cost, cost_oracle = metrics.get("cost"), metrics.get("cost_oracle")
+    if cost is None or cost_oracle is None or not math.isfinite(cost_oracle):
+        return False
+    return not math.isfinite(cost) or cost > DIVERGED * cost_oracle > 0
 
 
 def _finite(value: float | int | None) -> float | int | None:

@@ -68,7 +68,7 @@ def sentences(run: Run) -> list[str]:
     if len(run.ceiling) and np.isfinite(run.ceiling[-1]):
         found.append(
             f"From x(0) = 0, no disturbance makes the gain of a law that acts within the lists larger than"
-            f" {rounded_up(float(run.ceiling[-1]), 4)}, under the edge cuts and jumps of this run."
+            f" {rounded_up(float(run.ceiling[-1]))}, under the edge cuts and jumps of this run."
         )
     return found
 

@@ -34,6 +34,8 @@ class Compared:
     """the runs of each setting of the plan, by seed"""
     folder: Path
     """the folder of the results"""
+    seeds_there: int = 0
+    """the number of seeds of the runs in the folder; the tables have those of the plan only"""
 
     @cached_property
     def cells(self) -> list[Cell]:
@@ -50,7 +52,9 @@ class Compared:
         """Return how the numbers were made, in one line."""
         said = tables.method(len(self.plan.seeds), len(self.tests))
         once = repeats(self.plan, self.rows)
-        return said + (f"; under {', '.join(once)}, {REPEATED}: it counts once" if once else "")
+        said += f"; under {', '.join(once)}, {REPEATED}: it counts once" if once else ""
+        more = self.seeds_there > len(self.plan.seeds)
+        return said + (f"; the folder has runs of {self.seeds_there} seeds" if more else "")
 
     @property
     def markdown(self) -> str:
@@ -98,7 +102,8 @@ def compare(plan: Comparison, out: Path | None = None, jobs: int | None = None, 
         if there < plan.runs and (stopped := _run(plan, folder, jobs or cores(), quiet)):
             echo(f"stopped: {stopped}: {folder.there} of {plan.runs} runs are done; the same command continues")
             return None
-        found = Compared(plan, [folder.asked(k) for k in range(len(plan.settings))], folder.path)
+        asked = [folder.asked(k) for k in range(len(plan.settings))]
+        found = Compared(plan, asked, folder.path, len({seed for _, seed in folder.rows}))
         try:
             _write(found)
         except OSError as error:

@@ -15,7 +15,7 @@ from hedgerow.orchestrator.experiments.sweep.plan import Chunk, Plan
 from hedgerow.orchestrator.ground.assignment import layout, truth_of, views_of
 from hedgerow.orchestrator.ground.law_source import need_same
 from hedgerow.orchestrator.ground.laws import completed
-from hedgerow.orchestrator.metrics.observer import Observer, rows_at_once
+from hedgerow.orchestrator.metrics.observer import QUIET, Observer, rows_at_once
 from hedgerow.orchestrator.metrics.verdict import VALID, Ending, judge
 from hedgerow.orchestrator.runs import batch, reference
 from hedgerow.orchestrator.runs.batch import Runs
@@ -62,6 +62,7 @@ def answer(plan: Plan, chunk: Chunk) -> Answer:
     return rows_of(plan, chunk, alone, _row_at_once)
 
 
+@QUIET
 def rows_of(plan: Plan, chunk: Chunk, alone: Callable[[int], Row], at_once: Callable[[Runs, int], Row]) -> Answer:
     """Return the rows of a chunk, from one batch if possible.
 

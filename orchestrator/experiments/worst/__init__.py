@@ -27,6 +27,7 @@ from hedgerow.orchestrator.metrics.guarantee import (
     rounded_down,
     rounded_up,
 )
+from hedgerow.topologies.describe import describe
 from hedgerow.topologies.errors import Code, HedgerowError, UserError
 from hedgerow.topologies.json_file import read_json
 from hedgerow.topologies.resolve import save
@@ -74,6 +75,11 @@ class Found:
         return Premise.EDGES if self.attack.breaks.cuts else Premise.ESTIMATES
 
     @property
+    def attack_faults(self) -> list[str]:
+        """Return the faults of the run of `topology`, each in words."""
+        return [describe(fault) for fault in self.topology.faults]
+
+    @property
     def ceiling(self) -> float | None:
         """Return the least upper bound on the gain of the law under the faults of the attack; None without one."""
         above = self.guarantee.bounds.get(self.premise)
@@ -84,7 +90,7 @@ class Found:
     def sandwich(self) -> str:
         """Return the bounds on both sides in one line."""
         above = self.ceiling
-        most = f"at most {rounded_up(above, 4)}" if above is not None else "no upper bound is known"
+        most = f"at most {rounded_up(above)}" if above is not None else "no upper bound is known"
         if not self.attack.within:
             most = "no upper bound holds, because it acts outside the lists"
         return f"oracle {self.guarantee.gamma_star:.4g} <= {self.law}: at least {rounded_down(self.limit)}, {most}"
@@ -96,6 +102,8 @@ class Found:
             self.sandwich(),
             f"a run of {self.attack.steps} steps from x(0) = 0 reaches {self.gain:.10g}{held}",
         ]
+        if self.topology.faults:
+            lines.append(f"the faults of this run: {', '.join(self.attack_faults)}")
         if self.faults:
             worst = sorted(self.faults.items(), key=lambda one: -one[1])[:5]
             lines += [
@@ -115,6 +123,7 @@ class Found:
             "limit": self.limit,
             "steps": self.attack.steps,
             "faulty": bool(len(self.attack.breaks)),
+            "attack_faults": self.attack_faults,
             "faults": self.faults,
             "faults_in_all": self.faults_of,
             "seconds": self.seconds,
@@ -140,8 +149,11 @@ def worst(
     hunt = Hunt(topology, seed, faults, steps)
     state_file = None if out is None else _state_beside(out)
     with contextlib.nullcontext(True) if state_file is None else _held(state_file) as is_new:
-        if state_file is not None and not is_new and hunt.resume(state_file):
-            say(f"continues after {hunt.state.seconds:.0f} s, with gain {hunt.best_score() ** 0.5:.4f}")
+        if state_file is not None and not is_new:
+            if hunt.resume(state_file):
+                say(f"continues after {hunt.state.seconds:.0f} s, with gain {hunt.best_score() ** 0.5:.4f}")
+            else:
+                say(f"replaces the attack of {out}, which has another --seed, --faults or --steps")
         hunt.run(budget_s, say, quit_now)
         return _written(hunt, topology, out, state_file)
 
@@ -233,12 +245,15 @@ def guarantee_of(topology: Topology, method: Method | None = None) -> Guarantee:
     return replace(found, learning=counted, not_computed={**found.not_computed, **missing})
 
 
-def at_least(plant: Plant, folder: Path) -> float | None:
-    """Return the gain that `worst` found for minimax on a network without faults, by a worst.json; None if none."""
+def at_least(plant: Plant, folder: Path) -> tuple[float, float] | None:
+    """Return the gain that `worst` found for minimax on a network without faults, by a worst.json; None if none.
+
+    The first number is the gain that longer runs come near, the second is the gain of the finished run.
+    """
     try:
         found = read_json((folder / NAME).with_suffix(".json"))
         if found["network"] == fingerprint(plant) and found["law"] == "minimax" and not found["faulty"]:
-            return float(found["limit"])
+            return float(found["limit"]), float(found["gain"])
     except (UserError, OSError, ValueError, KeyError, TypeError):
         pass
     return None

@@ -39,6 +39,8 @@ STALE = 120
 """The number of generations without a better gain after which a new island replaces an old one."""
 STEPS, LEAST_STEPS, FEW = 10_000, 4_000, 100
 """Steps of the run of a disturbance that holds its last value: for up to FEW nodes, and for more."""
+SILENT_S = 10.0
+"""The time without a larger gain after which the search reports it; then after twice the time, and so on [s]."""
 LARGEST = 2_000
 """Number of nodes up to which a disturbance is sought."""
 SAME = 1e-9
@@ -118,18 +120,22 @@ class Hunt:
         """number of single faults that there are"""
 
     def run(self, budget_s: float, say: Say, quit_now: Quit = lambda: False) -> None:
-        """Search for so long; `say` gets a line for every gain that is larger than before."""
+        """Search for so long; `say` gets a line for every gain that is larger than before, and for long pauses."""
         began = time.monotonic()
         until = began + budget_s * (1 - BROKEN_SHARE if self.faults else 1.0)
         best = self.best_score()
+        found, silent = began, SILENT_S
         for island in self._turns():
             # One generation is always made: the constant that is worst for the oracle is in it.
             if best > 0 and (time.monotonic() >= until or quit_now()):
                 break
             self._evolve(island, NONE, until, quit_now)
             if self.best_score() > best * (1 + 1e-4):
-                best = self.best_score()
+                best, found, silent = self.best_score(), time.monotonic(), SILENT_S
                 say(f"gain {best**0.5:.4f}")
+            elif (waited := time.monotonic() - found) >= silent:
+                silent *= 2
+                say(f"gain {best**0.5:.4f}, and none larger for {waited:.0f} s")
         if self.faults:
             self._break(max(began + budget_s, time.monotonic()), say, quit_now)
         self.state.seconds += time.monotonic() - began
@@ -342,9 +348,9 @@ class Hunt:
             part.unlink(missing_ok=True)
 
     def resume(self, file: Path) -> bool:
-        """Continue a stopped search of the same network, law and seed; return False for another search.
+        """Continue a stopped search of the same network, law and options; return False for other options.
 
-        Raises UserError for a file that `save` did not write.
+        Raises UserError for a file that `save` did not write, or that holds an attack on another network or law.
         """
         settings, arrays = archive.read(file)
         with archive.reading(file):
@@ -353,7 +359,15 @@ class Hunt:
                     f"{file}: exists and is no state of `worst`. Choose another --out.", code=Code.FILE_FORMAT
                 )
             head = settings["worst"]
-            if head["key"] != self._key:
+            there = str(head["key"])
+            # A new search replaces the file: an attack on another network or law would be lost.
+            if _attacked(there) != _attacked(self._key):
+                raise UserError(
+                    f"{file}: holds an attack on another network or law, {_attacked(there).partition(' ')[2]}."
+                    " Choose another --out.",
+                    code=Code.OUTPUT,
+                )
+            if there != self._key:
                 return False
             self.state = self._state(head, arrays)
             self.rng.bit_generator.state = head["rng"]
@@ -378,6 +392,11 @@ class Hunt:
         if len(state.stale) != len(state.islands) or not 0 <= state.seconds < np.inf:
             raise ValueError("it has other numbers")
         return state
+
+
+def _attacked(key: str) -> str:
+    """Return the network and the law of the key of a search, without its seed and options."""
+    return key.rsplit(" ", 3)[0]
 
 
 def _numbers(array: Array, shape: Sequence[int | None]) -> Array:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import shlex
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +15,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import hedgerow as hg
+from hedgerow.orchestrator.cli.exit_code import run_to_exit_code
 from hedgerow.orchestrator.cli.gain import seconds_of
+from hedgerow.orchestrator.cli.main import app
+from hedgerow.orchestrator.experiments.bounds import bound
 from hedgerow.orchestrator.experiments.sweep.runs import run_here
 from hedgerow.orchestrator.experiments.worst import at_least, worst
 from hedgerow.orchestrator.experiments.worst.hunt import Attack, Hunt
@@ -21,7 +26,7 @@ from hedgerow.orchestrator.experiments.worst.loop import NONE, Breaks, Scene, as
 from hedgerow.orchestrator.experiments.worst.search import Island, Kind
 from hedgerow.orchestrator.launch.running import run_to_the_end
 from hedgerow.orchestrator.metrics.guarantee import plant_of
-from hedgerow.topologies.errors import Code, UserError
+from hedgerow.topologies.errors import Code, Exit, UserError
 from hedgerow.topologies.schema import Topology
 from tests.tools.networks import VECTORS, from_vector, networks, read
 
@@ -115,15 +120,73 @@ def test_a_search_writes_a_network_that_repeats_its_gain_and_continues(tmp_path:
     assert run_here(hg.load(out))["metrics"]["gain"] == pytest.approx(first.gain, rel=1e-9)
     document = json.loads((tmp_path / "worst.json").read_text())
     assert document["gain"] == first.gain
-    assert at_least(plant_of(EAGER.network), tmp_path) == first.limit
+    assert at_least(plant_of(EAGER.network), tmp_path) == (first.limit, first.gain)
     assert first.gain <= first.guarantee.bounds[first.premise].gain
     again = worst(EAGER, 0.5, steps=400, out=out, say=messages.append)
     assert again.limit >= first.limit * (1 - 1e-9)
     assert again.seconds > first.seconds > 0.9
     assert messages
-    other = worst(hg.load("line5"), 0.5, steps=400, out=out)
-    assert other.seconds < again.seconds
-    assert at_least(plant_of(EAGER.network), tmp_path) is None
+    assert at_least(plant_of(hg.load("line5").network), tmp_path) is None
+
+
+def test_an_attack_on_another_network_or_law_is_not_replaced(tmp_path: Path) -> None:
+    out = tmp_path / "worst.yaml"
+    worst(EAGER, 0.1, steps=200, out=out)
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    for other in (hg.load("line5"), EAGER.model_copy(update={"law": "hinf"})):
+        with pytest.raises(UserError) as refused:
+            worst(other, 0.1, steps=200, out=out)
+        assert refused.value.code == Code.OUTPUT
+        assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_bound_tells_a_gain_that_a_run_reached_from_one_that_longer_runs_approach(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    found = worst(hg.load("paper7"), 0.1, steps=300, out=Path("worst.yaml"))
+    guarantee = bound(hg.load("paper7"))
+    assert (guarantee.at_least, guarantee.reached) == (found.limit, found.gain)
+    assert found.gain < found.limit
+    texts = {
+        replace(guarantee, at_least=limit, reached=gain).text().splitlines()[1]
+        for limit, gain in ((4.8816, 4.8809), (4.8816, 4.8811), (4.8816, None))
+    }
+    assert len(texts) == 2, "only 4.8811 is at least 4.881"
+
+
+def test_the_command_that_repeats_an_attack_has_the_gain_of_its_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    words = ["worst", "paper7", "--budget", "0.1s", "--steps", "100", "-q", "--out", "an attack.yaml"]
+    assert run_to_exit_code(lambda: app(words, standalone_mode=False) or 0) == Exit.VALID
+    line = capsys.readouterr().out.splitlines()[-1]
+    assert shlex.split(line, comments=True)[-3:] == ["orchestrator", "up", "an attack.yaml"]
+    gain = run_here(hg.load(tmp_path / "an attack.yaml"))["metrics"]["gain"]
+    assert line.endswith(f" {gain:.4g}")
+
+
+def test_a_search_without_a_larger_gain_reports_the_pause(monkeypatch: pytest.MonkeyPatch) -> None:
+    messages: list[str] = []
+    hunt = Hunt(EAGER, steps=200)
+    hunt.run(0.3, messages.append)
+    hunt.state.champions = {key: (w, 1e9, steps) for key, (w, _, steps) in hunt.state.champions.items()}
+    messages.clear()
+    hunt.run(0.3, messages.append)
+    assert not messages
+    monkeypatch.setattr("hedgerow.orchestrator.experiments.worst.hunt.SILENT_S", 0.01)
+    hunt.run(0.3, messages.append)
+    assert len(messages) >= 1
+
+
+def test_a_search_with_another_seed_reports_that_it_replaces_an_attack(tmp_path: Path) -> None:
+    counts = []
+    for seed in (0, 1):
+        messages: list[str] = []
+        worst(EAGER, 0.1, seed=seed, steps=200, out=tmp_path / "worst.yaml", say=messages.append)
+        counts.append(sum("worst.yaml" in message for message in messages))
+    assert counts == [0, 1]
 
 
 def test_faults_are_part_of_the_network_that_repeats_the_gain(tmp_path: Path) -> None:
@@ -132,6 +195,8 @@ def test_faults_are_part_of_the_network_that_repeats_the_gain(tmp_path: Path) ->
     assert content["verdict"] == "valid"
     assert content["metrics"]["gain"] == pytest.approx(found.gain, rel=1e-9)
     assert found.faults
+    assert found.attack_faults == [fault["what"] for fault in content["faults"]]
+    assert all(fault in found.text() for fault in found.attack_faults)
     assert len(content["faults"]) == len(found.attack.breaks)
 
 
