@@ -19,6 +19,7 @@ from pydantic_core import ErrorDetails
 from hedgerow.topologies import budget, table
 from hedgerow.topologies.base import node_id
 from hedgerow.topologies.errors import Code, FileRefusedError, Problem, Problems, TopologyError, UserError
+from hedgerow.topologies.escape import command
 from hedgerow.topologies.law_choice import LawChoice
 from hedgerow.topologies.mistakes import UNSPACED, as_written, in_words, sampled
 from hedgerow.topologies.nodes import Edges, Nodes
@@ -30,6 +31,9 @@ from hedgerow.topologies.regular_file import check_regular, read_regular
 from hedgerow.topologies.rules import broken_rules
 from hedgerow.topologies.schema import Topology
 from hedgerow.topologies.source import BYTES_PER_FAULT, MAX_BYTES, Mark, Path, Source, read_source
+
+TABLES = frozenset({".csv", ".tsv", ".txt", ".edges", ".edgelist", ".edge", ".dat", ".adj"})
+"""endings of tables of edges, which `orchestrator import` reads"""
 
 
 def bundled() -> list[str]:
@@ -148,6 +152,8 @@ def _read(source: Source, name: str, folder: FilePath, overrides: Sequence[str])
         found = f"a topology is a mapping, this is {as_written(source.value)}"
         text = source.value if isinstance(source.value, str) else ""
         cure = "write a space after each colon" if UNSPACED.match(text) else "start with `name: …`"
+        if FilePath(name).suffix.lower() in TABLES:
+            cure = f"`{command(['orchestrator', 'import', name])}` makes a topology of a table of edges"
         raise TopologyError(name, [Problem(1, "", found, cure, Code.FILE_FORMAT)])
     _nodes_as_mapping(source)
     for override in overrides:

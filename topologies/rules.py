@@ -201,7 +201,8 @@ def _condition_3(node: _Named, b: float, degree: float) -> Iterator[Problem]:
     values.append(("nominal", settings.nominal, ()))
     if not listed:  # a truth that must be a candidate is checked with the candidates
         values.append(("a", settings.a, ()))
-    why = f"({interval[0]:.6g}, {interval[1]:.6g}), the interval of condition (3) for b = {b:g} and degree {degree:.6g}"
+    of = f"b = {b:g} and {'degree' if float(degree).is_integer() else 'weighted degree'} {degree:.6g}"
+    why = f"({interval[0]:.6g}, {interval[1]:.6g}), the interval of condition (3) for {of}"
     for key, value, inside in values:
         if isinstance(value, float) and not satisfies_condition(value, b, degree) and not node.in_table(key):
             yield node.problem(key, f"{value!r} is outside {why}", "choose a value inside it", *inside)

@@ -167,6 +167,8 @@ class Verdict:
             ]
         if "law" in c["checks"] and (replayed := c["checks"]["law"]["nodes"]) < c["nodes"]:
             numbers.append(f"{replayed} of {c['nodes']} nodes replayed")
+        if c["checks"].get("reference", {}).get("ok"):
+            numbers.append("compared with a run in one process: equal")
         why = f" ({'; '.join(c['reasons'])})" if c["reasons"] else ""
         return f"{self.verdict}{why}: {', '.join(numbers)}"
 

@@ -16,6 +16,7 @@ from hedgerow.orchestrator.ground.law_source import FOLDER as LAW
 from hedgerow.orchestrator.ground.law_source import source_of
 from hedgerow.orchestrator.ground.spelling import shown
 from hedgerow.topologies.errors import Code, HedgerowError, UserError
+from hedgerow.topologies.escape import echo
 from hedgerow.topologies.paths import beside, real_path
 from hedgerow.topologies.resolve import save
 from hedgerow.topologies.schema import Topology
@@ -156,18 +157,30 @@ def reserve(name: str) -> RunFolder:
 
 
 def begun_or_withdrawn(folder: RunFolder, begin: Callable[[], T]) -> T:
-    """Return `begin()`; if the system or a HedgerowError refuses it, or a signal ends it, undo `create` first."""
+    """Return `begin()`; if the system or a HedgerowError refuses it, or a signal ends it, undo `create` first.
+
+    A folder that stays is named on standard error: it holds rows, or logs that may explain the error.
+    """
     try:
         return begin()
-    except (HedgerowError, OSError, KeyboardInterrupt):
-        withdraw(folder)
+    except (HedgerowError, OSError, KeyboardInterrupt) as error:
+        withdraw(folder, logs=isinstance(error, KeyboardInterrupt))
+        with contextlib.suppress(OSError):
+            if any(folder.path.iterdir()):
+                echo(f"run folder {folder.path}", error=True)
         raise
 
 
-def withdraw(folder: RunFolder) -> None:
-    """Undo `create` for a run that was refused before it began: its folder goes, and runs/latest points back."""
+def withdraw(folder: RunFolder, logs: bool = False) -> None:
+    """Undo `create` for a run that was refused before it began: its folder goes, and runs/latest points back.
+
+    `logs` removes what processes of this run wrote, too; otherwise a folder with logs stays.
+    """
     if any(path.suffix in (".arrows", ".parquet", ".json") for path in folder.path.iterdir()):
         return  # it began: the second Ctrl-C may come at any moment
+    if logs:
+        for path in (folder.logs, folder.processes):
+            shutil.rmtree(path, ignore_errors=True)
     _empty(folder.path)
     with contextlib.suppress(OSError):
         if folder.made:

@@ -10,9 +10,9 @@ from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.importing.found import Found, refuse
 from hedgerow.topologies.importing.options import Options
 from hedgerow.topologies.json_file import read_json
+from hedgerow.topologies.load import TABLES
 from hedgerow.topologies.regular_file import open_regular
 
-_TEXT = (".csv", ".tsv", ".txt", ".edges", ".edgelist", ".edge", ".dat", ".adj")
 _BY_ENDING: dict[str, tuple[str, str, str | None]] = {
     ".graphml": ("graphs", "read", "graphml"),
     ".xml": ("graphs", "read", "graphml"),
@@ -25,7 +25,7 @@ _BY_ENDING: dict[str, tuple[str, str, str | None]] = {
     ".m": ("power", "read_m", None),
     ".mat": ("power", "read_mat", None),
     ".inp": ("water", "read", None),
-    **dict.fromkeys(_TEXT, ("tables", "read", None)),
+    **dict.fromkeys(sorted(TABLES), ("tables", "read", None)),
 }
 """by ending: the module, its function, and the kind of file"""
 

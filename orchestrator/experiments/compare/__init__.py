@@ -12,7 +12,14 @@ from pathlib import Path
 from hedgerow.orchestrator.experiments.compare import tables
 from hedgerow.orchestrator.experiments.compare.plan import Comparison
 from hedgerow.orchestrator.experiments.compare.runs import METRICS, answer
-from hedgerow.orchestrator.experiments.compare.statistics import Cell, Paired, cells, paired, repeats
+from hedgerow.orchestrator.experiments.compare.statistics import (
+    Cell,
+    Paired,
+    cells,
+    paired,
+    pairs_needed,
+    repeats,
+)
 from hedgerow.orchestrator.experiments.sweep import cores
 from hedgerow.orchestrator.experiments.sweep.folder import SweepFolder
 from hedgerow.orchestrator.experiments.sweep.progress import collect
@@ -53,8 +60,16 @@ class Compared:
         said = tables.method(len(self.plan.seeds), len(self.tests))
         once = repeats(self.plan, self.rows)
         said += f"; under {', '.join(once)}, {REPEATED}: it counts once" if once else ""
-        more = self.seeds_there > len(self.plan.seeds)
-        return said + (f"; the folder has runs of {self.seeds_there} seeds" if more else "")
+        if self.seeds_there > len(self.plan.seeds):
+            said += f"; the folder has runs of {self.seeds_there} seeds"
+        return said if self.seeds_needed is None else f"{said}\n{tables.shortage(self.tests)}"
+
+    @property
+    def seeds_needed(self) -> int | None:
+        """Return the seeds from which a test can find a better law; None if there are enough, or all give one run."""
+        if len(repeats(self.plan, self.rows)) == len(self.plan.disturbances):
+            return None
+        return pairs_needed(self.tests)
 
     @property
     def markdown(self) -> str:

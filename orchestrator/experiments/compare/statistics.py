@@ -113,6 +113,28 @@ def paired(found: Sequence[Cell]) -> list[Paired]:
     return [Paired(**{**vars(test), "holm": float(p)}) for test, p in zip(made, corrected, strict=True)]
 
 
+def least_p(pairs: int) -> float:
+    """Return the smallest p that the exact test can give: all differences of the pairs have one sign, 2^(1 - n)."""
+    return min(1.0, 2.0 ** (1 - pairs))
+
+
+def pairs_needed(tests: Sequence[Paired]) -> int | None:
+    """Return the number of pairs that one decided test needs; None if the tests have as many, or one is decided.
+
+    Holm multiplies the smallest p by the number of tests. If the product is above the level for every possible
+    outcome, the comparison cannot find a better law.
+    """
+    if not tests or any(test.decided for test in tests):
+        return None
+    if max(test.pairs for test in tests) >= (needed := _pairs_for(len(tests))):
+        return None
+    return needed
+
+
+def _pairs_for(tests: int) -> int:
+    return next(n for n in itertools.count(1) if least_p(n) * tests < 1 - LEVEL)
+
+
 def _tested(one: Cell, other: Cell) -> Paired:
     from scipy import stats  # noqa: PLC0415
 

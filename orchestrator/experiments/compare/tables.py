@@ -9,7 +9,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from hedgerow.orchestrator.experiments.compare.runs import METRICS
-from hedgerow.orchestrator.experiments.compare.statistics import HIGHER_IS_BETTER, LEVEL, ORACLE, Cell, Paired
+from hedgerow.orchestrator.experiments.compare.statistics import (
+    HIGHER_IS_BETTER,
+    LEVEL,
+    ORACLE,
+    Cell,
+    Paired,
+    least_p,
+    pairs_needed,
+)
 
 TITLES = {
     "share_right": "nodes right",
@@ -107,7 +115,7 @@ def _sentence(best: Cell, under: Sequence[str], same: Sequence[str], level: Sequ
     if not under and not level:
         return f"all laws are equal ({number(best)})" if same else f"{best.law} alone has a value ({number(best)})"
     if not under:
-        return f"no law is distinguishably best; {best.law} has {number(best)}"
+        return f"no test finds a difference; {best.law} has the best mean ({number(best)})"
     sentence = (
         f"{best.law} {'has the best mean' if level else 'is best'} ({number(best)}), better than {_listed(under)}"
     )
@@ -123,6 +131,17 @@ def method(seeds: int, count: int) -> str:
     return (
         f"mean over {seeds} seeds ± half of its {LEVEL:.0%} interval; {count} paired Wilcoxon tests over seeds,"
         " corrected by Holm"
+    )
+
+
+def shortage(tests: Sequence[Paired]) -> str:
+    """Return the warning that the seeds are too few for any test; empty if they are enough."""
+    if (needed := pairs_needed(tests)) is None:
+        return ""
+    pairs, count = max(test.pairs for test in tests), len(tests)
+    return (
+        f"too few seeds: with {pairs} seeds p is at least {least_p(pairs):.2g}, and {count} tests need"
+        f" {(1 - LEVEL) / count:.2g}; no law can be best below {needed} seeds"
     )
 
 

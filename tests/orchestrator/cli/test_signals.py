@@ -64,6 +64,37 @@ def test_a_signal_before_the_first_step_leaves_no_run(here: Path, number: signal
     assert names(here / "runs") == set()
 
 
+@pytest.mark.parametrize("module", ["launch.launching", "launch.recording"])
+def test_a_signal_while_the_processes_start_leaves_no_run_or_names_it(here: Path, module: str) -> None:
+    """The processes have written logs and views already."""
+    (here / "pair.yaml").write_text(PAIR)
+    name = {"launch.launching": "truth_of", "launch.recording": "Recording"}[module]
+    command = planted(f"hedgerow.orchestrator.{module}", name, signal.SIGINT)
+    done = run("up", "pair.yaml", "--viewer", "none", "--no-record", command=command)
+    assert done.returncode in {Exit.UNKNOWN, 128 + signal.SIGINT}, done.stderr
+    for folder in {path.resolve() for path in (here / "runs").iterdir()}:
+        assert str(folder).encode() in done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("logs", [False, True])
+def test_a_run_that_a_signal_ended_before_it_began_takes_its_logs_along(here: Path, logs: bool) -> None:
+    """A folder that stays after an error is named."""
+    (here / "pair.yaml").write_text(PAIR)
+    error = "KeyboardInterrupt" if logs else "e.HedgerowError('no')"
+    text = (
+        "import pathlib, hedgerow.topologies.errors as e, hedgerow.orchestrator.launch.up as m\n"
+        "def run(self, *_):\n"
+        " (self._folder.logs / 'plant.log').write_text('x')\n (self._folder.processes / '0.npz').write_text('x')\n"
+        f" raise {error}\nm.Network.run = run\n"
+    )
+    done = run("up", "pair.yaml", "--viewer", "none", command=code(text))
+    assert done.returncode == (128 + signal.SIGINT if logs else Exit.UNKNOWN), done.stderr
+    left = {path.resolve() for path in (here / "runs").iterdir()}
+    assert len(left) == (0 if logs else 1)
+    for folder in left:
+        assert str(folder).encode() in done.stderr
+
+
 @pytest.mark.parametrize("command", ["simulate", "up"])
 def test_a_refused_run_leaves_no_folder(here: Path, command: str) -> None:
     (here / "pair.yaml").write_text(PAIR)

@@ -15,8 +15,8 @@ from hedgerow.agents.law import Array, Minimax
 from hedgerow.agents.local import Received
 from hedgerow.orchestrator.experiments.compare.plan import comparison
 from hedgerow.orchestrator.experiments.compare.runs import METRICS, answer
-from hedgerow.orchestrator.experiments.compare.statistics import Cell, paired
-from hedgerow.orchestrator.experiments.compare.tables import findings
+from hedgerow.orchestrator.experiments.compare.statistics import Cell, least_p, paired, pairs_needed
+from hedgerow.orchestrator.experiments.compare.tables import findings, shortage
 from hedgerow.orchestrator.experiments.sweep.plan import Chunk
 from hedgerow.orchestrator.metrics import observer
 from hedgerow.topologies.errors import UserError
@@ -60,6 +60,17 @@ def test_the_intervals_and_tests_are_those_of_scipy() -> None:
     of = {one.law: one.values for one in made}
     for test in paired(made):
         assert test.p == pytest.approx(stats.wilcoxon(of[test.one], of[test.other]).pvalue)
+
+
+@pytest.mark.parametrize(("laws", "seeds", "needed"), [(2, 5, 6), (2, 6, None), (3, 6, 7), (3, 7, None), (6, 8, 10)])
+def test_too_few_seeds_are_those_that_no_outcome_can_decide(laws: int, seeds: int, needed: int | None) -> None:
+    """The values are as far apart as they can be: every law is better than the one before, for every seed."""
+    made = [cell(f"law{k}", (k + 1.0) * np.arange(1, seeds + 1)) for k in range(laws)]
+    tests = paired(made)
+    assert pairs_needed(tests) == needed
+    assert any(test.decided for test in tests) == (needed is None)
+    assert min(test.p for test in tests) == least_p(seeds)
+    assert bool(shortage(tests)) == (needed is not None)
 
 
 class Ends(Minimax):

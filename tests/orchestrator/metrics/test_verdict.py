@@ -236,6 +236,16 @@ def test_a_run_that_differs_from_its_reference_is_invalid() -> None:
     assert equal.content["checks"]["reference"]["ok"]
 
 
+@pytest.mark.parametrize(
+    ("comparison", "shown"), [(None, False), (Comparison(True), True), (Comparison(False, 3, "x"), False)]
+)
+def test_the_line_names_a_comparison_that_found_equal_bits(comparison: Comparison | None, shown: bool) -> None:
+    judged = verdict(GOOD, ending=Ending("run", "zenoh", 7, comparison=comparison))
+    assert ("reference" in judged.content["checks"]) == (comparison is not None)
+    *_, last = judged.line().split(", ")
+    assert last.endswith("equal") == shown
+
+
 def test_without_a_disturbance_there_is_no_gain() -> None:
     """With w = 0 from rest, every ratio is undefined, and written as null, never as NaN."""
     topology = read("{name: still, b: 0.1, steps: 5, nodes: [1, 2], edges: [[1, 2]]}")
