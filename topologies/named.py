@@ -8,12 +8,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from hedgerow.topologies.errors import Code, UserError
+from hedgerow.topologies.errors import Code, TopologyError, UserError
 from hedgerow.topologies.load import content, find, parse
 from hedgerow.topologies.plain import plain
 from hedgerow.topologies.resolve import resolve, to_yaml
 from hedgerow.topologies.schema import Topology
 
+MAPPING = "the network"
+"""The name of a dictionary in messages. Its text is ours, so that a line and a column would mean nothing."""
 Named = str | Path | Mapping[str, Any] | Topology
 """A network as an argument in Python; see `text_of`."""
 
@@ -40,7 +42,13 @@ class Given(NamedTuple):
 
     def parse(self) -> Topology:
         """Return the network with no number drawn yet; raise TopologyError with every mistake."""
-        return parse(self.text, self.name, self.folder, self.overrides, self.own_files)
+        try:
+            return parse(self.text, self.name, self.folder, self.overrides, self.own_files)
+        except TopologyError as error:
+            if self.name != MAPPING:
+                raise
+            error.without_lines()
+            raise
 
     def draw(self) -> Topology:
         """Return the network with all numbers drawn, which remembers this text."""
@@ -68,7 +76,7 @@ def text_of(network: Named) -> tuple[bytes, str, Path]:
         return to_yaml(network).encode(), network.name, Path()
     if isinstance(network, Mapping):
         # A network of hg.Network has a folder if its table or samples lie in files.
-        return json.dumps(plain(network)).encode(), "network", getattr(network, "folder", None) or Path()
+        return json.dumps(plain(network)).encode(), MAPPING, getattr(network, "folder", None) or Path()
     if isinstance(network, str) and ("\n" in network or network.lstrip().startswith("{")):
         return network.encode(), "network", Path()
     if not isinstance(network, str | Path):
