@@ -22,7 +22,7 @@ from hedgerow.topologies.importing.graphs import of_networkx
 from hedgerow.topologies.importing.options import Options
 from hedgerow.topologies.importing.tables import of_frame, of_matrix
 from hedgerow.topologies.importing.written import Imported, imported
-from hedgerow.topologies.in_python import answers_in_python
+from hedgerow.topologies.in_python import answers_in_python, in_words_of_python
 from hedgerow.topologies.named import resolved, text_of
 from hedgerow.topologies.nodes import SPELLED_OUT
 from hedgerow.topologies.paths import user_path
@@ -130,7 +130,8 @@ class Network(Mapping[str, Any]):
     def notes(self) -> Sequence[str]:
         """Return sentences about an imported network: the meaning of its numbers, the assumptions, and the changes."""
         found = self._imported
-        return () if found is None else (*found.facts, *found.assumptions, *found.changes)
+        notes = () if found is None else (*found.facts, *found.assumptions, *found.changes)
+        return tuple(map(in_words_of_python, notes))
 
     def check(self) -> str:
         """Return the output of `orchestrator check`: gains, degrees, intervals and candidates of the nodes."""

@@ -62,8 +62,7 @@ def given(network: Named) -> Given:
     """
     if isinstance(network, Topology) and isinstance(network.given_as, Given):
         return network.given_as
-    own_files = tuple(_files(network)) if isinstance(network, Mapping) else ()
-    return Given(*text_of(network), own_files=own_files)
+    return _given(network)
 
 
 def text_of(network: Named) -> tuple[bytes, str, Path]:
@@ -90,14 +89,19 @@ def text_of(network: Named) -> tuple[bytes, str, Path]:
 
 def resolved(network: Named, overrides: Sequence[str] = ()) -> Topology:
     """Return a network with all numbers drawn; arguments and errors as in `text_of` and `load.load`."""
-    own_files = tuple(_files(network)) if isinstance(network, Mapping) else ()
-    drawn = Given(*text_of(network), own_files=own_files).with_overrides(*overrides).draw()
+    drawn = _given(network).with_overrides(*overrides).draw()
     if isinstance(network, Topology) and isinstance(network.given_as, Given):
         undrawn = network.given_as.with_overrides(*overrides)
         with contextlib.suppress(UserError):  # a setting that names a drawn value has no place in the text
             undrawn.parse()
             drawn.with_given(undrawn)
     return drawn
+
+
+def _given(network: Named) -> Given:
+    # Make the text first: it refuses a dictionary that contains itself.
+    text, name, folder = text_of(network)
+    return Given(text, name, folder, own_files=tuple(_files(network)) if isinstance(network, Mapping) else ())
 
 
 def _files(content: Any) -> Iterator[str]:

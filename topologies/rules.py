@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path as FilePath
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -201,7 +201,8 @@ def _condition_3(node: _Named, b: float, degree: float) -> Iterator[Problem]:
     values.append(("nominal", settings.nominal, ()))
     if not listed:  # a truth that must be a candidate is checked with the candidates
         values.append(("a", settings.a, ()))
-    why = f"({interval[0]:.6g}, {interval[1]:.6g}), the interval of condition (3) for b = {b:g} and degree {degree:.6g}"
+    given = f"b = {b:g} and weighted degree {degree:.6g}"
+    why = f"({interval[0]:.6g}, {interval[1]:.6g}), the interval of condition (3) for {given}"
     for key, value, inside in values:
         if isinstance(value, float) and not satisfies_condition(value, b, degree) and not node.in_table(key):
             yield node.problem(key, f"{value!r} is outside {why}", "choose a value inside it", *inside)
@@ -369,7 +370,13 @@ class _Struck:
             candidates = self.topology.settings(fault.node).candidates
             if isinstance(candidates, tuple) and fault.a != "random" and fault.a not in candidates:
                 shown = _listed(candidates)
-                yield ("a",), f"{fault.a!r} is not among the candidates of node {fault.node}", f"they are {shown}"
+                asked = cast("float", fault.a)
+                near = min(abs(one - asked) for one in candidates)
+                # `check` prints four decimals, and a jump needs all digits.
+                meant = next(one for one in candidates if abs(one - asked) == near)
+                cure = f"did you mean {meant!r}? " if near < 1e-3 else ""
+                what = f"{fault.a!r} is not among the candidates of node {fault.node}"
+                yield ("a",), what, f"{cure}they are {shown}"
 
 
 def _named_nodes(fault: Fault) -> Iterator[tuple[Path, int | str]]:

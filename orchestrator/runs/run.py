@@ -308,6 +308,7 @@ class Run(RecordedRows):
 
     def assert_same_estimates(self, other: Run, t: int | None = None) -> None:
         """Assert that all estimates of two runs are equal at step t, or at every step if t is None."""
+        __tracebackhide__ = True  # pytest then shows the line of the test
         for step in range(min(self.T, other.T)) if t is None else [t]:
             mine, others = self.estimates_at(step), other.estimates_at(step)
             if mine != others:
