@@ -335,7 +335,9 @@ class Shard:
 
     def _failed(self, method: str, what: str, where: str | None = None) -> LawError:
         nodes = self._view.ids[:8].tolist()
-        problem = f"law {self._view.law}: {method}() of node {', '.join(map(str, nodes))} {what}. Correct the law."
+        more = f" and {self.k - len(nodes)} more" if self.k > len(nodes) else ""
+        named = f"node{'s' * (self.k > 1)} {', '.join(map(str, nodes))}{more}"
+        problem = f"law {self._view.law}: {method}() of {named} {what}. Correct the law."
         where = line_of(type(self._law), method) if where is None else where
         return LawError(where + problem, method=method, node=nodes[0] if self.k == 1 else None)
 

@@ -27,7 +27,8 @@ from hedgerow.orchestrator.metrics.guarantee import Guarantee
 from hedgerow.orchestrator.runs.folder import RunFolder, new_folder, reserve, withdraw
 from hedgerow.orchestrator.runs.reader import load_run
 from hedgerow.orchestrator.runs.run import Run
-from hedgerow.topologies.errors import Code, HedgerowError, UserError, check_options
+from hedgerow.topologies.errors import Code, HedgerowError, UserError, check_options, check_switches
+from hedgerow.topologies.in_python import answers_in_python
 from hedgerow.topologies.law_choice import LawChoice
 from hedgerow.topologies.named import Named, resolved, text_of
 from hedgerow.topologies.paths import real_path, user_path
@@ -43,6 +44,7 @@ __all__ = ["bound", "compare", "load", "load_run", "report", "run", "simulate", 
 _PLAIN = re.compile(r"[A-Za-z_][\w.:-]*")
 
 
+@answers_in_python
 def load(network: Named, *settings: str, **overrides: object) -> Topology:
     """Return a network with all numbers drawn.
 
@@ -55,6 +57,7 @@ def load(network: Named, *settings: str, **overrides: object) -> Topology:
     return resolved(network, [*settings, *_settings(overrides)])
 
 
+@answers_in_python
 def simulate(
     network: Named,
     *settings: str,
@@ -72,6 +75,7 @@ def simulate(
     return simulation.simulate(network, *settings, *_settings(overrides), run_dir=run_dir, kept=kept_law)
 
 
+@answers_in_python
 def run(
     network: Named,
     *settings: str,
@@ -91,6 +95,7 @@ def run(
     `native`, `web`, `none` or a URL. Ctrl-C ends the network.
     Raises UserError for a mistake, and HedgerowError if the run has no verdict.
     """
+    check_switches(verify=verify, record=record, kept_law=kept_law)
     topology = _importable(load(network, *settings, **overrides))
     options = [*_options(rate, record, viewer), *(["--verify"] if verify else [])]
     kept = law_source.kept_law(text_of(network)[2] / law_source.FOLDER) if kept_law else contextlib.nullcontext()
@@ -112,6 +117,7 @@ class _Started(Running):
         return self
 
 
+@answers_in_python
 def start(
     network: Named,
     *settings: str,
@@ -133,6 +139,7 @@ def start(
     return _Started(topology, run_dir, [*_options(rate, record, viewer), "--deadline", str(deadline_s)])
 
 
+@answers_in_python
 def sweep(
     network: Named,
     *settings: str,
@@ -172,6 +179,7 @@ def sweep(
     return pq.ParquetFile(io.BytesIO(read_regular(table))).read()
 
 
+@answers_in_python
 def report(
     runs: Run | str | Path | Sequence[Run | str | Path],
     out: str | Path | None = None,
@@ -227,6 +235,7 @@ def _options(rate: float, record: bool, viewer: str) -> list[str]:
     return ["--rate", str(rate), "--viewer", viewer, "--record" if record else "--no-record"]
 
 
+@answers_in_python
 def bound(network: Named, *settings: str, full: bool = False, split: bool = False, **overrides: object) -> Guarantee:
     """Return gamma* of a network, and upper bounds on the gain of the adaptive law.
 
@@ -234,10 +243,12 @@ def bound(network: Named, *settings: str, full: bool = False, split: bool = Fals
     `split` uses one small matrix per node at any size, which may take minutes. A bound that cannot be computed is in
     `not_computed`, with the reason.
     """
+    check_switches(full=full, split=split)
     method = Method.FULL if full else Method.SPLIT if split else None
     return bounds.bound(load(network, *settings, **overrides), method)
 
 
+@answers_in_python
 def worst(
     network: Named,
     *settings: str,
@@ -254,14 +265,16 @@ def worst(
     the search; by default nothing is written. Raises HedgerowError if no disturbance was found.
     """
     check_options(budget=budget)
+    check_switches(faults=faults)
     topology = checked(load(network, *settings, **overrides))
     return search(topology, budget, faults, seed, out=None if out is None else user_path(str(out)))
 
 
+@answers_in_python
 def compare(
     network: Named,
-    laws: Sequence[str | type[Any] | functools.partial[Any]] = ("minimax",),
-    disturbances: Sequence[str | Mapping[str, object]] = ("file",),
+    laws: str | Sequence[str | type[Any] | functools.partial[Any]] = ("minimax",),
+    disturbances: str | Mapping[str, object] | Sequence[str | Mapping[str, object]] = ("file",),
     seeds: range = range(50),
     *,
     settings: Sequence[str] = (),
@@ -283,7 +296,7 @@ def compare(
     plan = comparison(
         network,
         [*map(_law, [laws] if isinstance(laws, str) else laws)],
-        disturbances,
+        [disturbances] if isinstance(disturbances, str | Mapping) else disturbances,
         seeds,
         [*settings, *_settings(overrides)],
     )

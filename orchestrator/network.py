@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import shutil
 import tempfile
 import weakref
@@ -15,10 +16,13 @@ import yaml
 
 from hedgerow.topologies import archive
 from hedgerow.topologies.errors import Code, UserError
+from hedgerow.topologies.escape import shorten
+from hedgerow.topologies.faults import known_keys
 from hedgerow.topologies.importing.graphs import of_networkx
 from hedgerow.topologies.importing.options import Options
 from hedgerow.topologies.importing.tables import of_frame, of_matrix
 from hedgerow.topologies.importing.written import Imported, imported
+from hedgerow.topologies.in_python import answers_in_python, in_words_of_python
 from hedgerow.topologies.named import resolved, text_of
 from hedgerow.topologies.nodes import SPELLED_OUT
 from hedgerow.topologies.paths import user_path
@@ -126,7 +130,8 @@ class Network(Mapping[str, Any]):
     def notes(self) -> Sequence[str]:
         """Return sentences about an imported network: the meaning of its numbers, the assumptions, and the changes."""
         found = self._imported
-        return () if found is None else (*found.facts, *found.assumptions, *found.changes)
+        notes = () if found is None else (*found.facts, *found.assumptions, *found.changes)
+        return tuple(map(in_words_of_python, notes))
 
     def check(self) -> str:
         """Return the output of `orchestrator check`: gains, degrees, intervals and candidates of the nodes."""
@@ -164,6 +169,7 @@ class Network(Mapping[str, Any]):
             raise UserError(f"edge [{i}, {j}]: does not exist. Name an edge of the network.", code=Code.TOPOLOGY)
         return self.replace(edges=edges)
 
+    @answers_in_python
     def with_samples(
         self,
         samples: Any,
@@ -188,6 +194,7 @@ class Network(Mapping[str, Any]):
         }
         return self.replace(nodes=given)
 
+    @answers_in_python
     def save(self, path: str | Path, force: bool = False) -> Path:
         """Write the topology file, and return its path.
 
@@ -229,6 +236,10 @@ class Network(Mapping[str, Any]):
         """
         from hedgerow.orchestrator.views.drawing import draw  # noqa: PLC0415
 
+        if ax is not None and not hasattr(ax, "scatter"):
+            raise UserError(
+                f"ax={shorten(repr(ax))}: are no axes. Give axes of matplotlib, or none for new ones.", code=Code.OPTION
+            )
         return draw(self.topology, ax, labels)
 
     def _nodes(self) -> dict[Any, dict[str, Any]]:
@@ -245,6 +256,7 @@ class Network(Mapping[str, Any]):
         return list(self._content.get("edges", []))
 
 
+@answers_in_python
 def from_networkx(graph: nx.Graph[Any], **options: Any) -> Network:
     """Return the network of a networkx graph of any class: labels, positions and weights are its attributes.
 
@@ -263,6 +275,7 @@ def from_networkx(graph: nx.Graph[Any], **options: Any) -> Network:
     return _made(imported(of_networkx(graph, chosen, "the graph"), chosen), keys)
 
 
+@answers_in_python
 def from_adjacency(matrix: Any, names: Sequence[Hashable] | None = None, **options: Any) -> Network:
     """Return the network of an adjacency matrix: a NumPy array, a SciPy matrix or array, or a pandas data frame.
 
@@ -280,6 +293,7 @@ def from_adjacency(matrix: Any, names: Sequence[Hashable] | None = None, **optio
     return _made(imported(of_matrix(matrix, chosen, "the matrix", names), chosen), keys)
 
 
+@answers_in_python
 def from_edges(frame: Any, source: str | None = None, target: str | None = None, **options: Any) -> Network:
     """Return the network of a data frame of edges (pandas, polars, pyarrow), a mapping of columns, or a list of pairs.
 
@@ -296,7 +310,16 @@ def _columns(frame: Any) -> Any:
     """Return a list of pairs or triples as columns, and any other table as it is."""
     if hasattr(frame, "columns") or hasattr(frame, "to_pydict") or isinstance(frame, Mapping):
         return frame
-    rows = [tuple(row) for row in frame]
+    if isinstance(frame, str | Path):
+        raise UserError(
+            f"the edges: {shorten(repr(str(frame)))} is a text. Give a data frame or pairs, such as pandas.read_csv(…);"
+            " for a file, write `orchestrator import FILE -o net.yaml`, and use hg.load.",
+            code=Code.FILE_FORMAT,
+        )
+    try:
+        rows = [tuple(row) for row in frame]
+    except TypeError:
+        rows = []
     widths = {len(row) for row in rows}
     if not rows or not widths <= {2, 3}:
         raise UserError("the edges: are no pairs or triples. Give (i, j), or (i, j, weight).", code=Code.FILE_FORMAT)
@@ -314,6 +337,15 @@ def _split(options: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def _made(found: Imported, keys: Mapping[str, Any]) -> Network:
+    names = [*Options.__dataclass_fields__, *known_keys(Topology)]
+    for key in keys:
+        if key not in names:
+            near = difflib.get_close_matches(key, names, 1, 0.5)
+            raise UserError(
+                f"{key}: is no option of an import, and no key of a topology file. "
+                + (f"Did you mean {near[0]}?" if near else f"Choose of {', '.join(names)}."),
+                code=Code.OPTION,
+            )
     found.content |= keys
     return Network._of_import(found)
 

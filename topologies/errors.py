@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum, StrEnum
 from functools import cached_property
 from typing import ClassVar
 
-from hedgerow.topologies.escape import escape
+from hedgerow.topologies.escape import escape, shorten
 
 
 class Exit(IntEnum):
@@ -118,6 +118,13 @@ def check_options(**given: object) -> None:
         if value is not None and (not right or isinstance(value, bool)):
             shown = f"{value:g}" if isinstance(value, float) else value
             raise UserError(f"--{name} {shown}: {cure}", code=Code.OPTION)
+
+
+def check_switches(**given: object) -> None:
+    """Raise UserError for a value that is neither True nor False: any text would be true."""
+    for name, value in given.items():
+        if not isinstance(value, bool):
+            raise UserError(f"{name}={shorten(repr(value))}: is neither True nor False. Give one.", code=Code.OPTION)
 
 
 class DeadlineError(HedgerowError):
@@ -289,6 +296,12 @@ class TopologyError(UserError):
         super().__init__("\n".join(found.lines(source)))
         codes = {problem.code for problem in self.problems}
         self.code = codes.pop() if len(codes) == 1 else self.default_code
+
+    def without_lines(self) -> None:
+        """Remove the lines and columns of the mistakes, for a network that no file holds."""
+        text = re.sub(rf"^({re.escape(self.source)}):\d+(:\d+)?(?=: )", r"\1", str(self.args[0]), flags=re.MULTILINE)
+        self.args = (re.sub(r", first at line \d+", "", text),)
+        self.problems = tuple(replace(problem, line=0, column=0) for problem in self.problems)
 
     @property
     def summary(self) -> str:

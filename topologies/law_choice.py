@@ -72,7 +72,7 @@ class LawChoice:
     def of(cls, name: str, parameters: Mapping[str, Any]) -> LawChoice:
         """Return a checked choice; raise ValueError with the problem."""
         if not _NAME.fullmatch(name):
-            raise ValueError("is neither the name of a law nor package.module:Class")
+            raise ValueError(f"is neither the name of a law nor package.module:Class{_module_of_file(name)}")
         if len(parameters) > MOST_PARAMETERS:
             raise ValueError(f"has more than {MOST_PARAMETERS} parameters")
         for key, value in parameters.items():
@@ -86,6 +86,15 @@ class LawChoice:
         if not self.parameters:
             return self.name
         return f"{self.name}({', '.join(f'{key}={value!r}' for key, value in sorted(self.parameters.items()))})"
+
+
+def _module_of_file(name: str) -> str:
+    """Return the fix for a class that is named by its file, such as `/tmp/mylaw.py:Huber`; empty for another name."""
+    file, _, own = name.rpartition(":")
+    folder, _, module = file.removesuffix(".py").rpartition("/")
+    if not folder or not _NAME.fullmatch(choice := f"{module}:{own}"):
+        return ""
+    return f": write {choice}, and set PYTHONPATH={folder}"
 
 
 _WORDS = {"true": True, "false": False, "null": None}

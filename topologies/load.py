@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import copy
 import difflib
+import re
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
@@ -19,7 +20,7 @@ from pydantic_core import ErrorDetails
 from hedgerow.topologies import budget, table
 from hedgerow.topologies.base import node_id
 from hedgerow.topologies.errors import Code, FileRefusedError, Problem, Problems, TopologyError, UserError
-from hedgerow.topologies.escape import command
+from hedgerow.topologies.escape import command, shorten
 from hedgerow.topologies.law_choice import LawChoice
 from hedgerow.topologies.mistakes import UNSPACED, as_written, in_words, sampled
 from hedgerow.topologies.nodes import Edges, Nodes
@@ -251,7 +252,8 @@ def _override(source: Source, override: str) -> None:
         elif isinstance(at, dict) and (last or key in at or keys[:depth] != ["nodes"] or by_rule):
             at[key] = value if last else copy.deepcopy(at.get(key) or {})
         else:
-            raise UserError(f"--set {override}: there is no {'.'.join(map(str, keys[: depth + 1]))} in {source.name}")
+            place = ".".join(map(str, keys[: depth + 1]))
+            raise UserError(f"--set {override}: there is no {place} in {source.name}. {_members(at, keys[:depth])}")
         at = at[key]
     # A value from the command line has no line in the file.
     path = tuple(keys)
@@ -262,6 +264,17 @@ def _override(source: Source, override: str) -> None:
     for inside, mark in given.marks.items():
         source.marks[*path, *inside] = mark._replace(line=0, column=0, origin=origin)
     source.odd |= {(*path, *inside): text for inside, text in given.odd.items()}
+
+
+def _members(at: Any, path: Sequence[Any]) -> str:
+    """Return the fix for a setting of a member that does not exist: the existing ones."""
+    place = ".".join(map(str, path))
+    if isinstance(at, dict):
+        listed = ", ".join(shorten(str(key), 40) for key in islice(at, 8)) + (", …" if len(at) > 8 else "")
+        return f"Choose of {listed}." if at else f"Give {place} members first."
+    if isinstance(at, list):
+        return f"Choose of 0 to {len(at) - 1}." if at else f"Give {place} members first."
+    return f"{place} holds one value: write {place}=…."
 
 
 def _with_named(value: Any, named: set[str]) -> Any:
@@ -344,7 +357,7 @@ def _validate(source: Source) -> tuple[Topology | None, Iterable[Problem]]:
         return None, sampled(source, found)
     if any(problem.place == "nodes" for problem in source.problems):  # the nodes that were left out are not missing
         found = [one for one in found if (one["loc"], one["type"]) != (("nodes",), "too_short")]
-    problems = [in_words(source, details) for details in found]
+    problems = _without_echoes(found, [in_words(source, details) for details in found])
     if not isinstance(source.value.get("nodes", {}), dict) or any(
         details["loc"][:1] == ("graph",) for details in found
     ):
@@ -355,6 +368,21 @@ def _validate(source: Source) -> tuple[Topology | None, Iterable[Problem]]:
         return None, problems
 
 
+def _without_echoes(found: Sequence[ErrorDetails], problems: Sequence[Problem]) -> list[Problem]:
+    """Return the mistakes without a missing key that an unknown key means: `step: 3` for `steps:` is one mistake."""
+    meant = {
+        (*details["loc"][:-1], word[1])
+        for details, problem in zip(found, problems, strict=True)
+        if details["type"] == "extra_forbidden" and (word := _MEANT.search(problem.cure))
+    }
+    return [
+        problem
+        for details, problem in zip(found, problems, strict=True)
+        if details["type"] != "missing" or details["loc"] not in meant
+    ]
+
+
+_MEANT = re.compile(r"(?:did you mean|write) `(\w+):?`")
 _STAND_INS = {"name": "unnamed", "b": 1e-9, "steps": 1}
 """Replacements for required keys with wrong values; they break no rule that right values would obey."""
 

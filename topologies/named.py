@@ -8,12 +8,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from hedgerow.topologies.errors import Code, UserError
+from hedgerow.topologies.errors import Code, TopologyError, UserError
 from hedgerow.topologies.load import content, find, parse
 from hedgerow.topologies.plain import plain
 from hedgerow.topologies.resolve import resolve, to_yaml
 from hedgerow.topologies.schema import Topology
 
+MAPPING = "the network"
+"""The name of a dictionary in messages. Its text is ours, so that a line and a column would mean nothing."""
 Named = str | Path | Mapping[str, Any] | Topology
 """A network as an argument in Python; see `text_of`."""
 
@@ -40,7 +42,13 @@ class Given(NamedTuple):
 
     def parse(self) -> Topology:
         """Return the network with no number drawn yet; raise TopologyError with every mistake."""
-        return parse(self.text, self.name, self.folder, self.overrides, self.own_files)
+        try:
+            return parse(self.text, self.name, self.folder, self.overrides, self.own_files)
+        except TopologyError as error:
+            if self.name != MAPPING:
+                raise
+            error.without_lines()
+            raise
 
     def draw(self) -> Topology:
         """Return the network with all numbers drawn, which remembers this text."""
@@ -54,7 +62,7 @@ def given(network: Named) -> Given:
     """
     if isinstance(network, Topology) and isinstance(network.given_as, Given):
         return network.given_as
-    return Given(*text_of(network), own_files=_own_files(network))
+    return _given(network)
 
 
 def text_of(network: Named) -> tuple[bytes, str, Path]:
@@ -67,7 +75,7 @@ def text_of(network: Named) -> tuple[bytes, str, Path]:
         return to_yaml(network).encode(), network.name, Path()
     if isinstance(network, Mapping):
         # A network of hg.Network has a folder if its table or samples lie in files.
-        return json.dumps(plain(network)).encode(), "network", getattr(network, "folder", None) or Path()
+        return json.dumps(plain(network)).encode(), MAPPING, getattr(network, "folder", None) or Path()
     if isinstance(network, str) and ("\n" in network or network.lstrip().startswith("{")):
         return network.encode(), "network", Path()
     if not isinstance(network, str | Path):
@@ -81,7 +89,7 @@ def text_of(network: Named) -> tuple[bytes, str, Path]:
 
 def resolved(network: Named, overrides: Sequence[str] = ()) -> Topology:
     """Return a network with all numbers drawn; arguments and errors as in `text_of` and `load.load`."""
-    drawn = Given(*text_of(network), own_files=_own_files(network)).with_overrides(*overrides).draw()
+    drawn = _given(network).with_overrides(*overrides).draw()
     if isinstance(network, Topology) and isinstance(network.given_as, Given):
         undrawn = network.given_as.with_overrides(*overrides)
         with contextlib.suppress(UserError):  # a setting that names a drawn value has no place in the text
@@ -90,9 +98,10 @@ def resolved(network: Named, overrides: Sequence[str] = ()) -> Topology:
     return drawn
 
 
-def _own_files(network: Named) -> tuple[str, ...]:
-    """Return the whole paths that a dictionary gives for samples: it is the user's own, and so are they."""
-    return tuple(_files(network)) if isinstance(network, Mapping) else ()
+def _given(network: Named) -> Given:
+    # Make the text first: it refuses a dictionary that contains itself.
+    text, name, folder = text_of(network)
+    return Given(text, name, folder, own_files=tuple(_files(network)) if isinstance(network, Mapping) else ())
 
 
 def _files(content: Any) -> Iterator[str]:

@@ -370,7 +370,12 @@ class _Struck:
             candidates = self.topology.settings(fault.node).candidates
             if isinstance(candidates, tuple) and fault.a != "random" and fault.a not in candidates:
                 shown = _listed(candidates)
-                yield ("a",), f"{fault.a!r} is not among the candidates of node {fault.node}", f"they are {shown}"
+                # `check` prints four decimals, and a jump needs all digits.
+                asked, known = float(fault.a), np.array(candidates, dtype=float)
+                meant = float(known[np.abs(known - asked).argmin()])
+                cure = f"did you mean {meant!r}? " if abs(meant - asked) < 1e-3 else ""
+                what = f"{fault.a!r} is not among the candidates of node {fault.node}"
+                yield ("a",), what, f"{cure}they are {shown}"
 
 
 def _named_nodes(fault: Fault) -> Iterator[tuple[Path, int | str]]:

@@ -48,7 +48,7 @@ from hedgerow.orchestrator.cli.options import (
     Sets,
     Steps,
 )
-from hedgerow.orchestrator.cli.topology import importable, read
+from hedgerow.orchestrator.cli.topology import importable, read, undrawn
 from hedgerow.orchestrator.launch.fork_client import ForkClient
 from hedgerow.topologies.errors import Code, DeadlineError, UserError, check_options
 from hedgerow.topologies.escape import command, echo
@@ -355,10 +355,15 @@ def check(
     import_law: Annotated[bool, typer.Option("--import-law", help="also import the law, which runs its code")] = False,
 ) -> int:
     """Validate a topology file and print its nodes; exit code 2 and all mistakes if it is wrong."""
-    from hedgerow.orchestrator.metrics.summary import table  # noqa: PLC0415
+    from hedgerow.orchestrator.metrics.summary import replaced, table  # noqa: PLC0415
+    from hedgerow.topologies.load import find  # noqa: PLC0415
+    from hedgerow.topologies.resolve import resolve  # noqa: PLC0415
 
-    topology = read(file, sets, steps=steps, seed=seed, law=law)
+    given = undrawn(file, sets, steps=steps, seed=seed, law=law)
+    topology = resolve(given, find(file).parent)
     echo(table(importable(topology) if import_law else topology))
+    for line in replaced(given):
+        echo(line)
     return 0
 
 

@@ -13,12 +13,19 @@ if TYPE_CHECKING:
 
 def read(file: str, sets: list[str] | None, **replace: object) -> Topology:
     """Return the resolved topology of `file` with some values replaced; a value of None replaces nothing."""
-    from hedgerow.topologies.load import find, load  # noqa: PLC0415
-    from hedgerow.topologies.override import Override  # noqa: PLC0415
+    from hedgerow.topologies.load import find  # noqa: PLC0415
     from hedgerow.topologies.resolve import resolve  # noqa: PLC0415
 
+    return resolve(undrawn(file, sets, **replace), find(file).parent)
+
+
+def undrawn(file: str, sets: list[str] | None, **replace: object) -> Topology:
+    """Return the topology of `read` before its numbers are drawn."""
+    from hedgerow.topologies.load import load  # noqa: PLC0415
+    from hedgerow.topologies.override import Override  # noqa: PLC0415
+
     options = [Override.of_option(key, value) for key, value in replace.items() if value is not None]
-    return resolve(load(file, [*options, *(sets or [])]), find(file).parent)
+    return load(file, [*options, *(sets or [])])
 
 
 def importable(topology: Topology, file: str = "", kept: bool = False) -> Topology:

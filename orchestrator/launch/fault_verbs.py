@@ -93,7 +93,13 @@ class FaultVerbs(ABC, Generic[T_co]):
 
     def jump(self, node: NodeId, *, to: float, at: int = 0) -> T_co:
         """Change the true a of a node to another of its candidates."""
-        return self._inject("jump", node=node, at=at, a=to)
+        try:
+            return self._inject("jump", node=node, at=at, a=to)
+        except UserError as error:  # a file names this argument `a`
+            error.args = tuple(
+                one.replace("jump: a: ", "jump: to: ") if isinstance(one, str) else one for one in error.args
+            )
+            raise
 
 
 VERBS = tuple(name for name in vars(FaultVerbs) if not name.startswith("_") and name != "inject")

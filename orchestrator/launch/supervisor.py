@@ -47,7 +47,8 @@ class Dead:
 
 def cause(dead: Sequence[Dead]) -> str:
     """Return the message about processes that died."""
-    others = f" (and {len(dead) - 1} more: {', '.join(one.name for one in dead[1:8])})" if len(dead) > 1 else ""
+    ending = ", …" if len(dead) > 8 else ""
+    others = f" (and {len(dead) - 1} more: {', '.join(one.name for one in dead[1:8])}{ending})" if len(dead) > 1 else ""
     return f"{dead[0]}{others}"
 
 

@@ -14,9 +14,10 @@ from hedgerow.topologies.disturbances import Component
 from hedgerow.topologies.hinf import allowed_interval, contraction, gamma_star
 from hedgerow.topologies.law_choice import is_listed
 from hedgerow.topologies.network import span
+from hedgerow.topologies.nodes import Nodes
 from hedgerow.topologies.partition import cut, cut_weight, pieces
 from hedgerow.topologies.resolve import truth
-from hedgerow.topologies.schema import Topology
+from hedgerow.topologies.schema import Drawn, Topology
 
 MAX_ROWS = 200
 
@@ -67,6 +68,21 @@ def table(topology: Topology) -> str:
             f"{count(processes, 'process', 'es')}; {crossing}"
         )
     return capture.get().rstrip()
+
+
+def replaced(given: Topology) -> list[str]:
+    """Return a line if the truth of a node replaces one of its drawn candidates; `given` has no number drawn yet."""
+    if isinstance(given.nodes, Nodes):
+        return []
+    nodes = [
+        f"{node} ({own.a:g})"
+        for node, own in given.nodes.items()
+        if isinstance(own.a, float) and isinstance(given.behind(own).candidates, Drawn)
+    ]
+    if not nodes:
+        return []
+    listed = ", ".join(nodes[:8]) + (", …" if len(nodes) > 8 else "")
+    return [f"the given truth replaces one of the drawn candidates at {count(len(nodes), 'node')}: {listed}"]
 
 
 def _shown(part: Component) -> str:

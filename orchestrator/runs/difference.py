@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hedgerow.topologies.describe import describe, window
 from hedgerow.topologies.graph import Mask
 
 if TYPE_CHECKING:
@@ -56,7 +57,7 @@ def explain_runs(left: Run, right: Run) -> list[str]:
 
 
 def _first(left: Run, right: Run, names: Sequence[str]) -> list[str]:
-    """Return lines on the first step at which the runs differ in one of these arrays, and the messages lost before."""
+    """Return lines on the first step at which the runs differ in one of these arrays, and the faults until then."""
     steps = min(left.T, right.T)
     found = [(t, name) for name in names if (t := _differs(left, right, name)) is not None]
     if not found:
@@ -65,10 +66,18 @@ def _first(left: Run, right: Run, names: Sequence[str]) -> list[str]:
     one, other = getattr(left, name)[t], getattr(right, name)[t]
     return [
         f"first at step {t}: {'; '.join(_cells(left, name, one, other))}",
-        f"lost messages before, left:  {lost_messages(left, t + 1)}",
-        f"until then, right: {lost_messages(right, t + 1)}",
+        f"left, until then: {_disturbed(left, t)}",
+        f"right, until then: {_disturbed(right, t)}",
         f"folders: {left.folder} and {right.folder}",
     ]
+
+
+def _disturbed(run: Run, t: int) -> str:
+    """Return the faults that began by step `t`, and the messages lost until then; a cut loses no message."""
+    faults = [f"fault {k}: {describe(one)}" for k, one in enumerate(run.topology.faults, 1) if window(one)[0] <= t]
+    return "; ".join(
+        [*faults[:4], *([f"and {len(faults) - 4} more"] if len(faults) > 4 else []), lost_messages(run, t + 1)]
+    )
 
 
 def _differs(left: Run, right: Run, name: str) -> int | None:

@@ -50,7 +50,8 @@ def find_run(run: str | Path) -> Path:
         raise UserError(
             f"{run}: {error.strerror}; check the path and its permissions", code=Code.FILE_UNREADABLE
         ) from None
-    listed = f"; runs/ has {', '.join(path.name for path in there[-6:])}" if there else ""
+    more = f", and {len(there) - 6} more" if len(there) > 6 else ""
+    listed = f"; runs/ has {', '.join(path.name for path in there[-6:])}{more}" if there else ""
     raise UserError(
         f"{run}: there is no such run; name its folder, or its name in runs/{listed}", code=Code.RUN_MISSING
     )

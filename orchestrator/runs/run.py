@@ -274,16 +274,27 @@ class Run(RecordedRows):
     def estimates_at(self, t: int) -> Estimates:
         """Return the estimate of every node at step t, from the samples of earlier steps, as a dict by node."""
         if not isinstance(t, int | np.integer) or not 0 <= t < self.T:
-            raise UserError(f"estimates_at({t}): the run has steps 0 to {self.T - 1}", code=Code.OPTION)
+            raise UserError(
+                f"t={t!r}: is no step of this run. Give a whole number from 0 to {self.T - 1}; "
+                "for one node, write run.estimates_at(t)[node].",
+                code=Code.OPTION,
+            )
         return Estimates(self, t)
 
     def _edge(self, ends: Pair) -> tuple[int, bool]:
         """Return the column of an edge, and True if the file has its ends in the other order. Raises UserError."""
+        if not isinstance(ends, tuple | list) or len(ends) != 2:
+            raise UserError(f"{ends!r}: is no pair. Give both ends, such as {self._pair_of_nodes}.", code=Code.OPTION)
         pair = (self.column(ends[0]), self.column(ends[1]))
         for column, (i, j) in enumerate(self.edges.tolist()):
             if (i, j) in (pair, pair[::-1]):
                 return column, (i, j) != pair
         raise UserError(f"{ends}: {ends[0]} and {ends[1]} are not neighbours", code=Code.OPTION)
+
+    @property
+    def _pair_of_nodes(self) -> Pair:
+        i, j = self.edges[0].tolist() if len(self.edges) else (0, -1)
+        return self.ids[i], self.ids[j]
 
     def missing(self, link: Pair) -> list[int]:
         """Return the steps with a lost or late message from the first node of `link` to the second."""
@@ -297,6 +308,7 @@ class Run(RecordedRows):
 
     def assert_same_estimates(self, other: Run, t: int | None = None) -> None:
         """Assert that all estimates of two runs are equal at step t, or at every step if t is None."""
+        __tracebackhide__ = True  # pytest then shows the line of the test
         for step in range(min(self.T, other.T)) if t is None else [t]:
             mine, others = self.estimates_at(step), other.estimates_at(step)
             if mine != others:

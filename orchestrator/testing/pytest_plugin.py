@@ -23,12 +23,12 @@ def network(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
     """Return the maker of networks: `network("paper7").drop((2, 4), steps=range(10, 20)).run()`; see
     orchestrator.testing.
     """
-    from hedgerow.orchestrator.launch import live, running  # noqa: PLC0415
+    from hedgerow.orchestrator.launch import fault_verbs, live, running  # noqa: PLC0415
     from hedgerow.orchestrator.runs import run  # noqa: PLC0415
     from hedgerow.orchestrator.testing import Networks, scenario  # noqa: PLC0415
     from hedgerow.wire import crash  # noqa: PLC0415
 
-    for ours in (live, run, running, scenario, crash):
+    for ours in (fault_verbs, live, run, running, scenario, crash):
         vars(ours)["__tracebackhide__"] = _is_one_line
     results = request.config.stash[_RESULTS]
     return Networks(tmp_path_factory.mktemp, results.append)

@@ -55,4 +55,4 @@ class Options:
                 raise UserError(f"{option} {value}: is no number above 0. Give a number above 0.", code=Code.OPTION)
         for option, whole in (("--max-degree", self.max_degree), ("--steps", self.steps)):
             if whole is not None and not (isinstance(whole, Integral) and whole >= 1):
-                raise UserError(f"{option} {whole}: is below 1. Give a whole number from 1.", code=Code.OPTION)
+                raise UserError(f"{option} {whole}: is no whole number from 1. Give one.", code=Code.OPTION)

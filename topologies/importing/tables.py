@@ -303,6 +303,8 @@ def of_matrix(
         if number is None:
             raise refuse(f"--weight {options.weight}", "a matrix has no attributes of edges", "Give a number")
         values = np.full(len(edges), number)
+    if edges.size and (edges[:, 0] == edges[:, 1]).all():
+        raise refuse(source, "has no edge: all its nonzero entries are on the diagonal", "Give an adjacency matrix")
     ones = bool((values == 1).all())
     storage = None
     if options.storage is not None:

@@ -87,7 +87,7 @@ class Imported:
         written = [path, *([table] if table is not None else [])]
         for file in written:
             if not force and (file.exists() or file.is_symlink()):
-                raise UserError(f"{file}: exists. Name another with -o, or replace it with --force.", code=Code.OUTPUT)
+                raise UserError(f"{file}: exists. Name another file, or replace it with --force.", code=Code.OUTPUT)
         try:
             if table is not None:
                 archive.write(table, {}, self.arrays)
@@ -167,7 +167,8 @@ def _gain(found: Found, options: Options, ids: Sequence[Hashable], assumptions: 
         return b
     b = 0.1 if load[worst] <= 0 else _two_digits(math.sqrt(SHARE / (8 * load[worst])))
     assumptions.append(
-        f"b = {b:g}: half of what condition (3) allows at node {ids[worst]}, of the largest b_i² d_i; --b gives another"
+        f"b = {b:g}: at node {ids[worst]}, 8 b_i² d_i is the largest, and at most {SHARE:g}; condition (3) of"
+        " docs/theory.md needs it below 1; d_i is the sum of the weights at node i; --b gives another"
     )
     return b
 

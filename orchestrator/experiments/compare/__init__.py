@@ -86,12 +86,23 @@ class Compared:
     def mean(self, law: str, metric: str, disturbance: str = "") -> float:
         """Return a mean over seeds; `disturbance` may be omitted if there is one.
 
-        Raises KeyError for an unknown name.
+        Raises UserError for an unknown name.
         """
         where = disturbance or self.plan.disturbances[0]
         found = [one for one in self.cells if (one.disturbance, one.law, one.metric) == (where, law, metric)]
         if not found:
-            raise KeyError((where, law, metric))
+            known = {
+                "disturbance": (where, [one.disturbance for one in self.cells]),
+                "law": (law, [one.law for one in self.cells]),
+                "metric": (metric, [one.metric for one in self.cells]),
+            }
+            for noun, (given, names) in known.items():
+                if given not in names:
+                    listed = ", ".join(dict.fromkeys(names))
+                    raise UserError(
+                        f"{noun}={given!r}: is not in this comparison. Choose of {listed}.", code=Code.OPTION
+                    )
+            raise UserError(f"{metric} of {law} under {where}: has no mean in this comparison.", code=Code.OPTION)
         return found[0].mean
 
     @property

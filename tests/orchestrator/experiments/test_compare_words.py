@@ -65,7 +65,7 @@ def test_the_intervals_and_tests_are_those_of_scipy() -> None:
 @pytest.mark.parametrize(("laws", "seeds", "needed"), [(2, 5, 6), (2, 6, None), (3, 6, 7), (3, 7, None), (6, 8, 10)])
 def test_too_few_seeds_are_those_that_no_outcome_can_decide(laws: int, seeds: int, needed: int | None) -> None:
     """The values are as far apart as they can be: every law is better than the one before, for every seed."""
-    made = [cell(f"law{k}", (k + 1.0) * np.arange(1, seeds + 1)) for k in range(laws)]
+    made = [cell(f"law{k}", (k + 1.0) * np.arange(1.0, seeds + 1)) for k in range(laws)]
     tests = paired(made)
     assert pairs_needed(tests) == needed
     assert any(test.decided for test in tests) == (needed is None)

@@ -125,7 +125,7 @@ def test_a_mistake_is_shown_where_it_is_made(network: Networks) -> None:
         (lambda: right.drop((2, 4), at={3: [(2, 4)]}), Code.FAULT, "drop"),
         (lambda: right.crash(9, at=3), Code.FAULT, "crash: node"),
         (lambda: right.crash(process=7, at=3), Code.FAULT, "crash: process"),
-        (lambda: right.jump(4, to=0.123456), Code.FAULT, "jump: a"),
+        (lambda: right.jump(4, to=0.123456), Code.FAULT, "jump: to"),
         (
             lambda: right.run(engine="zeno"),  # type: ignore[arg-type]
             Code.OPTION,
@@ -213,8 +213,8 @@ def test_a_difference_is_explained(apart: tuple[Run, Run]) -> None:
     assert explained[0].startswith("estimates at step 5 differ: node 2: ")
     assert explained[1].startswith("first at step 1: ahat of node 2 ")
     assert explained[2:4] == [
-        "lost messages before, left:  messages lost or late: 4->2 at 0-1, 2->4 at 0-1",
-        "until then, right: no message lost or late",
+        "left, until then: fault 1: drop 2-4 from step 0 to 25; messages lost or late: 4->2 at 0-1, 2->4 at 0-1",
+        "right, until then: no message lost or late",
     ]
     assert explain(one, other) == ["runs differ", *explained[1:]]
     assert explain(one, {"a": 1}) is None
@@ -246,12 +246,13 @@ def test_a_failing_test_shows_the_reason_and_the_folder(pytester: pytest.Pyteste
         [
             "E       assert estimates at step 5 differ: node 2: *",
             "E         first at step 1: ahat of node 2 *",
-            "E         lost messages before, left:  messages lost or late: 4->2 at 0-1, 2->4 at 0-1",
+            "E         left, until then: fault 1: drop 2-4 from step 0 to 25; messages lost or late: 4->2 at 0-1, *",
             "* networks *",
             "  fault 1: drop 2-4 from step 0 to 25",
             "  valid: 30 of 30 steps*",
             "E       assert runs differ",
             "E         first at step 4: x of node 2 * != *; x of node 4 *",
+            "E         left, until then: fault 1: cut 2-4 from step 3 to 9; no message lost or late",
             "  fault 1: cut 2-4 from step 3 to 9",
             ">       network(\"paper7\").drop((2, 5))",
             "E       hedgerow.topologies.errors.UserError: drop: link: 2 and 5 are not neighbours; *",
