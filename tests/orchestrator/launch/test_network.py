@@ -482,7 +482,7 @@ def test_steps_before_a_failure_of_the_law_are_recorded(here: Path, command: str
     assert done.returncode == 2
     why = verdict_of(here / "runs/latest")["reasons"][0]
     assert why.startswith("stopped at step 19: ")
-    assert "law laws:Late: act() of node 0, 1, 2, 3, 4, 5 raised RuntimeError: I am late" in why
+    assert "law laws:Late: act() of nodes 0, 1, 2, 3, 4, 5 raised RuntimeError: I am late" in why
     run = load_run("runs/latest")
     assert run.T == 19
     assert all(np.isfinite(values).all() for values in (run.x, run.u))
