@@ -107,9 +107,12 @@ class Launch:
     ) -> Launched:
         """Start the processes and open our own session; closing `stack` undoes each.
 
-        `meanwhile` is called while the processes start.
+        `meanwhile` is called while the processes start. If agents come from elsewhere, it is called before: when one of
+        an earlier run reached the router before our session, Zenoh sometimes gave us each batch of telemetry twice.
         """
         connection = self.connection
+        if self._options.external is not None:
+            meanwhile()
         stack.enter_context(connection.laid(places(self.views)))
         stack.callback(self._fork_client.clear)
         processes = Processes(self._fork_client, self._folder, connection)
@@ -128,7 +131,8 @@ class Launch:
             shared, path = self._shared(stack)
             processes.start_plant(truth, self._options.rate, self._options.deadline_s, external, path)
         processes.start_agents(view for view in self.views if external is None or view.shard not in external)
-        meanwhile()
+        if external is None:
+            meanwhile()
         session = session or self._connect(processes, interrupts, stack)
         pids = processes.wait_until_started()
         if external is not None:
