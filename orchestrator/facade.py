@@ -32,7 +32,7 @@ from hedgerow.topologies.in_python import answers_in_python
 from hedgerow.topologies.law_choice import LawChoice
 from hedgerow.topologies.named import Named, resolved, text_of
 from hedgerow.topologies.paths import real_path, user_path
-from hedgerow.topologies.plain import plain
+from hedgerow.topologies.plain import is_in_script, plain
 from hedgerow.topologies.regular_file import read_regular
 from hedgerow.topologies.schema import Topology
 
@@ -342,7 +342,7 @@ def _listed(value: object) -> Sequence[object]:
 def _importable(topology: Topology) -> Topology:
     """Return a topology with a law that another process can import. Raises UserError."""
     law = topology.law
-    if isinstance(law, str) and law.startswith("__main__:"):
+    if is_in_script(law):
         name = law.partition(":")[2]
         where = getattr(sys.modules["__main__"], "__file__", None) or "this notebook or prompt"
         raise UserError(

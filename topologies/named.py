@@ -45,9 +45,8 @@ class Given(NamedTuple):
         try:
             return parse(self.text, self.name, self.folder, self.overrides, self.own_files)
         except TopologyError as error:
-            if self.name != MAPPING:
-                raise
-            error.without_lines()
+            if self.name == MAPPING:
+                error.without_lines()
             raise
 
     def draw(self) -> Topology:

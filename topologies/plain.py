@@ -69,6 +69,11 @@ def law_of_class(law: type) -> str:
     return _NAMES_OF_LAWS.get(text, text)
 
 
+def is_in_script(law: str) -> bool:
+    """Return True if a law is defined in the script or notebook that runs, so that only this process has it."""
+    return law.startswith("__main__:")
+
+
 def _key(key: Any, place: str) -> Any:
     if isinstance(key, np.generic):
         return key.item()

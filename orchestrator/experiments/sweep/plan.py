@@ -17,6 +17,7 @@ from hedgerow.orchestrator.runs import batch
 from hedgerow.topologies.errors import Code, TopologyError, UserError
 from hedgerow.topologies.named import Given, Named, given
 from hedgerow.topologies.override import split_setting
+from hedgerow.topologies.plain import is_in_script
 from hedgerow.topologies.resolve import resolve, to_yaml
 from hedgerow.topologies.schema import Topology
 from hedgerow.topologies.source import read_source
@@ -69,7 +70,7 @@ class Plan:
     @property
     def law_in_script(self) -> bool:
         """Return True if a law is defined in the script or notebook that runs, so that only this process has it."""
-        return any(str(setting.topology.law).startswith("__main__:") for setting in self.settings)
+        return any(is_in_script(setting.topology.law) for setting in self.settings)
 
     def label(self, setting: int) -> str:
         """Return a setting in words."""

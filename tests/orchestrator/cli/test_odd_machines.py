@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from hedgerow.topologies.errors import Exit
+from tests.orchestrator.cli.test_shells import code
 
 COMMAND = (sys.executable, "-P", "-m", "hedgerow.orchestrator")
 SHORT = ("paper7", "--steps", "5", "--viewer", "none", "--no-record", "--run-dir", "out")
@@ -35,11 +36,6 @@ def run(here: Path, command: tuple[str, ...], memory: int | None = None) -> subp
         preexec_fn=limit,
         env=os.environ | {"TMPDIR": str(here)},
     )
-
-
-def after(text: str) -> tuple[str, ...]:
-    """Return the operator's command in an interpreter that executes `text` before."""
-    return (sys.executable, "-P", "-c", f"{text}\nfrom hedgerow.orchestrator.__main__ import main\nmain()")
 
 
 @pytest.mark.slow
@@ -69,14 +65,14 @@ def test_a_clone_without_metadata_runs(tmp_path: Path) -> None:
         "    return whole(name)\n"
         "m.distribution = hidden"
     )
-    done = run(tmp_path, (*after(hide), "simulate", "paper7", "--run-dir", "out"))
+    done = run(tmp_path, (*code(hide), "simulate", "paper7", "--run-dir", "out"))
     assert (done.returncode, done.stderr) == (Exit.VALID, ""), done.stderr
-    assert run(tmp_path, (*after(hide), "--version")).returncode == 0
+    assert run(tmp_path, (*code(hide), "--version")).returncode == 0
 
 
 def test_without_symbolic_links_a_run_has_no_latest_and_goes_on(tmp_path: Path) -> None:
     refuse = "import os\ndef refuse(*_, **__):\n    raise OSError(95, 'Operation not supported')\nos.symlink = refuse"
-    done = run(tmp_path, (*after(refuse), "simulate", "paper7"))
+    done = run(tmp_path, (*code(refuse), "simulate", "paper7"))
     assert done.returncode == Exit.VALID, done.stderr
     (folder,) = (tmp_path / "runs").iterdir()
     assert json.loads((folder / "verdict.json").read_text())["verdict"] == "valid"
