@@ -9,7 +9,7 @@
     edges down: 2-4, 3-5
     links down: 1->2, 3-5
     5 of 7 estimates right, 8 missing inputs, 32 lost messages, regret D 0.9384 (nominal 4.367),
-    cost regret +1.734, gain 9.271 with x(0) (limits without x(0): oracle 2.974 without faults)
+    cost regret +1.734, gain 9.271 with x(0)
     step 30: cut 2-4 from step 30 to 60 (fault 2)
 
 A wrong model is marked by a word and by a colour. Dead nodes come first, then nodes without an input, then nodes with a
@@ -193,13 +193,7 @@ class Standing:
             *(f"{k} {what}" for k, what in losses if k),
             f"regret D {batch.regret_sum[-1]:.4g} (nominal {batch.nominal_regret_sum[-1]:.4g})",
             f"cost regret {batch.cost_regret[-1]:+.4g}",
-            gain_text(
-                gain,
-                less,
-                self._topology.network.gamma_star_now,
-                not np.isnan(batch.slack[-1]),
-                float(batch.ceiling[-1]),
-            ),
+            gain_text(gain, less, self._topology.network.gamma_star_now, not np.isnan(batch.slack[-1])),
         ]
 
 
