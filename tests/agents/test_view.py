@@ -277,7 +277,7 @@ def test_a_large_network_is_aggregated_and_loses_no_number(tmp_path: Path) -> No
     np.testing.assert_array_equal(median, np.sort(x, axis=1)[:, 49])
     down = scalars(path, "quantiles/down")[1]
     assert down[:, DOWN.index("edges cut")].tolist() == [0] * 4 + [2 * LANES] * 5 + [0] * 11
-    assert sum(entity.startswith(("/link/", "/node/")) for entity in entities(path)) == LANES
+    assert sum(entity.startswith(("/link/", "/agent/")) for entity in entities(path)) == LANES
     names = column(path, "network/worst", "Points2D:labels")
     assert names[19] == [str(i) for i in np.argsort(-x[19], kind="stable")[:5]]
 

@@ -93,8 +93,8 @@ class Changes:
         return Changes(found, [lane for part in parts for lane in part.begun])
 
 
-LANE_ENTITIES = ("/run", "/node/**", "/link/**")
-"""the lanes: dead agents first; Rerun shows the path of an entity as its title"""
+LANE_ENTITIES = ("/agent/**", "/link/**", "/run")
+"""the lanes; Rerun orders them by name, so agents come first; Rerun shows the path of an entity as its title"""
 
 
 def _entity(kind: str, name: str) -> str:
@@ -114,7 +114,7 @@ class FaultTimeline:
 
     def _lane(self, k: int) -> Lane:
         if k >= len(self._edges):
-            return Lane(_entity("node", str(self._ids[k - len(self._edges)])), OF_NODE)
+            return Lane(_entity("agent", str(self._ids[k - len(self._edges)])), OF_NODE)
         i, j = (str(self._ids[end]) for end in self._edges[k].tolist())
         return Lane(_entity("link", f"{i}-{j}"), of_edge(i, j))
 
