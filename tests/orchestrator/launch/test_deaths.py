@@ -6,10 +6,18 @@ import os
 import signal
 from pathlib import Path
 
+from hedgerow.orchestrator.launch.live import Live
 from tests.tools.processes import LONG, QUIET, Orchestrator, gone, orchestrator, parquet_bytes
 from tests.tools.verdicts import verdict_of
 
-SHORT = ("up", "paper7", "--steps", "900", "--rate", "300", *QUIET, "--verify")
+SHORT = ("up", "paper7", "--steps", "600", "--rate", "100", *QUIET, "--verify")
+"""a run that lasts until its processes are back; `hurry` ends it sooner"""
+
+
+def hurry() -> None:
+    """Make the remaining steps as fast as possible."""
+    with Live() as live:
+        live.rate(0)
 
 
 def repeats_from_its_folder(here: Path) -> bool:
@@ -25,6 +33,8 @@ def test_a_killed_agent_returns_with_its_knowledge(here: Path) -> None:
     with Orchestrator(*SHORT) as network:
         network.wait_for("running")
         os.kill(network.children["agent-4"], signal.SIGKILL)
+        network.wait_for_event("back")
+        hurry()
         assert network.wait() == 0, network.output
         assert [network.wait_for_event(kind)["who"] for kind in ("lost", "back")] == ["agent 4"] * 2
         assert gone(network.children)
@@ -59,6 +69,8 @@ def test_a_network_without_agents_waits_for_them(here: Path) -> None:
     with Orchestrator(*SHORT, "--processes", "1") as network:
         network.wait_for("running")
         os.kill(network.children["shard-0"], signal.SIGKILL)
+        network.wait_for_event("back")
+        hurry()
         assert network.wait() == 0, network.output
         lost, back = (network.wait_for_event(kind) for kind in ("lost", "back"))
     assert back["at"] - lost["step"] <= 2
@@ -71,6 +83,8 @@ def test_all_agents_killed_at_once_come_back(here: Path) -> None:
         for name, pid in network.children.items():
             if name != "plant":
                 os.kill(pid, signal.SIGKILL)
+        network.wait_for_event("restarted", times=7)
+        hurry()
         assert network.wait() == 0, network.output
     assert verdict_of(here / "runs/latest")["restarts"] == 7
     assert repeats_from_its_folder(here)
@@ -90,6 +104,7 @@ def test_a_run_continues_without_a_frozen_agent_and_takes_it_back(here: Path) ->
         network.wait_for("no input from agent 4 (alive: yes) for ")
         os.kill(network.children["agent-4"], signal.SIGCONT)
         network.wait_for("agent 4 is back")
+        hurry()
         assert network.wait() == 0, network.output
     assert repeats_from_its_folder(here)
 

@@ -12,9 +12,10 @@ import pyarrow.parquet as pq
 import pytest
 
 from hedgerow.agents.view import View
+from hedgerow.orchestrator.launch import launching
 from hedgerow.wire.session import open_router
 from tests.tools.networks import VECTORS, vector_file
-from tests.tools.processes import QUIET, Orchestrator, orchestrator, parquet_bytes
+from tests.tools.processes import QUIET, Orchestrator, orchestrator, parquet_bytes, run_here
 from tests.tools.verdicts import CHECKS, verdict_of
 
 
@@ -128,8 +129,10 @@ def test_two_networks_share_an_existing_router(here: Path) -> None:
             assert other.wait() == 0, other.output
 
 
-def test_a_missing_router_is_a_mistake_of_the_user(here: Path) -> None:
-    done = orchestrator("up", "paper7", *QUIET, "--router", "tcp/127.0.0.1:1")
+def test_a_missing_router_is_a_mistake_of_the_user(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`up` starts no process before it has found the router, so it runs in this process, with less patience."""
+    monkeypatch.setattr(launching, "CONNECT_TIMEOUT_S", 0.1)
+    done = run_here("up", "paper7", *QUIET, "--router", "tcp/127.0.0.1:1")
     assert done.returncode == 3
     assert "tcp/127.0.0.1:1" in done.stdout + done.stderr
 

@@ -11,14 +11,23 @@ from pathlib import Path
 import pytest
 
 from hedgerow.topologies.errors import Exit
+from tests.tools import preloaded
 from tests.tools.processes import COMMAND, DEADLINE_S, orchestrator
 from tests.tools.verdicts import verdict_of
 
 
-def shell(words: str) -> subprocess.CompletedProcess[str]:
-    """Run the command in a shell, which knows how to close its streams and where to lead them."""
-    line = f"{shlex.join(COMMAND)} {words}"
-    return subprocess.run(line, shell=True, capture_output=True, text=True, timeout=DEADLINE_S, check=False)
+def shell(line: str) -> subprocess.CompletedProcess[str]:
+    """Run a line of a shell, which knows how to close the streams of a command and where to lead them."""
+    path = f"{preloaded.SESSION.programs}{os.pathsep}{os.environ['PATH']}"
+    return subprocess.run(
+        line,
+        shell=True,
+        capture_output=True,
+        text=True,
+        timeout=DEADLINE_S,
+        check=False,
+        env=os.environ | {"PATH": path},
+    )
 
 
 @pytest.mark.parametrize("given", ["/run/user/of-nobody", "here", "/etc/passwd", ""])
@@ -45,7 +54,7 @@ def test_a_missing_registry_folder_is_reported(here: Path, monkeypatch: pytest.M
     "closed", ["<&-", ">&-", "<&- >&- 2>&-"], ids=["standard input", "standard output", "all three"]
 )
 def test_a_network_runs_with_any_standard_stream_closed(here: Path, closed: str) -> None:
-    done = shell(f"up paper7 --viewer none --no-record {closed}")
+    done = shell(f"{shlex.join(COMMAND)} up paper7 --viewer none --no-record {closed}")
     assert (done.returncode, done.stderr) == (0, "")
     assert verdict_of(here / "runs/latest")["verdict"] == "valid"
 
@@ -53,16 +62,16 @@ def test_a_network_runs_with_any_standard_stream_closed(here: Path, closed: str)
 @pytest.mark.parametrize("words", ["ps", "ps --json", "audit paper7", "compose paper7", "simulate paper7 --json"])
 def test_an_unwritable_output_is_reported_in_one_line(here: Path, words: str) -> None:
     code = Exit.UNKNOWN if words.startswith("simulate") else Exit.USER_MISTAKE
-    done = shell(f"{words} >/dev/full")
+    done = shell(f"orchestrator {words} >/dev/full")
     assert done.returncode == code
     assert done.stderr.startswith("error: ")
     assert done.stderr.count("\n") == 1
-    assert shell(f"{words} >/dev/full 2>&1").returncode == code
+    assert shell(f"orchestrator {words} >/dev/full 2>&1").returncode == code
 
 
 @pytest.mark.parametrize("command", ["simulate", "up"])
 def test_a_run_continues_with_or_without_its_output(here: Path, command: str) -> None:
-    done = shell(f"{command} paper7 --viewer none --no-record >/dev/full")
+    done = shell(f"orchestrator {command} paper7 --viewer none --no-record >/dev/full")
     assert done.returncode == Exit.UNKNOWN, done.stderr
     assert done.stderr.count("\n") <= 1
     assert verdict_of(here / "runs/latest")["verdict"] == "valid"
