@@ -39,13 +39,14 @@ from hedgerow.topologies.graph import Graph
 from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import resolve
 from hedgerow.topologies.schema import Topology
-from tests.orchestrator.views.test_rerun_stream import begin_headless, kill, paper7, until
+from tests.orchestrator.views.test_rerun_stream import paper7
 from tests.orchestrator.views.test_rerun_stream import read as scalars
 from tests.tools import networks
 from tests.tools.examples import examples
 from tests.tools.networks import observe, simulate
 from tests.tools.processes import Orchestrator
 from tests.tools.schedules import with_faults
+from tests.tools.viewers import begin_headless, kill, until
 
 DROP: dict[str, Any] = {"kind": "drop", "link": [2, 4], "steps": [0, 20]}
 CUT: dict[str, Any] = {"kind": "cut", "edge": [3, 5], "steps": [12, 20]}
