@@ -143,7 +143,9 @@ def test_rows_without_space_are_counted() -> None:
     topology = ring(100)
     lines = picture(after(topology, 10), height=12)
     assert len(lines) == 12
-    shown = [line.split() for line in lines if line.rstrip().endswith(("WRONG               0", "right               0"))]
+    shown = [
+        line.split() for line in lines if line.rstrip().endswith(("WRONG               0", "right               0"))
+    ]
     *_, batch = batches(topology)
     wrong = (batch.ahat[-1] != batch.a[-1]).sum()
     (rest,) = (line for line in lines if line.startswith("..."))
