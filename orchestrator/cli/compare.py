@@ -21,7 +21,7 @@ Disturbances = Annotated[
     str,
     typer.Option(
         metavar="NAME,...",
-        help="file, sinusoid, white, ar1, constant, confuse or none, or {kind: ...}; names joined by + are added",
+        help="file, sinusoid, white, ar1, constant, confuse or none, or {kind: ...} as in a file; + adds some",
     ),
 ]
 Seeds = Annotated[str, typer.Option(metavar="FIRST:STOP", help="every seed from FIRST up to, and without, STOP")]

@@ -130,7 +130,8 @@ class Intake:
             if (batch := run.take(rows[some : some + run.rows_at_once])) is not None:
                 self._screen.progress(batch)
         if unseen and run.viewer is not None:
-            self._screen.say(f"watch it at {run.viewer.link or run.viewer.url}")
+            ends = "" if run.viewer.link is None or run.page_stays else ", until the run ends (--keep leaves it open)"
+            self._screen.say(f"watch it at {run.viewer.link or run.viewer.url}{ends}")
         run.warn(self._screen)
 
     def _changed(self, topology: Topology, event: dict[str, Any]) -> Topology | None:

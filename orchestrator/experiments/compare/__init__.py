@@ -98,7 +98,7 @@ class Compared:
                 if given not in names:
                     listed = ", ".join(dict.fromkeys(names))
                     raise UserError(
-                        f"{noun}={given!r}: is not in this comparison. Choose of {listed}.", code=Code.OPTION
+                        f"{noun}={given!r}: is not in this comparison. Choose one of {listed}.", code=Code.OPTION
                     )
             raise UserError(f"{metric} of {law} under {where}: has no mean in this comparison.", code=Code.OPTION)
         return found[0].mean
