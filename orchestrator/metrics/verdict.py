@@ -343,7 +343,7 @@ def _faults(topology: Topology, observer: Observer) -> list[dict[str, Any]]:
             "scheduled": account.scheduled,
             "fired": account.fired,
             "masked": account.masked,
-            "seen": account.seen if fault.kind != "jump" else None,
+            "seen": account.seen if fault.LOSSY else None,
             "beyond": beyond,
         }
         for k, (fault, account, beyond) in enumerate(

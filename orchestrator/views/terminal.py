@@ -41,7 +41,7 @@ from hedgerow.orchestrator.metrics.fault_accounts import at_ends
 from hedgerow.orchestrator.metrics.observer import Batch
 from hedgerow.orchestrator.metrics.verdict import INVALID, VALID, Verdict, estimates_text, gain_text
 from hedgerow.orchestrator.views.outlet import Outlet, left_behind
-from hedgerow.topologies.describe import describe, window
+from hedgerow.topologies.describe import describe
 from hedgerow.topologies.escape import escape
 from hedgerow.topologies.graph import Index, Mask
 from hedgerow.topologies.schema import Topology
@@ -77,7 +77,7 @@ class Standing:
         """pairs of a time and the number of finished steps"""
         self._events: deque[str] = deque(maxlen=EVENTS)
         faults = enumerate(topology.faults, 1)
-        self._due = deque(sorted((window(fault)[0], k, describe(fault)) for k, fault in faults))
+        self._due = deque(sorted((fault.window[0], k, describe(fault)) for k, fault in faults))
 
     def happened(self, text: str) -> None:
         """Add a text to the last events."""

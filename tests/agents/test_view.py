@@ -169,7 +169,7 @@ def test_the_lanes_are_the_schedule(tmp_path: Path) -> None:
     recorded(topology, path)
     schedule, graph, steps = Schedule(topology), topology.graph, np.arange(topology.steps)
     codes = np.zeros((topology.steps, len(topology.edges)), dtype=int)
-    drops, cuts = schedule.instances(steps, "drop"), schedule.instances(steps, "cut")
+    drops, cuts = schedule.instances(steps, "lost"), schedule.instances(steps, "cut")
     for row, incidence in set(zip(drops.row.tolist(), drops.target.tolist(), strict=True)):
         edge = graph.edge[incidence]
         codes[row, edge] += 1 if graph.node[incidence] == graph.edges[edge, 0] else 2

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from hedgerow.orchestrator.metrics.observer import Batch, Observer
 from hedgerow.orchestrator.views.rerun.viewer import Viewer
-from hedgerow.topologies.describe import describe, window
+from hedgerow.topologies.describe import describe
 from hedgerow.topologies.errors import Code, HedgerowError
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire.message import RoundTripTimes
@@ -404,7 +404,7 @@ class Plan:
         first, last = int(batch.t[0]), int(batch.t[-1])
         lines = []
         for number, fault in enumerate(self._faults):
-            start, stop = window(fault)
+            start, stop = fault.window
             if first <= start <= last:
                 lines.append((f"fault {number + 1} begins: {_short(describe(fault))}", "WARN", start))
             # An early end was already reported.
