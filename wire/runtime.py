@@ -22,8 +22,8 @@ _DUTIES = ("rx", "tx", "app", "net", "acc")
 def runtime_environment() -> dict[str, str]:
     """Return the environment variables that a process sets before it loads Zenoh and numpy.
 
-    Many processes share few cores (docs/performance-notes.md). So Zenoh has one thread for each duty of its runtime. Linear
-    algebra has no threads: agents and plant do not use it, and a process that forks must have none.
+    Many processes share few cores (docs/performance-notes.md). So Zenoh has one thread for each duty of its runtime.
+    Linear algebra has no threads: agents and plant do not use it, and a process that forks must have none.
     """
     return {"OPENBLAS_NUM_THREADS": "1", _RUNTIME: _threads(dict.fromkeys(_DUTIES, "worker_threads: 1"))}
 
