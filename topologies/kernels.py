@@ -27,7 +27,7 @@ def _flow_of(first: Index, other: Index, u: Array, i: int) -> float:
     total, own = 0.0, u[i]
     for c in range(uint64(first[i]), uint64(first[i + 1])):
         total += own - u[uint64(other[c])]
-    return total  # type: ignore[no-any-return]
+    return total
 
 
 @njit(WRITE(INDEX, INDEX, READ), cache=True)

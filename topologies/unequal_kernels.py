@@ -20,7 +20,7 @@ def _flow_of(first: Index, other: Index, weight: Array, u: Array, i: int) -> flo
     total, own = 0.0, u[i]
     for c in range(uint64(first[i]), uint64(first[i + 1])):
         total += weight[c] * (own - u[uint64(other[c])])
-    return total  # type: ignore[no-any-return]
+    return total
 
 
 @njit(WRITE(INDEX, INDEX, READ, READ), cache=True)
