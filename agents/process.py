@@ -308,6 +308,8 @@ class Agent:
                 self._fail(error)
 
     def _send_last(self) -> None:
+        if self._over:  # END arrived twice; a second report would differ from the first, and the audit would count both
+            return
         counted = counts([self._input, *self._links], self._receivers)
         counted["sent"][self._input.key] += 1  # count this event too
         # Leaving at once would lose the event. The plant sends END again after it received the event.
