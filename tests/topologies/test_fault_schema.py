@@ -16,6 +16,7 @@ from pydantic import ValidationError
 
 from hedgerow.topologies.effects import FOREVER, Effect
 from hedgerow.topologies.errors import Code, TopologyError
+from hedgerow.topologies.fault_kinds import FAULT_KINDS
 from hedgerow.topologies.faults import (
     KINDS,
     Actuator,
@@ -353,6 +354,16 @@ def test_every_kind_is_known_by_its_name() -> None:
     assert all(
         field.description or key == "kind" for model in KINDS.values() for key, field in model.model_fields.items()
     )
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_model_and_the_plant_know_the_same_keys_of_a_kind(kind: str) -> None:
+    """The model describes the keys in a file; the table is what a plant without pydantic uses."""
+    known, fields = FAULT_KINDS[kind], KINDS[kind].model_fields
+    targets = {key for form in known.forms for key in form}
+    assert {"kind", *targets, *known.required, *known.optional} == {*known_keys(KINDS[kind])}
+    always = targets if len(known.forms) == 1 else set()
+    assert {*known.required, *always} == {key for key, field in fields.items() if field.is_required()}
 
 
 def test_a_file_without_faults_has_none() -> None:
