@@ -10,9 +10,11 @@ from typing import Any, NamedTuple
 
 from hedgerow.topologies.errors import Code, TopologyError, UserError
 from hedgerow.topologies.load import content, find, parse
+from hedgerow.topologies.nodes import Nodes
 from hedgerow.topologies.plain import plain
-from hedgerow.topologies.resolve import resolve, to_yaml
+from hedgerow.topologies.resolve import resolve, text_beside_table
 from hedgerow.topologies.schema import Topology
+from hedgerow.topologies.table import Table
 
 MAPPING = "the network"
 """The name of a dictionary in messages. Its text is ours, so that a line and a column would mean nothing."""
@@ -32,6 +34,8 @@ class Given(NamedTuple):
     """`path=value` settings"""
     own_files: tuple[str, ...] = ()
     """files of samples that the user named in Python, and which may be anywhere"""
+    table: Table | None = None
+    """the numbers of a large Topology, which no text holds"""
 
     def __repr__(self) -> str:
         return f"<{' '.join([self.name, *self.overrides])}>"
@@ -43,7 +47,7 @@ class Given(NamedTuple):
     def parse(self) -> Topology:
         """Return the network with no number drawn yet; raise TopologyError with every mistake."""
         try:
-            return parse(self.text, self.name, self.folder, self.overrides, self.own_files)
+            return parse(self.text, self.name, self.folder, self.overrides, self.own_files, self.table)
         except TopologyError as error:
             if self.name == MAPPING:
                 error.without_lines()
@@ -71,7 +75,7 @@ def text_of(network: Named) -> tuple[bytes, str, Path]:
     shape, or a Topology. Raises UserError if there is no such file, or it cannot be read.
     """
     if isinstance(network, Topology):
-        return to_yaml(network).encode(), network.name, Path()
+        return text_beside_table(network).encode(), network.name, Path()
     if isinstance(network, Mapping):
         # A network of hg.Network has a folder if its table or samples lie in files.
         return json.dumps(plain(network)).encode(), MAPPING, getattr(network, "folder", None) or Path()
@@ -100,6 +104,8 @@ def resolved(network: Named, overrides: Sequence[str] = ()) -> Topology:
 def _given(network: Named) -> Given:
     # Make the text first: it refuses a dictionary that contains itself.
     text, name, folder = text_of(network)
+    if isinstance(network, Topology) and isinstance(network.nodes, Nodes):
+        return Given(text, name, folder, table=Table.of(network.network, network.layout))
     return Given(text, name, folder, own_files=tuple(_files(network)) if isinstance(network, Mapping) else ())
 
 
