@@ -470,7 +470,7 @@ def test_a_deleted_part_causes_no_error(tmp_path: Path) -> None:
 
 
 def test_a_part_that_cannot_be_written_is_named(tmp_path: Path) -> None:
-    with refusal(Code.UNKNOWN, str(tmp_path / "missing/run.rrd")):
+    with refusal(Code.OUTPUT, str(tmp_path / "missing/run.rrd")):
         RrdFile(tmp_path / "missing" / "run.rrd", streams)
 
 
@@ -550,7 +550,7 @@ def test_a_viewer_that_is_not_there_is_named_with_its_cure() -> None:
     assert f"copy {folder / 'run.rrd'}" in nobody.stderr
     port = free_port()
     url = f"rerun+http://127.0.0.1:{port}/proxy"
-    with refusal(Code.UNKNOWN, url) as refused:
+    with refusal(Code.VIEWER, url) as refused:
         Viewer(url).wait_until_it_listens(0.1)
     assert f"`rerun --port {port}" in str(refused.value), "the fix is a command"
 
