@@ -31,7 +31,8 @@ from hedgerow.topologies.reading import Reading
 from hedgerow.topologies.record import SAMPLED, WHOLE
 from hedgerow.topologies.rules import broken_faults
 from hedgerow.topologies.samples import columns
-from hedgerow.topologies.schema import PER_NODE, Defaults, Drawn, Node, Topology
+from hedgerow.topologies.schema import PER_NODE, Topology
+from hedgerow.topologies.settings import Defaults, Drawn, Node
 from hedgerow.topologies.source import FLOAT, OTHER_WHOLE
 from hedgerow.topologies.table import Table
 
