@@ -1,4 +1,7 @@
-"""The stream from the plant to the observer: batches of messages, each received exactly once and in order."""
+"""The stream from the plant to the observer: batches of messages, each received exactly once and in order.
+
+A batch that is sent or delivered several times counts once at both ends.
+"""
 
 from __future__ import annotations
 
@@ -25,6 +28,9 @@ AHEAD_BYTES, AHEAD_ROWS = 32 * 2**20, 4096
 It bounds the memory of both.
 """
 
+KNOWN_BATCHES = 2 * AHEAD_ROWS
+"""The number of batches whose copies are recognised: more than the plant sends before an acknowledgement."""
+
 
 def rows_ahead(n: int, e: int) -> int:
     """Return the maximum number of rows of telemetry that the plant may send before the observer acknowledges them."""
@@ -37,11 +43,11 @@ class Outbox:
     It is no `BoundedQueue`, because it reads a batch again for every repetition, and removes it later.
     """
 
-    def __init__(self, put: Callable[[bytes], None]) -> None:
-        self._put = put
+    def __init__(self, put: Callable[[bytes], None], most_waiting: int = AHEAD_ROWS) -> None:
+        """`most_waiting` is the number of queued messages that leave at once."""
+        self._put, self._most_waiting = put, most_waiting
         self.sent = 0
-        """the number of batches sent, repetitions included"""
-        self._next = 0
+        """the number of batches sent, repetitions not included"""
         self._sent_at = self._repeated_at = 0.0
         self._waiting: list[tuple[bytes]] = []
         """messages of the next batch"""
@@ -64,7 +70,7 @@ class Outbox:
         """Send the next message; queue it if the last batch left a moment ago, so that messages share a batch."""
         self._add()
         self._waiting.append((join(message),))
-        if time.monotonic() - self._sent_at >= TOGETHER_S:
+        if len(self._waiting) >= self._most_waiting or time.monotonic() - self._sent_at >= TOGETHER_S:
             self._send()
 
     def _add(self) -> None:
@@ -74,17 +80,16 @@ class Outbox:
 
     def _send(self, *last: Sequence[Buffer]) -> None:
         messages = (*self._waiting, *last)
-        whole = encode_batch(self._next, messages)
+        whole = encode_batch(self.sent, messages)
         self._unseen.append((len(messages), whole))
-        self._next += 1
+        self.sent += 1
         self._waiting.clear()
         self._sent_at = time.monotonic()
-        self.sent += 1
         self._put(whole)
 
     def seen(self, number: int) -> None:
         """Forget the batches up to this one, which the receiver acknowledged."""
-        while self._unseen and self._next - len(self._unseen) <= number:
+        while self._unseen and self.sent - len(self._unseen) <= number:
             self._count -= self._unseen.popleft()[0]
             self.progress_at = time.monotonic()
 
@@ -100,7 +105,6 @@ class Outbox:
     def repeat(self) -> None:
         """Send all batches again that the receiver has not acknowledged."""
         for _, whole in itertools.islice(self._unseen, REPEAT_MOST):
-            self.sent += 1
             self._put(whole)
 
 
@@ -118,7 +122,9 @@ class Inbox:
         """the number of the last batch accepted"""
         self.refused = 0
         self.arrived = 0
-        """the number of batches that arrived, in order or not"""
+        """the number of different batches that arrived, in order or not"""
+        self._known: dict[int, None] = {}
+        """the hashes of the last different batches, the oldest first"""
         self.arrived_at_event = 0
         """the number of batches up to the last one that ends with an event"""
 
@@ -132,7 +138,7 @@ class Inbox:
         except MessageError:
             self.refused += 1
             return []
-        self.arrived += 1
+        self._count(hash(whole))
         if number != self.last + 1:
             return []
         if any(kind_of(message) == Kind.PLACE for message in messages):
@@ -147,6 +153,19 @@ class Inbox:
         if messages and kind_of(messages[-1]) == Kind.EVENT:
             self.arrived_at_event = self.arrived
         return messages
+
+    def _count(self, batch: int) -> None:
+        """Count a batch, by its hash, unless it arrived before.
+
+        A copy is no evidence of an intruder: the plant repeats batches, and Zenoh sometimes delivers them twice.
+        Another batch with the same number is evidence.
+        """
+        if batch in self._known:
+            return
+        self.arrived += 1
+        self._known[batch] = None
+        if len(self._known) > KNOWN_BATCHES:
+            del self._known[next(iter(self._known))]
 
     def _row(self, message: bytes) -> bytes:
         if self._look_up is None:

@@ -8,7 +8,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from hedgerow.wire.stream import TOGETHER_S, Inbox, Outbox
+from hedgerow.wire.codec import encode_batch
+from hedgerow.wire.stream import AHEAD_ROWS, TOGETHER_S, Inbox, Outbox
 
 ACTIONS = ["send", "lossy send", "soon", "lossy soon", "wait", "tend", "lossy repeat", "repeat", "seen", "garbage"]
 
@@ -96,3 +97,49 @@ def test_messages_sent_soon_share_a_batch(clock: Clock) -> None:
     assert len(outbox) == 9
     outbox.seen(1)
     assert len(outbox) == 4
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data(), number=st.integers(1, 12))
+def test_batches_that_arrive_several_times_count_once(clock: Clock, data: st.DataObject, number: int) -> None:
+    """Zenoh may deliver each batch twice, and the plant repeats batches; both in any order with others."""
+    sent: list[bytes] = []
+    outbox = Outbox(sent.append)
+    for k in range(number):
+        outbox.send(numbered(k))
+    outbox.repeat()
+    assert (outbox.sent, len(sent)) == (number, 2 * number)
+    inbox = Inbox()
+    for whole in data.draw(st.permutations([*sent, *sent])):
+        inbox.put(bytes(bytearray(whole)))
+    for whole in sent:
+        inbox.put(whole)
+    assert inbox.arrived == outbox.sent
+    assert [int(message.rstrip(b".")) for message in inbox.drain()] == list(range(number))
+
+
+@pytest.mark.parametrize("forged", [0, 2, 3, 1000])
+def test_a_batch_that_differs_from_that_of_its_number_counts(clock: Clock, forged: int) -> None:
+    sent: list[bytes] = []
+    outbox, inbox = Outbox(sent.append), Inbox()
+    for k in range(3):
+        outbox.send(numbered(k))
+    for whole in sent:
+        inbox.put(whole)
+        inbox.put(whole)
+    inbox.put(encode_batch(forged, [(numbered(99),)]))
+    assert inbox.arrived == outbox.sent + 1
+
+
+def test_an_inbox_remembers_more_batches_than_a_plant_may_send_again(clock: Clock) -> None:
+    sent: list[bytes] = []
+    outbox, inbox = Outbox(sent.append), Inbox()
+    for k in range(3 * AHEAD_ROWS):
+        outbox.send(numbered(k))
+        outbox.seen(k - AHEAD_ROWS - 1)
+    for whole in sent:
+        inbox.put(whole)
+    outbox.repeat()
+    for whole in sent[3 * AHEAD_ROWS :]:
+        inbox.put(whole)
+    assert inbox.arrived == outbox.sent == 3 * AHEAD_ROWS

@@ -227,7 +227,7 @@ class RerunStream:
         self._picture = Picture(topology)
         group = self._picture.groups.size if self._picture.groups is not None else 1
         self._about = about(topology, observer, large, PICTURES_HZ_LARGE if large else PICTURES_HZ, group)
-        self._timeline = FaultTimeline(topology, models=not large)
+        self._timeline = FaultTimeline(topology)
         self._now = Now(topology, observer)
         self._undrawn: tuple[Batch, NDArray[np.float64]] | None = None
         self._heatmap, self._heatmap_due = HeatMap(len(topology.ids)) if large else None, False
