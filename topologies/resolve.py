@@ -289,7 +289,7 @@ class _Drawing:
 
 
 def _joined(groups: Sequence[Group]) -> Group:
-    """Return one group from several of the same kind."""
+    """Join groups of disturbances of the same kind into one."""
     if len(groups) == 1:
         return groups[0]
     nodes = np.concatenate([group.nodes for group in groups])
