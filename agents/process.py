@@ -261,8 +261,9 @@ class Agent:
                     return
                 kind = kind_of(message)
                 if kind == Kind.PLACE and self._memory is not None:
-                    message = self._memory.copy(message)
-                    kind = kind_of(message)
+                    if (at_place := self._memory.copy(message)) is None:
+                        return  # a repetition; the plant has continued
+                    message, kind = at_place, kind_of(at_place)
                 if kind == Kind.END:
                     decode_end(message, 0)
                     if self._over:

@@ -53,6 +53,8 @@ NODE_STEPS = 4_000_000
 WARM_UP = 4
 """the number of steps that are not counted: they allocate memory and load loops"""
 DEADLINE_S = 300.0
+PLANT, AGENTS = slice(0, 1), slice(1, -1)
+"""the places of the plant and of the agents in a list of processes"""
 
 
 NUMBERS = "candidates: {random: 3}, disturbance: {kind: sinusoid, amplitude: 1, omega: {random: [0, 3.14159]}}"
@@ -196,12 +198,13 @@ def measure(nodes: int, processes: int, rounds: int) -> dict[str, float]:
             plant, *agents, observer = apart.cpu_ms
             by_cpu = sum(apart.cpu_ms) / cpu_alone
             runs.append((alone, apart.steps_per_s, by_cpu, plant, statistics.mean(agents), observer))
+    ratios = [together / alone for alone, together, *_ in runs]
     alone, together, by_cpu, *cpu_ms = (statistics.median(each) for each in zip(*runs, strict=True))
     return {
         "nodes": nodes,
         "in one process [steps/s]": alone,
         f"in {processes} [steps/s]": together,
-        "ratio": statistics.median(other / one for one, other, *_ in runs),
+        **_with_spread("ratio", ratios),
         "CPU, ratio to one process": by_cpu,
         "ns a node and step": 1e9 / together / nodes,
         **dict(zip(("plant [ms of CPU]", "an agent [ms of CPU]", "observer [ms of CPU]"), cpu_ms, strict=True)),
@@ -278,13 +281,19 @@ def _in_turns(
         if before[0] is after[0] and old.x.tobytes() != new.x.tobytes():
             raise SystemExit("the trajectories differ")
         runs.append((old, new))
+    plants, agents = ([(sum(one.cpu_ms[part]), sum(two.cpu_ms[part])) for one, two in runs] for part in (PLANT, AGENTS))
     return {
-        "steps/s, ratio": statistics.median(new.steps_per_s / old.steps_per_s for old, new in runs),
-        "CPU, ratio": statistics.median(sum(new.cpu_ms) / sum(old.cpu_ms) for old, new in runs),
-        "CPU of plant, ratio": statistics.median(new.cpu_ms[0] / old.cpu_ms[0] for old, new in runs),
-        "CPU of agents, ratio": statistics.median(sum(new.cpu_ms[1:-1]) / sum(old.cpu_ms[1:-1]) for old, new in runs),
+        **_with_spread("steps/s, ratio", [new.steps_per_s / old.steps_per_s for old, new in runs]),
+        **_with_spread("CPU, ratio", [sum(new.cpu_ms) / sum(old.cpu_ms) for old, new in runs]),
+        "CPU of plant, ratio": statistics.median(new / old for old, new in plants),
+        "CPU of agents, ratio": statistics.median(new / old for old, new in agents),
         "CPU, ms of the second": statistics.median(sum(new.cpu_ms) for _, new in runs),
     }
+
+
+def _with_spread(name: str, ratios: Sequence[float]) -> dict[str, float]:
+    """Return the columns of the median, the least and the greatest of some ratios."""
+    return {name: statistics.median(ratios), f"{name}, least": min(ratios), f"{name}, most": max(ratios)}
 
 
 def main() -> None:

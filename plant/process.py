@@ -360,7 +360,8 @@ class Plant:
         with self._lock:  # `with` of the condition costs three times as much
             shard, missing = self.shards.all[p], self.shards.missing
             if p in missing and self.running:
-                if self._inputs.take(p, self._at_its_place(p, message)):
+                whole = self._at_its_place(p, message)
+                if whole is not None and self._inputs.take(p, whole):
                     shard.returning = False
                     self._stopwatch.now[p] = time.monotonic() - self.clock.sent_at
                     missing.discard(p)
@@ -378,7 +379,8 @@ class Plant:
                     shard.back = True
                     self.changed.notify_all()
 
-    def _at_its_place(self, p: int, message: bytes) -> bytes | memoryview:
+    def _at_its_place(self, p: int, message: bytes) -> bytes | memoryview | None:
+        """Return the input that a message is, or that lies at its place; None if another step lies there by now."""
         memory = self.shards.all[p].memory
         return message if memory is None or kind_of(message) != Kind.PLACE else memory.view(message)
 

@@ -3,7 +3,7 @@
 A long state or input message stays in this memory, and a PLACE message of 32 bytes travels instead (docs/wire.md). The
 memory has two rows for states and two for inputs, and step t uses row t mod 2. The plant writes state(t + 2) only after
 it used input(t) and received input(t + 1). So each end has read a row before the other end overwrites it. If the plant
-continues without a late agent, that agent finds another step in the row, and refuses the message.
+continues without a late agent, repeated messages may find another step in the row. Each end ignores them.
 
 Each end writes its mark into the memory when it opens it. If the other end has no mark, messages travel whole. So an
 end that cannot open the memory, as in another container, misses nothing.
@@ -65,22 +65,23 @@ class _Rows:
             return message
         start = self._start + t % 2 * self._apart
         if t != self._written:  # leave a repeated message as it is: the other end may be reading it
-            # Until the last part is written, the header has step -1: a late reader refuses a half-written row.
+            # Until the last part is written, the header has step -1: a late reader ignores a half-written row.
             self._memory[start : start + HEADER_BYTES] = _NO_HEADER
             self._memory[start + HEADER_BYTES : start + len(message)] = message[HEADER_BYTES:]
             self._memory[start : start + HEADER_BYTES] = message[:HEADER_BYTES]
             self._written = t
         return encode_place(t, start, len(message))
 
-    def view(self, place: bytes) -> memoryview:
-        """Return the message that a PLACE message names; raise MessageError if there is none."""
+    def view(self, place: bytes) -> memoryview | None:
+        """Return the message that a PLACE message names; None if its row has another step by now.
+
+        Raise MessageError for a place that is none.
+        """
         start, length = decode_place(place)
         if start not in (self._start, self._start + self._apart) or length > self._size:
             raise MessageError(f"a message of {length} bytes at {start}, where none is written")
         message = self._memory[start : start + length]
-        if step_of(message) != step_of(place):
-            raise MessageError("the shared memory holds another step there")
-        return message
+        return message if step_of(message) == step_of(place) else None
 
 
 class SharedSteps:
@@ -105,17 +106,19 @@ class SharedSteps:
         """Return the message to send for that of step t: its place, or itself if it has no room."""
         return self._out.write(t, message)
 
-    def view(self, place: bytes) -> memoryview:
-        """Return the message that a PLACE message names, in place; raise MessageError if it is not there."""
+    def view(self, place: bytes) -> memoryview | None:
+        """Return the message that a PLACE message names, in place; None if its row has another step by now.
+
+        Then the message of that step is on its way. Raise MessageError for a place that is none.
+        """
         return self._into.view(place)
 
-    def copy(self, place: bytes) -> bytes:
-        """Return a copy of that message; raise MessageError if it is not there, or is overwritten meanwhile."""
-        view = self._into.view(place)
+    def copy(self, place: bytes) -> bytes | None:
+        """Return a copy of that message; None also if it is overwritten meanwhile."""
+        if (view := self._into.view(place)) is None:
+            return None
         message = bytes(view)
-        if message[:HEADER_BYTES] != view[:HEADER_BYTES]:
-            raise MessageError("the shared memory changed while it was read")
-        return message
+        return message if message[:HEADER_BYTES] == view[:HEADER_BYTES] else None
 
 
 def open_steps(path: str, k: int, m: int, mark: int, plant: bool = False) -> SharedSteps | None:

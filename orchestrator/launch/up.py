@@ -143,9 +143,12 @@ class Network:
         case.
         """
         if viewer.link is not None and self._recording.page_stays and not interrupts.count:
-            self._screen.say(f"{viewer.link} stays until Ctrl-C")
             self._wake.clear()
-            while not interrupts.count:
+            while not (viewer.answers() or viewer.gone or interrupts.count):  # a short run ends before its page answers
+                self._wake.wait(TICK_S)
+            if viewer.answers() and not interrupts.count:
+                self._screen.say(f"{viewer.link} stays until Ctrl-C")
+            while not (viewer.gone or interrupts.count):
                 self._wake.wait(TICK_S)
         viewer.end()
 

@@ -247,7 +247,7 @@ def _split(plant: Plant, premise: Premise) -> tuple[Program, Index]:
     """Return the program with one matrix per node, over (x, z, w, v) of the node and phi of its edges.
 
     The two ends of an edge share phi_e only: `share` divides its square between them. If every edge is open, phi_e is
-    (B'z)_e, so nu may have either sign, and so may theta, the multiplier of (phi_e - (B'z)_e)(B_ie z_i - B_je z_j).
+    (B'z)_e, so nu may have either sign, and so may sigma, the multiplier of (phi_e - (B'z)_e)(B_ie z_i - B_je z_j).
     """
     n, e = plant.n, len(plant.edges)
     edges, jumps = premise != Premise.ESTIMATES, premise == Premise.JUMPS
@@ -262,7 +262,7 @@ def _split(plant: Plant, premise: Premise) -> tuple[Program, Index]:
     unknowns = Unknowns()
     p, tau, s = unknowns.new(n), unknowns.new(n), unknowns.new(n * jumps)
     nu, share = unknowns.new(e, free=not edges), unknowns.new(e, free=True)
-    theta = unknowns.new(e * (not edges), free=True)
+    sigma = unknowns.new(e * (not edges), free=True)
     sign = np.repeat([1.0, -1.0], e)
     every = []
     for kind in np.unique(np.stack([degree, fixed, unmoved]), axis=1).T:
@@ -287,8 +287,8 @@ def _split(plant: Plant, premise: Premise) -> tuple[Program, Index]:
             blocks.add(share[own], phi, phi, sign[end])
             blocks.add(nu[own], phi, z, gain)
             if not edges:
-                blocks.add(theta[own], phi, z, sign[end] * gain)
-                blocks.add(theta[own], z, z, -sign[end] * gain * gain)
+                blocks.add(sigma[own], phi, z, sign[end] * gain)
+                blocks.add(sigma[own], z, z, -sign[end] * gain * gain)
         after = Form(tuple(after_index), tuple(after_value))
         blocks.add(p[nodes], after, after)
         blocks.add(p[nodes], x, x, -1.0)

@@ -1,10 +1,10 @@
 """An upper bound on the gain of the law (7) that counts what it learns, for small networks.
 
 It is Theorem 3 of Rantzer (2021) for the product set of the models of a network, of which (7) chooses the one with the
-least J: J is a sum over nodes. Let t be the truth, A_jk = A_j - B B' Theta_k with Theta = diag(1/(1 - a)). Find one P_j
-per model j, and the least g, such that for all models j and k, and all (x, w),
+least J: J is a sum over nodes. Let 0 be the truth, and A_0k = A_0 - B B' Theta_k with Theta = diag(1/(1 - a)). Find one
+P_j per model j, and the least g, such that for all models j and k, and all (x, w),
 
-    |A_tk x + w|^2_(P_j) - g (theta |w|^2 + (1 - theta) |w + (A_t - A_j) x|^2) + |x|^2 + |B' Theta_k x|^2
+    |A_0k x + w|^2_(P_j) - g (theta |w|^2 + (1 - theta) |w + (A_0 - A_j) x|^2) + |x|^2 + |B' Theta_k x|^2
         <= |x|^2_(P_k).
 
 Rantzer has theta = 1/2, and pairs of any two models; pairs with the truth are enough, for one truth. With theta = 1 the

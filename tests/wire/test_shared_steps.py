@@ -49,7 +49,7 @@ def test_both_directions_give_the_bytes_of_the_messages(ends: tuple[SharedSteps,
         place = plant.write(t, whole)
         assert kind_of(place) == Kind.PLACE
         assert agent.copy(place) == whole
-        assert plant.view(agent.write(t, input_of(t))) == input_of(t)
+        assert bytes(plant.view(agent.write(t, input_of(t))) or b"") == input_of(t)
 
 
 def test_a_repetition_leaves_the_row_as_it_is(ends: tuple[SharedSteps, SharedSteps]) -> None:
@@ -60,7 +60,7 @@ def test_a_repetition_leaves_the_row_as_it_is(ends: tuple[SharedSteps, SharedSte
 
 
 @given(steps=st.integers(0, 9), behind=st.integers(0, 9))
-def test_a_late_reader_gets_the_right_step_or_is_refused(steps: int, behind: int) -> None:
+def test_a_late_reader_gets_the_right_step_or_none(steps: int, behind: int) -> None:
     path = create_steps(K, M)
     try:
         plant, agent = open_steps(path, K, M, PLANT, plant=True), open_steps(path, K, M, 1)
@@ -71,13 +71,12 @@ def test_a_late_reader_gets_the_right_step_or_is_refused(steps: int, behind: int
         if steps - t < 2:
             assert agent.copy(places[t]) == state_of(t)
         else:
-            with pytest.raises(MessageError):
-                agent.copy(places[t])
+            assert agent.copy(places[t]) is None
     finally:
         close(path)
 
 
-def test_a_half_written_row_is_refused(ends: tuple[SharedSteps, SharedSteps]) -> None:
+def test_a_half_written_row_is_none(ends: tuple[SharedSteps, SharedSteps]) -> None:
     plant, agent = ends
     place = plant.write(0, state_of(0))
     start, length = np.frombuffer(place, "<i8", 2, 16).tolist()
@@ -86,10 +85,8 @@ def test_a_half_written_row_is_refused(ends: tuple[SharedSteps, SharedSteps]) ->
         """Bytes that are read in two parts; the reader looks between the two."""
 
         def __getitem__(self, part: Any) -> Any:
-            with pytest.raises(MessageError):
-                agent.copy(encode_place(2, start, length))
-            with pytest.raises(MessageError):
-                agent.copy(place)
+            assert agent.copy(encode_place(2, start, length)) is None
+            assert agent.copy(place) is None
             return super().__getitem__(part)
 
     assert agent.copy(plant.write(2, Message(state_of(2)))) == state_of(2)
