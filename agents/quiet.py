@@ -60,14 +60,14 @@ class QuietLaw:
         self._sends: list[list[int]] = [peer.sends.tolist() for peer in view.peers]
         self._asks = asks(law.learn, "sample")
         self._rows = [struct.Struct(f"<{peer.receives}d") for peer in view.peers]
-        self._J: list[list[float]] = []
+        self._J: Sequence[list[float]] = ()
         self.holds = False
         """True while the newest memory is here, and not in the law"""
         self.x: Sequence[float] = ()
         """states of the last step, (k,)"""
         self.states: Sequence[float] = ()
         """states of the sample learned last: our own, and for a law that asks the peers' behind them"""
-        self.u: list[float] = []
+        self.u: Sequence[float] = ()
         """inputs of the last step, (k,)"""
         self.report: Sequence[float] = ()
         """ahat and then the margins of the last step, (2k,)"""
@@ -141,7 +141,7 @@ class QuietLaw:
         for column, own in zip(J.T, self._J, strict=True):
             column[: len(own)] = own
         self._law.memory = J
-        self._J, self._easy, self.holds = [], 0, False
+        self._J, self._easy, self.holds = (), 0, False
 
     def step(self, states: Sequence[float], links: Sequence[Link | bytes], past: int) -> Sequence[float] | None:
         """Learn the sample of t - 1, equation (7), and act at t, equation (6), for the states x(t), (k,).
@@ -154,7 +154,7 @@ class QuietLaw:
         for numbers, link in zip(self._rows, links, strict=False):
             rows = link if isinstance(link, bytes) else link.u
             row += numbers.unpack_from(rows, len(rows) - numbers.size)  # the newest inputs come last in both
-        costs, inputs, estimates, margins = [], [], [], []
+        made = []
         for node, J, now, before in zip(self._nodes, self._J, states, self.x, strict=False):
             if node.rule is None:
                 learned = _learned(node, J, row, before, now)
@@ -167,14 +167,12 @@ class QuietLaw:
                     return None
             if not isfinite(u + sum(learned)):
                 return None
-            costs.append(learned)
-            inputs.append(u)
-            estimates.append(ahat)
-            margins.append(margin)
+            made.append((learned, u, ahat, margin))
         self.states = [*self.x, *self._states_of(links)] if self._asks else self.x
         if self.waiting is not None:
             self.waiting.rows.append(Row(self.x, row))
-        self._J, self.x, self.u, self.report = costs, states, inputs, estimates + margins
+        self._J, self.u, estimates, margins = zip(*made, strict=False)
+        self.x, self.report = states, estimates + margins
         return row
 
     def step_with_gaps(
@@ -199,7 +197,7 @@ class QuietLaw:
         rows.append(Row(self.x, [*self.u, *self._nothing]))
         missing, used = waiting.fill(arrivals)
         samples = waiting.samples_with(missing)
-        costs, inputs, estimates, margins = [], [], [], []
+        made = []
         for i, (node, J, now) in enumerate(zip(self._nodes, self._J, states, strict=True)):
             learned = J
             for k in range(-1 - waiting.samples[i], -samples[i]):
@@ -209,14 +207,12 @@ class QuietLaw:
             if not isfinite(u + sum(learned)):
                 rows.pop()
                 return None
-            costs.append(learned)
-            inputs.append(u)
-            estimates.append(ahat)
-            margins.append(margin)
+            made.append((learned, u, ahat, margin))
         most = max(samples)
         learned_rows = [rows[k] for k in range(-1 - waiting.most, -most)]
         waiting.missing, waiting.samples, waiting.most = missing, samples, most
-        self._J, self.x, self.u, self.report = costs, states, inputs, estimates + margins
+        self._J, self.u, estimates, margins = zip(*made, strict=False)
+        self.x, self.report = states, estimates + margins
         return used, learned_rows
 
     def stores(self, t: int, first: int) -> bool:

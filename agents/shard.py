@@ -270,7 +270,7 @@ class Shard:
         for c, late, count, _, _ in state.spans:
             if used[c] & Flag.RECEIVE:
                 last = past - late
-                late_rows.append(self._came(c, links, last - count, min(last + 1, past)))
+                late_rows.append(self._received(c, links, last - count, min(last + 1, past)))
                 if late:
                     used[c] -= Flag.RECEIVE
         plain = bytes(used)
@@ -293,7 +293,7 @@ class Shard:
         ]
         return gather([self._x, *rows])
 
-    def _came(self, c: int, links: Sequence[Link | None], start: int, stop: int) -> LateRows:
+    def _received(self, c: int, links: Sequence[Link | None], start: int, stop: int) -> LateRows:
         """Return the rows of steps start to stop - 1 that arrived over an incidence."""
         if (peer := self._peer_of.get(c)) is None or (link := links[self.peers.index(peer)]) is None:
             return LateRows(c, start, stop)

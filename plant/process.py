@@ -444,7 +444,7 @@ def options() -> argparse.ArgumentParser:
 
 
 def run(known: argparse.Namespace) -> NoReturn:
-    """Run the plant with these arguments."""
+    """Run the plant to the end of its process; `known` are its arguments on the command line."""
 
     def body() -> None:
         # Open the router first: the other processes wait for it.

@@ -196,7 +196,7 @@ class Shards:
         shard.fault, shard.returning = None, True
 
     def call_the_lost(self) -> None:
-        """Call the shards that were lost by the deadline: they would answer a state of a step that never happens."""
+        """Send a state of a step that never happens to the shards that missed the deadline; a live one answers it."""
         if time.monotonic() - self._called_at < RESEND_AFTER_S:
             return
         self._called_at = time.monotonic()

@@ -61,11 +61,20 @@ class Given(NamedTuple):
 def given(network: Named) -> Given:
     """Return a network as it was given, for other seeds: a Topology of `hg.load` is drawn again from its file.
 
-    A changed copy of a Topology, and one of a run folder, have the numbers that they show, for every seed.
+    A changed copy of a Topology, and one of a run folder, have the numbers that they show, for every seed. So does one
+    with a setting of a drawn value, which has no place in the file.
     """
-    if isinstance(network, Topology) and isinstance(network.given_as, Given):
-        return network.given_as
+    remembered = _remembered(network)
+    if remembered is not None:
+        with contextlib.suppress(UserError):
+            remembered.parse()
+            return remembered
     return _given(network)
+
+
+def _remembered(network: Named) -> Given | None:
+    """Return the text that a Topology was drawn from, with its settings, which may not fit the text."""
+    return network.given_as if isinstance(network, Topology) and isinstance(network.given_as, Given) else None
 
 
 def text_of(network: Named) -> tuple[bytes, str, Path]:
@@ -93,12 +102,8 @@ def text_of(network: Named) -> tuple[bytes, str, Path]:
 def resolved(network: Named, overrides: Sequence[str] = ()) -> Topology:
     """Return a network with all numbers drawn; arguments and errors as in `text_of` and `load.load`."""
     drawn = _given(network).with_overrides(*overrides).draw()
-    if isinstance(network, Topology) and isinstance(network.given_as, Given):
-        undrawn = network.given_as.with_overrides(*overrides)
-        with contextlib.suppress(UserError):  # a setting that names a drawn value has no place in the text
-            undrawn.parse()
-            drawn.with_given(undrawn)
-    return drawn
+    remembered = _remembered(network)
+    return drawn if remembered is None else drawn.with_given(remembered.with_overrides(*overrides))
 
 
 def _given(network: Named) -> Given:

@@ -32,7 +32,8 @@ from hedgerow.topologies.reading import Reading
 from hedgerow.topologies.record import SAMPLED, WHOLE
 from hedgerow.topologies.rules import broken_faults
 from hedgerow.topologies.samples import columns
-from hedgerow.topologies.schema import PER_NODE, Defaults, Drawn, Node, Topology
+from hedgerow.topologies.schema import PER_NODE, Topology
+from hedgerow.topologies.settings import Defaults, Drawn, Node
 from hedgerow.topologies.source import FLOAT, OTHER_WHOLE
 from hedgerow.topologies.table import Table
 
@@ -289,7 +290,7 @@ class _Drawing:
 
 
 def _joined(groups: Sequence[Group]) -> Group:
-    """Return one group from several of the same kind."""
+    """Join groups of disturbances of the same kind into one."""
     if len(groups) == 1:
         return groups[0]
     nodes = np.concatenate([group.nodes for group in groups])

