@@ -171,8 +171,8 @@ def containers(
         )
     if isinstance(topology.nodes, Nodes):
         raise UserError(
-            f"{topology.name}: {len(topology.ids):,} nodes lie in a table, which the configuration of a container does not"
-            " hold. Use `orchestrator bundle`, with files of any size.",
+            f"{topology.name}: {len(topology.ids):,} nodes lie in a table, which no configuration of a container"
+            " holds. Use `orchestrator bundle`, with files of any size.",
             code=Code.TOPOLOGY,
         )
     processes = configs(topology, shards, SECURE_ROUTER if folder else f"tcp/router:{ROUTER_PORT}", namespace)

@@ -176,7 +176,7 @@ def run_soak(
 def _up(
     scratch: Path, folder: RunFolder, topology: Topology, options: Sequence[str]
 ) -> Iterator[subprocess.Popen[bytes]]:
-    """Run `orchestrator up` for that network, with its files in `scratch`; it ends with this process, for any reason."""
+    """Run `orchestrator up` for that network, with its files in `scratch`; it ends with this process."""
     file = scratch / "topology.yaml"
     save(topology, file)
     command = [sys.executable, "-P", "-m", "hedgerow.orchestrator", "up", str(file), "--run-dir", str(folder.path)]

@@ -1,4 +1,4 @@
-"""A network whose numbers lie in a table, as a value in Python: it runs, is swept, deployed and saved like a small one."""
+"""A network whose numbers lie in a table, as a value in Python."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import pytest
 
 import hedgerow as hg
 from hedgerow.orchestrator.deploy.containers import containers
-from hedgerow.orchestrator.experiments.sweep.plan import plan
 from hedgerow.orchestrator.ground.assignment import layout
 from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.nodes import SPELLED_OUT
@@ -26,7 +25,7 @@ LARGE: dict[str, Any] = {
 }
 
 
-def test_it_runs_with_the_numbers_that_it_shows(here: Path) -> None:  # noqa: ARG001
+def test_it_runs_with_the_numbers_that_it_shows(here: Path) -> None:
     network = hg.load(LARGE)
     assert hg.simulate(network) == hg.simulate(LARGE)
     shorter = hg.simulate(network, steps=2)
@@ -35,7 +34,7 @@ def test_it_runs_with_the_numbers_that_it_shows(here: Path) -> None:  # noqa: AR
 
 
 @pytest.mark.slow
-def test_it_runs_over_zenoh(here: Path) -> None:  # noqa: ARG001
+def test_it_runs_over_zenoh(here: Path) -> None:
     network = hg.load(LARGE)
     assert hg.run(network, processes=2) == hg.simulate(network)
 
