@@ -59,7 +59,7 @@ def test_a_page_shows_the_run_while_it_runs(tmp_path: Path) -> None:
     """The link of `up` opens in Chromium: each node's line is drawn, with breaks at lost messages and cuts."""
     api: Any = pytest.importorskip("playwright.sync_api", reason="pip install playwright")
     faults = "--set=faults=[{kind: drop, link: [2, 4]}, {kind: cut, edge: [3, 5]}]"
-    options = ["--processes", "1", "--steps", "1000000", "--rate", "10", "--viewer", "web", "--no-record", faults]
+    options = ["--processes", "1", "--steps", "1000000", "--rate", "50", "--viewer", "web", "--no-record", faults]
     with Orchestrator("up", "paper7", *options) as up:
         up.wait_for("watch it at http")
         found = re.search(r"http://\S+", up.output)
