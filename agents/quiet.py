@@ -4,7 +4,7 @@ A step is quiet if every edge is open, every message of the step before is there
 every step is. An array of one number costs as much as one of a hundred. So a shard of a few nodes makes its quiet steps
 here. The paper's law is below, and the other laws of the project are in agents.quiet_laws. With the law of the paper,
 steps with dropped or late messages are made here too (agents.waiting). Other steps, and laws of other classes, use the
-general path (agents.samples and the law itself). `settle` passes everything to the general path. Both ways give the
+general path (agents.samples and the law itself). `give_back` passes everything to the general path. Both ways give the
 same bits, because they do the same operations in the same order.
 """
 
@@ -29,8 +29,10 @@ from hedgerow.wire.message import REPORT_ROWS, Flag, Kind, Link, Span
 FEW_NODES = 8
 MOST_INCIDENCES = 24
 """with more, numpy is as fast"""
-PATIENCE = 4
-"""easy steps in a row before floats take over; to change over costs as much as two general steps"""
+STEPS_BEFORE = 4
+"""steps in a row that the general path made and floats could have made, before floats take over; to change over costs
+as much as two general steps
+"""
 
 
 class _Node(NamedTuple):
@@ -61,7 +63,7 @@ class QuietLaw:
         self._asks = asks(law.learn, "sample")
         self._rows = [struct.Struct(f"<{peer.receives}d") for peer in view.peers]
         self._J: Sequence[list[float]] = ()
-        self.holds = False
+        self.has_memory = False
         """True while the newest memory is here, and not in the law"""
         self.x: Sequence[float] = ()
         """states of the last step, (k,)"""
@@ -74,7 +76,7 @@ class QuietLaw:
         self.waiting = Waiting(view) if view.history > MOST_WAITING and isinstance(law, Minimax) else None
         """the samples that wait for rows; None for other laws and short histories, which wait in the general path"""
         self._nothing = [nan] * (sum(self._receives))
-        self._easy = 0
+        self._possible = 0
         """number of steps of the general path in a row that could have been made here"""
 
     @classmethod
@@ -98,23 +100,23 @@ class QuietLaw:
         return cls(view, law, rules)
 
     @property
-    def waits(self) -> bool:
+    def has_waiting(self) -> bool:
         """Return True if a sample waits for a row."""
         return self.waiting is not None and self.waiting.most > 0
 
-    def makes(self, flags: bytes, spans: Sequence[Span]) -> bool:
+    def can_make(self, flags: bytes, spans: Sequence[Span]) -> bool:
         """Return True if the step after a state with these flags and spans can be made here."""
         if not flags and not spans:
             return True
         return self.waiting is not None and all(bits & Flag.OPEN for bits in flags)
 
-    def after(self, was_easy: bool, x: Array, u: Array, report: Array, samples: Samples | None = None) -> None:
-        """Count a step that the general path made; after some easy ones, take over its memory, states and inputs.
+    def count_general(self, possible: bool, x: Array, u: Array, report: Array, samples: Samples | None = None) -> None:
+        """Count a step that the general path made; after some possible ones in a row, take over from the general path.
 
-        A step is easy if it could be made here. The samples that wait in `samples` come here, too.
+        A step is possible if it could be made here. The samples that wait in `samples` come here, too.
         """
-        self._easy = self._easy + 1 if was_easy else 0
-        if self._easy < PATIENCE or not isfinite(sum(x.tolist()) + sum(u.tolist())):
+        self._possible = self._possible + 1 if possible else 0
+        if self._possible < STEPS_BEFORE or not isfinite(sum(x.tolist()) + sum(u.tolist())):
             return
         if samples is not None and not self._takes_over(samples):
             return
@@ -123,7 +125,7 @@ class QuietLaw:
         self._J = [
             J[: len(node.candidates)] if node.rule is None else J for J, node in zip(memory, self._nodes, strict=True)
         ]
-        self.holds = True
+        self.has_memory = True
 
     def _takes_over(self, samples: Samples) -> bool:
         """Take over the samples that wait; return False, with nothing changed, if that is impossible."""
@@ -135,13 +137,13 @@ class QuietLaw:
         samples.forget_last(self.waiting.most)
         return True
 
-    def settle(self) -> None:
+    def give_back(self) -> None:
         """Hand everything learned back to the law; `waiting` still holds the samples that wait."""
         J = np.full((self._height, len(self._nodes)), np.inf)
         for column, own in zip(J.T, self._J, strict=True):
             column[: len(own)] = own
         self._law.memory = J
-        self._J, self._easy, self.holds = (), 0, False
+        self._J, self._possible, self.has_memory = (), 0, False
 
     def step(self, states: Sequence[float], links: Sequence[Link | bytes], past: int) -> Sequence[float] | None:
         """Learn the sample of t - 1, equation (7), and act at t, equation (6), for the states x(t), (k,).
@@ -215,7 +217,7 @@ class QuietLaw:
         self.x, self.report = states, estimates + margins
         return used, learned_rows
 
-    def stores(self, t: int, first: int) -> bool:
+    def has_rows(self, t: int, first: int) -> bool:
         """Return True if our rows from step `first` to t - 1 are here, and t is the last step."""
         return first == t or (self.waiting is not None and t - first <= len(self.waiting.rows))
 
