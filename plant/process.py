@@ -380,7 +380,7 @@ class Plant:
                     self.changed.notify_all()
 
     def _at_its_place(self, p: int, message: bytes) -> bytes | memoryview | None:
-        """Return the input that a message is, or that lies at its place; None if another step lies there by now."""
+        """Return the input in a message, or at the place that it names; None if that place has another step by now."""
         memory = self.shards.all[p].memory
         return message if memory is None or kind_of(message) != Kind.PLACE else memory.view(message)
 

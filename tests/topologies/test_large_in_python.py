@@ -1,4 +1,4 @@
-"""A network whose numbers lie in a table, as a value in Python."""
+"""A network with its numbers in a table, as a value in Python."""
 
 from __future__ import annotations
 

@@ -252,7 +252,7 @@ def at_least(plant: PlantModel, folder: Path) -> tuple[float, float, str] | None
     of the finished run, and the text is the name of the file.
     """
     found: list[tuple[float, float, str]] = []
-    for state_file in sorted(folder.glob("*.npz")):  # every result lies beside the state of its search
+    for state_file in sorted(folder.glob("*.npz")):  # every result is beside the state of its search
         file = state_file.with_suffix(".json")
         with contextlib.suppress(UserError, OSError, ValueError, KeyError, TypeError):
             result = read_json(file)

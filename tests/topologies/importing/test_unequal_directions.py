@@ -1,4 +1,4 @@
-"""A directed source whose weights differ by direction: the note counts these edges."""
+"""A directed source with weights that differ by direction: the note counts these edges."""
 
 from __future__ import annotations
 
