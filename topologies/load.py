@@ -176,8 +176,8 @@ def _read(
         topology = topology.naming(source.named)
     if topology is not None and topology.table is not None:
         try:
-            found = table.read(topology.table, folder, topology.table_nodes) if columns is None else columns
-            topology = topology.with_table(found)
+            columns = table.read(topology.table, folder, topology.table_nodes) if columns is None else columns
+            topology = topology.with_table(columns)
         except ValueError as error:
             refused = FileRefusedError.of(error)
             source.problems.append(source.problem(("table",), refused.what, refused.cure, refused.code))

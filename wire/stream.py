@@ -29,7 +29,7 @@ It bounds the memory of both.
 """
 
 KNOWN_BATCHES = 2 * AHEAD_ROWS
-"""The number of batches that are remembered to recognise a copy: more than the plant sends before an acknowledgement."""
+"""The number of batches that are known when a copy comes: more than the plant sends before an acknowledgement."""
 
 
 def rows_ahead(n: int, e: int) -> int:
