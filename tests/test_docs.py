@@ -76,7 +76,7 @@ def test_a_document_shows_the_real_output(document: Path, tmp_path: Path) -> Non
                 assert same_output(block.text, program[1]), f"{where}: printed is\n{program[1]}"
             case "console" if document.name != GENERATED:
                 for command, claimed, shown in commands(block.text):
-                    code, printed = scratch.run("bash", "-o", "pipefail", "-c", command)
+                    code, printed = scratch.run_command(command)
                     assert code == claimed, f"{where}: `{command}`: exit code {code}, not {claimed}\n{printed}"
                     shows = not shown.strip() or same_output(shown, printed)
                     assert shows, f"{where}: `{command}` prints\n{printed}"

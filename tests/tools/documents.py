@@ -5,8 +5,10 @@ from __future__ import annotations
 import doctest
 import os
 import re
+import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -95,6 +97,33 @@ class Scratch:
             check=False,
         )
         return ran.returncode, ran.stdout
+
+    def run_command(self, command: str) -> tuple[int, str]:
+        """The same for a command of a page in a shell; a network with a rate soon goes on without it."""
+        shell = ("bash", "-o", "pipefail", "-c", command)
+        if "--rate" not in command or "--detach" in command:
+            return self.run(*shell)
+        with subprocess.Popen(
+            shell,
+            cwd=self.folder,
+            env=self.environment,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            start_new_session=True,
+        ) as process:
+            assert process.stdout is not None
+            end = threading.Timer(COMMAND_DEADLINE_S, os.killpg, (process.pid, signal.SIGKILL))
+            end.start()
+            printed, paced = "", True
+            for line in process.stdout:
+                printed += line
+                if paced and line.startswith("step "):
+                    paced = self.run("orchestrator", "rate", "0")[0] != 0
+            end.cancel()
+        assert not paced, printed
+        return process.returncode, printed
 
 
 def table(document: str, heading: str, number: int = 0) -> list[dict[str, str]]:
