@@ -99,7 +99,7 @@ class Scratch:
         return ran.returncode, ran.stdout
 
     def run_command(self, command: str) -> tuple[int, str]:
-        """The same for a command of a page in a shell; a network with a rate soon goes on without it."""
+        """The same for a command of a page in a shell; a network with a rate soon runs without it."""
         shell = ("bash", "-o", "pipefail", "-c", command)
         if "--rate" not in command or "--detach" in command:
             return self.run(*shell)
