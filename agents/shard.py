@@ -411,13 +411,8 @@ class Shard:
         t, flags, due = self.t, flags or self._up, list[tuple[int, int, int]]()
         steps = {c: (t - late - count, t - late) for c, _, _, late, count in spans}
         for p, peer in enumerate(self.peers):
-            first, last = t + 1, -1
-            for c in peer.incidences:
-                if flags[c] & _SEND:
-                    start, stop = steps.get(c, (t, t))
-                    first, last = min(first, start), max(last, stop)
-            if first <= t:
-                due.append((p, first, last))
+            if up := [steps.get(c, (t, t)) for c in peer.incidences if flags[c] & _SEND]:
+                due.append((p, min(up)[0], max(last for _, last in up)))
         return due
 
     def _send_now(self) -> list[tuple[Sequence[int], Link]]:
