@@ -270,8 +270,8 @@ def of_faults() -> str:
         resolve(parse(yaml.safe_dump(network | {"faults": FAULT_EXAMPLES[kind]}).encode(), kind, DOCS))
         lines = "\n".join(f"- {flow(example)}" for example in FAULT_EXAMPLES[kind])
         parts.append(f"### {kind}\n\n{(model.__doc__ or '').strip()}\n\n```yaml\nfaults:\n{lines}\n```")
-        if model.FORMS:
-            forms = ", or ".join(" and ".join(f"`{key}`" for key in form) for form in model.FORMS)
+        if alternatives := model.forms():
+            forms = ", or ".join(" and ".join(f"`{key}`" for key in form) for form in alternatives)
             parts.append(f"Exactly one of these is given: {forms}.")
         parts.append(keys(model, hide=["kind"]))
     return "\n\n".join(parts)

@@ -343,7 +343,7 @@ def _made(found: Imported, keys: Mapping[str, Any]) -> Network:
             near = difflib.get_close_matches(key, names, 1, 0.5)
             raise UserError(
                 f"{key}: is no option of an import, and no key of a topology file. "
-                + (f"Did you mean {near[0]}?" if near else f"Choose of {', '.join(names)}."),
+                + (f"Did you mean {near[0]}?" if near else f"Choose one of {', '.join(names)}."),
                 code=Code.OPTION,
             )
     found.content |= keys

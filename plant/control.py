@@ -188,9 +188,9 @@ class Control:
         lost = {shard.fault for shard in plant.shards.all}
         ended = {}
         for one in plant.world.faults.effects:
-            stop = at + (one.kind == "crash")
+            stop = at + one.removes_agents
             asked = wanted is None or one.fault == wanted - 1
-            if asked and one.kind != "jump" and one.fault not in lost and one.start < stop < one.stop:
+            if asked and one.lossy and one.fault not in lost and one.start < stop < one.stop:
                 ended[one.fault] = stop
         if wanted is not None and not ended:
             return {"error": f"fault {wanted} has not begun, is over, or is a jump: there is nothing to heal"}

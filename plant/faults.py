@@ -109,9 +109,6 @@ def sizes(graph: Graph) -> dict[str, int]:
     return {INCIDENCES: len(graph.node), EDGES: len(graph.edges), NODES: graph.n}
 
 
-_FIELD = {"drop": "lost", "delay": "late", "cut": "cut", "sensor": "blind", "actuator": "mute"}
-
-
 class Faults:
     """The faults of a run; faults may be added and ended during the run."""
 
@@ -152,8 +149,8 @@ class Faults:
         """Return the effects with a window that contains t; search again only at the ends of windows."""
         if not self._from <= t < self._until:
             self._active = [one for one in self.effects if one.start <= t < one.stop]
-            self._dead = [one for one in self._active if one.kind == "crash"]
-            self._jumps = [one for one in self._active if one.kind == "jump"]
+            self._dead = [one for one in self._active if one.removes_agents]
+            self._jumps = [one for one in self._active if one.changes_truth]
             edges = [step for one in self.effects for step in (one.start, one.stop)]
             self._until = min((step for step in edges if step > t), default=2**63)
             self._from = max((step for step in edges if step <= t), default=0)
@@ -178,8 +175,9 @@ class Faults:
         steps = np.arange(t, min(t + most, self._until))
         found: dict[str, Any] = {}
         for effect in self._active:
-            if (field := _FIELD.get(effect.kind)) is None:
+            if effect.counts_once:
                 continue
+            field = effect.strikes
             rows, targets = self._struck(effect, steps)
             if not len(rows):
                 continue

@@ -222,7 +222,7 @@ class World:
 
     def comes_back(self, p: int) -> bool:
         """Return True if shard p, absent at t, is needed again before the last step."""
-        ends = [one.stop for one in self.faults.effects if one.kind == "crash"]
+        ends = [one.stop for one in self.faults.effects if one.removes_agents]
         return any(self.wanted(p, stop) for stop in ends if self.t < stop < self.steps)
 
     @property

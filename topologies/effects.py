@@ -4,21 +4,32 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 FOREVER = 2**62
 """A step that no run reaches: the end of a fault without an end."""
 INCIDENCES, EDGES, NODES = "incidences", "edges", "nodes"
-TARGETS: Mapping[str, str] = {
-    "drop": INCIDENCES,
-    "delay": INCIDENCES,
-    "cut": EDGES,
-    "sensor": NODES,
-    "actuator": NODES,
-    "crash": NODES,
-    "jump": NODES,
+
+
+class EffectKind(NamedTuple):
+    """The properties of a kind of effect."""
+
+    of: str
+    """The meaning of its targets. Incidence c is the link to node[c] from neighbour[c]."""
+    strikes: str
+    """The thing that it takes away or changes: a field of `plant.faults.ActiveFaults`, "absent" or "truth"."""
+
+
+EFFECT_KINDS: Mapping[str, EffectKind] = {
+    "drop": EffectKind(INCIDENCES, "lost"),
+    "delay": EffectKind(INCIDENCES, "late"),
+    "cut": EffectKind(EDGES, "cut"),
+    "sensor": EffectKind(NODES, "blind"),
+    "actuator": EffectKind(NODES, "mute"),
+    "crash": EffectKind(NODES, "absent"),
+    "jump": EffectKind(NODES, "truth"),
 }
-"""By kind of effect: the meaning of its targets. Incidence c is the link to node[c] from neighbour[c]."""
+"""Only this table and `topologies.fault_kinds` name the kinds; all other code asks an effect for its properties."""
 
 
 @dataclass(frozen=True)
@@ -46,17 +57,32 @@ class Effect:
     @property
     def of(self) -> str:
         """Return the meaning of its targets: positions of INCIDENCES, EDGES or NODES in the graph."""
-        return TARGETS[self.kind]
+        return EFFECT_KINDS[self.kind].of
+
+    @property
+    def strikes(self) -> str:
+        """Return the thing that it takes away or changes, as in EffectKind."""
+        return EFFECT_KINDS[self.kind].strikes
+
+    @property
+    def removes_agents(self) -> bool:
+        """Return True if its targets have no agent while it lasts."""
+        return self.strikes == "absent"
+
+    @property
+    def changes_truth(self) -> bool:
+        """Return True if its target has another true a from `start` on."""
+        return self.strikes == "truth"
 
     @property
     def counts_once(self) -> bool:
         """Return True if the effect occurs once per target, at `start`; otherwise it occurs at every step."""
-        return self.kind in ("crash", "jump")
+        return self.removes_agents or self.changes_truth
 
     @property
     def lossy(self) -> bool:
         """Return True if a reading, a message, an input or a flow can be missing."""
-        return self.kind != "jump"
+        return not self.changes_truth
 
     def to_dict(self) -> dict[str, Any]:
         """Return the effect as a dictionary for JSON."""

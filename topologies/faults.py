@@ -16,10 +16,9 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, cast
 
-import numpy as np
 from pydantic import (
     AfterValidator,
     AliasChoices,
@@ -37,14 +36,13 @@ from pydantic_core import PydanticCustomError
 
 from hedgerow.topologies.base import Model, NodeId, TrueA, kind_of, number
 from hedgerow.topologies.effects import FOREVER, Effect
+from hedgerow.topologies.fault_kinds import FAULT_KINDS, Pair, Places
 
 if TYPE_CHECKING:
-    from hedgerow.topologies.graph import Index, Mask
     from hedgerow.topologies.schema import Topology
 
 Shard = Annotated[StrictInt, Field(ge=0, lt=2**31)]
 Step = Annotated[StrictInt, Field(ge=0, le=FOREVER)]
-Pair = tuple[NodeId, NodeId]
 _DIGITS = "(0|[1-9][0-9]{0,18})"
 
 
@@ -121,8 +119,8 @@ Struck = Annotated[NodeId, Field(description="the affected node")]
 def _closed(schema: dict[str, Any], model: type[FaultModel]) -> None:
     """Require `kind:` in a file, although Python may omit it, and one of the forms."""
     schema["required"] = ["kind", *schema.get("required", ())]
-    if model.FORMS:
-        schema["oneOf"] = [{"required": list(form)} for form in model.FORMS]
+    if forms := model.forms():
+        schema["oneOf"] = [{"required": list(form)} for form in forms]
 
 
 class FaultModel(Model):
@@ -130,16 +128,39 @@ class FaultModel(Model):
 
     model_config = ConfigDict(json_schema_extra=cast("Any", _closed))
 
-    FORMS: ClassVar[tuple[tuple[str, ...], ...]] = ()
-    """The alternative sets of keys for the target of the fault: exactly one of these sets is given."""
+    LOSSY: ClassVar[bool] = True
+    """True if a reading, a message, an input or a flow can be missing."""
+
+    @property
+    def window(self) -> tuple[int, int]:
+        """Return the first step of the fault, and the first step after it."""
+        if isinstance(table := getattr(self, "at", None), Mapping):
+            return min(table), max(table) + 1
+        steps: tuple[int, int] | None = getattr(self, "steps", None)
+        return steps or (0, FOREVER)
+
+    @property
+    def struck(self) -> str:
+        """Return the targets in words."""
+        if isinstance(table := getattr(self, "at", None), Mapping):
+            return f"of {sum(map(len, table.values()))} by a table"
+        pair = getattr(self, "link", None) or getattr(self, "edge", None)
+        return f"{pair[0]}-{pair[1]}" if pair else str(getattr(self, "node", ""))
+
+    @classmethod
+    def forms(cls) -> tuple[tuple[str, ...], ...]:
+        """Return the alternative sets of keys for the target, of which exactly one is given; empty for a single set."""
+        forms = FAULT_KINDS[cls.model_fields["kind"].default].forms
+        return forms if len(forms) > 1 else ()
 
     @model_validator(mode="after")
     def _one_form(self) -> Self:
         given = self.written().keys()
-        keys = {key for form in self.FORMS for key in form}
-        if self.FORMS and not any(keys & given == set(form) for form in self.FORMS):
-            forms = ", or ".join(" with ".join(f"`{key}:`" for key in form) for form in self.FORMS)
-            raise PydanticCustomError("form", "takes {forms}; give exactly one of them", {"forms": forms})
+        forms = self.forms()
+        keys = {key for form in forms for key in form}
+        if forms and not any(keys & given == set(form) for form in forms):
+            shown = ", or ".join(" with ".join(f"`{key}:`" for key in form) for form in forms)
+            raise PydanticCustomError("form", "takes {forms}; give exactly one of them", {"forms": shown})
         if "at" in keys & given and given & {"steps", "probability"}:
             raise PydanticCustomError("form", "names every step with `at:`; remove `steps:` and `probability:`")
         return self
@@ -153,13 +174,12 @@ class FaultModel(Model):
         """Return the effects of the fault on the nodes, links and edges that `at` finds; `fault` is its number in the
         list.
         """
-        raise NotImplementedError
+        kind = type(self).model_fields["kind"].default
+        return FAULT_KINDS[kind].effects(kind, dict(self), fault, at)
 
 
 class Drop(FaultModel):
     """Messages of a link are lost."""
-
-    FORMS = (("link",), ("from", "to"), ("at",))
 
     kind: Literal["drop"] = "drop"
     link: Link = None
@@ -171,17 +191,13 @@ class Drop(FaultModel):
     steps: Window = None
     probability: Probability = 1.0
 
-    def effects(self, fault: int, at: Places) -> list[Effect]:
-        if self.at is not None:
-            return [_by_step(fault, self.kind, {step: at.links(pairs) for step, pairs in self.at.items()})]
-        links = at.links(_directed(self.link, self.from_, self.to))
-        return [Effect(fault, self.kind, links, *_window(self.steps), self.probability)]
+    @property
+    def struck(self) -> str:
+        return f"{self.from_}->{self.to}" if self.from_ is not None else super().struck
 
 
 class Delay(FaultModel):
     """Messages of a link arrive late."""
-
-    FORMS = (("link",), ("from", "to"))
 
     kind: Literal["delay"] = "delay"
     link: Link = None
@@ -191,27 +207,20 @@ class Delay(FaultModel):
     steps: Window = None
     probability: Probability = 1.0
 
-    def effects(self, fault: int, at: Places) -> list[Effect]:
-        links = at.links(_directed(self.link, self.from_, self.to))
-        return [Effect(fault, self.kind, links, *_window(self.steps), self.probability, by=self.by)]
+    @property
+    def struck(self) -> str:
+        link = f"{self.from_}->{self.to}" if self.from_ is not None else super().struck
+        return f"{link} by {self.by}"
 
 
 class Cut(FaultModel):
     """An edge carries no flow, at both its ends."""
-
-    FORMS = (("edge",), ("at",))
 
     kind: Literal["cut"] = "cut"
     edge: Annotated[Pair | None, Field(description="two neighbours")] = None
     at: Table | None = Field(None, description="by step, the edges that are cut; the only key then")
     steps: Window = None
     probability: Probability = 1.0
-
-    def effects(self, fault: int, at: Places) -> list[Effect]:
-        if self.at is not None:
-            return [_by_step(fault, self.kind, {step: at.edges(pairs) for step, pairs in self.at.items()})]
-        edges = at.edges([self.edge] if self.edge else [])
-        return [Effect(fault, self.kind, edges, *_window(self.steps), self.probability)]
 
 
 class Partition(FaultModel):
@@ -224,13 +233,9 @@ class Partition(FaultModel):
     steps: Window = None
     cut: StrictBool = Field(False, description="true: the edges between the groups are cut too")
 
-    def effects(self, fault: int, at: Places) -> list[Effect]:
-        apart = at.apart(self.groups)
-        found = [Effect(fault, "drop", _plain(np.flatnonzero(apart)), *_window(self.steps))]
-        if self.cut:
-            edges = np.unique(at.graph.edge[apart])
-            found.append(Effect(fault, "cut", _plain(edges), *_window(self.steps)))
-        return found
+    @property
+    def struck(self) -> str:
+        return "/".join(",".join(map(str, group)) for group in self.groups) + (" with its edges" if self.cut else "")
 
 
 class Sensor(FaultModel):
@@ -241,9 +246,6 @@ class Sensor(FaultModel):
     steps: Window = None
     probability: Probability = 1.0
 
-    def effects(self, fault: int, at: Places) -> list[Effect]:
-        return [Effect(fault, self.kind, at.nodes([self.node]), *_window(self.steps), self.probability)]
-
 
 class Actuator(FaultModel):
     """A node's input is lost on its way to the plant."""
@@ -253,14 +255,9 @@ class Actuator(FaultModel):
     steps: Window = None
     probability: Probability = 1.0
 
-    def effects(self, fault: int, at: Places) -> list[Effect]:
-        return [Effect(fault, self.kind, at.nodes([self.node]), *_window(self.steps), self.probability)]
-
 
 class Crash(FaultModel):
     """A node's agent, or a process with all its agents, dies and forgets everything."""
-
-    FORMS = (("node",), ("process",))
 
     kind: Literal["crash"] = "crash"
     node: Annotated[NodeId | None, Field(description="the node; only its agent crashes")] = None
@@ -270,23 +267,32 @@ class Crash(FaultModel):
         None, description="the number of steps that it misses; all of them if absent"
     )
 
-    def effects(self, fault: int, at: Places) -> list[Effect]:
-        nodes = at.shard(self.process) if self.process is not None else at.nodes([cast("int | str", self.node)])
-        stop = FOREVER if self.restart_after is None else min(self.at + self.restart_after, FOREVER)
-        return [Effect(fault, self.kind, nodes, self.at, stop)]
+    @property
+    def window(self) -> tuple[int, int]:
+        return self.at, FOREVER if self.restart_after is None else self.at + self.restart_after
+
+    @property
+    def struck(self) -> str:
+        return super().struck if self.process is None else f"process {self.process}"
 
 
 class Jump(FaultModel):
     """A node's true a becomes another of its candidates."""
+
+    LOSSY = False
 
     kind: Literal["jump"] = "jump"
     node: Struck
     at: Step = Field(description="the first step of the new truth")
     a: TrueA = Field(description="the new truth, one of the candidates; or `random`: another candidate, drawn")
 
-    def effects(self, fault: int, at: Places) -> list[Effect]:
-        assert isinstance(self.a, float), "resolving draws it"
-        return [Effect(fault, self.kind, at.nodes([self.node]), self.at, FOREVER, a=self.a)]
+    @property
+    def window(self) -> tuple[int, int]:
+        return self.at, FOREVER
+
+    @property
+    def struck(self) -> str:
+        return f"{self.node} to {self.a}"
 
 
 KINDS: dict[str, type[FaultModel]] = {
@@ -315,66 +321,5 @@ def effects(faults: Sequence[Fault], topology: Topology) -> list[Effect]:
 
     A partition that cuts has two effects, any other fault has one.
     """
-    places = Places(topology)
+    places = Places(topology.graph, topology.position, lambda: topology.parts)
     return [effect for k, fault in enumerate(faults) for effect in fault.effects(k, places)]
-
-
-class Places:
-    """The positions, in the arrays of a run, of the nodes, links and edges that faults name."""
-
-    def __init__(self, topology: Topology) -> None:
-        self.graph = topology.graph
-        self._topology = topology
-        self._position = topology.position
-        self._incidence = self.graph.node * self.graph.n + self.graph.neighbour  # ascending, as they are ordered
-
-    def nodes(self, ids: Iterable[int | str]) -> tuple[int, ...]:
-        """Return the positions of `ids`, in their order."""
-        return tuple(self._position(node) for node in ids)
-
-    def links(self, pairs: Iterable[tuple[int | str, int | str]]) -> tuple[int, ...]:
-        """Return, per pair (from, to), the incidence where `to` receives from `from`; each once, ascending."""
-        keys = np.unique([self._position(to) * self.graph.n + self._position(sender) for sender, to in pairs])
-        found = np.searchsorted(self._incidence, keys)
-        if not (self._incidence[np.minimum(found, len(self._incidence) - 1)] == keys).all():
-            raise KeyError("rules.py refuses a link that does not exist")
-        return _plain(found)
-
-    def edges(self, pairs: Iterable[tuple[int | str, int | str]]) -> tuple[int, ...]:
-        """Return the edges between the nodes of each pair; each once, ascending."""
-        return _plain(np.unique(self.graph.edge[list(self.links(pairs))]))
-
-    def apart(self, groups: Sequence[Sequence[int | str]]) -> Mask:
-        """Return a mask of the incidences with ends in different groups."""
-        group = np.full(self.graph.n, -1)
-        for k, members in enumerate(groups):
-            group[list(self.nodes(members))] = k
-        one, other = group[self.graph.node], group[self.graph.neighbour]
-        apart: Mask = (one != other) & (one >= 0) & (other >= 0)
-        return apart
-
-    def shard(self, process: int) -> tuple[int, ...]:
-        """Return the nodes of a process."""
-        return _plain(self._topology.parts[process])
-
-
-def _directed(
-    link: tuple[int | str, int | str] | None, sender: int | str | None, to: int | str | None
-) -> list[tuple[int | str, int | str]]:
-    if link is not None:
-        return [link, link[::-1]]
-    assert sender is not None
-    assert to is not None
-    return [(sender, to)]
-
-
-def _window(steps: tuple[int, int] | None) -> tuple[int, int]:
-    return (0, FOREVER) if steps is None else steps
-
-
-def _by_step(fault: int, kind: str, table: Mapping[int, Sequence[int]]) -> Effect:
-    return Effect(fault, kind, (), min(table), max(table) + 1, table=dict(sorted(table.items())))
-
-
-def _plain(found: Index) -> tuple[int, ...]:
-    return tuple(found.tolist())

@@ -271,9 +271,9 @@ def _members(at: Any, path: Sequence[Any]) -> str:
     place = ".".join(map(str, path))
     if isinstance(at, dict):
         listed = ", ".join(shorten(str(key), 40) for key in islice(at, 8)) + (", …" if len(at) > 8 else "")
-        return f"Choose of {listed}." if at else f"Give {place} members first."
+        return f"Choose one of {listed}." if at else f"Give {place} members first."
     if isinstance(at, list):
-        return f"Choose of 0 to {len(at) - 1}." if at else f"Give {place} members first."
+        return f"Choose one from 0 to {len(at) - 1}." if at else f"Give {place} members first."
     return f"{place} holds one value: write {place}=…."
 
 

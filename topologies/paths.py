@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import secrets
 from pathlib import Path
 
+from hedgerow.topologies import leftovers
 from hedgerow.topologies.errors import Code, UserError
 
 
@@ -26,9 +26,11 @@ def beside(path: Path, end: str = ".part") -> Path:
     """Return a new path in the folder of `path`, for a file or folder that exists for a short time.
 
     Its name is short, because a name as long as the file system allows has no room for more. No other file has it:
-    `.x.yaml` beside a folder `x` may be the user's, and a killed process of the same id may have left its files.
+    `.x.yaml` beside a folder `x` may be the user's. The first call for a folder removes what killed processes left
+    there (topologies/leftovers.py).
     """
-    return path.with_name(f".hedgerow-{secrets.token_hex(8)}{end}")
+    leftovers.remove(path.parent)
+    return path.with_name(leftovers.new_name() + end)
 
 
 def real_path(path: Path) -> Path:

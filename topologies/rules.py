@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path as FilePath
@@ -15,7 +15,7 @@ from hedgerow.topologies.base import node_id
 from hedgerow.topologies.coupling import Couplings, largest_couplings, largest_gains
 from hedgerow.topologies.disturbances import Samples
 from hedgerow.topologies.errors import Code, FileRefusedError, Problem
-from hedgerow.topologies.faults import Crash, Cut, Delay, Drop, Fault, Jump, Partition
+from hedgerow.topologies.faults import Crash, Fault, Jump
 from hedgerow.topologies.graph import Index
 from hedgerow.topologies.hinf import allowed_interval, satisfies_condition
 from hedgerow.topologies.nodes import Edges, Nodes
@@ -379,27 +379,25 @@ class _Struck:
 
 
 def _named_nodes(fault: Fault) -> Iterator[tuple[Path, int | str]]:
-    """Yield every node that a fault names, with its place."""
-    if isinstance(fault, Partition):
-        yield from ((("groups", g, m), node) for g, group in enumerate(fault.groups) for m, node in enumerate(group))
-    elif isinstance(fault, Drop | Delay | Cut):
-        for path, pair in _named_pairs(fault):
-            ends = [("from",), ("to",)] if path == ("to",) else [path, path]
-            yield from dict.fromkeys(zip(ends, pair, strict=True))
-    elif fault.node is not None:
-        yield ("node",), fault.node
+    """Yield every node that a fault names, with its place; a key means the same in every kind of fault."""
+    for g, group in enumerate(getattr(fault, "groups", ())):
+        yield from ((("groups", g, m), node) for m, node in enumerate(group))
+    for path, pair in _named_pairs(fault):
+        ends = [("from",), ("to",)] if path == ("to",) else [path, path]
+        yield from dict.fromkeys(zip(ends, pair, strict=True))
+    if (node := getattr(fault, "node", None)) is not None:
+        yield ("node",), node
 
 
 def _named_pairs(fault: Fault) -> Iterator[tuple[Path, tuple[int | str, int | str]]]:
     """Yield every link or edge that a fault names, with its place."""
-    if isinstance(fault, Drop | Delay) and fault.link is not None:
-        yield ("link",), fault.link
-    if isinstance(fault, Drop | Delay) and fault.from_ is not None and fault.to is not None:
-        yield ("to",), (fault.from_, fault.to)
-    if isinstance(fault, Cut) and fault.edge is not None:
-        yield ("edge",), fault.edge
-    if isinstance(fault, Drop | Cut) and fault.at is not None:
-        yield from ((("at", step, m), pair) for step, pairs in fault.at.items() for m, pair in enumerate(pairs))
+    for key in ("link", "edge"):
+        if (pair := getattr(fault, key, None)) is not None:
+            yield (key,), pair
+    if (sender := getattr(fault, "from_", None)) is not None:
+        yield ("to",), (sender, getattr(fault, "to", sender))
+    if isinstance(table := getattr(fault, "at", None), Mapping):
+        yield from ((("at", step, m), pair) for step, pairs in table.items() for m, pair in enumerate(pairs))
 
 
 def _listed(values: Sequence[float | str]) -> str:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
+import os
 import re
 import resource
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 from hedgerow.topologies.errors import Code, HedgerowError
 
@@ -27,6 +30,10 @@ class _Limit:
         return f"the machine allows no more {self.what}{now}. {self.cure}"
 
 
+ULIMIT = "the limit of `ulimit -u`"
+_MANY_THREADS = 10_000
+"""a limit so far above what a run needs is not looked at"""
+_CAP_SYS_ADMIN, _CAP_SYS_RESOURCE = 21, 24
 _FILES = _Limit("open files", "-n", resource.RLIMIT_NOFILE, cure="Raise it with `ulimit -n`, or use fewer --processes.")
 _PROCESSES = _Limit(
     "processes and threads",
@@ -94,6 +101,70 @@ def causes(error: BaseException) -> Iterator[BaseException]:
         seen.add(id(one))
         yield one
         one = one.__cause__ or one.__context__
+
+
+def need_threads(who: str, count: int, root: Path = Path("/")) -> None:
+    """Raise HedgerowError if `who` starts `count` more processes and threads than the user or the container may have.
+
+    A library of Rust that can start no thread may abort the process, so this is asked before. Without /proc nothing is
+    known, and nothing is raised. Control groups are those below `root`.
+    """
+    for limit, most, used in _thread_limits(count, root):
+        if used + count > most:
+            raise HedgerowError(
+                f"{who} needs about {count} more {_PROCESSES.what}; {limit} allows {most}, and {used} exist. "
+                f"{_PROCESSES.cure if limit == ULIMIT else 'Raise it, or use fewer --processes.'}",
+                code=Code.LIMIT,
+            )
+
+
+def _thread_limits(count: int, root: Path) -> Iterator[tuple[str, int, int]]:
+    """Return each limit of processes and threads that holds for us: its name, its value, and the number in use."""
+    for most, current in _control_groups(root):
+        with contextlib.suppress(OSError, ValueError):  # "max" is no number
+            yield str(most), int(most.read_text()), int(current.read_text())
+    soft = resource.getrlimit(_PROCESSES.number)[0]
+    with contextlib.suppress(OSError):
+        # To count takes 60 us for each process of the machine.
+        if soft != resource.RLIM_INFINITY and soft < _MANY_THREADS + count and not _above_limits():
+            yield ULIMIT, soft, sum(_threads_of(os.getuid()))
+
+
+def _above_limits() -> bool:
+    """Return whether the kernel ignores the user's limit of processes for us: for root, and with two capabilities."""
+    held = int(_status("self")["CapEff"], 16)
+    return os.getuid() == 0 or bool(held & (1 << _CAP_SYS_ADMIN | 1 << _CAP_SYS_RESOURCE))
+
+
+def _threads_of(user: int) -> Iterator[int]:
+    """Return the number of threads of each process of a user."""
+    for one in os.listdir("/proc"):
+        if one.isdecimal():
+            with contextlib.suppress(OSError, KeyError):  # it has ended
+                status = _status(one)
+                if int(status["Uid"].split()[0]) == user:
+                    yield int(status["Threads"])
+
+
+def _status(process: str) -> dict[str, str]:
+    lines = Path("/proc", process, "status").read_text(errors="replace").splitlines()
+    return dict(line.split(":\t", 1) for line in lines if ":\t" in line)
+
+
+def _control_groups(root: Path) -> Iterator[tuple[Path, Path]]:
+    """Return the files with the limit and the number of threads of our control group and of those above it."""
+    try:
+        lines = (root / "proc/self/cgroup").read_text().splitlines()
+    except OSError:
+        return
+    mount = root / "sys/fs/cgroup"
+    for _, controllers, path in (line.split(":", 2) for line in lines):
+        if controllers in ("", "pids"):
+            group = mount / controllers / path.lstrip("/")
+            for one in (group, *group.parents):
+                yield one / "pids.max", one / "pids.current"
+                if one in (mount, mount / controllers):
+                    break
 
 
 def need(who: str, *, open_files: int = 0, memory: int = 0) -> None:

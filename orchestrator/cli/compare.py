@@ -21,7 +21,7 @@ Disturbances = Annotated[
     str,
     typer.Option(
         metavar="NAME,...",
-        help="file, sinusoid, white, ar1, constant, confuse or none, or {kind: ...}; names joined by + are added",
+        help="file, sinusoid, white, ar1, constant, confuse or none, or {kind: ...} as in a file; + adds some",
     ),
 ]
 Seeds = Annotated[str, typer.Option(metavar="FIRST:STOP", help="every seed from FIRST up to, and without, STOP")]
@@ -62,7 +62,6 @@ def compare(
         return 3
     echo(str(found))
     echo(f"{found.folder}: runs.csv, means.csv, tests.csv, compare.md, compare.pdf and compare.png")
-    if found.exit_code:
-        first = next(row for own in found.rows for row in own if row["verdict"] != "valid")
-        echo(f"{first['verdict']}: seed {first['seed']}, {plan.label(first['setting'])}: {first['reasons']}")
+    for line in found.not_valid:
+        echo(line)
     return found.exit_code

@@ -134,10 +134,10 @@ for _verb in VERBS:
 @faults.command(name="list")
 def list_(run: Run = None, as_json: AsJson = False) -> int:
     """List the faults of the file and the added ones."""
-    from hedgerow.topologies.describe import describe, window  # noqa: PLC0415
+    from hedgerow.topologies.describe import describe  # noqa: PLC0415
 
     def when(fault: Fault, step: int) -> str:
-        start, stop = window(fault)
+        start, stop = fault.window
         return "to come" if step < start else "over" if step >= stop else "now"
 
     def ask(live: Live) -> tuple[str, dict[str, Any]]:

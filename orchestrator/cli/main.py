@@ -207,7 +207,8 @@ def up(
     if on is not None:
         _check_cluster(on, external)
     elsewhere = None if on is not None else _elsewhere(external, topology, shards, router, listen, namespace, wait)
-    viewer = _viewer(viewer, keep)
+    wanted, viewer = viewer, _viewer(viewer, keep)
+    hidden = wanted == "auto" and viewer == "none"
     if detach:
         return detached.start_detached()
     stack = contextlib.ExitStack()
@@ -220,7 +221,7 @@ def up(
     folder = folders.create(topology, run_dir)
     shown = screen(topology, as_json, plain, quiet, watched=viewer != "none")
     display = stack.enter_context(contextlib.closing(shown))
-    _introduce(topology, len(shards), folder, display)
+    _introduce(topology, len(shards), folder, display, hidden)
     watching = Watching(record, viewer, split_recording, _keeps(keep, display))
     options = Options(rate, deadline, router, keys, elsewhere, on_ray, watching, verify)
 
@@ -285,8 +286,11 @@ def _check_cluster(on: str, external: str | None) -> None:
     check(on)
 
 
-def _introduce(topology: Topology, processes: int, folder: RunFolder, display: Screen) -> None:
-    """Print the size of the network, the run folder, and the rows that are recorded."""
+def _introduce(topology: Topology, processes: int, folder: RunFolder, display: Screen, hidden: bool = False) -> None:
+    """Print the size of the network, the run folder, and the rows that are recorded.
+
+    `hidden` is True if a viewer was wanted and there is no display.
+    """
     from hedgerow.orchestrator.runs.selection import notes  # noqa: PLC0415
     from hedgerow.topologies.describe import count  # noqa: PLC0415 (pydantic takes a while to load)
 
@@ -296,6 +300,8 @@ def _introduce(topology: Topology, processes: int, folder: RunFolder, display: S
         display.say(folder.note)
     for line in notes(topology):
         display.say(line)
+    if hidden and display.interactive:
+        display.say("no display here: --viewer web shows the run on a page")
 
 
 def _viewer(asked: str, keep: bool | None = None) -> str:

@@ -19,5 +19,5 @@ def bound(network: Named, method: Method | None = None) -> Guarantee:
     """
     # The text of a large network is a table beside it, which only a file has.
     topology = network if isinstance(network, Topology) else resolved(network)
-    found, reached = at_least(plant_of(topology.network), Path()) or (None, None)
-    return replace(guarantee_of(topology, method), at_least=found, reached=reached)
+    found, reached, attack = at_least(plant_of(topology.network), Path()) or (None, None, "")
+    return replace(guarantee_of(topology, method), at_least=found, reached=reached, attack=attack)

@@ -13,7 +13,7 @@ from pydantic import ValidationError
 
 from hedgerow.topologies.effects import FOREVER
 from hedgerow.topologies.errors import HedgerowError
-from hedgerow.topologies.faults import Crash, Fault, Jump
+from hedgerow.topologies.faults import Crash, Fault, Jump, effects
 from hedgerow.topologies.partition import layout_of
 from hedgerow.topologies.rules import broken_faults
 from hedgerow.topologies.schema import Topology
@@ -42,6 +42,21 @@ def _with(topology: Topology, entry: Mapping[str, Any]) -> Topology:
 
 _LEAST = {"name": "one", "b": 0.1, "steps": 1, "nodes": [0]}
 """The smallest topology: it gives a fault its type; the names in the fault were checked before."""
+
+
+def changes_before(step: int, one: Topology, other: Topology) -> bool:
+    """Return True if the faults of two topologies differ in their effects before a step."""
+    return _effects_before(step, one) != _effects_before(step, other)
+
+
+def _effects_before(step: int, topology: Topology) -> list[tuple[Any, ...]]:
+    found = []
+    for one in effects(topology.faults, topology) if topology.faults else []:
+        if one.start < step:
+            table = {t: tuple(struck) for t, struck in (one.table or {}).items() if t < step}
+            drawn = (one.probability, one.by, one.a)
+            found.append((one.fault, one.kind, tuple(one.targets), one.start, min(one.stop, step), drawn, table))
+    return found
 
 
 def with_loss(topology: Topology, shard: int, nodes: list[int | str], at: int) -> Topology:

@@ -12,7 +12,7 @@ import zenoh
 
 from hedgerow.agents.view import View
 from hedgerow.orchestrator.ground.assignment import Layout, places
-from hedgerow.orchestrator.launch.fault_changes import with_end, with_fault, with_loss
+from hedgerow.orchestrator.launch.fault_changes import changes_before, with_end, with_fault, with_loss
 from hedgerow.orchestrator.launch.plant_event import checked
 from hedgerow.orchestrator.launch.recording import Recording
 from hedgerow.orchestrator.launch.supervisor import Processes
@@ -130,7 +130,8 @@ class Intake:
             if (batch := run.take(rows[some : some + run.rows_at_once])) is not None:
                 self._screen.progress(batch)
         if unseen and run.viewer is not None:
-            self._screen.say(f"watch it at {run.viewer.link or run.viewer.url}")
+            ends = "" if run.viewer.link is None or run.page_stays else ", until the run ends (--keep leaves it open)"
+            self._screen.say(f"watch it at {run.viewer.link or run.viewer.url}{ends}")
         run.warn(self._screen)
 
     def _changed(self, topology: Topology, event: dict[str, Any]) -> Topology | None:
@@ -138,6 +139,13 @@ class Intake:
 
         Raise HedgerowError for a change that no plant makes: in an open network, any process may write an event.
         """
+        changed = self._changed_faults(topology, event)
+        # The rows of earlier steps are judged and recorded: no plant changes what happened in them.
+        if changed is not None and changes_before(self._run.observer.next_step, topology, changed):
+            raise HedgerowError(f"an event {event['event']} that changes a step of the past")
+        return changed
+
+    def _changed_faults(self, topology: Topology, event: dict[str, Any]) -> Topology | None:
         match event["event"]:
             case "lost":
                 nodes = [topology.ids[k] for k in self._shards[event["shard"]]]

@@ -29,7 +29,7 @@ from hedgerow.wire import keys
 from hedgerow.wire.codec import telemetry_bytes
 from hedgerow.wire.credentials import Credentials
 from hedgerow.wire.handshake import room
-from hedgerow.wire.limits import need
+from hedgerow.wire.limits import need, need_threads
 from hedgerow.wire.runtime import LONG_BYTES
 from hedgerow.wire.session import CONNECT_TIMEOUT_S, RefusedError, WireError, close, open_client
 from hedgerow.wire.shared_rows import SharedRows, create
@@ -38,6 +38,8 @@ from hedgerow.wire.stream import rows_ahead
 
 ROUTER_FILES = 24
 """Open files of a plant that is the router, besides one per agent process."""
+AGENT_THREADS, PLANT_THREADS, OWN_THREADS = 5, 10, 9
+"""Threads of a process with a Zenoh session (measured), and those that this process starts for its own."""
 LOOK_S = 1.0
 """The time of one try to open our own session [s]; then we check that there is still a router to wait for."""
 
@@ -119,6 +121,8 @@ class Launch:
         if connection.listens:  # without this, agents that the router cannot accept would be restarted for a minute
             need(f"a plant with {len(self.views)} agent processes", open_files=len(self.views) + ROUTER_FILES)
         external, meeting, fleet = self._options.external, None, None
+        ours = [view for view in self.views if external is None or view.shard not in external]
+        need_threads("this run", AGENT_THREADS * len(ours) + PLANT_THREADS + OWN_THREADS)
         shared: SharedRows | None = None
         # Start no process if there is no router.
         session = None if connection.listens else self._connect(processes, interrupts, stack)
@@ -130,7 +134,7 @@ class Launch:
             truth = truth_of(self._topology, self._shards)
             shared, path = self._shared(stack)
             processes.start_plant(truth, self._options.rate, self._options.deadline_s, external, path)
-        processes.start_agents(view for view in self.views if external is None or view.shard not in external)
+        processes.start_agents(ours)
         if external is None:
             meanwhile()
         session = session or self._connect(processes, interrupts, stack)

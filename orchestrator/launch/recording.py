@@ -90,6 +90,11 @@ class Recording:
         """warnings about the viewer that `warn` prints; other threads append to it"""
         self._watched = False
 
+    @property
+    def page_stays(self) -> bool:
+        """Return True if the page of the viewer stays after the run, until Ctrl-C."""
+        return self._watching.keep or (self.viewer is not None and self.viewer.door is not None)
+
     @cached_property
     def _recorder(self) -> Recorder:
         # Loading Arrow takes time: the processes of the run must start first.

@@ -141,8 +141,7 @@ class Network:
         """Serve a web page until Ctrl-C if the command asks for it; a page that other machines open stays in any
         case.
         """
-        stays = self._options.watching.keep or viewer.door is not None
-        if viewer.link is not None and stays and not interrupts.count:
+        if viewer.link is not None and self._recording.page_stays and not interrupts.count:
             self._screen.say(f"{viewer.link} stays until Ctrl-C")
             self._wake.clear()
             while not interrupts.count:

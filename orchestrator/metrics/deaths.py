@@ -36,7 +36,7 @@ def survivors(
     `ended` counts the deaths of each supervised shard. `losses` are the numbers, from 0, of the crash faults that only
     record a lost agent: such an agent may be silent and alive.
     """
-    crashes = [one for one in effects(topology.faults, topology) if one.kind == "crash"]
+    crashes = [one for one in effects(topology.faults, topology) if one.removes_agents]
     if not crashes:
         return []
     home = {k: p for p in ended for k in map(int, shards[p])}

@@ -172,9 +172,9 @@ class _Judgement:
     def wrong(self, counts: Index) -> Mask:
         """Return True for steps in which a fault had no effect or something else failed, (P,); update `counts`."""
         observed, graph = self._observed, self._graph
-        links = self._scheduled("drop", "delay")
-        cuts, sensors = self._scheduled("cut"), self._scheduled("sensor")
-        actuators, crashes, jumps = (self._scheduled(kind) for kind in ("actuator", "crash", "jump"))
+        links = self._scheduled("lost", "late")
+        cuts, sensors = self._scheduled("cut"), self._scheduled("blind")
+        actuators, crashes, jumps = (self._scheduled(one) for one in ("mute", "absent", "truth"))
         blind, struck = self._absent.copy(), self._absent.copy()
         lost, closed = ~self._crosses, _at_an_end(observed.missing, graph)
         blind[sensors.row, sensors.target] = True
@@ -200,8 +200,8 @@ class _Judgement:
             wrong[found.row[~(judged.fired | judged.masked) | (judged.visible & ~judged.seen)]] = True
         return wrong
 
-    def _scheduled(self, *kinds: str) -> Instances:
-        return self._schedule.instances(self._observed.t, *kinds)
+    def _scheduled(self, *struck: str) -> Instances:
+        return self._schedule.instances(self._observed.t, *struck)
 
     def _links(self, found: Instances) -> Judged:
         at = found.row, found.target

@@ -48,11 +48,14 @@ class Schedule:
         """Return the effects that are active at one of these steps or more."""
         return [one for one in self.effects if max(one.start, first) < min(one.stop, stop)]
 
-    def instances(self, steps: Index, *kinds: str) -> Instances:
-        """Return all instances of faults of some kinds at ascending steps; a crash and a jump count at their start."""
+    def instances(self, steps: Index, *struck: str) -> Instances:
+        """Return the instances of effects that strike these things, at ascending steps.
+
+        A crash and a jump count at their start.
+        """
         found: list[Index] = [np.empty((3, 0), dtype=np.int64)]
         for effect in self.between(int(steps[0]), int(steps[-1]) + 1):
-            if effect.kind in kinds:
+            if effect.strikes in struck:
                 rows, targets = self._struck(effect, steps)
                 found.append(np.stack([np.full(len(rows), effect.fault), rows, targets]))
         return Instances(*np.concatenate(found, axis=1))
@@ -75,14 +78,14 @@ class Schedule:
         """Return a mask of the nodes without an agent at each of some ascending steps, (S, n)."""
         absent = np.zeros((len(steps), self._n), dtype=np.bool_)
         for one in self.between(int(steps[0]), int(steps[-1]) + 1):
-            if one.kind == "crash":
+            if one.removes_agents:
                 within = (one.start <= steps) & (steps < one.stop)
                 absent[np.ix_(within, np.array(one.targets, dtype=np.int64))] = True
         return absent
 
     def jumps(self, since: int) -> list[Effect]:
         """Return the jumps at step `since` and later, in the order of their steps."""
-        return sorted((one for one in self.effects if one.kind == "jump" and one.start >= since), key=_start)
+        return sorted((one for one in self.effects if one.changes_truth and one.start >= since), key=_start)
 
     def beyond(self, steps: int) -> list[int]:
         """Return, by fault, the number of (target, step) in its window at `steps` or later; 0 for an endless window."""

@@ -18,9 +18,9 @@ from hedgerow.topologies.errors import HedgerowError
 from hedgerow.topologies.network import Network
 
 SAYS = {
-    Premise.ESTIMATES: "any estimates from the lists, every edge open, no a jumps",
-    Premise.EDGES: "any estimates, and any edges closed at any steps (drop, delay, cut, partition, sensor, actuator,"
-    " crash)",
+    Premise.ESTIMATES: "any estimates from the lists, every edge open (also if link messages are lost or late), no a"
+    " jumps",
+    Premise.EDGES: "any estimates, and any edges closed at any steps (cut, partition, sensor, actuator, crash)",
     Premise.JUMPS: "any estimates, any closed edges, and any a within its list at any step (jump)",
 }
 LEARNING = "the law (7) itself with what it learns, every edge open, every message on time, no a jumps"
@@ -46,6 +46,8 @@ class Guarantee:
     """the gain of the worst disturbance that `orchestrator worst` found"""
     reached: float | None = None
     """the gain of a finished run of that disturbance; smaller than `at_least` if longer runs come nearer to it"""
+    attack: str = ""
+    """the file of that result"""
     learning: Learning | str | None = None
     """the bound that counts what the law (7) learns, or why there is none; None if it was not asked for"""
 
@@ -90,7 +92,7 @@ class Guarantee:
             shown = rounded_down(self.at_least)
             is_reached = self.reached is not None and self.reached >= float(shown)
             how = "reached by a run" if is_reached else "approached by longer runs"
-            lines.append(f"at least    {shown:>8}  {how} of a disturbance of `orchestrator worst`")
+            lines.append(f"at least    {shown:>8}  {how} of the attack in {self.attack}")
         if isinstance(self.learning, Learning):
             lines.append(f"at most     {rounded_up(self.learning.gain):>8}  under {LEARNING}")
         elif self.learning is not None:

@@ -320,7 +320,8 @@ class Observer:
             row = int(np.searchsorted(t, jump.start))
             self._a, self._jumped = self._a.copy(), True
             self._a[jump.targets[0]] = jump.a
-            a = np.concatenate([a[:row], np.broadcast_to(self._a, (len(t) - row, self.graph.n))])
+            # Of repeated rows, `concatenate` makes columns, and a compiled loop takes rows only.
+            a = np.ascontiguousarray(np.concatenate([a[:row], np.broadcast_to(self._a, (len(t) - row, self.graph.n))]))
             turns[row] = self._a
         return a, turns
 

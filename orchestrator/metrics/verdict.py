@@ -47,6 +47,12 @@ CLAIMS = {
     "links": "every node reports the inputs of a step that were open and delivered in that step",
     "faults": "every fault fired as scheduled, was seen where it struck, and nothing else went wrong",
 }
+_UNDER = {
+    Premise.ESTIMATES: "under any estimates from the lists",
+    Premise.EDGES: "under any estimates from the lists and closed edges",
+    Premise.JUMPS: "under any estimates from the lists, closed edges and jumps",
+}
+"""The premise of the limit of the law, in the verdict line."""
 _OF_THE_LAW = {"estimates", "contraction"}
 """Checks for laws that act by (6) on an estimate from the list, not for other laws."""
 
@@ -161,7 +167,7 @@ class Verdict:
                     less,
                     m["gamma_star"],
                     c["checks"]["oracle_certificate"]["steps"] == c["steps_done"],
-                    ceiling(c),
+                    law_limit(c),
                 ),
                 estimates_text(c["real_estimates"], m["nodes_right"], c["nodes"], m["estimate_error"]),
             ]
@@ -180,28 +186,32 @@ def estimates_text(real: bool, right: int, nodes: int, error: float | None) -> s
     return f"{right} of {nodes} estimates right"
 
 
-def ceiling(content: Mapping[str, Any]) -> float:
-    """Return the smallest bound on the gain with a premise that held in the whole run; NaN if there is none."""
-    bounds = content["gain_bounds"].get("bounds", {})
-    return min((entry["gain"] for entry in bounds.values() if entry.get("held") and "gain" in entry), default=math.nan)
+def law_limit(content: Mapping[str, Any]) -> str:
+    """Return the smallest bound on the gain with a premise that held in the whole run, in words with the premise.
 
-
-def gain_text(gain: float, less: float, gamma_star: float, faultless: bool, at_most: float = math.nan) -> str:
-    """Return the gain in words, with the limits of the oracle (gamma*, without faults) and of the law.
-
-    `less` is the gain less V(x(0)). If it differs from `gain`, the cost of x(0) is part of `gain`, and of no limit.
-    `at_most` is the limit of the law. Arguments are NaN where they are undefined or not known yet.
+    The text is empty if there is none.
     """
-    if math.isnan(gain):
-        shown, limits = "gain undefined", "limits"
-    elif less == gain:
-        shown, limits = f"gain {gain:.4g}", "limits"
-    else:
-        shown, limits = f"gain {gain:.4g} with x(0)", "limits without x(0)"
-    of = [] if math.isnan(gamma_star) else [f"oracle {gamma_star:.4g}{'' if faultless else ' without faults'}"]
-    if not math.isnan(at_most):
-        of.append(f"law {rounded_up(at_most)}")
-    return shown + (f" ({limits}: {', '.join(of)})" if of else "")
+    bounds = content["gain_bounds"].get("bounds", {})
+    held = {premise: entry["gain"] for premise, entry in bounds.items() if entry.get("held") and "gain" in entry}
+    if not held:
+        return ""
+    premise = min(held, key=held.__getitem__)
+    return f"at most {rounded_up(held[premise])} {_UNDER[Premise(premise)]}"
+
+
+def gain_text(gain: float, less: float, gamma_star: float, faultless: bool, at_most: str = "") -> str:
+    """Return the gain in words, with the limit of the law (`at_most`, the text of `law_limit`) and with gamma*.
+
+    `less` is the gain less V(x(0)). If it differs from `gain`, the gain has the cost of x(0), which no limit has. Then
+    gamma* is left out: the two are not comparable. Numbers are NaN where they are undefined or not known yet.
+    """
+    if not math.isnan(gain) and less != gain:
+        return f"gain {gain:.4g} with x(0)" + (f" (from x(0) = 0 {at_most})" if at_most else "")
+    of = [at_most] if at_most else []
+    if not math.isnan(gamma_star):
+        of.append(f"gamma* {gamma_star:.4g} of the oracle{'' if faultless else ' without faults'}")
+    shown = "gain undefined" if math.isnan(gain) else f"gain {gain:.4g}"
+    return shown + (f" ({'; '.join(of)})" if of else "")
 
 
 def _number(value: float | None, sign: str = "") -> str:
@@ -331,7 +341,7 @@ def _faults(topology: Topology, observer: Observer) -> list[dict[str, Any]]:
             "scheduled": account.scheduled,
             "fired": account.fired,
             "masked": account.masked,
-            "seen": account.seen if fault.kind != "jump" else None,
+            "seen": account.seen if fault.LOSSY else None,
             "beyond": beyond,
         }
         for k, (fault, account, beyond) in enumerate(

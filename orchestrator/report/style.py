@@ -56,7 +56,7 @@ class Look:
         strange = [name for name in self.formats if name not in FORMATS]
         if strange or not self.formats:
             raise UserError(
-                f"--format {','.join(strange)}: is not a format. Choose of {', '.join(FORMATS)}.",
+                f"--format {','.join(strange)}: is not a format. Choose one of {', '.join(FORMATS)}.",
                 code=Code.OPTION,
             )
         if "pgf" in self.formats and shutil.which(tex := str(matplotlib.rcParams["pgf.texsystem"])) is None:

@@ -61,7 +61,7 @@ def needs_proof(topology: Topology) -> bool:
 
 def seeds_at_once(topology: Topology) -> int:
     """Return the best number of runs in one batch."""
-    lossy = any(fault.kind != "jump" for fault in topology.faults)
+    lossy = any(fault.LOSSY for fault in topology.faults)
     nodes, steps = (LOSSY_NODES, LOSSY_STEPS) if lossy else (NODES, STEPS)
     return max(1, min(nodes, steps // topology.steps) // len(topology.ids))
 
@@ -100,7 +100,7 @@ class _Batch:
         self._shape = S, n = union.S, union.n
         self._edges = np.bincount(union.edge_part, minlength=S)
         self._a = union.a.copy()
-        self._jumps = sorted((one for one in union.effects if one.kind == "jump"), key=lambda one: one.start)
+        self._jumps = sorted((one for one in union.effects if one.changes_truth), key=lambda one: one.start)
         self._x_oracle = self._x_nominal = union.x0
         self._largest = np.nanmax(union.models, axis=0)
         self._rho_now = self._rho = self._contraction()

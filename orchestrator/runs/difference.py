@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hedgerow.topologies.describe import describe, window
+from hedgerow.topologies.describe import describe
 from hedgerow.topologies.graph import Mask
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ def _first(left: Run, right: Run, names: Sequence[str]) -> list[str]:
 
 def _disturbed(run: Run, t: int) -> str:
     """Return the faults that began by step `t`, and the messages lost until then; a cut loses no message."""
-    faults = [f"fault {k}: {describe(one)}" for k, one in enumerate(run.topology.faults, 1) if window(one)[0] <= t]
+    faults = [f"fault {k}: {describe(one)}" for k, one in enumerate(run.topology.faults, 1) if one.window[0] <= t]
     return "; ".join(
         [*faults[:4], *([f"and {len(faults) - 4} more"] if len(faults) > 4 else []), lost_messages(run, t + 1)]
     )

@@ -42,6 +42,11 @@ def ceiling_slack(run: Run) -> Array:
     """Return the slack of the bound in `ceiling` at each step, NaN without one, (T,)."""
     if is_recorded(run):
         return run._summed("ceiling_slack", run.T)
+    return computed_slack(run)
+
+
+def computed_slack(run: Run) -> Array:
+    """Return the slack of the bound in `ceiling` at each step, computed from the states, NaN without one, (T,)."""
     found = np.full(run.T, np.nan)
     # The strongest premise last: where it holds, its bound is the least.
     for premise in reversed(Premise):

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import fields
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hedgerow.orchestrator.metrics.fault_accounts import at_ends
 from hedgerow.orchestrator.metrics.observer import Batch, Observer
 from hedgerow.orchestrator.metrics.replay import Finding, Replay
+from hedgerow.orchestrator.runs.recomputed import TABLES, first_other
 from hedgerow.topologies.errors import Code, HedgerowError, UserError
 from hedgerow.wire.message import TAKEN, End, Telemetry
 
@@ -20,18 +20,7 @@ if TYPE_CHECKING:
 _ROWS_AT_ONCE = 1024
 
 
-TABLES, DYNAMICS = "tables", "dynamics"
-_OF_STEPS = (
-    "regret_sum",
-    "nominal_regret_sum",
-    "cost",
-    "cost_oracle",
-    "cost_sum",
-    "cost_oracle_sum",
-    "energy_sum",
-    "right",
-)
-"""columns of the summary that the observer computes from telemetry"""
+DYNAMICS = "dynamics"
 
 
 def first_difference(run: Run) -> Finding | None:
@@ -52,29 +41,7 @@ def _first_computed(run: Run) -> Finding | None:
     if moved.excess > 0:
         node = None if moved.node < 0 else run.topology.ids[moved.node]
         return Finding(DYNAMICS, moved.step, node, [moved.why or "the next state does not follow from this one"])
-    steps = run.recorded[run.recorded < run.T]
-    found = [
-        _first_other(run, name, getattr(batch, name), getattr(run, name)[steps]) for name in ("x_nominal", "index")
-    ]
-    summary = run.summary()
-    if summary.num_rows >= len(steps):
-        found += [
-            _first_other(run, name, getattr(batch, name), summary.column(name).to_numpy()[: len(steps)])
-            for name in _OF_STEPS
-            if name in summary.column_names
-        ]
-    return min((one for one in found if one is not None), key=lambda one: one.step, default=None)
-
-
-def _first_other(run: Run, name: str, right: NDArray[Any], seen: NDArray[Any]) -> Finding | None:
-    """Return the first place where a column of the tables is not what the observer computes; NaN equals NaN."""
-    other = (right != seen) & ~((right != right) & (seen != seen))  # noqa: PLR0124
-    if not other.any():
-        return None
-    t, *node = np.argwhere(other)[0].tolist()
-    place = f"node {run.topology.ids[node[0]]}: " if node else ""
-    why = f"{place}{name} is {seen[t, *node]!s}, and should be {right[t, *node]!s}"
-    return Finding(TABLES, t, run.topology.ids[node[0]] if node else None, [why])
+    return first_other(run, batch, observer)
 
 
 def _first_replayed(run: Run) -> Finding | None:

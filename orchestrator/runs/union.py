@@ -258,7 +258,7 @@ def _shifted(of_parts: Sequence[Sequence[Effect]], places: Sequence[_Place]) -> 
         for number, effect in enumerate(own):
             shift = place.of(effect)
             targets = tuple(target + shift for target in effect.targets)
-            if effect.kind == "jump":
+            if effect.changes_truth:
                 found[number, k] = dataclasses.replace(effect, targets=targets)
                 continue
             key = number, effect.start, effect.stop, effect.probability, effect.by, effect.table is None

@@ -42,7 +42,8 @@ def _id_type(topology: Topology) -> pa.DataType:
     return pa.int64() if id_array(topology.ids).dtype == np.int64 else pa.string()
 
 
-def _ids(topology: Topology, positions: Index) -> pa.Array:
+def id_column(topology: Topology, positions: Index) -> pa.Array:
+    """Return the ids of some nodes as the tables hold them: numbers if all of them are, else text."""
     if _id_type(topology) == pa.int64():
         return column(id_array(topology.ids)[positions])
     return names([str(topology.ids[k]) for k in positions.tolist()])
@@ -162,9 +163,26 @@ def summary(batch: Batch) -> dict[str, NDArray[Any]]:
         "edges_cut": batch.edge_open.shape[1] - np.count_nonzero(batch.edge_open, axis=1),
         "messages_lost": batch.link_up.shape[1] - np.count_nonzero(batch.link_up, axis=1),
         "checksum": checksums(
-            batch.x, batch.u, batch.w, batch.ahat, batch.index, batch.margin, batch.edge_open, batch.link_up
+            *(batch.x, batch.u, batch.w, batch.ahat, batch.index),
+            # The table has null for an infinite margin: the checksum can be computed again from the tables.
+            np.where(np.isfinite(batch.margin), batch.margin, np.nan),
+            *(batch.edge_open, batch.link_up),
         ),
     }
+
+
+def end_summary(observer: Observer, end: End) -> dict[str, NDArray[Any]]:
+    """Return the facts of the final state, by name of the column, (1,)."""
+    x = np.abs(end.x)
+    last = {
+        "x_sum": x.sum(),
+        "x_max": x.max(),
+        "regret_max": np.abs(end.x - observer.x_oracle_end).max(),
+        "regret_sum": observer.regret_sum,
+        "nominal_regret_sum": observer.nominal_regret_sum,
+    }
+    known = {name: np.array([value]) for name, value in last.items()}
+    return known | {"step": np.array([end.t]), "checksum": checksums(end.x[None])}
 
 
 def checksums(*columns: NDArray[Any]) -> Index:
@@ -187,8 +205,8 @@ class Recorder:
         self._nodes, self._e = self._selection.nodes, self._selection.edges
         ends = topology.graph.edges[self._e]
         self._hears = at_ends(topology.graph)[self._e]
-        self._ids = _ids(topology, self._nodes)
-        self._i, self._j = (_ids(topology, ends[:, end]) for end in (0, 1))
+        self._ids = id_column(topology, self._nodes)
+        self._i, self._j = (id_column(topology, ends[:, end]) for end in (0, 1))
         floats = [(name, f8) for name in ("x", "u", "w", "ahat")]
         self._telemetry = _Table(
             folder,
@@ -285,16 +303,7 @@ class Recorder:
                 }
             )
         if self._summary is not None:
-            x = np.abs(end.x)
-            last = {
-                "x_sum": x.sum(),
-                "x_max": x.max(),
-                "regret_max": np.abs(end.x - observer.x_oracle_end).max(),
-                "regret_sum": observer.regret_sum,
-                "nominal_regret_sum": observer.nominal_regret_sum,
-            }
-            known = {name: np.array([value]) for name, value in last.items()}
-            known |= {"step": np.array([end.t]), "checksum": checksums(end.x[None])}
+            known = end_summary(observer, end)
             nulls = {field.name: pa.nulls(1, field.type) for field in self._summary.schema}
             self._summary.append(nulls | {name: column(value) for name, value in known.items()})
 

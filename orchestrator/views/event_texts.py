@@ -37,8 +37,8 @@ class Now:
 
     def texts(self, batch: Batch, rows: Index) -> list[str]:
         """Return one text per row."""
-        gain, less = batch.gain(), batch.gain(float(self._observer.v0))
-        return [self._text(batch, row, float(gain[row]), float(less[row])) for row in rows.tolist()]
+        gain = batch.gain()
+        return [self._text(batch, row, float(gain[row])) for row in rows.tolist()]
 
     def _edge(self, k: int) -> str:
         i, j = map(self._node, self._graph.edges[k].tolist())
@@ -50,7 +50,7 @@ class Now:
     def _node(self, k: int) -> str:
         return markdown(str(self._ids[k]))
 
-    def _text(self, batch: Batch, k: int, gain: float, less: float) -> str:
+    def _text(self, batch: Batch, k: int, gain: float) -> str:
         x, regret = np.abs(batch.x[k]), batch.regret[k]
         top, worst = int(x.argmax()), int(regret.argmax())
         missing, dead, wrong = batch.missing[k], batch.dead[k], batch.wrong[k]
@@ -66,13 +66,14 @@ class Now:
         ]
         return "\n".join(
             [
-                f"**Step {batch.t[k]} of {self._steps}**",
+                f"**Step {batch.t[k]}**, {batch.t[k] + 1} of {self._steps} made",
                 f"- **Largest:** node **{self._node(top)}**, |x| = {x[top]:.3g};"
                 f" largest regret: node **{self._node(worst)}**, {regret[worst]:.2g}",
                 f"- **Down:** {'; '.join(down) or 'nothing'}",
                 f"- **Wrong model:** {_listed(models, int((wrong & ~dead).sum()))}",
                 f"- **Costs:** D = {batch.regret_sum[k]:.4g} (nominal law {batch.nominal_regret_sum[k]:.4g}),"
-                f" R = {batch.cost_regret[k]:+.3g}, gain {gain:.3g}, less x(0) {less:.3g}"
+                f" R = {batch.cost_regret[k]:+.3g}, gain {gain:.3g}"
+                f"{' with x(0)' if float(self._observer.v0) > 0 else ''}"
                 f" (γ\\* = {self._limit} is the oracle's{'' if np.isfinite(batch.slack[k]) else ' without faults'})",
             ]
         )
@@ -146,8 +147,9 @@ The *oracle* is the same network with the same disturbances, x(0) and closed edg
 - **Regret** |x − x\\*| [x] of each node; *Nominal gap* |x\\* − x_nom| [x]. **Regret D** [x²] is the sum of its squares
   over nodes and steps, beside D of the nominal law. *Cost R* [x²] is the cost minus the oracle's cost, and may be
   negative. *Ratio* is the cost divided by the oracle's cost.
-- **Gain** √(Σ cost / Σ |w|²) of the disturbance so far; the cost of a step is |x|² + {edge_cost}. *Less x(0)* subtracts
-  the maximum cost of x(0) for the oracle. It may cost another law more. The axis ends at 4 γ\\*.
+- **Gain** √(Σ cost / Σ |w|²) of the disturbance so far; the cost of a step is |x|² + {edge_cost}. *at most* is the
+  limit of the law from x(0) = 0. After a cut edge or a jump of an a, a larger limit holds. A gain *with x(0)* has the
+  cost of the initial states too, so it may start far above the limits. The axis ends at 4 γ\\*.
 - **Faults**: lost messages, cut edges and dead agents in telemetry.
 - **Round trips**: the time of each process to answer a step, by the plant's clock [ms]; over Zenoh only.
 

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from errno import EIO
 from pathlib import Path
 
+from hedgerow.orchestrator.views.rerun.viewer import has_display
 from hedgerow.topologies.escape import answers, command
 
 
@@ -46,7 +47,8 @@ def _leads_to_terminal() -> bool:
 
 
 def left_behind(folder: Path) -> str:
-    """Return lines with the run folder and the command that shows it."""
+    """Return lines with the run folder and the command that shows it, as a page if there is no display."""
     # The folder of the interpreter contains the command and may be missing in PATH.
     program = "orchestrator" if shutil.which("orchestrator") else Path(sys.executable).with_name("orchestrator")
-    return f"run folder {folder}\nsee it again with: {command([program, 'open', folder])}"
+    page = [] if has_display() else ["--viewer", "web"]
+    return f"run folder {folder}\nsee it again with: {command([program, 'open', folder, *page])}"

@@ -1,15 +1,16 @@
 """A run on a terminal: a live table, or a bar if a viewer shows the run.
 
     paper7: step 40 of 100, 10 steps/s, 0:00:06 left
-    node            x      ahat  model  missing  now
-    5         -0.3882         -  -            8  dead
-    6          0.4995    0.6351  WRONG        0
-    1           0.138    0.4907  right        0
+    node            x      ahat  model  missing inputs  state
+    5         -0.3882         -  -                   8  dead
+    6          0.4995    0.6351  WRONG               0
+    1           0.138    0.4907  right               0
+    WRONG: the estimate is not the truth. Failures are on top, then WRONG.
     ... 4 more: |x| <= 0.701, none wrong
     edges down: 2-4, 3-5
     links down: 1->2, 3-5
     5 of 7 estimates right, 8 missing inputs, 32 lost messages, regret D 0.9384 (nominal 4.367),
-    cost regret +1.734, gain 9.271 with x(0) (limits without x(0): oracle 2.974 without faults)
+    cost regret +1.734, gain 9.271 with x(0)
     step 30: cut 2-4 from step 30 to 60 (fault 2)
 
 A wrong model is marked by a word and by a colour. Dead nodes come first, then nodes without an input, then nodes with a
@@ -40,7 +41,7 @@ from hedgerow.orchestrator.metrics.fault_accounts import at_ends
 from hedgerow.orchestrator.metrics.observer import Batch
 from hedgerow.orchestrator.metrics.verdict import INVALID, VALID, Verdict, estimates_text, gain_text
 from hedgerow.orchestrator.views.outlet import Outlet, left_behind
-from hedgerow.topologies.describe import describe, window
+from hedgerow.topologies.describe import describe
 from hedgerow.topologies.escape import escape
 from hedgerow.topologies.graph import Index, Mask
 from hedgerow.topologies.schema import Topology
@@ -49,6 +50,7 @@ REDRAW_S = 0.25
 """The minimum time between two drawings of the table [s]."""
 PACE_S = 5.0
 """the time span for the count of steps/s"""
+LEGEND = "WRONG: the estimate is not the truth. Failures are on top, then WRONG."
 EVENTS = 3
 FEW = 4
 """the lines reserved for nodes before sums and events get space"""
@@ -75,7 +77,7 @@ class Standing:
         """pairs of a time and the number of finished steps"""
         self._events: deque[str] = deque(maxlen=EVENTS)
         faults = enumerate(topology.faults, 1)
-        self._due = deque(sorted((window(fault)[0], k, describe(fault)) for k, fault in faults))
+        self._due = deque(sorted((fault.window[0], k, describe(fault)) for k, fault in faults))
 
     def happened(self, text: str) -> None:
         """Add a text to the last events."""
@@ -103,7 +105,8 @@ class Standing:
         foot = foot[: max(0, height - len(head) - FEW)]
         room = height - len(head) - len(foot)
         spare = room - min(1 + len(self._ids), FEW + 1)
-        events = list(self._events)[-spare:] if spare > 0 else []
+        folded = [line for event in self._events for line in textwrap.wrap(event, width)]
+        events = folded[-spare:] if spare > 0 else []
         middle = self._nodes(self._last, width, room - len(events))
         lines = [*head, *middle, *foot, *(Text(event, "yellow") for event in events)][:height]
         for line in lines:
@@ -145,15 +148,16 @@ class Standing:
             ("          x", [(f"{x[k]:11.4g}", "") for k in shown]),
             ("    ahat", [("       -" if np.isnan(ahat[k]) else f"{ahat[k]:8.4g}", "") for k in shown]),
             ("model", [_model(bool(ahat[k] == batch.a[-1, k]), bool(wrong[k])) for k in shown]),
-            ("missing", [(f"{self._missing[k]:7d}", "yellow" if self._missing[k] else "") for k in shown]),
-            ("now", [_now(bool(dead[k]), bool(silent[k])) for k in shown]),
+            ("missing inputs", [(f"{self._missing[k]:14d}", "yellow" if self._missing[k] else "") for k in shown]),
+            ("state", [_now(bool(dead[k]), bool(silent[k])) for k in shown]),
         ]
         for expendable in (4, 2):
-            if sum(len(heading) + 2 for heading, _ in columns) + len("no input") - len("now") - 2 > width:
+            if sum(len(heading) + 2 for heading, _ in columns) + len("no input") - len("state") - 2 > width:
                 del columns[expendable]
         heading = Text("  ".join(heading for heading, _ in columns), "underline")
         rows = zip(*(cells for _, cells in columns), strict=True)
-        return [heading, *(_row(cells) for cells in rows), *hidden]
+        legend = [Text(LEGEND, "dim")] if any(wrong[k] for k in shown) and room > len(shown) + 1 + len(hidden) else []
+        return [heading, *(_row(cells) for cells in rows), *hidden, *legend]
 
     def _down(self, batch: Batch, width: int) -> list[str]:
         """Return the edges without flow and the links without messages at the last step."""
@@ -193,13 +197,7 @@ class Standing:
             *(f"{k} {what}" for k, what in losses if k),
             f"regret D {batch.regret_sum[-1]:.4g} (nominal {batch.nominal_regret_sum[-1]:.4g})",
             f"cost regret {batch.cost_regret[-1]:+.4g}",
-            gain_text(
-                gain,
-                less,
-                self._topology.network.gamma_star_now,
-                not np.isnan(batch.slack[-1]),
-                float(batch.ceiling[-1]),
-            ),
+            gain_text(gain, less, self._topology.network.gamma_star_now, not np.isnan(batch.slack[-1])),
         ]
 
 
@@ -216,7 +214,7 @@ def _worst(rank: Index, x: NDArray[np.float64], some: int) -> Index:
 
 
 def _model(right: bool, wrong: bool) -> Cell:
-    return ("WRONG", "bold red") if wrong else ("right", "green") if right else ("-    ", "")
+    return ("WRONG", "magenta") if wrong else ("right", "green") if right else ("-    ", "")
 
 
 def _now(dead: bool, silent: bool) -> Cell:

@@ -29,7 +29,7 @@ from hedgerow.orchestrator.metrics.observer import Batch, Observer
 from hedgerow.orchestrator.views import palette
 from hedgerow.orchestrator.views.layout import positions
 from hedgerow.orchestrator.views.palette import packed, state_colors
-from hedgerow.orchestrator.views.rerun.fault_timeline import LANES, MISTAKEN, OF_NODE, FaultTimeline, of_edge
+from hedgerow.orchestrator.views.rerun.fault_timeline import LANES, OF_NODE, FaultTimeline, of_edge
 from hedgerow.orchestrator.views.rerun.heatmap import COLUMNS, HeatMap
 from hedgerow.orchestrator.views.rerun.network_picture import Picture, decaying_peak
 from hedgerow.orchestrator.views.rerun.panels import DOWN, LARGE
@@ -39,13 +39,14 @@ from hedgerow.topologies.graph import Graph
 from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import resolve
 from hedgerow.topologies.schema import Topology
-from tests.orchestrator.views.test_rerun_stream import begin_headless, kill, paper7, until
+from tests.orchestrator.views.test_rerun_stream import paper7
 from tests.orchestrator.views.test_rerun_stream import read as scalars
 from tests.tools import networks
 from tests.tools.examples import examples
 from tests.tools.networks import observe, simulate
 from tests.tools.processes import Orchestrator
 from tests.tools.schedules import with_faults
+from tests.tools.viewers import begin_headless, kill, until
 
 DROP: dict[str, Any] = {"kind": "drop", "link": [2, 4], "steps": [0, 20]}
 CUT: dict[str, Any] = {"kind": "cut", "edge": [3, 5], "steps": [12, 20]}
@@ -168,7 +169,7 @@ def test_the_lanes_are_the_schedule(tmp_path: Path) -> None:
     recorded(topology, path)
     schedule, graph, steps = Schedule(topology), topology.graph, np.arange(topology.steps)
     codes = np.zeros((topology.steps, len(topology.edges)), dtype=int)
-    drops, cuts = schedule.instances(steps, "drop"), schedule.instances(steps, "cut")
+    drops, cuts = schedule.instances(steps, "lost"), schedule.instances(steps, "cut")
     for row, incidence in set(zip(drops.row.tolist(), drops.target.tolist(), strict=True)):
         edge = graph.edge[incidence]
         codes[row, edge] += 1 if graph.node[incidence] == graph.edges[edge, 0] else 2
@@ -186,7 +187,7 @@ def test_the_lanes_are_the_schedule(tmp_path: Path) -> None:
     assert begun == {(2, 4), (3, 5)}
 
 
-def test_a_lane_of_a_node_shows_death_silence_and_wrong_models() -> None:
+def test_a_lane_of_a_node_shows_death_silence_and_jumps_and_no_wrong_models() -> None:
     candidates = paper7().nodes[2].candidates
     assert isinstance(candidates, tuple)
     topology = with_faults(
@@ -198,14 +199,12 @@ def test_a_lane_of_a_node_shows_death_silence_and_wrong_models() -> None:
         ],
     )
     _, batch = observe(topology, simulate(topology))
-    codes = FaultTimeline(topology, models=True).codes(batch)[:, len(topology.edges) :]
+    codes = FaultTimeline(topology).codes(batch)[:, len(topology.edges) :]
     labels_of = [[OF_NODE[code][0] for code in row] for row in codes]
     assert [t for t, row in enumerate(labels_of) if row[3] == "dead"] == [10, 11, 12]
     assert [t for t, row in enumerate(labels_of) if row[0] == "no input"] == [15, 16]
     assert [t for t, row in enumerate(labels_of) if row[1] == "a jumps"] == [20]
-    wrong = (batch.ahat != batch.a) & ~np.isnan(batch.u) & (batch.t > 0)[:, None]
-    wrong[20, 1] = False
-    np.testing.assert_array_equal(codes == MISTAKEN, wrong)
+    assert {label for row in labels_of for label in row} == {"ok", "dead", "no input", "a jumps"}
 
 
 def test_faults_of_the_file_stand_among_the_events(tmp_path: Path) -> None:
@@ -279,7 +278,7 @@ def test_a_large_network_is_aggregated_and_loses_no_number(tmp_path: Path) -> No
     np.testing.assert_array_equal(median, np.sort(x, axis=1)[:, 49])
     down = scalars(path, "quantiles/down")[1]
     assert down[:, DOWN.index("edges cut")].tolist() == [0] * 4 + [2 * LANES] * 5 + [0] * 11
-    assert sum(entity.startswith(("/link/", "/node/")) for entity in entities(path)) == LANES
+    assert sum(entity.startswith(("/link/", "/agent/")) for entity in entities(path)) == LANES
     names = column(path, "network/worst", "Points2D:labels")
     assert names[19] == [str(i) for i in np.argsort(-x[19], kind="stable")[:5]]
 

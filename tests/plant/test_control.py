@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 from pathlib import Path
 from typing import Any
@@ -16,10 +17,11 @@ from hypothesis import strategies as st
 from hedgerow.orchestrator.ground.assignment import layout, truth_of
 from hedgerow.orchestrator.launch.fault_changes import with_fault
 from hedgerow.orchestrator.runs import registry
-from hedgerow.plant.fault_entry import _FORMS, _OTHERS, FaultEntries
+from hedgerow.plant.fault_entry import FaultEntries
 from hedgerow.plant.world import World
 from hedgerow.topologies.effects import FOREVER
 from hedgerow.topologies.errors import HedgerowError, UserError
+from hedgerow.topologies.fault_kinds import FAULT_KINDS
 from hedgerow.topologies.faults import effects
 from hedgerow.topologies.load import load
 from hedgerow.topologies.resolve import resolve
@@ -177,7 +179,8 @@ VALUES: dict[str, st.SearchStrategy[Any]] = {
 def entries(draw: st.DrawFn) -> dict[str, Any]:
     """Draw an entry with the keys of a kind, and sometimes without one of them or with a strange one."""
     kind = draw(VALUES["kind"])
-    keys_of = {form for forms in _FORMS.get(kind, ()) for form in forms} | _OTHERS.get(kind, frozenset())
+    own = FAULT_KINDS.get(kind)
+    keys_of = {*itertools.chain(*own.forms), *own.required, *own.optional} if own else set()
     wanted = draw(st.sets(st.sampled_from(sorted(keys_of)))) if keys_of else set()
     strange = {draw(st.sampled_from(sorted(VALUES)))} if draw(st.integers(0, 9)) == 0 else set()
     return {"kind": kind, **{key: draw(VALUES.get(key, ANYTHING)) for key in sorted(wanted | strange)}}

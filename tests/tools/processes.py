@@ -28,6 +28,8 @@ from tests.tools import preloaded
 
 COMMAND = (sys.executable, "-P", "-m", "hedgerow.orchestrator")
 DEADLINE_S = 60.0
+QUIET = ("--viewer", "none", "--no-record")
+LONG = ("up", "paper7", "--steps", "1000000", "--rate", "200", *QUIET)
 
 
 def orchestrator(*arguments: str, largest: int = resource.RLIM_INFINITY) -> subprocess.CompletedProcess[str]:

@@ -16,6 +16,7 @@ from pydantic import ValidationError
 
 from hedgerow.topologies.effects import FOREVER, Effect
 from hedgerow.topologies.errors import Code, TopologyError
+from hedgerow.topologies.fault_kinds import FAULT_KINDS
 from hedgerow.topologies.faults import (
     KINDS,
     Actuator,
@@ -65,9 +66,6 @@ def effects_of(faults: str, *more: str) -> list[Effect]:
 def again(topology: Topology) -> Topology:
     """Return the topology read back from the file of a run."""
     return parse(to_yaml(topology).encode(), "topology.yaml", Path())
-
-
-# The effects of each kind.
 
 
 @pytest.mark.parametrize(
@@ -142,9 +140,6 @@ def test_the_plant_needs_no_pydantic_to_read_effects() -> None:
     assert ran.stdout == f"{FOREVER}\n"
 
 
-# From Python.
-
-
 def test_python_gives_the_same_faults_as_a_file() -> None:
     """There is one fault of each form; ranges are windows, and `from_` is `from`."""
     from_python: tuple[Fault, ...] = (
@@ -204,165 +199,12 @@ def test_faults_of_python_are_checked_on_resolving() -> None:
     assert [problem.place for problem in refused.value.problems] == ["fault 1: link", "fault 2: node"]
 
 
-# Mistakes.
-
-
-@pytest.mark.parametrize(
-    ("fault", "place"),
-    [
-        ("5", "fault 2"),
-        ("~", "fault 2"),
-        ("{link: [2, 4]}", "fault 2"),
-        ("{kind: dorp}", "fault 2: kind"),
-        ("{kind: [1]}", "fault 2: kind"),
-        ("{kind: ~}", "fault 2: kind"),
-        (
-            "{kind: drop, link: [2, 4], step: [1, 2]}",
-            "fault 2",
-        ),
-        ("{kind: cut, link: [2, 4]}", "fault 2"),
-        ("{kind: sensor, node: 2, ~: 1}", "fault 2"),
-        ("{kind: drop}", "fault 2"),
-        ("{kind: drop, from: 2}", "fault 2"),
-        ("{kind: drop, from: 2, to: 4, link: [2, 4]}", "fault 2"),
-        ("{kind: drop, to: 4, link: [2, 4]}", "fault 2"),
-        ("{kind: drop, at: {1: [[2, 4]]}, steps: [1, 2]}", "fault 2"),
-        ("{kind: cut, at: {1: [[2, 4]]}, probability: 0.5}", "fault 2"),
-        ("{kind: drop, link: [2]}", "fault 2: link"),
-        ("{kind: drop, link: [2, 4, 3]}", "fault 2: link"),
-        ("{kind: drop, link: 24}", "fault 2: link"),
-        ("{kind: drop, link: [2, 4], steps: 3}", "fault 2: steps"),
-        ("{kind: drop, link: [2, 4], steps: [3]}", "fault 2: steps"),
-        ("{kind: drop, link: [2, 4], steps: [3, 3]}", "fault 2: steps"),
-        ("{kind: drop, link: [2, 4], steps: [4, 3]}", "fault 2: steps"),
-        ("{kind: drop, link: [2, 4], steps: [-1, 3]}", "fault 2: steps: 0"),
-        ("{kind: drop, link: [2, 4], steps: [1, 3.0]}", "fault 2: steps: 1"),
-        ("{kind: drop, link: [2, 4], steps: [1, 9223372036854775807]}", "fault 2: steps: 1"),
-        ("{kind: drop, link: [2, 4], probability: 1.5}", "fault 2: probability"),
-        ("{kind: drop, link: [2, 4], probability: -1}", "fault 2: probability"),
-        ("{kind: drop, link: [2, 4], probability: .nan}", "fault 2: probability"),
-        ("{kind: drop, link: [2, 4], probability: yes}", "fault 2: probability"),
-        ("{kind: drop, at: 5}", "fault 2: at"),
-        ("{kind: drop, at: {}}", "fault 2: at"),
-        ("{kind: drop, at: {x: [[2, 4]]}}", "fault 2: at: x"),
-        ("{kind: drop, at: {1.5: [[2, 4]]}}", "fault 2: at: 1.5"),
-        ("{kind: drop, at: {-1: [[2, 4]]}}", "fault 2: at: -1"),
-        ("{kind: drop, at: {1: [2, 4]}}", "fault 2: at: 1: 0"),
-        ("{kind: drop, link: [3, 4]}", "fault 2: link"),
-        ("{kind: drop, link: [2, 2]}", "fault 2: link"),
-        ("{kind: drop, link: [2, 9]}", "fault 2: link"),
-        ("{kind: drop, from: 1, to: 3}", "fault 2: to"),
-        ("{kind: drop, from: 9, to: 3}", "fault 2: from"),
-        ("{kind: drop, from: 3, to: x}", "fault 2: to"),
-        ("{kind: drop, at: {1: [[2, 4], [1, 4]]}}", "fault 2: at: 1: 1"),
-        ("{kind: delay, link: [2, 4]}", "fault 2"),
-        ("{kind: delay, link: [2, 4], by: 0}", "fault 2: by"),
-        ("{kind: delay, link: [2, 4], by: 1000001}", "fault 2: by"),
-        ("{kind: delay, at: {1: [[2, 4]]}, by: 1}", "fault 2"),
-        ("{kind: cut, edge: [1, 3]}", "fault 2: edge"),
-        ("{kind: cut, at: {1: [[1, 3]]}}", "fault 2: at: 1: 0"),
-        ("{kind: partition}", "fault 2"),
-        ("{kind: partition, groups: [[1, 2]]}", "fault 2: groups"),
-        ("{kind: partition, groups: [[1, 2], []]}", "fault 2: groups: 1"),
-        ("{kind: partition, groups: [[1, 2], [3, 2]]}", "fault 2: groups"),
-        ("{kind: partition, groups: [[1], [2, 9]]}", "fault 2: groups: 1: 1"),
-        ("{kind: partition, groups: [[1], [2]], cut: yes}", "fault 2: cut"),
-        ("{kind: partition, groups: [[1], [2]], probability: 0.5}", "fault 2"),
-        ("{kind: sensor}", "fault 2"),
-        ("{kind: sensor, node: 9}", "fault 2: node"),
-        ("{kind: actuator, node: 1.5}", "fault 2: node"),
-        ("{kind: crash, at: 3}", "fault 2"),
-        ("{kind: crash, node: 2, process: 0, at: 3}", "fault 2"),
-        ("{kind: crash, node: 2}", "fault 2"),
-        ("{kind: crash, node: 2, at: 3, restart_after: 0}", "fault 2: restart_after"),
-        ("{kind: crash, process: 4, at: 3}", "fault 2: process"),
-        ("{kind: crash, process: -1, at: 3}", "fault 2: process"),
-        ("{kind: jump, node: 2, at: 3}", "fault 2"),
-        ("{kind: jump, node: 2, at: 3, a: drawn}", "fault 2: a"),
-        (
-            "{kind: jump, node: 2, at: 3, a: 0.4}",
-            "fault 2: a",
-        ),
-    ],
-)
-def test_a_mistake_is_reported_with_its_line_and_its_fix(fault: str, place: str) -> None:
-    """It is the second of three faults; the others are good."""
-    text = f"{HEAD}faults:\n  - {{kind: sensor, node: 1}}\n  - {fault}\n  - {{kind: sensor, node: 1}}\n"
-    with pytest.raises(TopologyError) as caught:
-        parse(text.encode(), "star.yaml", Path())
-    found = caught.value.problems
-    assert place in [problem.place for problem in found]
-    assert all(problem.line == 9 and problem.place.startswith("fault 2") for problem in found)
-
-
-def test_all_mistakes_are_reported_together() -> None:
-    """Mistakes of the schema hide no mistakes of the rules, and a line within a fault is named."""
-    text = """\
-name: star
-b: 0.1
-steps: 30
-processes: 5
-defaults: {candidates: [0.3, 0.6]}
-nodes: [1, 2, 3, 4]
-edges: [[1, 2], [3, 2], [2, 4]]
-history: 0
-backfill: maybe
-faults:
-  - {kind: drop, link: [1, 3]}
-  - kind: drop
-    at:
-      10: [[2, 4]]
-      11:
-        - [2, 4]
-        - [1, 4]
-  - {kind: dorp}
-  - kind: partition
-    groups:
-      - [1, 2]
-      - [3,
-         9]
-    cut: 1
-  - {kind: sensor, node: 7}
-"""
-    with pytest.raises(TopologyError) as caught:
-        parse(text.encode(), "star.yaml", Path())
-    assert [(p.line, p.column, p.place) for p in caught.value.problems] == [
-        (4, 12, "processes"),
-        (8, 10, "history"),
-        (9, 11, "backfill"),
-        (11, 24, "fault 1: link"),
-        (17, 11, "fault 2: at: 11: 1"),
-        (18, 12, "fault 3: kind"),
-        (24, 10, "fault 4: cut"),
-        (25, 26, "fault 5: node"),
-    ]
-    lines = str(caught.value).splitlines()
-    assert [line.split(": ")[0] for line in lines] == [f"star.yaml:{p.line}:{p.column}" for p in caught.value.problems]
-
-
-def test_a_fault_is_not_blamed_for_an_edge_that_was_refused() -> None:
-    """Only the edge is wrong; the link that it was to be is in order."""
-    text = HEAD.replace("[3, 2]", "[3, 2, 1]") + "faults: [{kind: drop, link: [2, 3]}, {kind: sensor, node: 9}]\n"
-    with pytest.raises(TopologyError) as caught:
-        parse(text.encode(), "star.yaml", Path())
-    assert [problem.place for problem in caught.value.problems] == ["edge 2", "fault 2: node"]
-
-
-def test_a_node_without_neighbours_has_no_link_to_drop() -> None:
-    text = "{name: n, b: 0.1, steps: 3, nodes: [1, 2], faults: [{kind: cut, edge: [1, 2]}]}"
-    with pytest.raises(TopologyError) as refused:
-        parse(text.encode(), "n.yaml", Path())
-    assert [problem.place for problem in refused.value.problems] == ["fault 1: edge"]
-
-
 def test_an_override_reaches_into_a_fault() -> None:
     """By position from 0, and by step."""
     listed = "[{kind: drop, link: [2, 4]}, {kind: cut, at: {3: [[2, 4]]}}]"
     network = star(listed, "faults.0.steps=[3, 5]", "faults.1.at.3=[[1, 2]]")
     assert network.faults == (Drop(link=(2, 4), steps=(3, 5)), Cut(at={3: ((1, 2),)}))
 
-
-# Random jumps.
 
 CHANCE = HEAD.replace("[0.3, 0.6, 0.8], a: 0.6", "{random: 4}")
 JUMPS = "[{kind: jump, node: 2, at: 5, a: random}, {kind: jump, node: 3, at: 5, a: random}]"
@@ -416,8 +258,6 @@ def test_a_jump_to_an_undrawn_number_reports_the_drawn_ones() -> None:
     listed = ", ".join(map(repr, drawn))
     assert str(caught.value) == f"star: fault 1: a: 0.3 is not among the candidates of node 2; they are {listed}"
 
-
-# Draw any faults.
 
 STEP = st.one_of(st.integers(0, 40), st.integers(0, 2**61))
 WINDOW = st.tuples(STEP, st.integers(1, 50)).map(lambda pair: [pair[0], pair[0] + pair[1]])
@@ -514,6 +354,16 @@ def test_every_kind_is_known_by_its_name() -> None:
     assert all(
         field.description or key == "kind" for model in KINDS.values() for key, field in model.model_fields.items()
     )
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_model_and_the_plant_know_the_same_keys_of_a_kind(kind: str) -> None:
+    """The model describes the keys in a file; the table is what a plant without pydantic uses."""
+    known, fields = FAULT_KINDS[kind], KINDS[kind].model_fields
+    targets = {key for form in known.forms for key in form}
+    assert {"kind", *targets, *known.required, *known.optional} == {*known_keys(KINDS[kind])}
+    always = targets if len(known.forms) == 1 else set()
+    assert {*known.required, *always} == {key for key, field in fields.items() if field.is_required()}
 
 
 def test_a_file_without_faults_has_none() -> None:

@@ -61,13 +61,13 @@ def struck(topology: Topology) -> set[tuple[int, int, Any]]:
     """(fault, step, ids of the target) of all that the faults strike."""
     graph, ids, found = topology.graph, topology.ids, set()
     schedule = Schedule(topology)
-    for kind in ("drop", "delay", "cut", "sensor", "actuator"):
+    for thing in ("lost", "late", "cut", "blind", "mute"):
         for fault, t, k in zip(
-            *(column.tolist() for column in schedule.instances(np.arange(topology.steps), kind)), strict=True
+            *(column.tolist() for column in schedule.instances(np.arange(topology.steps), thing)), strict=True
         ):
-            if kind in ("drop", "delay"):
+            if thing in ("lost", "late"):
                 target: Any = (ids[graph.neighbour[k]], ids[graph.node[k]])
-            elif kind == "cut":
+            elif thing == "cut":
                 target = frozenset(ids[i] for i in graph.edges[k])
             else:
                 target = ids[k]

@@ -86,8 +86,8 @@ def numbers(
                 raise ValueError
             found[k] = float(value)
         except (TypeError, ValueError):
-            shown = "is missing" if value is None else f"{str(value)[:40]!r} is not a number"
-            cure = "Name an attribute that all of them have, or write `--weight 1`"
+            shown = "is missing (empty or NaN)" if value is None else f"{str(value)[:40]!r} is not a number"
+            cure = "Give it a number or remove it, or name an attribute that all of them have"
             if isinstance(value, str) and as_number(value.replace(",", ".", 1)) is not None:
                 cure = "Write decimals with a point"
             # The place of an edge in a file begins with the file already.

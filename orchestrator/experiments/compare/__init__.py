@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-from collections import Counter
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -20,13 +19,12 @@ from hedgerow.orchestrator.experiments.compare.statistics import (
     pairs_needed,
     repeats,
 )
-from hedgerow.orchestrator.experiments.sweep import cores
+from hedgerow.orchestrator.experiments.sweep import cores, failures
 from hedgerow.orchestrator.experiments.sweep.folder import SweepFolder
 from hedgerow.orchestrator.experiments.sweep.progress import collect
 from hedgerow.orchestrator.experiments.sweep.runs import Answer, Row
 from hedgerow.orchestrator.experiments.sweep.summary import REPEATED
 from hedgerow.orchestrator.experiments.sweep.workers import over_processes
-from hedgerow.orchestrator.metrics.verdict import EXIT_CODES, INVALID, UNKNOWN, VALID
 from hedgerow.topologies.errors import Code, UserError
 from hedgerow.topologies.escape import echo
 
@@ -100,7 +98,7 @@ class Compared:
                 if given not in names:
                     listed = ", ".join(dict.fromkeys(names))
                     raise UserError(
-                        f"{noun}={given!r}: is not in this comparison. Choose of {listed}.", code=Code.OPTION
+                        f"{noun}={given!r}: is not in this comparison. Choose one of {listed}.", code=Code.OPTION
                     )
             raise UserError(f"{metric} of {law} under {where}: has no mean in this comparison.", code=Code.OPTION)
         return found[0].mean
@@ -108,8 +106,12 @@ class Compared:
     @property
     def exit_code(self) -> int:
         """Return 0 if all runs are valid, 1 if one is not, 3 if one is unknown."""
-        verdicts = Counter(str(row["verdict"]) for own in self.rows for row in own)
-        return int(EXIT_CODES[next(one for one in (INVALID, UNKNOWN, VALID) if verdicts[one])])
+        return failures.exit_code(self.rows)
+
+    @property
+    def not_valid(self) -> list[str]:
+        """Return one line per law and disturbance with runs that are not valid: their seeds and the first reasons."""
+        return failures.lines(self.plan, self.rows)
 
 
 def compare(plan: Comparison, out: Path | None = None, jobs: int | None = None, quiet: bool = False) -> Compared | None:

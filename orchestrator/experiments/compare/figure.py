@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,7 +12,9 @@ from matplotlib.figure import Figure
 
 from hedgerow.orchestrator.experiments.compare.runs import METRICS
 from hedgerow.orchestrator.experiments.compare.statistics import Cell
+from hedgerow.orchestrator.experiments.sweep.plan import split
 from hedgerow.orchestrator.report.style import PAGE_IN, colour, label_panels, look, save, sheet
+from hedgerow.topologies.graph import Array
 
 LABELS = {
     "share_right": "nodes right [1]",
@@ -21,6 +24,8 @@ LABELS = {
     "gain": "gain [1]",
     "switches": "switches per node",
 }
+RANGES = {"share_right": (0.0, 1.0), "cost_regret": (-np.inf, np.inf)}
+"""the values that a metric can have; the others are at least 0"""
 COLUMNS = 3
 ROW_IN, AXIS_IN = 0.22, 0.55
 MARKERS = "osD^vPX"
@@ -29,14 +34,32 @@ _DECADES = 100.0
 
 def short(laws: Sequence[str]) -> list[str]:
     """Return the laws without their modules, where no two become equal."""
-    bare = [re.sub(r"^[\w.]+:", "", law) for law in laws]
-    return [name if bare.count(name) == 1 else law for law, name in zip(laws, bare, strict=True)]
+    return _unlike(laws, [re.sub(r"^[\w.]+:", "", law) for law in laws])
+
+
+def kinds(disturbances: Sequence[str]) -> list[str]:
+    """Return the disturbances by their kinds, where no two become equal: `white+impulse`."""
+    parts = [[re.findall(r"\bkind\W+(\w+)", part) or [part] for part in split(one, "+")] for one in disturbances]
+    return _unlike(disturbances, ["+".join(itertools.chain(*own)) for own in parts])
+
+
+def _unlike(whole: Sequence[str], short: Sequence[str]) -> list[str]:
+    return [name if short.count(name) == 1 else one for one, name in zip(whole, short, strict=True)]
+
+
+def whiskers(metric: str, mean: Array, half: Array) -> Array:
+    """Return the parts of an interval below and above the mean, (2, ...), cut off at the range of the metric."""
+    least, most = RANGES.get(metric, (0.0, np.inf))
+    reach = np.nan_to_num(half)
+    parts: Array = np.nan_to_num(np.stack([np.minimum(reach, mean - least), np.minimum(reach, most - mean)]))
+    return parts
 
 
 def draw(cells: Sequence[Cell]) -> Figure:
     """Draw the mean of every cell and its interval over seeds."""
     disturbances = list(dict.fromkeys(cell.disturbance for cell in cells))
     laws = list(dict.fromkeys(cell.law for cell in cells))
+    labels = kinds(disturbances)
     rows = -(-len(METRICS) // COLUMNS)
     lines = len(laws) * max(1.0, 0.6 * len(disturbances))
     figure = sheet(rows * (ROW_IN * lines + AXIS_IN) + 0.25, PAGE_IN)
@@ -51,13 +74,13 @@ def draw(cells: Sequence[Cell]) -> Figure:
             bars = axis.errorbar(
                 mean,
                 place,
-                xerr=np.nan_to_num(half),
+                xerr=whiskers(metric, mean, half),
                 fmt=MARKERS[d % len(MARKERS)],
                 markersize=2.5,
                 linewidth=0.8,
                 color=colour(d),
             )
-            bars.set_label(disturbance)
+            bars.set_label(labels[d])
             shown.append(mean[np.isfinite(mean)])
         values = np.concatenate(shown) if shown else np.empty(0)
         above = values[values > 0]

@@ -5,13 +5,13 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from hedgerow.orchestrator.experiments.sweep.plan import Plan, Setting, split
 from hedgerow.orchestrator.ground import laws as law_checks
-from hedgerow.topologies.errors import Code, UserError
+from hedgerow.topologies.errors import Code, TopologyError, UserError
 from hedgerow.topologies.law_choice import NAMES
 from hedgerow.topologies.named import Given, Named, given
 from hedgerow.topologies.nodes import Nodes
@@ -97,18 +97,26 @@ def _name(given: Any) -> str:
 def _defaults(disturbance: Any, folder: Path) -> Defaults:
     """Return `defaults:` with a disturbance and nothing else. Raises UserError for one that a file cannot have."""
     value = disturbance if isinstance(disturbance, str) else json.dumps(plain(disturbance, "disturbance: "))
-    if not value.lstrip().startswith(("{", "[")):
-        names = value.split("+")
-        if strange := [name for name in names if name not in PRESETS]:
-            raise UserError(
-                f"--disturbances {value}: {strange[0]} is no disturbance. Choose of {', '.join((*PRESETS, AS_FILE))},"
-                " join some by +, or write one as in a file.",
-                code=Code.OPTION,
-            )
-        parts = [PRESETS[name] for name in names]
-        value = json.dumps(parts if len(parts) > 1 else parts[0])
+    parts = split(value, "+")
+    if strange := [part for part in parts if part not in PRESETS and not part.startswith(("{", "["))]:
+        raise UserError(
+            f"--disturbances {value}: {strange[0] or 'nothing'} is no disturbance. Choose one of"
+            f" {', '.join((*PRESETS, AS_FILE))}, write one as in a file, such as {{kind: constant, value: 1}}, or join"
+            " some by +.",
+            code=Code.OPTION,
+        )
+    parts = [json.dumps(PRESETS[part]) if part in PRESETS else part for part in parts]
+    joined = f"[{', '.join(parts)}]" if len(parts) > 1 else parts[0]
     # A network of one node: its own disturbances would hide the default one.
-    return Given(_ONE_NODE, "disturbance", folder, (f"defaults.disturbance={value}",)).parse().defaults
+    try:
+        return Given(_ONE_NODE, "disturbance", folder, (f"defaults.disturbance={joined}",)).parse().defaults
+    except TopologyError as error:
+        origin, inside = f"--disturbances {value}", "defaults: disturbance"
+        problems = [
+            replace(one, origin=origin, place=one.place.removeprefix(inside).removeprefix(": "))
+            for one in error.problems
+        ]
+        raise TopologyError("disturbance", problems) from None
 
 
 def _under(topology: Topology, defaults: Defaults) -> Topology:

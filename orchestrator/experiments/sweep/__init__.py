@@ -8,12 +8,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from hedgerow.orchestrator.experiments.sweep import summary
+from hedgerow.orchestrator.experiments.sweep import failures, summary
 from hedgerow.orchestrator.experiments.sweep.folder import SweepFolder, default_out
 from hedgerow.orchestrator.experiments.sweep.plan import Plan
 from hedgerow.orchestrator.experiments.sweep.progress import collect
 from hedgerow.orchestrator.experiments.sweep.workers import over_processes
-from hedgerow.orchestrator.metrics.verdict import EXIT_CODES, INVALID, UNKNOWN, VALID
+from hedgerow.orchestrator.metrics.verdict import EXIT_CODES, UNKNOWN, VALID
 from hedgerow.topologies.errors import Code, Exit, UserError
 from hedgerow.topologies.escape import echo
 
@@ -85,11 +85,13 @@ def _conclude(plan: Plan, folder: SweepFolder, say: Callable[[str], None]) -> Sw
             f"{folder.path}: {error.strerror}; free space, then the same command continues", code=Code.OUTPUT
         ) from None
     verdicts = Counter(row["verdict"] for own in rows for row in own)
-    worst = next(one for one in (INVALID, UNKNOWN, VALID) if verdicts[one])
+    worst = failures.worst(rows)
     say(summary.table(plan, rows))
     if any(map(summary.repeated, rows)):
         say(f"{summary.REPEATED}; one seed is enough")
     say(f"{folder.table}, summary.csv, {drawn}")
+    for line in failures.lines(plan, rows):
+        say(line)
     first = next(row for own in rows for row in own if row["verdict"] == worst)
     where = (
         "" if worst == VALID else f" (first seed {first['seed']}, {plan.label(first['setting'])}: {first['reasons']})"

@@ -86,7 +86,8 @@ class SweepFolder:
         if not self._about.exists():
             if strange := next((one.name for one in self.path.iterdir() if one != self._lines), None):
                 raise UserError(
-                    f"--out {self.path}: holds {strange}, and no sweep; name a new folder", code=Code.OUTPUT
+                    f"--out {self.path}: holds {strange} of something else. Name a new folder.",
+                    code=Code.OUTPUT,
                 )
             return
         there = read_json(self._about, self.path)
@@ -96,11 +97,11 @@ class SweepFolder:
             and all(isinstance(there.get(key), type(wanted[key])) for key in ("versions", "networks"))
         ):
             raise UserError(
-                f"--out {self.path}: sweep.json does not belong to a sweep; name a new folder", code=Code.FILE_FORMAT
+                f"--out {self.path}: its sweep.json is not of this command. Name a new folder.", code=Code.FILE_FORMAT
             )
         if other := _difference(there, wanted):
             raise UserError(
-                f"--out {self.path}: holds a sweep with other settings: {other}; name another folder", code=Code.OUTPUT
+                f"--out {self.path}: holds runs with other settings: {other}. Name another folder.", code=Code.OUTPUT
             )
 
     def _read(self) -> None:
@@ -203,7 +204,7 @@ def _difference(there: dict[str, Any], wanted: dict[str, Any]) -> str:
         one, other = there.get(key), wanted.get(key)
         if one != other and key not in ("set", "versions", "networks", "laws"):
             if None in (one, other):
-                return f"only {'this command' if one is None else 'that sweep'} sets {key}"
+                return f"only {'this command' if one is None else 'the other'} sets {key}"
             return f"{key} is {_said(one)} there, and {_said(other)} in this command"
     if there.get("laws") != wanted.get("laws"):
         return "the source of the law has changed since; the folder law keeps the old source"

@@ -172,8 +172,8 @@ def _values(sets: Sequence[str]) -> dict[str, list[str]]:
     return values
 
 
-def split(text: str) -> list[str]:
-    """Return values in YAML, split at the commas outside brackets and quotes."""
+def split(text: str, at: str = ",") -> list[str]:
+    """Return values in YAML, split at the commas, or another sign, outside brackets and quotes."""
     parts, depth, quote = [""], 0, ""
     for sign in text:
         if quote:
@@ -181,7 +181,7 @@ def split(text: str) -> list[str]:
         elif sign in "'\"":
             quote = sign
         depth += not quote and (sign in "[{(") - (sign in "]})")
-        if sign == "," and not quote and depth == 0:
+        if sign == at and not quote and depth == 0:
             parts.append("")
         else:
             parts[-1] += sign

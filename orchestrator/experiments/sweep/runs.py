@@ -75,9 +75,10 @@ def rows_of(plan: Plan, chunk: Chunk, alone: Callable[[int], Row], at_once: Call
         together = None if plan.one_by_one[chunk.setting] or len(chunk.seeds) == 1 else _batch(plan, chunk)
         topology = plan.settings[chunk.setting].topology
         if together is not None and batch.needs_proof(topology):
-            ends = [k for k in (0, len(chunk.seeds) - 1) if together.good[k]]
-            if any(at_once(together, k) != alone(chunk.seeds[k]) for k in ends):
-                together = None
+            for k in (0, len(chunk.seeds) - 1):
+                seed = chunk.seeds[k]
+                if together is not None and together.good[k] and at_once(together, k) != alone(seed):
+                    together = None
         found: list[Row] = []
         for k, seed in enumerate(chunk.seeds):
             row = alone(seed) if together is None or not together.good[k] else at_once(together, k)

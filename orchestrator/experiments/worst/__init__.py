@@ -245,15 +245,17 @@ def guarantee_of(topology: Topology, method: Method | None = None) -> Guarantee:
     return replace(found, learning=counted, not_computed={**found.not_computed, **missing})
 
 
-def at_least(plant: Plant, folder: Path) -> tuple[float, float] | None:
-    """Return the gain that `worst` found for minimax on a network without faults, by a worst.json; None if none.
+def at_least(plant: Plant, folder: Path) -> tuple[float, float, str] | None:
+    """Return the largest gain that `worst` found for minimax on a network without faults; None if there is none.
 
-    The first number is the gain that longer runs come near, the second is the gain of the finished run.
+    It looks at the results in `folder`. The first number is the gain that longer runs come near, the second is the gain
+    of the finished run, and the text is the name of the file.
     """
-    try:
-        found = read_json((folder / NAME).with_suffix(".json"))
-        if found["network"] == fingerprint(plant) and found["law"] == "minimax" and not found["faulty"]:
-            return float(found["limit"]), float(found["gain"])
-    except (UserError, OSError, ValueError, KeyError, TypeError):
-        pass
-    return None
+    found: list[tuple[float, float, str]] = []
+    for state_file in sorted(folder.glob("*.npz")):  # every result lies beside the state of its search
+        file = state_file.with_suffix(".json")
+        with contextlib.suppress(UserError, OSError, ValueError, KeyError, TypeError):
+            result = read_json(file)
+            if result["network"] == fingerprint(plant) and result["law"] == "minimax" and not result["faulty"]:
+                found.append((float(result["limit"]), float(result["gain"]), file.name))
+    return max(found, default=None)

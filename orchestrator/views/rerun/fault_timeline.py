@@ -1,7 +1,7 @@
 """The timeline of failures: one lane per link and node, from telemetry alone, planned or not.
 
 A lane begins with the first failure in it. Lanes of an edge show its lost messages and cuts. Lanes of a node show its
-absence, its missing inputs, and its wrong models.
+absence, its missing inputs, and jumps of its a. A wrong estimate is no failure.
 """
 
 from __future__ import annotations
@@ -26,11 +26,10 @@ RUN = -1
 FINE: Color = (38, 44, 54, 255)
 NOT_I, NOT_J, CLOSED = 1, 2, 4
 """the states of an edge (i, j), as sums of these numbers; 0 is no failure"""
-THERE, MISTAKEN, TURNED, NO_INPUT, GONE = range(5)
+THERE, TURNED, NO_INPUT, GONE = range(4)
 """the states of a node; the worst one counts"""
 OF_NODE: Sequence[tuple[str, Color]] = (
     ("ok", FINE),
-    ("wrong model", palette.WRONG),
     ("a jumps", (250, 250, 120, 255)),
     ("no input", palette.NO_INPUT),
     ("dead", palette.DEAD),
@@ -39,12 +38,12 @@ OF_NODE: Sequence[tuple[str, Color]] = (
 
 def of_edge(i: str, j: str) -> Sequence[tuple[str, Color]]:
     """Return the texts and colours for the states of the edge (i, j), by their codes."""
-    one, other, both = f"lost {j}→{i}", f"lost {i}→{j}", "lost both ways"
+    one, other, both = f"lost {j}→{i}", f"lost {i}→{j}", "lost both"
     return (
         ("ok", FINE),
         *((what, palette.LOST) for what in (one, other, both)),
         ("cut", palette.CUT),
-        *((f"cut, {what}", palette.BOTH) for what in (one, other, both)),
+        *(("cut, lost", palette.BOTH),) * 3,
     )
 
 
@@ -57,7 +56,8 @@ class Lane:
 
     def log_static(self, stream: rr.RecordingStream) -> None:
         """Send the texts and colours of the states."""
-        values, colors = [what for what, _ in self.states], [color for _, color in self.states]
+        states = dict(self.states)
+        values, colors = [*states], [*states.values()]
         stream.log(self.entity, rr.StateConfiguration(values=values, colors=colors), static=True)
 
 
@@ -93,8 +93,8 @@ class Changes:
         return Changes(found, [lane for part in parts for lane in part.begun])
 
 
-LANE_ENTITIES = ("/run", "/link/**", "/node/**")
-"""the lanes; Rerun shows the path of an entity as its title"""
+LANE_ENTITIES = ("/agent/**", "/link/**", "/run")
+"""the lanes; Rerun orders them by name, so agents come first; Rerun shows the path of an entity as its title"""
 
 
 def _entity(kind: str, name: str) -> str:
@@ -105,10 +105,8 @@ def _entity(kind: str, name: str) -> str:
 class FaultTimeline:
     """The lanes of failures, and their changes from step to step."""
 
-    def __init__(self, topology: Topology, models: bool) -> None:
-        """Prepare the lanes; `models` adds wrong models to the faults."""
+    def __init__(self, topology: Topology) -> None:
         self._ids, self._edges = topology.ids, topology.graph.edges
-        self._models = models
         self._ends = at_ends(topology.graph)
         self._before = np.zeros(len(self._edges) + len(self._ids), dtype=np.uint8)
         self._a: NDArray[np.float64] | None = None
@@ -116,7 +114,7 @@ class FaultTimeline:
 
     def _lane(self, k: int) -> Lane:
         if k >= len(self._edges):
-            return Lane(_entity("node", str(self._ids[k - len(self._edges)])), OF_NODE)
+            return Lane(_entity("agent", str(self._ids[k - len(self._edges)])), OF_NODE)
         i, j = (str(self._ids[end]) for end in self._edges[k].tolist())
         return Lane(_entity("link", f"{i}-{j}"), of_edge(i, j))
 
@@ -130,9 +128,7 @@ class FaultTimeline:
         before = batch.a[:1] if self._a is None else self._a[None]
         turned = batch.a != np.concatenate([before, batch.a[:-1]])
         self._a = batch.a[-1].copy()
-        # At step 0 an estimate is the first of the list: no agent has learned anything.
-        nodes = np.where(batch.wrong & self._models & (batch.t > 0)[:, None], MISTAKEN, THERE)
-        nodes = np.where(turned, TURNED, nodes)
+        nodes = np.where(turned, TURNED, THERE)
         nodes = np.select([batch.dead, batch.missing], [GONE, NO_INPUT], nodes)
         return np.concatenate([links, nodes], axis=1).astype(np.uint8)
 
@@ -143,9 +139,9 @@ class FaultTimeline:
         self._before = codes[-1].copy()
         new, found = [], {}
         if RUN not in self.begun:  # for an empty timeline, Rerun would suggest to add a lane
-            self.begun[RUN] = Lane("run", (("running", FINE),))
+            self.begun[RUN] = Lane("run", (("steps", FINE),))
             new.append(self.begun[RUN])
-            found["run"] = batch.t[:1], wall[:1], ["running"]
+            found["run"] = batch.t[:1], wall[:1], ["steps"]
         for k in changed.any(axis=0).nonzero()[0].tolist():
             if k not in self.begun:
                 if len(self.begun) > LANES:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from hedgerow.orchestrator.metrics.observer import Batch, Observer
 from hedgerow.orchestrator.views.rerun.viewer import Viewer
-from hedgerow.topologies.describe import describe, window
+from hedgerow.topologies.describe import describe
 from hedgerow.topologies.errors import Code, HedgerowError
 from hedgerow.topologies.schema import Topology
 from hedgerow.wire.message import RoundTripTimes
@@ -227,7 +227,7 @@ class RerunStream:
         self._picture = Picture(topology)
         group = self._picture.groups.size if self._picture.groups is not None else 1
         self._about = about(topology, observer, large, PICTURES_HZ_LARGE if large else PICTURES_HZ, group)
-        self._timeline = FaultTimeline(topology, models=not large)
+        self._timeline = FaultTimeline(topology)
         self._now = Now(topology, observer)
         self._undrawn: tuple[Batch, NDArray[np.float64]] | None = None
         self._heatmap, self._heatmap_due = HeatMap(len(topology.ids)) if large else None, False
@@ -404,7 +404,7 @@ class Plan:
         first, last = int(batch.t[0]), int(batch.t[-1])
         lines = []
         for number, fault in enumerate(self._faults):
-            start, stop = window(fault)
+            start, stop = fault.window
             if first <= start <= last:
                 lines.append((f"fault {number + 1} begins: {_short(describe(fault))}", "WARN", start))
             # An early end was already reported.

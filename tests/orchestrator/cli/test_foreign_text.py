@@ -111,7 +111,7 @@ def test_a_processs_own_streams(here: Path) -> None:
 @pytest.mark.parametrize("name", ["a b", "a;b", "$(a)", "a'b", "#a", "~a", "`a`"])
 def test_commands_for_copy_and_paste(here: Path, capsys: pytest.CaptureFixture[str], name: str) -> None:
     """The command that a run prints at its end opens that run, and the README of a bundle has the namespace whole."""
-    assert shlex.split(left_behind(here / name).splitlines()[1].partition(": ")[2])[1:] == ["open", str(here / name)]
+    assert shlex.split(left_behind(here / name).splitlines()[1].partition(": ")[2])[1:3] == ["open", str(here / name)]
     namespace = name.replace("#", "+").replace("$", "+")
     assert run("bundle", "paper7", "--out", str(here / name), "--router", "tcp/h:7447", "--namespace", namespace) == 0
     readme = (here / name / "README.md").read_text(encoding="utf-8")

@@ -120,7 +120,7 @@ def test_a_search_writes_a_network_that_repeats_its_gain_and_continues(tmp_path:
     assert run_here(hg.load(out))["metrics"]["gain"] == pytest.approx(first.gain, rel=1e-9)
     document = json.loads((tmp_path / "worst.json").read_text())
     assert document["gain"] == first.gain
-    assert at_least(plant_of(EAGER.network), tmp_path) == (first.limit, first.gain)
+    assert at_least(plant_of(EAGER.network), tmp_path) == (first.limit, first.gain, "worst.json")
     assert first.gain <= first.guarantee.bounds[first.premise].gain
     again = worst(EAGER, 0.5, steps=400, out=out, say=messages.append)
     assert again.limit >= first.limit * (1 - 1e-9)
@@ -144,9 +144,12 @@ def test_bound_tells_a_gain_that_a_run_reached_from_one_that_longer_runs_approac
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    found = worst(hg.load("paper7"), 0.1, steps=300, out=Path("worst.yaml"))
+    worst(EAGER, 0.1, steps=300, out=Path("eager.yaml"))
+    found = worst(hg.load("paper7"), 0.1, steps=300, out=Path("any-name.yaml"))
+    Path("other.npz").write_bytes(b"")
+    Path("other.json").write_text("[]")
     guarantee = bound(hg.load("paper7"))
-    assert (guarantee.at_least, guarantee.reached) == (found.limit, found.gain)
+    assert (guarantee.at_least, guarantee.reached, guarantee.attack) == (found.limit, found.gain, "any-name.json")
     assert found.gain < found.limit
     texts = {
         replace(guarantee, at_least=limit, reached=gain).text().splitlines()[1]

@@ -10,7 +10,6 @@ import sys
 from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Any
 
 import psutil
 import pytest
@@ -18,20 +17,15 @@ from cryptography import x509
 
 from hedgerow.orchestrator.launch.certificates import LIFE_DAYS, SLACK
 from hedgerow.wire.ports import free_port
-from tests.tools.processes import COMMAND, Orchestrator, gone, orchestrator, run_here
+from tests.tools.processes import COMMAND, QUIET, Orchestrator, gone, orchestrator, run_here
+from tests.tools.verdicts import verdict_of
 
-QUIET = ("--viewer", "none", "--no-record")
 ROUTER = """
 import signal, zenoh
 with zenoh.open(zenoh.Config.from_file("zenohd.json5")):
     print("open", flush=True)
     signal.pause()
 """
-
-
-def verdict_of(folder: Path) -> dict[str, Any]:
-    verdict: dict[str, Any] = json.loads((folder / "verdict.json").read_text())
-    return verdict
 
 
 def secrets(here: Path) -> list[Path]:

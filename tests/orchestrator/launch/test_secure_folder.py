@@ -10,7 +10,7 @@ from hedgerow.orchestrator.launch.certificates import to_carry
 from hedgerow.wire.credentials import Credentials
 from hedgerow.wire.ports import free_port
 from hedgerow.wire.session import close, open_client, open_router
-from tests.orchestrator.launch.test_rogues import PLACES
+from tests.tools.rights import PLACES
 
 NAMESPACE = "hedgerow/paper7"
 

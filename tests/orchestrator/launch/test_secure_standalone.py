@@ -23,11 +23,11 @@ from hedgerow.wire.refusal import refused
 from hedgerow.wire.session import close, open_client, open_router
 from hedgerow.wire.standalone import wait_for
 from tests.agents.test_standalone import UP, start, verdict
-from tests.orchestrator.launch.test_rogues import PLACES
 from tests.orchestrator.launch.test_secure import ROUTER
 from tests.tools.machines import Program
 from tests.tools.processes import DEADLINE_S, Orchestrator, orchestrator, parquet_bytes, run_here
 from tests.tools.refusals import refusal
+from tests.tools.rights import PLACES
 
 __all__ = ["start"]
 

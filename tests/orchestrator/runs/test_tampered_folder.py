@@ -7,12 +7,14 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
 from hedgerow.orchestrator.launch.simulation import simulate as recorded
 from hedgerow.orchestrator.runs.reader import load_run
+from hedgerow.orchestrator.runs.writer import SUMMARY
 from hedgerow.topologies.errors import HedgerowError
 
 FAULTS = [{"kind": "drop", "link": [2, 4], "steps": [5, 9]}, {"kind": "crash", "node": 3, "at": 10, "restart_after": 3}]
@@ -25,8 +27,8 @@ def column(table: str, name: str, row: int) -> Callable[[Path], None]:
         file = run / f"{table}.parquet"
         read = pq.read_table(file)
         k = read.column_names.index(name)
-        values = read.column(name).to_numpy().copy()
-        values[row] += 1
+        values = np.array(read.column(name).to_pylist())
+        values[row] = not values[row] if values.dtype == bool else values[row] + 1
         pq.write_table(read.set_column(k, read.schema.field(k), pa.array(values, read.schema.field(k).type)), file)
 
     return change
@@ -57,6 +59,13 @@ def no_check(run: Path) -> None:
     (run / "verdict.json").write_text(json.dumps(content))
 
 
+def metric(run: Path) -> None:
+    """Write another number into the metrics of a verdict."""
+    content = json.loads((run / "verdict.json").read_text())
+    content["metrics"]["regret"] /= 2
+    (run / "verdict.json").write_text(json.dumps(content))
+
+
 CHANGES = {
     "x": column("telemetry", "x", 100),
     "u": column("telemetry", "u", 100),
@@ -67,6 +76,20 @@ CHANGES = {
     "x of the nominal": column("telemetry", "x_nominal", 100),
     "a margin": column("telemetry", "margin", 100),
     "a cost": column("summary", "cost_sum", 5),
+    "the input of an edge": column("edges", "u_edge", 100),
+    "an open edge": column("edges", "open", 100),
+    "a delivery": column("edges", "i_hears", 100),
+    "the step of a row": column("telemetry", "step", 100),
+    "the node of a row": column("telemetry", "node", 100),
+    "the end of an edge": column("edges", "j", 100),
+    "the final x of the oracle": column("telemetry", "x_oracle", -1),
+    **{f"{name} of the summary": column("summary", name, 5) for name in SUMMARY},
+    **{
+        f"the final {name} of the summary": column("summary", name, -1)
+        for name in ("x_sum", "regret_max", "regret_sum", "checksum")
+    },
+    "a metric of the verdict": metric,
+    "the seed of the verdict": text("verdict.json", '"seed": 1', '"seed": 2'),
     "the number of steps": shorter,
     "the gain": text("topology.yaml", "b: 0.1", "b: 0.11"),
     "the seed of the faults": text("topology.yaml", "kind: drop", "kind: delay\n  by: 1"),
@@ -95,3 +118,12 @@ def test_a_change_after_the_run_is_found(what: str, whole: Path, tmp_path: Path)
     except HedgerowError:
         return
     assert found is not None
+
+
+@pytest.mark.parametrize("law", ["minimax", "rls", "thompson", "set-membership"])
+@pytest.mark.parametrize("candidates", ["[0.5]", "[0.4, 0.5]"])
+def test_an_unchanged_folder_has_no_difference(law: str, candidates: str, here: Path) -> None:
+    """Also with one candidate, whose margin is infinite: the table has null for it."""
+    network = {"nodes": [1, 2, 3], "edges": [[1, 2], [2, 3]], "defaults": {"candidates": json.loads(candidates)}}
+    (here / "three.yaml").write_text(json.dumps({"name": "three", "b": 0.1, "steps": 20, "seed": 1, **network}))
+    assert recorded("three.yaml", f"law={law}").first_difference() is None

@@ -14,10 +14,9 @@ import socket
 import statistics
 import subprocess
 import sys
-import threading
 import time
 import urllib.request
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import fields, replace
 from pathlib import Path
@@ -28,7 +27,6 @@ import psutil
 import pytest
 from numpy.typing import NDArray
 from rerun.chunk import RrdReader
-from rerun.experimental import ViewerClient
 
 from hedgerow.orchestrator.metrics.observer import Batch, Observer
 from hedgerow.orchestrator.views.rerun.stream import RerunStream
@@ -41,6 +39,7 @@ from hedgerow.wire.ports import free_port
 from tests.tools.networks import simulate
 from tests.tools.refusals import refusal
 from tests.tools.schedules import with_faults
+from tests.tools.viewers import begin_headless, draws, kill, last_step, until
 
 Array = NDArray[np.float64]
 ROWS = 120_000
@@ -88,44 +87,11 @@ def read(path: Path, entity: str) -> tuple[list[int], Array]:
     return [int(steps[k]) for k in order], np.array([values[k] for k in order], dtype=float)
 
 
-def until(condition: Callable[[], object], deadline_s: float = 60.0, every_s: float = 0.02) -> None:
-    by, tick = time.monotonic() + deadline_s, threading.Event()
-    while not condition():
-        assert time.monotonic() < by, "the deadline passed"
-        tick.wait(every_s)
-
-
 @pytest.fixture
 def stranger() -> Iterator[tuple[socket.socket, str]]:
     """A socket on loopback that accepts and never reads, and its address as a viewer's."""
     with socket.create_server(("127.0.0.1", 0)) as listening:
         yield listening, f"rerun+http://127.0.0.1:{listening.getsockname()[1]}/proxy"
-
-
-def begin_headless(port: int | None = None, *options: str) -> Viewer:
-    """A real viewer without a window, at `port` or any; skipped where there is no graphics driver."""
-    viewer = native("--headless", *options, port=port)
-    until(lambda: viewer.listens() or viewer.gone)
-    try:
-        until(lambda: viewer.gone or draws(viewer))
-    finally:
-        if viewer.gone:
-            pytest.skip("the viewer does not start here: no graphics driver")
-    return viewer
-
-
-def draws(viewer: Viewer) -> bool:
-    try:
-        ViewerClient.connect(viewer.url).get_state()
-    except RuntimeError:
-        return False
-    return True
-
-
-def kill(viewer: Viewer) -> None:
-    assert viewer.process is not None
-    viewer.process.kill()
-    viewer.process.wait()
 
 
 @pytest.fixture
@@ -159,9 +125,7 @@ def test_the_recording_holds_every_step_bit_for_bit(tmp_path: Path) -> None:
         "nodes_right": ran.right[:, None],
         "cost_regret": ran.cost_regret[:, None],
         "cost_ratio": ran.ratio[:, None],
-        "gain": np.stack(
-            [ran.gain(), ran.ceiling, np.full(len(steps), observer.gamma_star), ran.gain(float(observer.v0))], axis=1
-        ),
+        "gain": np.stack([ran.gain(), ran.ceiling, np.full(len(steps), observer.gamma_star)], axis=1),
     }
     for entity, values in expected.items():
         found = read(path, entity)
@@ -319,13 +283,6 @@ def test_a_frozen_viewer_costs_nothing(tmp_path: Path, headless: Viewer) -> None
     assert closes_late(stream)
     headless.process.kill()
     assert read(path, "x")[0] == list(range(ROWS))
-
-
-def last_step(url: str) -> int:
-    """The last step that the viewer at `url` has, -1 for none."""
-    recordings = ViewerClient.connect(url).get_state().recordings
-    ends = [line.end for one in recordings for line in one.timelines if line.name == "step"]
-    return max((int(end) for end in ends if end is not None), default=-1)
 
 
 def test_a_viewer_keeps_a_run_that_ended_before_it_had_started(headless: Viewer) -> None:

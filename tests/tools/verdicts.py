@@ -1,0 +1,33 @@
+"""The verdict of a run's folder, and the checks in it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+CHECKS = {
+    "dynamics",
+    "estimates",
+    "contraction",
+    "oracle_certificate",
+    "missing_inputs",
+    "links",
+    "faults",
+    "plan",
+    "law",
+    "deaths",
+    "information",
+    "gain_estimates",
+    "gain_edges",
+    "gain_jumps",
+}
+OF_THE_PAPERS_LAW = {"estimates", "contraction", "gain_estimates", "gain_edges", "gain_jumps"}
+
+"""checks that are claimed of laws that act by (6) on the list"""
+
+
+def verdict_of(folder: Path) -> dict[str, Any]:
+    """Return the content of the verdict's file."""
+    verdict: dict[str, Any] = json.loads((folder / "verdict.json").read_text(encoding="utf-8"))
+    return verdict
